@@ -1,0 +1,31 @@
+"""Array types and the one way records make their arrays read-only."""
+
+from __future__ import annotations
+
+from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+F64: TypeAlias = NDArray[np.float64]
+Int: TypeAlias = NDArray[np.int64]
+Bool: TypeAlias = NDArray[np.bool_]
+
+
+def frozen(value: ArrayLike, dtype: Any = np.float64) -> NDArray[Any]:
+    """Return ``value`` as a read-only array of ``dtype``.
+
+    An array that is already read-only is passed through, so records can share memory.
+
+    Args:
+        value: anything NumPy can turn into an array.
+        dtype: element type of the result.
+
+    Returns:
+        A read-only array; a copy where ``value`` could still be written to by its owner.
+    """
+    array = np.asarray(value, dtype=dtype)
+    if array.flags.writeable:
+        array = array.copy() if array is value or array.base is not None else array
+        array.flags.writeable = False
+    return array

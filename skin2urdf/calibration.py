@@ -1,0 +1,94 @@
+"""The result of a calibration: everything the URDF, the JSON and the report are made of."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+from skin2urdf.arrays import F64, frozen
+from skin2urdf.estimation.estimate import Estimate, EstimationSettings
+from skin2urdf.estimation.observability import Observability
+from skin2urdf.model.records import KinematicModel
+from skin2urdf.signals.records import Features
+from skin2urdf.structure.activity import STATIC_THRESHOLD, Activity
+
+Quality = Literal["good", "fair", "bad"]
+
+GOOD_FIT = 2.0
+"""Cost per degree of freedom up to which the model explains the data."""
+BAD_FIT = 20.0
+"""Cost per degree of freedom beyond which no URDF is written."""
+
+
+@dataclass(frozen=True)
+class CalibrationSettings:
+    """Choices of a calibration.
+
+    Attributes:
+        estimation: priors, refinement, robustness.
+        static_threshold: change of a static reading that makes an SU active [m/s^2].
+        relinearisations: how often the features are taken again with the estimate's prediction
+            of what lies beyond first order.
+    """
+
+    estimation: EstimationSettings = field(default_factory=EstimationSettings)
+    static_threshold: float = STATIC_THRESHOLD
+    relinearisations: int = 2
+
+
+@dataclass(frozen=True)
+class Source:
+    """One input log.
+
+    Attributes:
+        path: where it was read from.
+        digest: SHA-256 of its bytes.
+        duration: its length [s].
+    """
+
+    path: str
+    digest: str
+    duration: float
+
+
+@dataclass(frozen=True, eq=False)
+class Calibration:
+    """A finished calibration.
+
+    Attributes:
+        model: the robot, in canonical frames (extended DH); base z is up.
+        estimate: how it was found, in the estimation's frames.
+        observability: what of it the log determines; same frames as ``estimate``.
+        features: the measurements it rests on.
+        activity: evidence of the structure.
+        limits: (D, 2) range of each joint seen in the logs [rad or m].
+        velocity: (D,) largest speed of each joint seen [rad/s or m/s].
+        sources: the input logs.
+        settings: the choices made.
+        notes: what was found, mended or left out, in words.
+        seconds: time each stage took [s].
+    """
+
+    model: KinematicModel
+    estimate: Estimate
+    observability: Observability
+    features: Features
+    activity: Activity
+    limits: F64
+    velocity: F64
+    sources: tuple[Source, ...]
+    settings: CalibrationSettings
+    notes: tuple[str, ...]
+    seconds: dict[str, float]
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "limits", frozen(self.limits))
+        object.__setattr__(self, "velocity", frozen(self.velocity))
+
+    @property
+    def quality(self) -> Quality:
+        """How well the model explains the features."""
+        cost = self.estimate.cost_per_dof
+        if not cost <= BAD_FIT:
+            return "bad"
+        return "good" if cost <= GOOD_FIT else "fair"

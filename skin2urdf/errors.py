@@ -1,0 +1,73 @@
+"""Every error a user can meet, under one root, each carrying its evidence and an exit status."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+
+class Skin2UrdfError(Exception):
+    """Root of all errors of this package.
+
+    Attributes:
+        exit_status: what the command line exits with: 1 where no trustworthy result can be
+            written, 2 for bad usage or an unreadable input.
+        remedy: what the user can record, fix or type to get further; may be empty.
+    """
+
+    exit_status = 1
+
+    def __init__(self, what: str, remedy: str = "") -> None:
+        super().__init__(what)
+        self.remedy = remedy
+
+
+class UsageError(Skin2UrdfError):
+    """An argument that can not be used as given."""
+
+    exit_status = 2
+
+
+class UnreadableInputError(Skin2UrdfError):
+    """A file that can not be read as what it should be.
+
+    Attributes:
+        path: the file.
+    """
+
+    exit_status = 2
+
+    def __init__(self, path: str, what: str, remedy: str = "") -> None:
+        super().__init__(f"{path}: {what}", remedy)
+        self.path = path
+
+
+class InsufficientDataError(Skin2UrdfError):
+    """A readable log that does not hold what a calibration needs (poses, motion, sensors)."""
+
+
+class StructureError(Skin2UrdfError):
+    """An activity matrix that no kinematic tree can have produced.
+
+    Attributes:
+        sus: names of the SUs that contradict a tree.
+        dofs: names of the DoFs that contradict a tree.
+    """
+
+    def __init__(
+        self, what: str, remedy: str = "", sus: Sequence[str] = (), dofs: Sequence[str] = ()
+    ) -> None:
+        super().__init__(what, remedy)
+        self.sus = tuple(sus)
+        self.dofs = tuple(dofs)
+
+
+class BadFitError(Skin2UrdfError):
+    """No model was found that explains the features.
+
+    Attributes:
+        cost_per_dof: chi-squared per degree of freedom of the best model found.
+    """
+
+    def __init__(self, what: str, remedy: str = "", cost_per_dof: float = float("nan")) -> None:
+        super().__init__(what, remedy)
+        self.cost_per_dof = cost_per_dof

@@ -1,0 +1,1 @@
+"""Features and a tree -> estimate: closed-form starts, NLopt, refinement, observability."""

@@ -1,0 +1,107 @@
+"""Features restricted to each SU's chain and whitened, ready to be compared with a model."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from skin2urdf.arrays import F64, Int, frozen
+from skin2urdf.model.prediction import Chains
+from skin2urdf.signals.records import Features
+from skin2urdf.structure.records import KinematicTree
+
+_RANK_TOLERANCE = 1e-9
+"""Relative eigenvalue below which a regressor combination counts as not excited."""
+
+
+@dataclass(frozen=True, eq=False)
+class FeatureBlocks:
+    """Whitened features; the residual of a model's blocks Y is ``(W @ Y - target) / noise``.
+
+    Attributes:
+        chains: chains of the U SUs, L joints at most, m = 1 + 2 L rows.
+        su_joint: (U,) joint each SU sits on.
+        q: (P, D) joint positions of the poses, in the tree's joint order [rad or m].
+        log: (P,) log each pose comes from.
+        W: (P, U, m, m) square root of each block's information.
+        target: (P, U, m, 3) whitened measured coefficients [m/s^2].
+        noise: (P, U, 3) standard deviation of one sample; infinite where there is no data.
+        count: (P, U) number of independent scalar measurements in each block.
+        coefficients: (P, U, m, 3) measured coefficients given that only the chain moves the SU.
+        variance: (P, U, m) their variances, per unit ``noise**2``; infinite where unexcited.
+    """
+
+    chains: Chains
+    su_joint: Int
+    q: F64
+    log: Int
+    W: F64
+    target: F64
+    noise: F64
+    count: Int
+    coefficients: F64
+    variance: F64
+
+    def __post_init__(self) -> None:
+        for name in ("q", "W", "target", "noise", "coefficients", "variance"):
+            object.__setattr__(self, name, frozen(getattr(self, name)))
+        for name in ("su_joint", "log", "count"):
+            object.__setattr__(self, name, frozen(getattr(self, name), np.int64))
+
+    def reweighted(self, weight: F64) -> FeatureBlocks:
+        """These blocks with the information of pose p and SU u multiplied by weight (P, U)."""
+        root = np.sqrt(weight)[:, :, None, None]
+        return replace(self, W=self.W * root, target=self.target * root)
+
+
+def feature_blocks(features: Features, tree: KinematicTree) -> FeatureBlocks:
+    """Restrict features to what the tree says can move each SU, and whiten them.
+
+    That a DoF outside its chain does not move an SU is knowledge: the regression is re-solved
+    without that DoF's columns, from the stored products alone.
+    """
+    chains = Chains.of(tree)
+    dof = np.array([features.dof_names.index(n) for n in tree.joint_names], dtype=np.int64)
+    su = np.array([features.su_names.index(n) for n in tree.su_names], dtype=np.int64)
+    P, U, D = features.n_poses, len(su), features.n_dofs
+    m = chains.n_rows
+    W = np.zeros((P, U, m, m))
+    target = np.zeros((P, U, m, 3))
+    coefficients = np.zeros((P, U, m, 3))
+    variance = np.full((P, U, m), np.inf)
+    count = np.zeros((P, U), dtype=np.int64)
+    L = chains.joint.shape[1]
+    valid = features.valid[:, su]
+    for length in np.unique(chains.length):
+        us = np.flatnonzero(chains.length == length)
+        own = dof[chains.joint[us, :length]]
+        rows = np.concatenate([np.zeros((len(us), 1), np.int64), 1 + own, 1 + D + own], axis=1)
+        to = np.r_[0, 1 : 1 + length, 1 + L : 1 + L + length]
+        info = features.information[:, su[us]]
+        products = info @ features.coefficients[:, su[us]]
+        pick = np.arange(len(us))[:, None]
+        eta = products[:, pick, rows] * valid[:, us, None, None]
+        info = info[:, pick[..., None], rows[:, :, None], rows[:, None, :]]
+        info = info * valid[:, us, None, None]
+        scale = np.sqrt(np.einsum("puii->pui", info))
+        inverse_scale = np.divide(1.0, scale, out=np.zeros_like(scale), where=scale > 0)
+        lam, V = np.linalg.eigh(info * inverse_scale[..., :, None] * inverse_scale[..., None, :])
+        excited = lam > _RANK_TOLERANCE * max(1, int(length))
+        root = np.where(excited, np.sqrt(np.abs(lam)), 0.0)
+        inverse_root = np.divide(1.0, root, out=np.zeros_like(root), where=excited)
+        Vt = np.swapaxes(V, -1, -2)
+        white = root[..., None] * Vt * scale[..., None, :]
+        unwhite = inverse_scale[..., :, None] * V * inverse_root[..., None, :]
+        z = np.swapaxes(unwhite, -1, -2) @ eta
+        W[:, us[:, None, None], to[:, None], to] = white
+        target[:, us[:, None], to] = z
+        coefficients[:, us[:, None], to] = unwhite @ z
+        seen = np.einsum("puij,puj->pui", V**2, 1.0 * ~excited) < 1e-6
+        spread = np.einsum("puij,puij->pui", unwhite, unwhite)
+        variance[:, us[:, None], to] = np.where(seen & (scale > 0), spread, np.inf)
+        count[:, us] = 3 * excited.sum(axis=-1)
+    return FeatureBlocks(
+        chains, tree.su_joint, features.q[:, dof], features.log, W, target,
+        features.noise[:, su], count, coefficients, variance,
+    )  # fmt: skip

@@ -1,0 +1,203 @@
+"""From features and tree to the best state: closed-form starts, NLopt, refinement."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+
+from skin2urdf.arrays import F64, frozen
+from skin2urdf.errors import InsufficientDataError
+from skin2urdf.estimation.arrow import factor
+from skin2urdf.estimation.blocks import FeatureBlocks, feature_blocks
+from skin2urdf.estimation.cost import Cost, Priors
+from skin2urdf.estimation.gauss_newton import gauss_newton
+from skin2urdf.estimation.inward import inward_starts
+from skin2urdf.estimation.orientation import Orientations
+from skin2urdf.estimation.outward import outward_starts
+from skin2urdf.estimation.progressive import minimise, progressive
+from skin2urdf.estimation.state import Free, State, identifiable, moved
+from skin2urdf.signals.records import Features
+from skin2urdf.structure.records import KinematicTree
+
+Refinement = Literal["casadi", "none"]
+
+POSITION_SCALE = 1.0
+"""Expected size of offsets [m]; holds unexcited offsets near zero in the closed-form start."""
+
+
+@dataclass(frozen=True, eq=False)
+class EstimationSettings:
+    """How to estimate.
+
+    Attributes:
+        priors: what is known of the sensors.
+        intrinsics: estimate bias and shape of every SU.
+        refine: ``casadi`` for a weighted least-squares over the whole tree after NLopt.
+        robust: down-weight pose and SU blocks that the model can not explain.
+    """
+
+    priors: Priors = field(default_factory=Priors)
+    intrinsics: bool = True
+    refine: Refinement = "none"
+    robust: bool = True
+
+
+@dataclass(frozen=True, eq=False)
+class Estimate:
+    """The best state found and how well it explains the features.
+
+    Attributes:
+        tree: the structure.
+        state: placements, gravity and intrinsics.
+        chi2: sum of squared whitened residuals and priors, after robust weighting.
+        chi2_by_block: (P, U) sum of squared whitened residuals, before robust weighting.
+        count: (P, U) independent measurements in each block.
+        weight: (P, U) robust weights in [0, 1].
+        n_parameters: number of coordinates the data determine.
+        cost: the cost, for derivatives at the estimate.
+        free: the coordinates that were estimated.
+        hypotheses: chi-squared of every start that was followed, after its refinement.
+    """
+
+    tree: KinematicTree
+    state: State
+    chi2: float
+    chi2_by_block: F64
+    count: F64
+    weight: F64
+    n_parameters: int
+    cost: Cost
+    free: Free
+    hypotheses: tuple[float, ...]
+
+    def __post_init__(self) -> None:
+        for name in ("chi2_by_block", "count", "weight"):
+            object.__setattr__(self, name, frozen(getattr(self, name)))
+
+    @property
+    def degrees_of_freedom(self) -> int:
+        """Measurements minus parameters."""
+        return int(self.count[self.weight > 0].sum()) - self.n_parameters
+
+    @property
+    def cost_per_dof(self) -> float:
+        """Chi-squared per degree of freedom; near 1 where the model explains the data."""
+        return self.chi2 / max(1, self.degrees_of_freedom)
+
+
+def estimate(
+    features: Features, tree: KinematicTree, settings: EstimationSettings | None = None
+) -> Estimate:
+    """Estimate all placements of a tree from features.
+
+    Args:
+        features: the measurements.
+        tree: the structure, with names as in the features.
+        settings: how to.
+
+    Raises:
+        InsufficientDataError: no start can be computed from these features.
+    """
+    settings = settings or EstimationSettings()
+    blocks = feature_blocks(features, tree)
+    cost = Cost(tree, blocks, settings.priors)
+    free = _free(cost, settings)
+    state, hypotheses = _followed_starts(cost, free)
+    weight = np.ones(blocks.count.shape)
+    state, chi2 = minimise(cost, state, free)
+    plain = cost
+    if settings.robust:
+        for _ in range(3):
+            by_block = plain.at(state).chi2_by_block()
+            fresh = robust_weights(by_block, blocks.count)
+            if np.allclose(fresh, weight, atol=0.02):
+                break
+            weight = fresh
+            cost = Cost(tree, blocks.reweighted(weight), settings.priors)
+            state, chi2 = minimise(cost, state, free)
+    if settings.refine == "casadi":
+        from skin2urdf.estimation.casadi_refinement import refine
+
+        state, chi2 = refine(cost, state, free)
+    chi2_by_block = plain.at(state).chi2_by_block()
+    return Estimate(
+        tree, state, chi2, chi2_by_block, blocks.count, weight,
+        _n_parameters(cost, state, free), cost, free, hypotheses,
+    )  # fmt: skip
+
+
+def robust_weights(chi2: F64, count: F64, tuning: float = 3.0) -> F64:
+    """(P, U) Cauchy-like weights of blocks from their chi-squared per measurement.
+
+    A block is judged against the median block of its SU, so that a noise level that is misjudged
+    as a whole costs no weight; blocks within ``tuning`` times the median keep weight 1.
+    """
+    per = np.divide(chi2, count, out=np.full(chi2.shape, np.nan), where=count > 0)
+    typical = np.nanmedian(per, axis=0) if per.size else per
+    reference = np.maximum(typical, np.nanmedian(typical)) * tuning
+    ratio = per / np.maximum(reference, 1e-12)
+    return np.where(ratio > 1, 1 / np.maximum(ratio, 1.0), 1.0)
+
+
+def _free(cost: Cost, settings: EstimationSettings) -> Free:
+    free = identifiable(cost.tree, cost.n_logs, settings.intrinsics)
+    fixed = settings.priors.deviations <= 0
+    sus = free.sus.copy()
+    sus[:, 6:] &= ~fixed
+    return Free(free.joints, free.logs, sus)
+
+
+def _starts(cost: Cost) -> Iterator[Orientations]:
+    L = cost.blocks.chains.joint.shape[1]
+    slopes = cost.blocks.variance[:, :, 1 : 1 + L][:, cost.blocks.chains.present]
+    if slopes.size and np.isfinite(slopes).mean() > 0.5:
+        yield from inward_starts(cost.tree, cost.blocks, cost.priors)
+    else:
+        yield from outward_starts(cost.tree, cost.blocks, cost.priors)
+
+
+def _followed_starts(cost: Cost, free: Free) -> tuple[State, tuple[float, ...]]:
+    """The most promising start, after positions and the progressive estimation."""
+    tree = cost.tree
+    starts = [with_positions(cost, o.state(tree), free) for o in _starts(cost)]
+    if not starts:
+        raise InsufficientDataError(
+            "no start for the estimation: the gravity slopes of the DoFs were not measured, and a "
+            "segment carries no SU",
+            "record patterns that move every DoF by 0.05 rad or more around each pose",
+        )
+    if len(starts) == 1:
+        state = progressive(cost, starts[0], free)
+        return state, (cost.at(state).chi2,)
+    followed = [gauss_newton(cost, s, free, iterations=6) for s in starts]
+    best = min(range(len(followed)), key=lambda i: followed[i][1])
+    return progressive(cost, followed[best][0], free), tuple(c for _, c in followed)
+
+
+def with_positions(cost: Cost, state: State, free: Free) -> State:
+    """Positions for known orientations: one linear least-squares problem (tau = w x r).
+
+    Args:
+        cost: the cost.
+        state: orientations, with every origin in its parent's.
+        free: which coordinates may move.
+    """
+    joints, sus = free.joints.copy(), free.sus.copy()
+    joints[:, 2:], sus[:, 3:] = False, False
+    only = Free(joints, np.zeros_like(free.logs), sus)
+    here = cost.at(state)
+    equations = here.normal_equations()
+    ridge = 1 / POSITION_SCALE**2
+    equations.joint[np.diag_indices(len(equations.joint))] += ridge
+    equations.su[:, range(15), range(15)] += ridge
+    return moved(state, factor(equations, only).newton_step(here.gradient()))
+
+
+def _n_parameters(cost: Cost, state: State, free: Free) -> int:
+    """Number of coordinates minus the directions the data leave open."""
+    total = int(free.joints.sum() + free.logs.sum() + free.sus[:, :6].sum())
+    on_rs = cost.tree.parent < 0
+    return total - int(on_rs.sum())

@@ -1,0 +1,232 @@
+"""What the log determines: covariances, directions it says nothing about, verdicts.
+
+Everything follows from the rank and the inverse of the weighted Jacobian at the estimate, never
+from a list of cases. A direction counts as not observable where the data alone would leave it
+uncertain by more than :data:`UNKNOWN`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from skin2urdf.arrays import F64, frozen
+from skin2urdf.estimation.cost import NormalEquations
+from skin2urdf.estimation.estimate import Estimate
+from skin2urdf.estimation.state import N_JOINT, N_PLACEMENT
+from skin2urdf.model.kinematics import PinocchioTree
+from skin2urdf.model.prediction import Chains, joint_twists, su_kinematics, zero_frames
+
+Verdict = Literal["determined", "weak", "not observable"]
+
+ARM = 0.1
+"""Length [m] by which the angular part of a direction is multiplied where directions are given."""
+UNKNOWN = 0.035
+"""Standard deviation [m or rad] beyond which a direction is not observable: 35 mm, 2 deg."""
+WEAK = 0.005
+"""Standard deviation [m or rad] beyond which a direction is weak: 5 mm, 0.3 deg."""
+_TINY = 1e-12
+
+
+@dataclass(frozen=True, eq=False)
+class Observability:
+    """Uncertainty of an estimate.
+
+    Twists are (linear, angular) in the local frame of the placement they move,
+    ``T -> T exp(xi)``.
+
+    Attributes:
+        su_covariance: (U, 6, 6) covariance of each SU's placement on its joint [m, rad], without
+            the directions that are not observable.
+        su_unobservable: per SU (k, 6) orthonormal directions (linear [m], angular times ARM)
+            along which the log says nothing about the SU's placement on its joint.
+        su_verdict: per SU.
+        joint_covariance: (D, 4, 4) covariance of each joint's local coordinates tx, ty, rx, ry.
+        joint_verdict: per joint.
+        n_open: directions of all joints together that the log leaves open beyond the gauge
+            freedoms of the base.
+        rank: number of determined coordinates.
+        covariance: (n, n) covariance of all coordinates, joints first, then logs and SUs.
+    """
+
+    su_covariance: F64
+    su_unobservable: tuple[F64, ...]
+    su_verdict: tuple[Verdict, ...]
+    joint_covariance: F64
+    joint_verdict: tuple[Verdict, ...]
+    n_open: int
+    rank: int
+    covariance: F64
+
+    def __post_init__(self) -> None:
+        for name in ("su_covariance", "joint_covariance", "covariance"):
+            object.__setattr__(self, name, frozen(getattr(self, name)))
+
+
+def observability(estimate: Estimate) -> Observability:
+    """Covariances and verdicts at an estimate.
+
+    Covariances are those of the weights, times the residual-based scale (cost per degree of
+    freedom) where that is above 1.
+    """
+    tree, free = estimate.tree, estimate.free
+    equations = estimate.cost.at(estimate.state).normal_equations()
+    scale = max(1.0, estimate.cost_per_dof)
+    D, U = tree.n_joints, tree.n_sus
+    J = equations.joint.shape[0]
+    free_joint = np.concatenate([free.joints.ravel(), free.logs.ravel()])
+    inverse = np.zeros((U, 15, 15))
+    directions = []
+    for u in range(U):
+        inverse[u], open_ = _su_inverse(equations.su[u], free.sus[u], scale)
+        directions.append(open_)
+    coupling = inverse @ equations.mixed
+    H = equations.joint * free_joint[:, None] * free_joint
+    columns = equations.columns
+    mixed = equations.mixed * free_joint[columns][:, None]
+    schur = np.swapaxes(mixed, 1, 2) @ inverse @ mixed
+    np.subtract.at(H, (columns[:, :, None], columns[:, None, :]), schur)
+    joint_inverse, n_null = _joint_inverse(H, free_joint, scale)
+    gauge = 2 * int((tree.parent < 0).sum())
+
+    n = J + 15 * U
+    covariance = np.zeros((n, n))
+    covariance[:J, :J] = joint_inverse
+    T = np.zeros((U * 15, J))
+    for u in range(U):
+        np.add.at(T[u * 15 : u * 15 + 15].T, columns[u], -coupling[u].T)
+    T *= free_joint
+    covariance[J:, :J] = T @ joint_inverse
+    covariance[:J, J:] = covariance[J:, :J].T
+    covariance[J:, J:] = T @ joint_inverse @ T.T
+    for u in range(U):
+        at = slice(J + 15 * u, J + 15 * u + 15)
+        covariance[at, at] += inverse[u]
+    covariance *= scale
+    su_covariance = np.stack(
+        [covariance[J + 15 * u : J + 15 * u + 6, J + 15 * u : J + 15 * u + 6] for u in range(U)]
+    ).reshape(U, 6, 6)
+    joint_covariance = np.stack(
+        [covariance[N_JOINT * j : N_JOINT * j + 4, N_JOINT * j : N_JOINT * j + 4] for j in range(D)]
+    ).reshape(D, 4, 4)
+    su_verdict = tuple(
+        _verdict(su_covariance[u], len(directions[u])) for u in range(U)
+    )
+    joint_verdict = tuple(_verdict(joint_covariance[j], 0) for j in range(D))
+    rank = int(free_joint.sum()) - n_null + int(free.sus.sum())
+    rank -= sum(len(d) for d in directions)
+    return Observability(
+        su_covariance, tuple(directions), su_verdict, joint_covariance, joint_verdict,
+        max(0, n_null - gauge), rank, covariance,
+    )  # fmt: skip
+
+
+def _su_inverse(H: F64, free: F64, scale: float) -> tuple[F64, F64]:
+    """Inverse information of an SU's coordinates given the joints, and its open directions.
+
+    Returns:
+        (15, 15) inverse without the open directions, and (k, 6) open directions of the placement.
+    """
+    fixed = np.eye(N_PLACEMENT)[~free[:N_PLACEMENT]]
+    index = np.flatnonzero(free)
+    A = H[np.ix_(index, index)]
+    placement = index < N_PLACEMENT
+    a, b, c = A[np.ix_(placement, placement)], A[np.ix_(placement, ~placement)], A[np.ix_(~placement, ~placement)]
+    marginal = a - b @ np.linalg.solve(c, b.T) if len(c) else a
+    lam, V = np.linalg.eigh(marginal)
+    open_ = lam < scale / UNKNOWN**2
+    basis = np.zeros((int(open_.sum()), N_PLACEMENT))
+    basis[:, index[placement]] = V[:, open_].T
+    known = V[:, ~open_]
+    full = np.zeros((len(index), known.shape[1] + len(c)))
+    full[np.ix_(placement, np.arange(known.shape[1]))] = known
+    full[np.ix_(~placement, np.arange(known.shape[1], full.shape[1]))] = np.eye(len(c))
+    inner = np.linalg.inv(full.T @ A @ full) if full.shape[1] else np.zeros((0, 0))
+    out = np.zeros((15, 15))
+    out[np.ix_(index, index)] = full @ inner @ full.T
+    scaled = np.concatenate([fixed, basis]) * np.r_[1, 1, 1, ARM, ARM, ARM]
+    return out, np.linalg.qr(scaled.T)[0].T
+
+
+def _joint_inverse(H: F64, free: F64, scale: float) -> tuple[F64, int]:
+    """Inverse of the joints' information without its open directions, and their number."""
+    index = np.flatnonzero(free)
+    A = H[np.ix_(index, index)]
+    lam, V = np.linalg.eigh(A) if len(index) else (np.zeros(0), np.zeros((0, 0)))
+    open_ = lam < np.maximum(scale / UNKNOWN**2, _TINY * lam.max(initial=0.0))
+    out = np.zeros_like(H)
+    out[np.ix_(index, index)] = (V[:, ~open_] / lam[~open_]) @ V[:, ~open_].T
+    return out, int(open_.sum())
+
+
+def _verdict(covariance: F64, n_open: int) -> Verdict:
+    """Verdict from a covariance and the number of open directions."""
+    if n_open:
+        return "not observable"
+    return "weak" if np.linalg.eigvalsh(covariance)[-1] > WEAK**2 else "determined"
+
+
+def aligned_deviations(
+    estimate: Estimate, found: Observability, q: F64
+) -> tuple[F64, F64]:
+    """Standard deviations to expect when the robot is compared with the truth.
+
+    The Cramer-Rao bound of the comparison's metrics: SU position and orientation over the given
+    configurations, after one rigid transform of the base and with unobservable directions of
+    the SUs left out.
+
+    Args:
+        estimate: the estimate.
+        found: its covariance and unobservable directions.
+        q: (C, D) configurations.
+
+    Returns:
+        position (U,) [m] and orientation (U,) [rad], root mean square over configurations; NaN for
+        SUs of which nothing is observable.
+    """
+    tree, state = estimate.tree, estimate.state
+    C, U, D = len(q), tree.n_sus, tree.n_joints
+    chains = Chains.of(tree)
+    pinocchio = PinocchioTree(tree)
+    pinocchio.write_joints(state.T_parent_joint)
+    R, p = pinocchio.joint_frames(q)
+    up = np.tile([0.0, 0.0, 1.0], (C, 1))
+    kin = su_kinematics(chains, tree.su_joint, R, p, state.T_joint_su, up)
+    basis = np.zeros((D, 6, N_JOINT))
+    basis[:, 3, 0] = basis[:, 4, 1] = basis[:, 0, 2] = basis[:, 1, 3] = 1.0
+    twists = joint_twists(chains, kin, *zero_frames(R, p, q, tree.prismatic), basis)
+    n = found.covariance.shape[0]
+    J = n - 15 * U
+    E = np.zeros((C, U, 6, n))
+    G = np.zeros((C, U, 6, 6))
+    for u in range(U):
+        for i in range(int(chains.length[u])):
+            j = int(chains.joint[u, i])
+            E[:, u, :, N_JOINT * j : N_JOINT * j + 4] = _linear_first(twists[:, u, i])
+        E[:, u, :, J + 15 * u : J + 15 * u + 6] = np.eye(6)
+        Rt = np.swapaxes(kin.R[:, u], 1, 2)
+        G[:, u, :3, :3] = Rt
+        from skin2urdf.model.spatial import skew
+
+        G[:, u, :3, 3:] = -Rt @ skew(kin.p[:, u])
+        G[:, u, 3:, 3:] = Rt
+    weigh = np.array([1.0, 1.0, 1.0, ARM, ARM, ARM])[:, None]
+    E, G = E * weigh, G * weigh
+    for u, directions in enumerate(found.su_unobservable):
+        P = np.eye(6) - directions.T @ directions
+        E[:, u], G[:, u] = P @ E[:, u], P @ G[:, u]
+    flat_E, flat_G = E.reshape(-1, n), G.reshape(-1, 6)
+    flat_E = flat_E - flat_G @ np.linalg.lstsq(flat_G, flat_E, rcond=None)[0]
+    variance = np.einsum("ij,jk,ik->i", flat_E, found.covariance, flat_E).reshape(C, U, 6)
+    position = np.sqrt(variance[..., :3].sum(axis=-1).mean(axis=0))
+    orientation = np.sqrt(variance[..., 3:].sum(axis=-1).mean(axis=0)) / ARM
+    nothing = np.array([len(d) == 6 for d in found.su_unobservable], dtype=bool)
+    position[nothing], orientation[nothing] = np.nan, np.nan
+    return position, orientation
+
+
+def _linear_first(twist: F64) -> F64:
+    """Twists with rows (angular, linear) as (linear, angular)."""
+    return np.concatenate([twist[..., 3:, :], twist[..., :3, :]], axis=-2)

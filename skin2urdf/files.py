@@ -1,0 +1,78 @@
+"""Writing results so that a reader never meets half a file."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import secrets
+from pathlib import Path
+
+from skin2urdf.errors import UsageError
+
+
+def check_target(path: str | Path) -> Path:
+    """Make sure that a file can be written at ``path``, before the work that fills it.
+
+    Args:
+        path: file to be written; it may exist already.
+
+    Returns:
+        The absolute path, symbolic links resolved.
+
+    Raises:
+        UsageError: the folder does not exist or can not be written to, or ``path`` is a folder
+            or another thing that is no regular file.
+    """
+    target = Path(path).expanduser().resolve()
+    folder = target.parent
+    if not folder.exists():
+        raise UsageError(
+            f"can not write {path}: the folder {folder} does not exist",
+            f"create it (mkdir -p '{folder}') or give another output path",
+        )
+    if not folder.is_dir():
+        raise UsageError(f"can not write {path}: {folder} is not a folder", "give another path")
+    if target.is_dir():
+        raise UsageError(
+            f"can not write {path}: it is a folder", "give the name of a file inside of it"
+        )
+    if target.exists() and not target.is_file():
+        raise UsageError(f"can not write {path}: it is not a regular file", "give another path")
+    if not os.access(folder, os.W_OK | os.X_OK):
+        raise UsageError(
+            f"can not write {path}: no permission to write in {folder}",
+            "give a path in a folder that is yours",
+        )
+    return target
+
+
+def write_atomically(path: str | Path, text: str) -> None:
+    """Write ``text`` as UTF-8 so that ``path`` is always the old file or the whole new one.
+
+    A new file in the same folder is written, flushed to the disk and then renamed onto ``path``.
+    Whatever goes wrong, the new file is removed and what was at ``path`` stays.
+
+    Args:
+        path: file to write; see :func:`check_target`.
+        text: its new content.
+
+    Raises:
+        UsageError: ``path`` can not be written, the disk is full, and the like.
+    """
+    target = check_target(path)
+    # Not tempfile: its files are private (mode 600), and the result should obey the umask.
+    temporary = target.with_name(f".{target.name[:100]}.{secrets.token_hex(8)}.tmp")
+    try:
+        with temporary.open("x", encoding="utf-8", newline="\n") as file:
+            file.write(text)
+            file.flush()
+            os.fsync(file.fileno())
+        temporary.replace(target)
+    except OSError as error:
+        raise UsageError(
+            f"can not write {path}: {error.strerror or error}",
+            "free some space or give another output path",
+        ) from error
+    finally:
+        with contextlib.suppress(OSError):
+            temporary.unlink(missing_ok=True)

@@ -1,0 +1,1 @@
+"""Extended DH, the Pinocchio model, predicted features and their derivatives."""

@@ -1,0 +1,178 @@
+"""calibrate(): the way from logs to a calibrated robot, in one screen."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TypeVar
+
+import numpy as np
+
+from skin2urdf.arrays import F64
+from skin2urdf.calibration import BAD_FIT, Calibration, CalibrationSettings, Source
+from skin2urdf.errors import BadFitError, InsufficientDataError
+from skin2urdf.estimation.estimate import Estimate, estimate
+from skin2urdf.estimation.observability import observability
+from skin2urdf.model.dh import canonical
+from skin2urdf.model.specific_force import beyond_first_order
+from skin2urdf.recording.records import Recording
+from skin2urdf.signals.features import Curvature, Sampled, extract_features, sample_recording
+from skin2urdf.signals.records import Features
+from skin2urdf.structure.activity import activity
+from skin2urdf.structure.tree import kinematic_tree
+
+T = TypeVar("T")
+Progress = Callable[[str, float], None]
+"""Called with the name of a stage and the share of it that is done, in [0, 1]."""
+
+
+def calibrate(
+    logs: str | Path | Recording | Sequence[str | Path | Recording],
+    settings: CalibrationSettings | None = None,
+    *,
+    progress: Progress | None = None,
+) -> Calibration:
+    """Calibrate a robot from one or several logs.
+
+    Args:
+        logs: paths of ROS 2 MCAP logs (or bag folders), or recordings already read; several logs
+            are of one robot, each with its own orientation of the base.
+        settings: choices; the defaults suit robots with MEMS accelerometers.
+        progress: told how far each stage is.
+
+    Returns:
+        The calibrated robot with everything known about how good it is.
+
+    Raises:
+        UnreadableInputError: a log can not be read.
+        InsufficientDataError: the logs lack what a calibration needs.
+        StructureError: the SUs' activity contradicts every kinematic tree.
+        BadFitError: no model explains the readings.
+    """
+    settings = settings or CalibrationSettings()
+    clock = _Clock(progress or (lambda _stage, _share: None))
+    recordings = clock.run("reading", lambda tell: _recordings(logs, tell))
+    sampled, su_names = clock.run("sampling", lambda _: _sampled(recordings))
+    features = clock.run("features", lambda _: extract_features(sampled, su_names))
+    seen = activity(features, settings.static_threshold)
+    tree = kinematic_tree(seen, features)
+    found = clock.run("estimation", lambda _: estimate(features, tree, settings.estimation))
+    for _ in range(settings.relinearisations):
+        previous = found
+        features = clock.run(
+            "features",
+            lambda _, e=found, f=features: extract_features(  # type: ignore[misc]
+                sampled, su_names, curvature=_curvature(e, f), latency=f.latency
+            ),
+        )
+        found = clock.run("estimation", lambda _, f=features: estimate(f, tree, settings.estimation))  # type: ignore[misc]
+        if _moved(previous, found) < 1e-4:
+            break
+    if not found.cost_per_dof <= BAD_FIT:
+        raise BadFitError(*_why_bad(found, features), cost_per_dof=found.cost_per_dof)
+    span = np.array([_range(sampled, name) for name in tree.joint_names]).reshape(-1, 3)
+    return Calibration(
+        model=canonical(found.state.model(tree)),
+        estimate=found,
+        observability=clock.run("observability", lambda _: observability(found)),
+        features=features,
+        activity=seen,
+        limits=span[:, :2],
+        velocity=span[:, 2],
+        sources=tuple(Source(r.source, r.digest, r.duration) for r in recordings),
+        settings=settings,
+        notes=(*features.notes, *tree.notes),
+        seconds=clock.seconds,
+    )
+
+
+class _Clock:
+    """Runs stages, tells progress and keeps their times."""
+
+    def __init__(self, progress: Progress) -> None:
+        self._progress = progress
+        self.seconds: dict[str, float] = {}
+
+    def run(self, stage: str, work: Callable[[Callable[[float], None]], T]) -> T:
+        """Run one stage; its time is added to earlier runs of the same name."""
+        begin = time.perf_counter()
+        self._progress(stage, 0.0)
+        result = work(lambda share: self._progress(stage, share))
+        self._progress(stage, 1.0)
+        self.seconds[stage] = self.seconds.get(stage, 0.0) + time.perf_counter() - begin
+        return result
+
+
+def _recordings(
+    logs: str | Path | Recording | Sequence[str | Path | Recording], tell: Callable[[float], None]
+) -> list[Recording]:
+    from skin2urdf.recording.reading import read
+
+    given = [logs] if isinstance(logs, str | Path | Recording) else list(logs)
+    out = []
+    for i, log in enumerate(given):
+
+        def part(share: float, i: int = i) -> None:
+            tell((i + share) / len(given))
+
+        out.append(log if isinstance(log, Recording) else read(log, progress=part))
+    if not out:
+        raise InsufficientDataError("no log was given", "name at least one log")
+    return out
+
+
+def _sampled(recordings: Sequence[Recording]) -> tuple[list[Sampled], tuple[str, ...]]:
+    """All logs on their grids, with the names of every DoF and SU that occurs in any of them."""
+    dof_names = tuple(sorted({j.name for r in recordings for j in r.joints}))
+    su_names = tuple(sorted({s.name for r in recordings for s in r.sus}))
+    return [sample_recording(r, dof_names, su_names) for r in recordings], su_names
+
+
+def _curvature(found: Estimate, features: Features) -> Curvature:
+    """Predicts, from an estimate, what readings hold beyond first order around a pose."""
+    tree, state = found.tree, found.state
+    dof = [features.dof_names.index(n) for n in tree.joint_names]
+    su = [features.su_names.index(n) for n in tree.su_names]
+    model, M = state.model(tree), state.sensor_matrix()
+    gravity = found.cost.priors.gravity
+
+    def predict(q: F64, dq: F64, qd: F64, qdd: F64, log: int) -> F64:
+        beyond = beyond_first_order(
+            model, q[dof], dq[:, dof], qd[:, dof], qdd[:, dof], state.up[log] * gravity
+        )
+        out = np.zeros((len(dq), features.n_sus, 3))
+        out[:, su] = np.einsum("nui,uji->nuj", beyond, M)
+        return out
+
+    return predict
+
+
+def _moved(a: Estimate, b: Estimate) -> float:
+    """Largest change of any placement between two estimates [m, and entries of rotations]."""
+    joints = np.abs(a.state.T_parent_joint - b.state.T_parent_joint).max(initial=0.0)
+    return float(max(joints, np.abs(a.state.T_joint_su - b.state.T_joint_su).max(initial=0.0)))
+
+
+def _range(sampled: Sequence[Sampled], name: str) -> tuple[float, float, float]:
+    """Lowest and highest position and highest speed of a joint over all logs."""
+    columns = [s.motion.dof_names.index(name) for s in sampled]
+    q = np.concatenate([s.motion.q[:, d] for s, d in zip(sampled, columns, strict=True)])
+    speed = max(float(np.abs(s.motion.qd[:, d]).max()) for s, d in zip(sampled, columns, strict=True))
+    return float(q.min()), float(q.max()), speed
+
+
+def _why_bad(found: Estimate, features: Features) -> tuple[str, str]:
+    """What a bad fit looks like, by SU and pose, and what to do about it."""
+    per = found.chi2_by_block.sum(axis=0) / np.maximum(found.count.sum(axis=0), 1)
+    worst = np.argsort(-per)[:3]
+    named = ", ".join(f"{found.tree.su_names[u]} ({per[u]:.0f})" for u in worst)
+    what = (
+        f"no robot of {found.tree.n_joints} joints explains the readings: cost per degree of "
+        f"freedom {found.cost_per_dof:.0f} where 1 is expected; worst SUs (theirs): {named}"
+    )
+    if all(per[u] > BAD_FIT for u in range(len(per)) if found.tree.su_joint[u] >= 0):
+        where = "all SUs are affected: check that the base stands still and the joint states are the measured ones, in rad"
+    else:
+        where = "check that these SUs are fixed rigidly and report m/s^2 in a right-handed frame"
+    return what, f"{where}; `skin2urdf explore` shows the structure that was found"

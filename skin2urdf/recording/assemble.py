@@ -1,0 +1,216 @@
+"""Turn gathered samples into the streams of a recording: times, one clock, finite values."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from skin2urdf.arrays import F64, Bool, Int, frozen
+from skin2urdf.recording.naming import su_names
+from skin2urdf.recording.records import JointStream, Recording, SuStream
+from skin2urdf.recording.streams import Samples
+from skin2urdf.recording.timing import Chosen, sample_times
+
+# Streams whose stamps differ from the log time this much more than others' were stamped by a
+# clock of their own (a device that counts from its start, say), not late [s].
+OTHER_CLOCK = 5.0
+
+
+class TimedStream(NamedTuple):
+    """One joint or SU with the times of its samples.
+
+    Attributes:
+        name: joint or SU name.
+        topic: where it came from.
+        time: (N,) strictly increasing times [ns]; the same array for joints that share times.
+        values: (N,) positions or (N, 3) readings.
+        clock_offset: the clock's lead on the log time [ns], None if unknown.
+        stamped: False where log times stand in for stamps.
+        chosen: whether the times are the stamps or were made regular.
+        contradicting: samples left out because of their stamps.
+    """
+
+    name: str
+    topic: str
+    time: Int
+    values: F64
+    clock_offset: int | None
+    stamped: bool
+    chosen: Chosen
+    contradicting: int
+
+
+def timed_joints(
+    gathered: Mapping[tuple[str, tuple[str, ...]], Samples],
+) -> tuple[list[TimedStream], list[str]]:
+    """Time the samples of all joints.
+
+    Args:
+        gathered: positions by topic and joint names.
+
+    Returns:
+        One stream per joint, sorted by name, and notes for the user.
+    """
+    found: dict[str, list[TimedStream]] = {}
+    notes: list[str] = []
+    for (topic, names), samples in gathered.items():
+        whole = _timed("", topic, samples)
+        for name, values in zip(names, whole.values.T, strict=True):
+            stream, note = _finite(whole._replace(name=name, values=values), f"joint {name}")
+            notes.extend(note)
+            if stream is not None:
+                found.setdefault(name, []).append(stream)
+    chosen = []
+    for name, streams in sorted(found.items()):
+        best = max(streams, key=lambda stream: stream.time.size)
+        chosen.append(best)
+        others = sorted(stream.topic for stream in streams if stream is not best)
+        if others:
+            notes.append(
+                f"joint {name} is on several topics; {best.topic} has most samples and was used, "
+                f"{', '.join(others)} passed over"
+            )
+    return chosen, notes
+
+
+def timed_sus(
+    gathered: Mapping[tuple[str, str], Samples],
+) -> tuple[list[TimedStream], list[str]]:
+    """Name the SUs and time their samples.
+
+    Args:
+        gathered: readings by topic and frame_id.
+
+    Returns:
+        One stream per SU, sorted by name, and notes for the user.
+    """
+    streams: list[TimedStream] = []
+    notes: list[str] = []
+    names = su_names(list(gathered))
+    for name, ((topic, _), samples) in zip(names, gathered.items(), strict=True):
+        # Without its bad samples first: they would spoil the comparison of timings.
+        finite = np.isfinite(samples.values)
+        if not finite.all():
+            whole: Bool = np.logical_and.reduce(finite, axis=1)
+            bad = int(np.count_nonzero(~whole))
+            notes.append(f"SU {name} ({topic}): {bad} samples are not finite and were left out")
+            samples = samples.at(whole)
+        if samples.arrival.size < 2:
+            notes.append(f"SU {name} ({topic}) was left out: fewer than two usable samples")
+            continue
+        streams.append(_timed(name, topic, samples))
+    return sorted(streams, key=lambda stream: stream.name), notes
+
+
+def timing_notes(streams: Sequence[TimedStream]) -> list[str]:
+    """Say how times were made where they are not simply the stamps.
+
+    Args:
+        streams: all joints and SUs.
+
+    Returns:
+        Notes for the user.
+    """
+    notes = [
+        f"{stream.name} ({stream.topic}): {stream.contradicting} of "
+        f"{stream.contradicting + stream.time.size} samples left out, as their stamps repeat or "
+        "contradict others"
+        for stream in streams
+        if stream.contradicting
+    ]
+    unstamped = sorted({stream.topic for stream in streams if not stream.stamped})
+    if unstamped:
+        notes.append(f"no header stamps on {', '.join(unstamped)}: log times were used")
+    regular = sum(stream.chosen == "regular" for stream in streams)
+    if regular:
+        notes.append(
+            f"stamps of {regular} of {len(streams)} joints and SUs are noisy: their samples were "
+            "timed at the rate of the sensor"
+        )
+    return notes
+
+
+def recorded(
+    joints: Sequence[TimedStream],
+    sus: Sequence[TimedStream],
+    *,
+    source: str,
+    digest: str,
+    notes: Sequence[str],
+) -> Recording:
+    """Put all streams on one clock that starts with the first sample.
+
+    Args:
+        joints: at least one joint, sorted by name.
+        sus: at least one SU, sorted by name.
+        source: where the log came from.
+        digest: SHA-256 of the log (hex).
+        notes: notes for the user so far.
+
+    Returns:
+        The recording.
+    """
+    reference = max(joints, key=lambda stream: stream.time.size).clock_offset
+    shifts: dict[int, int] = {}
+    moved: set[str] = set()
+    for stream in (*joints, *sus):
+        ahead = 0
+        if reference is not None and stream.clock_offset is not None:
+            ahead = stream.clock_offset - reference
+        if abs(ahead) > OTHER_CLOCK * 1e9:
+            moved.add(stream.topic)
+            shifts[id(stream.time)] = -ahead
+        else:
+            shifts[id(stream.time)] = 0
+    start = min(int(stream.time[0]) + shifts[id(stream.time)] for stream in (*joints, *sus))
+    # Streams that share their times go on sharing them.
+    seconds: dict[int, F64] = {}
+    for stream in (*joints, *sus):
+        key = id(stream.time)
+        if key not in seconds:
+            seconds[key] = frozen((stream.time + (shifts[key] - start)) / 1e9)
+    extra = (
+        [f"the clock of {', '.join(sorted(moved))} is not the joints'; matched by log times"]
+        if moved
+        else []
+    )
+    return Recording(
+        joints=tuple(JointStream(s.name, seconds[id(s.time)], s.values) for s in joints),
+        sus=tuple(SuStream(s.name, seconds[id(s.time)], s.values, s.topic) for s in sus),
+        start=start / 1e9,
+        source=source,
+        digest=digest,
+        notes=(*notes, *extra),
+    )
+
+
+def _timed(name: str, topic: str, samples: Samples) -> TimedStream:
+    """Time the samples of one source."""
+    times = sample_times(samples.stamp, samples.log_time, samples.values)
+    whole = np.array_equal(times.kept, np.arange(samples.arrival.size))
+    return TimedStream(
+        name=name,
+        topic=topic,
+        time=times.time,
+        values=samples.values if whole else samples.values[times.kept],
+        clock_offset=times.clock_offset,
+        stamped=times.stamped,
+        chosen=times.chosen,
+        contradicting=samples.arrival.size - times.kept.size,
+    )
+
+
+def _finite(stream: TimedStream, what: str) -> tuple[TimedStream | None, list[str]]:
+    """Leave out positions that are not finite; None where too few stay."""
+    finite = np.isfinite(stream.values)
+    bad = int(np.count_nonzero(~finite))
+    notes = []
+    if bad:
+        notes.append(f"{what} ({stream.topic}): {bad} positions are not finite and were left out")
+        stream = stream._replace(time=stream.time[finite], values=stream.values[finite])
+    if stream.time.size < 2:
+        notes.append(f"{what} ({stream.topic}) was left out: fewer than two usable positions")
+        return None, notes
+    return stream, notes

@@ -1,0 +1,177 @@
+"""Take fixed-layout fields out of many CDR payloads at once.
+
+ROS 2 payloads are plain CDR (XCDR1, OMG formal/02-06-51 section 15.3): 4 bytes of encapsulation
+(representation, options), then the fields, each aligned to its own size counted from behind the
+encapsulation. Offsets below are relative to that point, called the body.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from typing import Literal, NamedTuple, TypeAlias
+
+import numpy as np
+
+from skin2urdf.arrays import F64, Bool, Int
+from skin2urdf.recording.container import Block
+from skin2urdf.recording.gather import U8, distinct, gather, gather_rows
+
+ENCAPSULATION = 4
+# Body offset behind stamp (8 bytes) and length of frame_id (4 bytes): where its text starts.
+FRAME_TEXT = 12
+
+ByteOrder: TypeAlias = Literal["<", ">"]
+REPRESENTATION: dict[int, ByteOrder] = {0x0000: ">", 0x0001: "<"}
+
+
+class Payloads(NamedTuple):
+    """CDR payloads of one byte order that lie in one buffer.
+
+    Attributes:
+        buffer: the bytes.
+        order: byte order, "<" little or ">" big.
+        row: (N,) number of each message within its block.
+        body: (N,) first byte behind the encapsulation.
+        size: (N,) bytes of each body.
+        log_time: (N,) when each message was recorded [ns].
+        stamp: (N,) header.stamp [ns].
+        frame_length: (N,) bytes of header.frame_id, its closing zero included.
+    """
+
+    buffer: U8
+    order: ByteOrder
+    row: Int
+    body: Int
+    size: Int
+    log_time: Int
+    stamp: Int
+    frame_length: Int
+
+    def at(self, keep: Int | Bool) -> Payloads:
+        """Return some of the payloads."""
+        arrays = (self.row, self.body, self.size, self.log_time, self.stamp, self.frame_length)
+        return Payloads(self.buffer, self.order, *(a[keep] for a in arrays))
+
+    def uint32(self, offset: Int) -> Int:
+        """Read an unsigned 32-bit number at (N,) body offsets."""
+        return gather(self.buffer, self.body + offset, f"{self.order}u4").astype(np.int64)
+
+
+class Accelerations(NamedTuple):
+    """Accelerations out of one block.
+
+    Attributes:
+        frames: F distinct frame_ids.
+        frame: (N,) index of each message's frame_id.
+        row: (N,) number of each message within its block.
+        stamp: (N,) header.stamp [ns].
+        log_time: (N,) when each message was recorded [ns].
+        vector: (N, 3) the acceleration as the message holds it.
+    """
+
+    frames: tuple[str, ...]
+    frame: Int
+    row: Int
+    stamp: Int
+    log_time: Int
+    vector: F64
+
+
+def stamped_payloads(block: Block) -> tuple[list[Payloads], Counter[str]]:
+    """Sort the messages of a block by byte order and read their std_msgs/Header up to frame_id.
+
+    Args:
+        block: messages of a type that starts with a Header.
+
+    Returns:
+        The payloads of each byte order met, and why others were passed over (reason: messages).
+    """
+    header_size = ENCAPSULATION + FRAME_TEXT
+    rows = np.flatnonzero(block.end - block.start >= header_size)
+    if not rows.size:
+        return [], Counter({"cut short or malformed": block.start.size})
+    passed: Counter[str] = Counter()
+    if rows.size < block.start.size:
+        passed["cut short or malformed"] = block.start.size - rows.size
+    raw = gather(block.buffer, block.start[rows], np.dtype((np.void, header_size)))
+    kinds = raw.view([("representation", ">u2"), ("rest", "V14")])["representation"]
+    payloads: list[Payloads] = []
+    for kind in kinds[:1] if (kinds == kinds[0]).all() else np.unique(kinds):
+        some: slice | Bool = slice(None) if (kinds == kind).all() else kinds == kind
+        order = REPRESENTATION.get(int(kind))
+        if order is None:
+            reason = f"not plain CDR (representation 0x{int(kind):04x})"
+            passed[reason] += kinds[some].size
+            continue
+        layout = np.dtype(
+            [
+                ("encapsulation", "V4"),
+                ("sec", f"{order}i4"),
+                ("nanosec", f"{order}u4"),
+                ("frame_length", f"{order}u4"),
+            ]
+        )
+        fields = raw[some].view(layout)
+        start = block.start[rows[some]]
+        stamp = fields["sec"].astype(np.int64) * 1_000_000_000 + fields["nanosec"]
+        found = Payloads(
+            buffer=block.buffer,
+            order=order,
+            row=rows[some],
+            body=start + ENCAPSULATION,
+            size=block.end[rows[some]] - start - ENCAPSULATION,
+            log_time=block.log_time[rows[some]],
+            stamp=stamp,
+            frame_length=fields["frame_length"].astype(np.int64),
+        )
+        whole = found.frame_length <= found.size - FRAME_TEXT
+        payloads.append(found if whole.all() else found.at(whole))
+        passed["cut short or malformed"] += int(np.count_nonzero(~whole))
+    return payloads, +passed
+
+
+def accelerations(block: Block, lead: int, tail: int) -> tuple[list[Accelerations], Counter[str]]:
+    """Read a vector of 3 doubles at a fixed place behind the header.
+
+    Args:
+        block: messages of one type.
+        lead: bytes between the header and the vector.
+        tail: bytes from the vector to the end of the message, the vector included.
+
+    Returns:
+        The vectors, and why messages were passed over (reason: messages).
+    """
+    groups, passed = stamped_payloads(block)
+    found = []
+    for group in groups:
+        fields = align(FRAME_TEXT + group.frame_length, 8)
+        slack = group.size - (fields + lead + tail)
+        # Some writers pad a payload to a multiple of 4 or 8 bytes.
+        sound = (slack >= 0) & (slack < 8)
+        if not sound.all():
+            passed["cut short or malformed"] += int(np.count_nonzero(~sound))
+            group, fields = group.at(sound), fields[sound]
+        if not group.row.size:
+            continue
+        vector = gather_rows(group.buffer, group.body + fields + lead, 3, f"{group.order}f8")
+        text = group.body + FRAME_TEXT
+        first, frame = distinct(group.buffer, text, group.frame_length)
+        frames = tuple(
+            text_at(group.buffer, int(text[k]), int(group.frame_length[k])) for k in first
+        )
+        found.append(
+            Accelerations(
+                frames, frame, group.row, group.stamp, group.log_time, vector.astype(np.float64)
+            )
+        )
+    return found, +passed
+
+
+def align(offset: Int, size: int) -> Int:
+    """Round (N,) body offsets up to a multiple of ``size``, a power of two."""
+    return (offset + (size - 1)) & ~np.int64(size - 1)
+
+
+def text_at(buffer: U8, start: int, length: int) -> str:
+    """Decode a CDR string of ``length`` bytes, its closing zero left out."""
+    return buffer[start : start + length].tobytes().split(b"\0")[0].decode(errors="replace")

@@ -1,0 +1,102 @@
+"""MCAP records as they follow each other in a file or a chunk: opcode, length, content."""
+
+from __future__ import annotations
+
+import struct
+from array import array
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+from mcap.opcode import Opcode
+from mcap.writer import MCAP0_MAGIC
+
+from skin2urdf.arrays import Int
+
+MAGIC: bytes = MCAP0_MAGIC
+
+# Opcode, length and the fixed fields of a message record (https://mcap.dev/spec#message-op0x05).
+MESSAGE_HEADER = np.dtype(
+    [
+        ("opcode", "u1"),
+        ("length", "<u8"),
+        ("channel", "<u2"),
+        ("sequence", "<u4"),
+        ("log_time", "<u8"),
+        ("publish_time", "<u8"),
+    ]
+)
+# What every record starts with.
+RECORD_HEADER = np.dtype([("opcode", "u1"), ("length", "<u8")])
+# Content of a message record before the payload.
+MESSAGE_FIELDS = MESSAGE_HEADER.itemsize - 9
+
+BATCH = 16384
+
+
+class Record(NamedTuple):
+    """Where the content of one record lies.
+
+    Attributes:
+        opcode: kind of record.
+        start: first byte of the content.
+        stop: first byte behind the content.
+    """
+
+    opcode: int
+    start: int
+    stop: int
+
+
+class Batch(NamedTuple):
+    """Records that follow each other.
+
+    Attributes:
+        messages: (N,) first byte (the opcode's) of each message record.
+        others: all other records.
+        stop: first byte behind the last of them.
+    """
+
+    messages: Int
+    others: tuple[Record, ...]
+    stop: int
+
+
+def walk(buffer: memoryview, start: int, stop: int, size: int = BATCH) -> Iterator[Batch]:
+    """Walk records by their headers up to the footer, the end, or the first damaged record.
+
+    Args:
+        buffer: bytes of a file or a chunk.
+        start: first byte of the first record.
+        stop: first byte behind the last record.
+        size: messages per batch.
+
+    Yields:
+        Batches of whole records.
+    """
+    header = struct.Struct("<BQ").unpack_from
+    message, footer = int(Opcode.MESSAGE), int(Opcode.FOOTER)
+    at = start
+    more = True
+    while more:
+        found = array("q")
+        others: list[Record] = []
+        more = False
+        while at + 9 <= stop:
+            opcode, length = header(buffer, at)
+            behind = at + 9 + length
+            if behind > stop or opcode == 0:
+                break
+            if opcode == message:
+                if length < MESSAGE_FIELDS:
+                    break
+                found.append(at)
+            else:
+                others.append(Record(opcode, at + 9, behind))
+            at = behind
+            if opcode == footer:
+                break
+            if len(found) == size:
+                more = True
+                break
+        yield Batch(np.array(found, np.int64), tuple(others), at)

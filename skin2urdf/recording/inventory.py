@@ -1,0 +1,111 @@
+"""What a log holds, usable or not."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+
+from skin2urdf.recording.container import Block, Channel
+from skin2urdf.recording.messages import Role, role_of
+
+
+@dataclass(frozen=True)
+class TopicInventory:
+    """One topic of a log.
+
+    Attributes:
+        name: the topic.
+        ros_type: message type as ``package/msg/Type``.
+        encoding: message encoding, "cdr" for ROS 2.
+        messages: number of messages.
+        used_as: "joints", "su" or "ignored".
+    """
+
+    name: str
+    ros_type: str
+    encoding: str
+    messages: int
+    used_as: Role
+
+
+@dataclass(frozen=True)
+class LogInventory:
+    """What a log holds.
+
+    Attributes:
+        source: path of the log.
+        topics: one entry per topic, sorted by name.
+        duration: time from the first to the last message by log time [s].
+        compression: compressions of the chunks, "none" for plain ones.
+        profile: MCAP profile, "ros2" for a ROS 2 log.
+        notes: what was damaged or missing, in words for the user.
+    """
+
+    source: str
+    topics: tuple[TopicInventory, ...]
+    duration: float
+    compression: tuple[str, ...]
+    profile: str
+    notes: tuple[str, ...] = ()
+
+    @property
+    def messages(self) -> int:
+        """Number of messages on all topics."""
+        return sum(topic.messages for topic in self.topics)
+
+
+@dataclass(eq=False)
+class Tally:
+    """Counts messages as the blocks of a log go by."""
+
+    _messages: Counter[Channel] = field(default_factory=Counter)
+    _first: int | None = None
+    _last: int = 0
+
+    def add(self, block: Block) -> None:
+        """Count the messages of one block."""
+        first, last = int(block.log_time.min()), int(block.log_time.max())
+        self._first = first if self._first is None else min(first, self._first)
+        self._last = max(last, self._last)
+        self._messages[block.channel] += block.start.size
+
+    def inventory(
+        self,
+        *,
+        source: str,
+        channels: Iterable[Channel],
+        profile: str,
+        compressions: Iterable[str],
+        notes: Iterable[str],
+    ) -> LogInventory:
+        """Sum up.
+
+        Args:
+            source: path of the log.
+            channels: all channels, those without messages included.
+            profile: MCAP profile.
+            compressions: chunk compressions met.
+            notes: notes for the user.
+
+        Returns:
+            The inventory.
+        """
+        topics = [
+            TopicInventory(
+                name=channel.topic,
+                ros_type=channel.ros_type,
+                encoding=channel.encoding,
+                messages=self._messages[channel],
+                used_as=role_of(channel.ros_type) if channel.encoding == "cdr" else "ignored",
+            )
+            for channel in channels
+        ]
+        return LogInventory(
+            source=source,
+            topics=tuple(sorted(topics, key=lambda t: (t.name, t.ros_type, t.encoding))),
+            duration=0.0 if self._first is None else (self._last - self._first) / 1e9,
+            compression=tuple(sorted(compressions)),
+            profile=profile,
+            notes=tuple(notes),
+        )

@@ -1,0 +1,161 @@
+"""Names and positions out of many JointState payloads at once.
+
+sensor_msgs/msg/JointState is a Header, then sequences: names, positions, velocities, efforts. The
+names have no fixed size, so they are stepped over one name at a time, all messages together.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from typing import NamedTuple
+
+import numpy as np
+
+from skin2urdf.arrays import F64, Int
+from skin2urdf.recording.cdr import FRAME_TEXT, Payloads, align, stamped_payloads, text_at
+from skin2urdf.recording.container import Block
+from skin2urdf.recording.gather import distinct, gather_rows
+
+
+class JointPositions(NamedTuple):
+    """Positions out of the JointState messages of one block that name the same joints.
+
+    Attributes:
+        names: J joint names, sorted.
+        row: (N,) number of each message within its block.
+        stamp: (N,) header.stamp [ns].
+        log_time: (N,) when each message was recorded [ns].
+        position: (N, J) positions in the order of `names`.
+    """
+
+    names: tuple[str, ...]
+    row: Int
+    stamp: Int
+    log_time: Int
+    position: F64
+
+
+def joint_positions(block: Block) -> tuple[list[JointPositions], Counter[str]]:
+    """Read names and positions of JointState messages.
+
+    Names are decoded once per distinct order of names, not once per message.
+
+    Args:
+        block: messages of sensor_msgs/msg/JointState.
+
+    Returns:
+        Positions per set of joints, and why messages were passed over (reason: messages).
+    """
+    groups, passed = stamped_payloads(block)
+    found: dict[tuple[str, ...], list[JointPositions]] = {}
+    for group in groups:
+        group, count, names_end = _whole_names(group, passed)
+        group, values = _whole_positions(group, count, names_end, passed)
+        text = group.body + FRAME_TEXT
+        first, layout = distinct(group.buffer, text, values.names_end - FRAME_TEXT)
+        for k, representative in enumerate(first):
+            rows = np.flatnonzero(layout == k)
+            names = _names(group, int(representative))
+            if len(set(names)) < len(names):
+                passed["a joint is named twice"] += rows.size
+                continue
+            order = sorted(range(len(names)), key=names.__getitem__)
+            at = group.body[rows] + values.offset[rows]
+            position = gather_rows(group.buffer, at, len(names), f"{group.order}f8")
+            batch = JointPositions(
+                names=tuple(names[j] for j in order),
+                row=group.row[rows],
+                stamp=group.stamp[rows],
+                log_time=group.log_time[rows],
+                position=position[:, order].astype(np.float64),
+            )
+            found.setdefault(batch.names, []).append(batch)
+    return [_in_order(batches) for batches in found.values()], +passed
+
+
+class _PositionFields(NamedTuple):
+    """Where names end and positions start in (N,) JointState bodies."""
+
+    names_end: Int
+    offset: Int
+
+
+def _whole_names(group: Payloads, passed: Counter[str]) -> tuple[Payloads, Int, Int]:
+    """Step over the names of JointState messages, all messages at once.
+
+    Returns:
+        The messages whose names are whole, with (N,) number of names and (N,) body offset behind
+        the last name.
+    """
+    at = align(FRAME_TEXT + group.frame_length, 4)
+    whole = at + 4 <= group.size
+    count = np.zeros(at.size, np.int64)
+    count[whole] = group.at(whole).uint32(at[whole])
+    # A name takes 5 bytes at least; this also bounds the loop for damaged messages.
+    whole &= count * 5 <= group.size
+    at = at + 4
+    for k in range(int(count[whole].max(initial=0))):
+        some = np.flatnonzero(whole & (k < count))
+        here = align(at[some], 4)
+        fits = here + 4 <= group.size[some]
+        whole[some[~fits]] = False
+        some, here = some[fits], here[fits]
+        at[some] = here + 4 + group.at(some).uint32(here)
+        whole[some] &= at[some] <= group.size[some]
+    passed["cut short or malformed"] += int(np.count_nonzero(~whole))
+    return group.at(whole), count[whole], at[whole]
+
+
+def _whole_positions(
+    group: Payloads, count: Int, names_end: Int, passed: Counter[str]
+) -> tuple[Payloads, _PositionFields]:
+    """Find the positions behind the names, and keep the messages that have one per name."""
+    at = align(names_end, 4)
+    offset = align(at + 4, 8)
+    positions = np.full(at.size, -1, np.int64)
+    readable = at + 4 <= group.size
+    positions[readable] = group.at(readable).uint32(at[readable])
+    empty = (positions == 0) | (count == 0)
+    whole = (positions == count) & (offset + 8 * count <= group.size) & ~empty
+    passed["no positions"] += int(np.count_nonzero(empty))
+    passed["cut short or malformed"] += int(np.count_nonzero(~whole & ~empty))
+    return group.at(whole), _PositionFields(names_end[whole], offset[whole])
+
+
+def _names(group: Payloads, k: int) -> list[str]:
+    """Decode the joint names of one message whose names are known to be whole."""
+    body = int(group.body[k])
+
+    def uint32(offset: int) -> int:
+        raw = group.buffer[body + offset : body + offset + 4].tobytes()
+        return int.from_bytes(raw, "little" if group.order == "<" else "big")
+
+    at = _align_one(FRAME_TEXT + int(group.frame_length[k]), 4)
+    names = []
+    count = uint32(at)
+    at += 4
+    for _ in range(count):
+        at = _align_one(at, 4)
+        length = uint32(at)
+        names.append(text_at(group.buffer, body + at + 4, length))
+        at += 4 + length
+    return names
+
+
+def _in_order(batches: list[JointPositions]) -> JointPositions:
+    """Join batches of the same joints in the order of their messages."""
+    if len(batches) == 1:
+        return batches[0]
+    row, stamp, log_time, position = (
+        np.concatenate([getattr(b, key) for b in batches])
+        for key in ("row", "stamp", "log_time", "position")
+    )
+    order = np.argsort(row)
+    return JointPositions(
+        batches[0].names, row[order], stamp[order], log_time[order], position[order]
+    )
+
+
+def _align_one(offset: int, size: int) -> int:
+    """Round one body offset up to a multiple of ``size``."""
+    return -(-offset // size) * size

@@ -1,0 +1,160 @@
+"""Number messages as the sensor would have counted them, lost messages included."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from skin2urdf.arrays import F64, Bool, Int
+
+# After a pause this long [periods], sampling need not go on at a multiple of the period.
+LONG_PAUSE = 50
+# Samples that make a level of their own between two jumps.
+SHORTEST_LEVEL = 4
+# A level has moved by a message where it moved by more than this [periods].
+MOVED = 0.6
+
+
+class Numbering(NamedTuple):
+    """Numbers of the messages of a stream.
+
+    Attributes:
+        number: (N,) strictly increasing.
+        pieces: where a new, independent piece starts; begins with 0.
+    """
+
+    number: Int
+    pieces: Int
+
+
+def median_of(values: F64 | Int) -> float:
+    """Median of at most some thousand of the values, evenly spread: exact enough for a scale."""
+    # An odd stride does not fall in step with samples that come in bursts of 2, 4, 8 ...
+    stride = values.size // 4096 | 1
+    return float(np.median(values[::stride]))
+
+
+def number_messages(stamp: F64, period: float, noise: float) -> Numbering | None:
+    """Find lost messages and pauses: stamps that jump ahead and stay ahead.
+
+    Args:
+        stamp: (N,) stamps in the order of arrival [s].
+        period: sampling period [s].
+        noise: scale of the noise of one stamp [s].
+
+    Returns:
+        The numbering, or None where no message is missing or stamps jump everywhere.
+    """
+    reach = int(np.clip(np.ceil(150.0 * (noise / period) ** 2), 8, 64))
+    if stamp.size < 4 * reach:
+        return None
+    lost = np.zeros(stamp.size, np.int64)
+    apart = np.zeros(stamp.size, np.bool_)
+    if not _count_jumps(stamp, period, noise, reach, lost, apart):
+        return None
+    _recount(stamp, period, reach, lost, apart)
+    if not lost.any() and not apart.any():
+        return None
+    lost[0] = 0
+    number = np.cumsum(1 + lost) - 1
+    pieces = np.flatnonzero(apart | (lost > LONG_PAUSE))
+    return Numbering(number, np.concatenate([[0], pieces[pieces > 0]]))
+
+
+def _count_jumps(
+    stamp: F64, period: float, noise: float, reach: int, lost: Int, apart: Bool
+) -> bool:
+    """Count the messages lost at jumps that stand out by themselves.
+
+    A late message is ahead too, but those after it are not, so levels before and after a jump
+    are compared, each over the samples up to the neighbouring jumps.
+
+    Args:
+        stamp: (N,) stamps [s].
+        period: sampling period [s].
+        noise: scale of the noise of one stamp [s].
+        reach: samples that make a level.
+        lost: (N,) messages lost before each sample, filled in.
+        apart: (N,) where stamps step back for good, filled in.
+
+    Returns:
+        False where stamps jump everywhere.
+    """
+    step = np.diff(stamp) - period
+    suspects = np.flatnonzero(np.abs(step) > MOVED * period)
+    if suspects.size > stamp.size // 4:
+        return False
+    if suspects.size == 0:
+        return True
+    level = stamp - period * np.arange(stamp.size)
+    previous = np.concatenate([[-1], suspects[:-1]])
+    following = np.concatenate([suspects[1:], [stamp.size - 1]])
+    ahead = np.arange(reach)
+    before = suspects[:, None] - ahead
+    after = suspects[:, None] + 1 + ahead
+    # A short run between a jump and one back is a wrong stamp, not a level: look past it.
+    back = np.append(step[suspects[1:]] * step[suspects[:-1]] < 0.0, False)
+    short_after = (following - suspects < SHORTEST_LEVEL) & back
+    short_before = (suspects - previous < SHORTEST_LEVEL) & np.roll(back, 1)
+    jump = _masked_median(
+        level, after, (after <= following[:, None]) | short_after[:, None]
+    ) - _masked_median(level, before, (before > previous[:, None]) | short_before[:, None])
+    seen = np.minimum(
+        np.where(short_before, reach, suspects - previous),
+        np.where(short_after, reach, following - suspects),
+    )
+    certain = np.abs(jump) > np.maximum(
+        MOVED * period, 5.0 * noise / np.sqrt(np.minimum(seen, reach))
+    )
+    place = suspects[certain] + 1
+    lost[place] = np.maximum(np.rint(jump[certain] / period), 0.0).astype(np.int64)
+    apart[place] = jump[certain] < 0.0
+    return True
+
+
+def _recount(stamp: F64, period: float, reach: int, lost: Int, apart: Bool) -> None:
+    """Correct the count where the level still moves by whole messages.
+
+    Finds what noise hid from `_count_jumps`, and what that counted twice.
+
+    Args:
+        stamp: (N,) stamps [s].
+        period: sampling period [s].
+        reach: samples that make a level.
+        lost: (N,) messages lost before each sample, corrected in place.
+        apart: (N,) where stamps step back for good, filled in further.
+    """
+    number = np.cumsum(1 + lost) - 1
+    level = stamp - period * number
+    total = np.concatenate([[0.0], np.cumsum(level - level[0])])
+    mean = (total[reach:] - total[:-reach]) / reach
+    # Means first, as they are cheap; medians, which wrong stamps do not move, where these differ.
+    if not (np.abs(mean[reach:] - mean[:-reach]) > MOVED * period).any():
+        return
+    windows = np.lib.stride_tricks.sliding_window_view(level, reach)
+    settled = np.median(windows, axis=1)
+    moves = np.abs(settled[reach:] - settled[:-reach]) > MOVED * period
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], moves, [False]]).astype(np.int8)))
+    step = np.diff(stamp)
+    for start, stop in edges.reshape(-1, 2):
+        jump = settled[stop - 1 + reach] - settled[start]
+        count = round(float(jump / period))
+        span = slice(start + 1, stop - 1 + 2 * reach)
+        place = span.start + int(np.argmax(step[start : span.stop - 1]))
+        if count > 0:
+            lost[place] += count
+            continue
+        for k in span.start + np.flatnonzero(lost[span]):
+            taken = min(int(lost[k]), -count)
+            lost[k] -= taken
+            count += taken
+        if count < 0 and not apart[span].any():
+            apart[span.start + int(np.argmin(step[start : span.stop - 1]))] = True
+
+
+def _masked_median(values: F64, index: Int, mask: Bool) -> F64:
+    """Median of ``values`` at each row of ``index`` where ``mask`` is set; at least once a row."""
+    inside = mask & (index >= 0) & (index < values.size)
+    taken = np.where(inside, values[np.clip(index, 0, values.size - 1)], np.nan)
+    return np.asarray(np.nanmedian(taken, axis=1), dtype=np.float64)

@@ -1,0 +1,153 @@
+"""Read a ROS 2 log: MCAP file or rosbag2 directory to a recording."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+from skin2urdf.errors import UnreadableInputError
+from skin2urdf.recording.assemble import recorded, timed_joints, timed_sus, timing_notes
+from skin2urdf.recording.container import Block, Channel, McapFile
+from skin2urdf.recording.inputs import RECORD_REMEDY, log_files, open_bytes
+from skin2urdf.recording.inventory import LogInventory, Tally
+from skin2urdf.recording.messages import ACCELERATION_TAIL, JOINT_STATE, role_of
+from skin2urdf.recording.records import Recording
+from skin2urdf.recording.streams import Collector
+
+__all__ = ["inventory", "read"]
+
+
+def read(path: str | Path, progress: Callable[[float], None] | None = None) -> Recording:
+    """Read joint positions and accelerations out of a log.
+
+    Args:
+        path: an MCAP file, or a rosbag2 directory, whose MCAP files are read as one log.
+        progress: called now and then with the part of the log that is read, up to 1.
+
+    Returns:
+        The recording. Its digest is over the bytes of all files in their order.
+
+    Raises:
+        UnreadableInputError: the log can not be read, or holds no joint or no SU.
+    """
+    source = Path(path)
+    log = _Log(source, lambda channel: role_of(channel.ros_type) != "ignored", progress)
+    collector = Collector()
+    for block in log.blocks():
+        collector.add(block)
+    joints, joint_notes = timed_joints(collector.joints())
+    sus, su_notes = timed_sus(collector.accelerations())
+    notes = [*log.notes, *_passed_notes(collector), *joint_notes, *su_notes]
+    if not joints or not sus:
+        raise _missing(source, log, notes, "joints" if not joints else "SUs")
+    notes.extend(timing_notes([*joints, *sus]))
+    return recorded(joints, sus, source=str(path), digest=log.digest, notes=notes)
+
+
+def inventory(path: str | Path) -> LogInventory:
+    """List what a log holds, usable or not.
+
+    Args:
+        path: an MCAP file or a rosbag2 directory.
+
+    Returns:
+        Topics with types and numbers of messages, duration, compression and profile.
+
+    Raises:
+        UnreadableInputError: the log can not be read.
+    """
+    source = Path(path)
+    log = _Log(source, lambda _: True, None)
+    tally = Tally()
+    for block in log.blocks():
+        tally.add(block)
+    return tally.inventory(
+        source=str(path),
+        channels=log.channels,
+        profile=log.profile,
+        compressions=log.compressions,
+        notes=log.notes,
+    )
+
+
+class _Log:
+    """The files of a log, read one after the other.
+
+    Attributes:
+        channels: all channels met.
+        notes: what was damaged or missing, in words for the user.
+        profile: MCAP profile of the files.
+        compressions: chunk compressions met.
+        digest: SHA-256 over the bytes of all files (hex), once all blocks are read.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        wanted: Callable[[Channel], bool],
+        progress: Callable[[float], None] | None,
+    ) -> None:
+        self.channels: set[Channel] = set()
+        self.notes: list[str] = []
+        self.profile = ""
+        self.compressions: set[str] = set()
+        self.digest = ""
+        self._files = log_files(path)
+        self._wanted = wanted
+        self._progress = progress or (lambda _: None)
+
+    def blocks(self) -> Iterator[Block]:
+        """Hand out the messages of all files."""
+        digest = hashlib.sha256()
+        opened = [(path, open_bytes(path)) for path in self._files]
+        total = sum(data.size for _, data in opened)
+        before = 0
+        for path, data in opened:
+            digest.update(data.data)
+            mcap = McapFile(data, self._wanted)
+            for block in mcap.blocks():
+                yield block
+                self._progress((before + mcap.position) / total)
+            before += data.size
+            self.profile = self.profile or mcap.profile
+            self.compressions |= mcap.compressions
+            self.channels |= set(mcap.channels.values())
+            prefix = f"{path.name}: " if len(opened) > 1 else ""
+            self.notes.extend(prefix + note for note in mcap.notes)
+        self.digest = digest.hexdigest()
+        self._progress(1.0)
+
+
+def _passed_notes(collector: Collector) -> list[str]:
+    """Say which messages were passed over."""
+    return [
+        f"{topic}: {count} messages passed over: {reason}"
+        for topic, reasons in sorted(collector.passed.items())
+        for reason, count in sorted(reasons.items())
+    ]
+
+
+def _missing(source: Path, log: _Log, notes: list[str], what: str) -> UnreadableInputError:
+    """Say that a log holds no joints or no SUs, and why."""
+    joint_types = (JOINT_STATE,)
+    types = joint_types if what == "joints" else tuple(ACCELERATION_TAIL)
+    topics = sorted({c.topic for c in log.channels if c.ros_type in types})
+    names = " or ".join(name.rsplit("/", 1)[-1] for name in types)
+    if topics:
+        problem = f"no usable {what}: {', '.join(topics)} held nothing that could be used"
+        remedy = "see what the topic publishes with `ros2 topic echo`, then record again"
+    elif log.channels:
+        held = ", ".join(sorted(f"{c.topic} ({c.ros_type})" for c in log.channels))
+        problem = f"no {what}: no topic of type {names}; the log holds {held}"
+        remedy = RECORD_REMEDY
+    else:
+        problem = "the log holds no messages"
+        remedy = RECORD_REMEDY
+    if log.profile == "ros1":
+        remedy = (
+            "these are ROS 1 messages: convert the bag they came from with "
+            f"`rosbags-convert --src BAG --dst {source.stem}_ros2 --dst-storage mcap`"
+        )
+    because = f" ({'; '.join(notes[:5])})" if notes else ""
+    return UnreadableInputError(str(source), problem + because, remedy)

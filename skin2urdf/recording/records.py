@@ -1,0 +1,76 @@
+"""What a log holds once it is read: streams of joint positions and specific forces."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from skin2urdf.arrays import F64, frozen
+
+
+@dataclass(frozen=True, eq=False)
+class JointStream:
+    """Positions of one joint (one DoF).
+
+    Attributes:
+        name: joint name as in the log.
+        time: (N,) strictly increasing times [s] since the recording's start.
+        position: (N,) measured positions [rad, or m for a prismatic joint].
+    """
+
+    name: str
+    time: F64
+    position: F64
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "time", frozen(self.time))
+        object.__setattr__(self, "position", frozen(self.position))
+
+
+@dataclass(frozen=True, eq=False)
+class SuStream:
+    """Readings of one skin unit (SU).
+
+    Attributes:
+        name: the SU's name (its frame_id where that is unique, else made from the topic).
+        time: (N,) strictly increasing times [s] since the recording's start.
+        specific_force: (N, 3) readings in the SU's own frame, as the log holds them [m/s^2].
+        topic: the topic the readings came on.
+    """
+
+    name: str
+    time: F64
+    specific_force: F64
+    topic: str = ""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "time", frozen(self.time))
+        object.__setattr__(self, "specific_force", frozen(self.specific_force))
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """One log: everything the calibration may know.
+
+    Attributes:
+        joints: one stream per joint, sorted by name.
+        sus: one stream per SU, sorted by name.
+        start: time of the first sample [s since the Unix epoch].
+        source: where it came from (a path), for messages.
+        digest: SHA-256 of the input bytes (hex), empty for a recording made in memory.
+        notes: what the reader mended or passed over, in words for the user.
+    """
+
+    joints: tuple[JointStream, ...]
+    sus: tuple[SuStream, ...]
+    start: float = 0.0
+    source: str = ""
+    digest: str = ""
+    notes: tuple[str, ...] = ()
+
+    @property
+    def duration(self) -> float:
+        """Time from the first to the last sample of any stream [s]."""
+        streams: tuple[JointStream | SuStream, ...] = (*self.joints, *self.sus)
+        ends = [s.time[-1] for s in streams if s.time.size]
+        starts = [s.time[0] for s in streams if s.time.size]
+        return float(max(ends) - min(starts)) if ends else 0.0

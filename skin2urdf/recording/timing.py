@@ -1,0 +1,204 @@
+"""When samples were taken: from header stamps and log times to strictly increasing times.
+
+Drivers mostly stamp a sample when it arrives, so the samples are regular and the stamps noisy;
+others sample irregularly and stamp exactly. Both readings are made and the signal decides.
+"""
+
+from __future__ import annotations
+
+from typing import Literal, NamedTuple, TypeAlias, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from skin2urdf.arrays import F64, Int
+from skin2urdf.recording.numbering import median_of
+from skin2urdf.recording.regular import regular_times
+from skin2urdf.recording.smoothness import weigh_stamps
+
+Chosen: TypeAlias = Literal["stamps", "regular"]
+Number = TypeVar("Number", np.int64, np.float64)
+
+NS_PER_S = 1_000_000_000
+# A stamp this far off its neighbours' offset from the log time is no time of a sample [s].
+WILD_STAMP = 10.0
+# Stamps that scatter less than this about regular times [periods] leave nothing to choose.
+NEGLIGIBLE = 1e-3
+# Scatter of stamps [periods] up to which a stream counts as nearly regular.
+NEARLY_REGULAR = 0.25
+
+
+class SampleTimes(NamedTuple):
+    """Times of the samples of one stream.
+
+    Attributes:
+        time: (M,) strictly increasing times [ns since the epoch of the clock].
+        kept: (M,) numbers of the samples these times belong to.
+        chosen: whether the times are the stamps or were made regular.
+        stamped: False where no message was stamped and log times stand in.
+        clock_offset: stamps minus log times [ns], the median; None where log times do not run.
+    """
+
+    time: Int
+    kept: Int
+    chosen: Chosen
+    stamped: bool
+    clock_offset: int | None
+
+
+def sample_times(stamp: Int, log_time: Int, signal: F64) -> SampleTimes:
+    """Decide when each sample of a stream was taken.
+
+    Args:
+        stamp: (N,) header stamps in the order of the log [ns], 0 where unset.
+        log_time: (N,) times the messages were recorded [ns].
+        signal: (N, C) the samples.
+
+    Returns:
+        Times of the samples; repeated, and where need be contradicting, samples are left out.
+    """
+    clock, stamped = _clock(stamp, log_time)
+    log_runs = log_time.size > 0 and int(log_time.max()) > int(log_time.min())
+    offset = int(median_of(clock - log_time)) if log_runs else None
+    kept = np.arange(clock.size)
+    if (np.diff(clock) <= 0).any():
+        kept = _without_repeats(clock, signal)
+        kept = kept[_order(clock[kept], signal[kept])]
+        clock, signal = clock[kept], signal[kept]
+    if kept.size < 2:
+        return SampleTimes(clock, kept, "stamps", stamped, offset)
+    origin = int(clock.min())
+    stamps = (clock - origin) / NS_PER_S
+    regular = regular_times(stamps)
+    chosen = _choose(stamps, regular, signal)
+    if chosen == "regular" and regular is not None:
+        rising = _rising(regular, stamps)
+        time = origin + np.rint(regular[rising] * NS_PER_S).astype(np.int64)
+    else:
+        rising = _rising(stamps, regular)
+        time = clock[rising]
+    return SampleTimes(time, kept[rising], chosen, stamped, offset)
+
+
+def _clock(stamp: Int, log_time: Int) -> tuple[Int, bool]:
+    """Return stamps where they are set and credible, log times moved to the same clock elsewhere.
+
+    Returns:
+        (N,) times [ns], and whether any stamp is set.
+    """
+    usable = stamp > 0
+    if not usable.any():
+        return log_time, False
+    rows = np.flatnonzero(usable)
+    offset = stamp[rows] - log_time[rows]
+    jumps = np.abs(np.diff(offset)) > WILD_STAMP * NS_PER_S
+    if jumps.any():
+        wild = np.abs(offset - _rolling_median(offset)) > WILD_STAMP * NS_PER_S
+        rows, offset = rows[~wild], offset[~wild]
+    if rows.size == stamp.size or rows.size == 0:
+        return stamp, True
+    middle = int(np.median(offset))
+    missing = np.setdiff1d(np.arange(stamp.size), rows)
+    clock = stamp.copy()
+    between = np.interp(missing, rows, (offset - middle).astype(np.float64))
+    clock[missing] = log_time[missing] + middle + np.rint(between).astype(np.int64)
+    return clock, True
+
+
+def _rolling_median(values: NDArray[Number], width: int = 11) -> NDArray[Number]:
+    """Median of the values around each value."""
+    half = min(width // 2, values.size // 2)
+    padded = np.pad(values, half, mode="edge")
+    windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * half + 1)
+    middle: NDArray[Number] = np.partition(windows, half, axis=1)[:, half]
+    return middle
+
+
+def _without_repeats(clock: Int, signal: F64) -> Int:
+    """Leave out messages that were delivered twice.
+
+    A coarse clock gives different samples the same stamp; those stay. So equal stamps count as
+    repeats only where all neighbours with equal stamps have equal values too.
+    """
+    same_time = np.flatnonzero(np.diff(clock) == 0)
+    if same_time.size == 0:
+        return np.arange(clock.size)
+    here, there = signal[same_time], signal[same_time + 1]
+    same_value = (here == there) | (np.isnan(here) & np.isnan(there))
+    if not same_value.all():
+        return np.arange(clock.size)
+    return np.delete(np.arange(clock.size), same_time + 1)
+
+
+def _order(clock: Int, signal: F64) -> Int:
+    """Put samples that overtook each other on the way back in order.
+
+    Stamps run backwards either because messages were swapped or because the stamps are wrong.
+    The signal is rougher in the wrong order; where it does not tell, the order of the log holds.
+    """
+    arrival = np.arange(clock.size)
+    if not (np.diff(clock) < 0).any():
+        return arrival
+    stamped = np.argsort(clock, kind="stable")
+    differ = np.flatnonzero(stamped != arrival)
+    if _roughness(signal[stamped], differ) < 0.7 * _roughness(signal, differ):
+        return stamped
+    return arrival
+
+
+def _roughness(signal: F64, places: Int) -> float:
+    """Sum over channels of how much the signal kinks around some places, relative to its own."""
+    if signal.shape[0] < 3:
+        return 0.0
+    kink = np.abs(np.diff(signal, n=2, axis=0))
+    kink = np.where(np.isfinite(kink), kink, 0.0)
+    near = np.unique(np.clip(places[:, None] - np.arange(3), 0, kink.shape[0] - 1))
+    scale = kink.mean(axis=0)
+    return float((kink[near].sum(axis=0)[scale > 0.0] / scale[scale > 0.0]).sum())
+
+
+def _choose(stamps: F64, regular: F64 | None, signal: F64) -> Chosen:
+    """Choose the times on which the signal is smoother where it moves."""
+    if regular is None:
+        return "stamps"
+    period = (regular[-1] - regular[0]) / (regular.size - 1)
+    apart = np.abs(stamps - regular)
+    if float(apart.max()) <= NEGLIGIBLE * period:
+        return "stamps"
+    evidence = weigh_stamps(stamps, regular, signal)
+    margin = 2.0 * evidence.uncertainty
+    if evidence.share - margin > 0.5:
+        return "stamps"
+    if evidence.share + margin < 0.5:
+        return "regular"
+    return "regular" if 1.4826 * median_of(apart) < NEARLY_REGULAR * period else "stamps"
+
+
+def _rising(time: F64, reference: F64 | None) -> Int:
+    """Choose samples so that their times strictly increase, leaving out as few as need be.
+
+    Where a time does not exceed the one before, the one of the two further from the reference
+    is left out.
+
+    Args:
+        time: (N,) times [s].
+        reference: (N,) other times of the same samples [s]; the neighbours' median if None.
+
+    Returns:
+        (M,) numbers of the samples that stay.
+    """
+    # Results are kept in whole nanoseconds, so times must differ by more than that.
+    least = 1.5 / NS_PER_S
+    kept = np.arange(time.size)
+    if (np.diff(time) >= least).all():
+        return kept
+    distance = np.abs(time - (_rolling_median(time) if reference is None else reference))
+    for _ in range(20):
+        before = np.flatnonzero(np.diff(time[kept]) < least)
+        if before.size == 0:
+            return kept
+        worse_before = distance[kept[before]] > distance[kept[before + 1]]
+        kept = np.delete(kept, np.where(worse_before, before, before + 1))
+    highest = np.maximum.accumulate(time[kept])
+    rises = np.concatenate([[True], time[kept][1:] >= highest[:-1] + least])
+    return kept[np.flatnonzero(rises)]

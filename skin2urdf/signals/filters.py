@@ -1,0 +1,133 @@
+"""Uniform sampling, zero-phase low-pass and differentiation, the same for every stream.
+
+Joint positions and SU readings go through identical filters before they are compared. The
+regression's coefficients are constant, so filtering both sides alike adds no bias.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+from scipy.ndimage import convolve1d, minimum_filter1d
+from scipy.signal import firwin, upfirdn
+
+from skin2urdf.arrays import F64, Bool
+
+# Central differences of eighth order: at a tenth of the sampling rate still exact to 1e-5.
+_FIRST = np.array([1 / 280, -4 / 105, 1 / 5, -4 / 5, 0, 4 / 5, -1 / 5, 4 / 105, -1 / 280])
+_SECOND = np.array(
+    [-1 / 560, 8 / 315, -1 / 5, 8 / 5, -205 / 72, 8 / 5, -1 / 5, 8 / 315, -1 / 560]
+)
+_LINEAR_RATE = 700.0
+"""Streams faster than this [Hz] are interpolated linearly; slower ones by cubic splines."""
+_STOPBAND = 100.0
+
+
+@dataclass(frozen=True)
+class Grid:
+    """Uniform times ``start + i / rate``, i < size.
+
+    Attributes:
+        start: first time [s].
+        rate: samples per second [Hz].
+        size: number of samples N.
+    """
+
+    start: float
+    rate: float
+    size: int
+
+    @property
+    def time(self) -> F64:
+        """(N,) times [s]."""
+        return self.start + np.arange(self.size) / self.rate
+
+
+def low_pass(cutoff: float, rate: float) -> F64:
+    """Symmetric FIR low-pass with unit gain at rest, -6 dB at ``cutoff`` [Hz]."""
+    width = 0.8 * min(cutoff, rate / 2 - cutoff)
+    taps = int(np.ceil((_STOPBAND - 7.95) / (2.285 * 2 * np.pi * width / rate))) | 1
+    beta = 0.1102 * (_STOPBAND - 8.7)
+    return np.asarray(firwin(taps, cutoff, window=("kaiser", beta), fs=rate))
+
+
+def noise_bandwidth(taps: F64, rate: float) -> float:
+    """One-sided equivalent noise bandwidth of an FIR filter [Hz]."""
+    return float(np.sum(taps**2) * rate / 2)
+
+
+def sample(time: F64, values: F64, grid: Grid) -> tuple[F64, Bool]:
+    """Low-pass a stream and sample it on a grid.
+
+    Args:
+        time: (M,) strictly increasing sample times [s].
+        values: (M, C) samples.
+        grid: where to.
+
+    Returns:
+        (N, C) values, and (N,) False where the stream has a gap or has ended.
+    """
+    if len(time) < 8:
+        return np.zeros((grid.size, values.shape[1])), np.zeros(grid.size, dtype=bool)
+    steps = np.diff(time)
+    typical = float(np.median(steps))
+    factor = max(1, round(1 / (typical * grid.rate)))
+    fine_rate = grid.rate * factor
+    taps = low_pass(0.36 * grid.rate, fine_rate) if factor > 1 else np.ones(1)
+    half = len(taps) // 2
+    fine = grid.start + (np.arange(-half, grid.size * factor + half)) / fine_rate
+    if 1 / typical > _LINEAR_RATE:
+        dense = np.stack([np.interp(fine, time, column) for column in values.T], axis=1)
+    else:
+        inside = np.clip(fine, time[0], time[-1])
+        dense = CubicSpline(time, values)(inside)
+    # Full convolution, of which the first complete output belongs to the grid's first time.
+    lead = np.zeros(((-2 * half) % factor, values.shape[1]))
+    out = upfirdn(taps, np.concatenate([lead, dense]), up=1, down=factor, axis=0)
+    first = (len(lead) + 2 * half) // factor
+    out = out[first : first + grid.size]
+    gap = steps > max(4.5 * typical, 0.03)
+    bad = np.zeros(grid.size, dtype=bool)
+    reach = half / fine_rate
+    t = grid.time
+    for a, b in zip(time[:-1][gap], time[1:][gap], strict=True):
+        bad |= (t > a - reach) & (t < b + reach)
+    bad |= (t < time[0] + reach) | (t > time[-1] - reach)
+    return np.ascontiguousarray(out), ~bad
+
+
+def filtered(values: F64, taps: F64) -> F64:
+    """Zero-phase FIR along the first axis, same length; ends repeat the outermost samples."""
+    if len(values) >= len(taps):
+        from scipy.signal import oaconvolve
+
+        half = len(taps) // 2
+        pad = [(half, half)] + [(0, 0)] * (values.ndim - 1)
+        shaped = taps.reshape((-1,) + (1,) * (values.ndim - 1))
+        return np.asarray(oaconvolve(np.pad(values, pad, mode="edge"), shaped, mode="valid", axes=0))
+    return np.asarray(convolve1d(values, taps, axis=0, mode="nearest"))
+
+
+def first_derivative(values: F64, rate: float) -> F64:
+    """First derivative along the first axis."""
+    return np.asarray(convolve1d(values, _FIRST[::-1] * rate, axis=0, mode="nearest"))
+
+
+def second_derivative(values: F64, rate: float) -> F64:
+    """Second derivative along the first axis."""
+    return np.asarray(convolve1d(values, _SECOND * rate**2, axis=0, mode="nearest"))
+
+
+def eroded(mask: Bool, reach: int) -> Bool:
+    """(N,) True where the mask holds for ``reach`` samples on either side as well."""
+    return np.asarray(minimum_filter1d(mask.astype(np.uint8), 2 * reach + 1, mode="nearest") > 0)
+
+
+def shifted(values: F64, rate: float, delay: float) -> F64:
+    """Values (N, C) of a stream taken ``delay`` [s] later, by cubic splines."""
+    if delay == 0.0:
+        return values
+    t = np.arange(len(values)) / rate
+    return np.asarray(CubicSpline(t, values)(np.clip(t + delay, t[0], t[-1])))

@@ -1,0 +1,120 @@
+"""The robot's motion on the common grid: positions, derivatives, resolution of the encoders."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from skin2urdf.arrays import F64, Bool, frozen
+from skin2urdf.errors import InsufficientDataError
+from skin2urdf.recording.records import JointStream, Recording
+from skin2urdf.signals.filters import Grid, filtered, first_derivative, low_pass, sample
+from skin2urdf.signals.filters import second_derivative as second
+
+GRID_RATE = 125.0
+"""Rate of the common grid [Hz]; patterns are a few Hz."""
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """Joint motion of one log on a uniform grid of N samples.
+
+    Attributes:
+        grid: the times.
+        dof_names: D joint names.
+        q: (N, D) positions [rad or m].
+        qd: (N, D) velocities.
+        qdd: (N, D) accelerations.
+        valid: (N,) False where a joint stream has a gap.
+        resolution: (D,) smallest step an encoder makes [rad or m]; 0 where it has none.
+        noise: (D,) standard deviation of one raw position sample [rad or m].
+        raw_rate: (D,) samples per second of the raw streams [Hz].
+    """
+
+    grid: Grid
+    dof_names: tuple[str, ...]
+    q: F64
+    qd: F64
+    qdd: F64
+    valid: Bool
+    resolution: F64
+    noise: F64
+    raw_rate: F64
+
+    def __post_init__(self) -> None:
+        for name in ("q", "qd", "qdd", "resolution", "noise", "raw_rate"):
+            object.__setattr__(self, name, frozen(getattr(self, name)))
+
+
+def joint_motion(recording: Recording, dof_names: Sequence[str] | None = None) -> Motion:
+    """Sample all joint streams of a recording on one grid and differentiate them.
+
+    Args:
+        recording: the log.
+        dof_names: which joints, in which order; all of the log by default. A joint the log lacks
+            is taken to rest at 0.
+
+    Raises:
+        InsufficientDataError: no joint stream has enough samples, or they do not overlap.
+    """
+    names = tuple(dof_names) if dof_names is not None else tuple(j.name for j in recording.joints)
+    streams = {j.name: j for j in recording.joints if j.time.size >= 8}
+    if not streams:
+        raise InsufficientDataError(
+            f"{recording.source}: no joint has more than a few position samples",
+            "record the joint states at 50 Hz or more while the robot moves",
+        )
+    start = max(j.time[0] for j in streams.values())
+    end = min(j.time[-1] for j in streams.values())
+    if end - start < 2.0:
+        raise InsufficientDataError(
+            f"{recording.source}: the joint streams overlap for {max(0.0, end - start):.1f} s only",
+            "record all joints over the whole experiment",
+        )
+    grid = Grid(float(start), GRID_RATE, int((end - start) * GRID_RATE) + 1)
+    q = np.zeros((grid.size, len(names)))
+    valid = np.ones(grid.size, dtype=bool)
+    resolution, noise, rate = np.zeros(len(names)), np.zeros(len(names)), np.ones(len(names))
+    together: dict[tuple[int, float, float], list[int]] = {}
+    for d, name in enumerate(names):
+        if name in streams:
+            t = streams[name].time
+            key = (t.size, float(t[0]), float(t[-1]))
+            if key in together and not np.array_equal(t, streams[names[together[key][0]]].time):
+                key = (-d, 0.0, 0.0)
+            together.setdefault(key, []).append(d)
+    for members in together.values():
+        same = [streams[names[d]] for d in members]
+        values, ok = sample(same[0].time, np.stack([j.position for j in same], axis=1), grid)
+        q[:, members] = values
+        valid &= ok
+        for d, stream in zip(members, same, strict=True):
+            resolution[d], noise[d] = encoder_noise(stream)
+            rate[d] = 1 / float(np.median(np.diff(stream.time)))
+    smooth = filtered(q, low_pass(GRID_RATE / 5, GRID_RATE))
+    return Motion(
+        grid, names, q, first_derivative(smooth, GRID_RATE), second(smooth, GRID_RATE),
+        valid, resolution, noise, rate,
+    )  # fmt: skip
+
+
+def encoder_noise(stream: JointStream) -> tuple[float, float]:
+    """Smallest step of an encoder and the standard deviation of its error.
+
+    The error is that of rounding to the step, or the scatter about a local line where that is
+    larger (an analogue sensor).
+    """
+    x = stream.position
+    changes = np.abs(np.diff(x))
+    moves = changes[changes > 0]
+    if not moves.size:
+        return 0.0, 0.0
+    step = float(np.quantile(moves, 0.02))
+    multiples = moves / step
+    regular = np.median(np.abs(multiples - np.round(multiples))) < 0.02
+    rounding = step / np.sqrt(12) if regular else 0.0
+    bend = np.abs(x[:-3] - 3 * x[1:-2] + 3 * x[2:-1] - x[3:])
+    scatter = float(np.median(bend)) / 0.6745 / np.sqrt(20.0)
+    return (step if regular else 0.0), max(rounding, scatter)

@@ -1,0 +1,109 @@
+"""Where the robot rests and around which poses it excites its joints, from positions alone."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from skin2urdf.arrays import F64, frozen
+from skin2urdf.signals.filters import filtered, first_derivative, low_pass
+from skin2urdf.signals.motion import Motion
+
+_SHORTEST_REST = 0.25
+_LARGEST_SPEED = 0.05
+_SAME_POSE = 0.03
+_LARGEST_EXCURSION = 0.75
+
+
+@dataclass(frozen=True, eq=False)
+class Rest:
+    """An interval in which no joint moves.
+
+    Attributes:
+        begin: first grid sample.
+        end: one past the last.
+        q: (D,) mean positions [rad or m].
+    """
+
+    begin: int
+    end: int
+    q: F64
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "q", frozen(self.q))
+
+
+@dataclass(frozen=True, eq=False)
+class Neighbourhood:
+    """A pose and all intervals in which the robot rests in it or moves a little around it.
+
+    Attributes:
+        q: (D,) the pose: mean positions of its rests [rad or m].
+        windows: grid intervals (begin, end), each starting and ending at rest.
+    """
+
+    q: F64
+    windows: tuple[tuple[int, int], ...]
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "q", frozen(self.q))
+
+
+def find_rests(motion: Motion) -> tuple[Rest, ...]:
+    """All rests of a quarter of a second or longer."""
+    rate = motion.grid.rate
+    speed = np.abs(first_derivative(filtered(motion.q, low_pass(6.0, rate)), rate))
+    span = np.ptp(motion.q, axis=0)
+    floor = motion.noise * np.sqrt(2 * 6.0 / motion.raw_rate) * 2 * np.pi * 6.0
+    limit = np.clip(np.maximum(0.012 * span, 6 * floor), 1e-4, np.maximum(_LARGEST_SPEED, 6 * floor))
+    still = (speed < limit).all(axis=1) & motion.valid
+    edges = np.flatnonzero(np.diff(np.r_[False, still, False].astype(np.int8)))
+    rests = []
+    for begin, end in edges.reshape(-1, 2):
+        if end - begin >= _SHORTEST_REST * rate:
+            rests.append(Rest(int(begin), int(end), motion.q[begin:end].mean(axis=0)))
+    return tuple(rests)
+
+
+def find_neighbourhoods(motion: Motion, rests: tuple[Rest, ...]) -> tuple[Neighbourhood, ...]:
+    """Group rests and the excursions between them into poses.
+
+    Two rests in a row belong together, with the motion between them, when they lie at the same
+    positions and the motion stays near. Rests at the same positions at other times join in.
+    """
+    span = np.ptp(motion.q, axis=0)
+    same = np.minimum(_SAME_POSE, np.maximum(_SAME_POSE * span, 1e-3))
+    largest = np.minimum(_LARGEST_EXCURSION, np.maximum(0.6 * span, 1e-2))
+    groups: list[tuple[list[Rest], list[list[int]]]] = []
+    previous: Rest | None = None
+    current: int | None = None
+    for rest in rests:
+        joined = False
+        if previous is not None and current is not None:
+            between = motion.q[previous.begin : rest.end]
+            near = bool((np.abs(between - previous.q) <= largest).all())
+            whole = bool(motion.valid[previous.begin : rest.end].all())
+            if near and whole and bool((np.abs(rest.q - previous.q) <= same).all()):
+                groups[current][0].append(rest)
+                groups[current][1][-1][1] = rest.end
+                joined = True
+        if not joined:
+            match = [
+                g for g, (members, _) in enumerate(groups)
+                if bool((np.abs(members[0].q - rest.q) <= same).all())
+            ]  # fmt: skip
+            if match:
+                current = match[0]
+                groups[current][0].append(rest)
+                groups[current][1].append([rest.begin, rest.end])
+            else:
+                groups.append(([rest], [[rest.begin, rest.end]]))
+                current = len(groups) - 1
+        previous = rest
+    out = []
+    for members, windows in groups:
+        length = np.array([r.end - r.begin for r in members], dtype=np.float64)
+        q = np.average([r.q for r in members], axis=0, weights=length)
+        out.append(Neighbourhood(q, tuple((a, b) for a, b in windows)))
+    return tuple(out)

@@ -1,0 +1,111 @@
+"""Features: what a log says about every SU in every pose, and nothing of the log's length."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from skin2urdf.arrays import F64, Bool, Int, frozen
+
+
+@dataclass(frozen=True, eq=False)
+class StaticMoves:
+    """Rests before and after a single DoF moved (paper II-B.1, the static effect).
+
+    Attributes:
+        dof: (S,) index of the DoF that moved.
+        distance: (S,) how far it moved [rad or m].
+        change: (S, U, 3) change of each SU's static reading [m/s^2]; NaN where it has none.
+    """
+
+    dof: Int
+    distance: F64
+    change: F64
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "dof", frozen(self.dof, np.int64))
+        object.__setattr__(self, "distance", frozen(self.distance))
+        object.__setattr__(self, "change", frozen(self.change))
+
+
+@dataclass(frozen=True, eq=False)
+class Features:
+    """Regression coefficients of the readings around each pose on the motion of all DoFs.
+
+    Around pose p the reading of SU u is, to first order (design: what an accelerometer measures)::
+
+        f(t) = f0 + sum_d [ s_d dq_d(t) + tau_d qdd_d(t) ]
+
+    Rows of the regression, n = 1 + 2 D: ``f0``, then ``s_1 .. s_D``, then ``tau_1 .. tau_D``.
+    Coefficients, information and noise are sufficient statistics: the cost of a model is a
+    quadratic form in them.
+
+    Attributes:
+        su_names: U SU names.
+        dof_names: D DoF (joint) names.
+        q: (P, D) reference joint positions of each pose [rad or m].
+        log: (P,) index of the log each pose comes from.
+        coefficients: (P, U, n, 3) least-squares coefficients in the SU's frame
+            [m/s^2, m/s^2/rad, m/rad; per metre for prismatic DoFs].
+        information: (P, U, n, n) regressor products with nuisance regressors projected out; the
+            coefficients' covariance per axis is ``noise**2 * pinv(information)``.
+        noise: (P, U, 3) standard deviation of one independent sample per axis [m/s^2];
+            infinite where an SU has no samples around a pose.
+        latency: (U,) time by which each SU's stamps lag the joints' [s].
+        latency_sd: (U,) its standard deviation [s]; infinite where nothing moved the SU.
+        moves: static evidence from larger single-DoF moves.
+        notes: what was found and mended, in words for the user.
+    """
+
+    su_names: tuple[str, ...]
+    dof_names: tuple[str, ...]
+    q: F64
+    log: Int
+    coefficients: F64
+    information: F64
+    noise: F64
+    latency: F64
+    latency_sd: F64
+    moves: StaticMoves
+    notes: tuple[str, ...] = field(default=())
+
+    def __post_init__(self) -> None:
+        for name in ("q", "coefficients", "information", "noise", "latency", "latency_sd"):
+            object.__setattr__(self, name, frozen(getattr(self, name)))
+        object.__setattr__(self, "log", frozen(self.log, np.int64))
+
+    @property
+    def n_poses(self) -> int:
+        """Number of poses P."""
+        return int(self.q.shape[0])
+
+    @property
+    def n_dofs(self) -> int:
+        """Number of DoFs D."""
+        return len(self.dof_names)
+
+    @property
+    def n_sus(self) -> int:
+        """Number of SUs U."""
+        return len(self.su_names)
+
+    @property
+    def valid(self) -> Bool:
+        """(P, U) True where an SU has samples around a pose."""
+        return np.asarray(np.isfinite(self.noise).all(axis=-1))
+
+    @property
+    def f0(self) -> F64:
+        """(P, U, 3) static gravity readings (paper eq. 15, 16) [m/s^2]."""
+        return self.coefficients[:, :, 0]
+
+    @property
+    def s(self) -> F64:
+        """(P, U, D, 3) change of the reading with each DoF's position [m/s^2/rad]."""
+        return self.coefficients[:, :, 1 : 1 + self.n_dofs]
+
+    @property
+    def tau(self) -> F64:
+        """(P, U, D, 3) reading per acceleration of each DoF (paper eq. 1) [m/rad]."""
+        return self.coefficients[:, :, 1 + self.n_dofs :]

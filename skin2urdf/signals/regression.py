@@ -1,0 +1,126 @@
+"""Linear regression of the readings around one pose on the motion of all joints.
+
+For one joint moving far the reading is exactly ``a + b cos(dq) + c sin(dq) + tau qdd + e qd^2``
+with constant vectors, so the regressors of a DoF are ``sin dq`` (coefficient s), ``qdd``
+(coefficient tau), and the nuisances ``1 - cos dq`` and ``qd^2``. What joints moving together add at second
+order (gravity turned by two of them, Coriolis terms) stays in the residual at first; with a model
+at hand the whole remainder beyond first order is predicted and subtracted (``curvature``).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from skin2urdf.arrays import F64, Bool
+
+_SIGNAL_TO_NOISE = 30.0
+"""Energy of a regressor over its encoder noise below which it counts as not excited."""
+
+
+
+@dataclass(frozen=True, eq=False)
+class Design:
+    """Regressors around one pose, filtered.
+
+    Attributes:
+        X: (N, n) regressors of the features, n = 1 + 2 D; columns that are not excited are zero.
+        nuisance: (N, k) further regressors, to be projected out.
+        noise: (n,) variance of the encoder noise in each column.
+    """
+
+    X: F64
+    nuisance: F64
+    noise: F64
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """Coefficients of several SUs that share valid samples.
+
+    Attributes:
+        coefficients: (U, n, 3).
+        information: (n, n) regressor products, per independent sample.
+        residual: (N, U, 3) what the regressors leave [m/s^2].
+        deviation: (U, 3) standard deviation of one independent sample [m/s^2].
+    """
+
+    coefficients: F64
+    information: F64
+    residual: F64
+    deviation: F64
+
+
+def excited(X: F64, noise: F64) -> F64:
+    """X (N, n) with columns set to zero whose variation does not stand out from encoder noise."""
+    energy = X.var(axis=0)
+    quiet = energy <= _SIGNAL_TO_NOISE * noise
+    quiet[0] = False
+    return np.asarray(np.where(quiet, 0.0, X))
+
+
+def fit(design: Design, y: F64, independence: float) -> Fit:
+    """Least squares with nuisances projected out and encoder noise allowed for.
+
+    Encoder noise in a regressor adds its variance to the regressor's energy and so shrinks the
+    coefficient; the known variance is taken off again (corrected least squares).
+
+    Args:
+        design: the regressors.
+        y: (N, U, 3) filtered readings.
+        independence: independent samples per sample of the low-passed signals, at most 1.
+    """
+    N, n = design.X.shape
+    U = y.shape[1]
+    Y = y.reshape(N, U * 3)
+    Z = np.concatenate([design.X, design.nuisance], axis=1)
+    scale = np.sqrt((Z**2).sum(axis=0))
+    inverse = np.divide(1.0, scale, out=np.zeros_like(scale), where=scale > 0)
+    noise = np.concatenate([design.noise * N, np.zeros(design.nuisance.shape[1])])
+    noise = np.where(scale > 0, noise, 0.0)
+    Zs = Z * inverse
+    products = Zs.T @ Zs
+    corrected = products - np.diag(noise * inverse**2)
+    lam, V = np.linalg.eigh(corrected)
+    keep = lam > 1e-8
+    solve = (V[:, keep] / lam[keep]) @ V[:, keep].T
+    corrected = (V[:, keep] * lam[keep]) @ V[:, keep].T
+    solution = (solve @ (Zs.T @ Y)) * inverse[:, None]
+    residual = Y - Z @ solution
+    rank = int(keep.sum())
+    independent = max(N * independence - rank, 1.0)
+    variance = (residual**2).sum(axis=0) * independence / independent
+    a, b = corrected[:n, :n], corrected[:n, n:]
+    if b.shape[1]:
+        mu, W = np.linalg.eigh(corrected[n:, n:])
+        ok = mu > 1e-8
+        a = a - (b @ W[:, ok] / mu[ok]) @ (b @ W[:, ok]).T
+    information = a * scale[:n, None] * scale[:n] * independence
+    return Fit(
+        solution[:n].reshape(n, U, 3).transpose(1, 0, 2),
+        information,
+        residual.reshape(N, U, 3),
+        np.sqrt(variance.reshape(U, 3)),
+    )
+
+
+def regressors(dq: F64, qd: F64, qdd: F64, linear: bool) -> tuple[F64, F64]:
+    """Unfiltered regressors of the features (N, 1 + 2 D) and nuisances (N, k).
+
+    Args:
+        dq: (N, D) positions relative to the pose [rad or m].
+        qd: (N, D) velocities.
+        qdd: (N, D) accelerations.
+        linear: True where the remainder beyond first order is subtracted from the readings.
+    """
+    one = np.ones((len(dq), 1))
+    if linear:
+        return np.concatenate([one, dq, qdd], axis=1), np.zeros((len(dq), 0))
+    X = np.concatenate([one, np.sin(dq), qdd], axis=1)
+    return X, np.concatenate([1 - np.cos(dq), qd**2], axis=1)
+
+
+def enough(samples: Bool, rate: float) -> bool:
+    """Whether a pose has enough samples to be of use (a quarter of a second)."""
+    return int(samples.sum()) >= 0.25 * rate

@@ -1,0 +1,117 @@
+"""The streams a log would hold: samples of the true motion, through sensors and clocks."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from math import pi
+from typing import TypeVar
+
+import numpy as np
+
+from skin2urdf.arrays import F64, frozen
+from skin2urdf.recording.records import JointStream, SuStream
+from skin2urdf.simulation.mechanism import Mechanism
+from skin2urdf.simulation.sensors import Accelerometer, encode, stamp
+from skin2urdf.simulation.settings import SimulationSettings
+from skin2urdf.simulation.skins import PlacedSu
+from skin2urdf.simulation.specific_force import specific_forces
+from skin2urdf.simulation.trajectory import JointMotion
+
+Stream = TypeVar("Stream", JointStream, SuStream)
+
+
+class Draw:
+    """Independent generators by purpose, so that one option does not change what others draw."""
+
+    def __init__(self, seed: int) -> None:
+        self._seed = seed
+
+    def __call__(self, purpose: str) -> np.random.Generator:
+        """Return the generator for a purpose, always in the same state."""
+        return np.random.default_rng([self._seed, *purpose.encode()])
+
+
+def record_joints(
+    mechanism: Mechanism, motion: JointMotion, settings: SimulationSettings, draw: Draw
+) -> tuple[JointStream, ...]:
+    """Sample the encoders.
+
+    Args:
+        mechanism: the robot.
+        motion: what its joints do.
+        settings: rate, resolutions, jitter.
+        draw: source of the jitter.
+
+    Returns:
+        D streams sorted by name that share one time array, on the motion's clock.
+    """
+    time = _sample_times(motion, settings.joint_rate)
+    resolution = np.zeros(mechanism.n_joints)
+    if settings.encoder_bits is not None:
+        angular = 2 * pi / 2**settings.encoder_bits
+        resolution = np.where(mechanism.prismatic, settings.linear_resolution, angular)
+    position = encode(motion.at(time)[0], resolution)
+    stamps = frozen(stamp(time, settings.jitter, 0.0, draw("joint clock")))
+    by_name = sorted(enumerate(mechanism.joint_names), key=lambda item: item[1])
+    return tuple(JointStream(name, stamps, position[:, d]) for d, name in by_name)
+
+
+def record_sus(
+    mechanism: Mechanism,
+    motion: JointMotion,
+    sus: Sequence[PlacedSu],
+    sensors: Sequence[Accelerometer],
+    lag: F64,
+    settings: SimulationSettings,
+    draw: Draw,
+) -> tuple[SuStream, ...]:
+    """Sample the accelerometers, each on its own clock.
+
+    Args:
+        mechanism: the robot.
+        motion: what its joints do.
+        sus: U SUs.
+        sensors: their U accelerometers.
+        lag: (U,) lags of their clocks [s].
+        settings: rate, jitter, stagger.
+        draw: source of phases, noise and jitter.
+
+    Returns:
+        U streams in the order of the SUs, on the motion's clock.
+    """
+    time = _sample_times(motion, settings.imu_rate)
+    forces = specific_forces(mechanism, motion, sus, time)
+    phase = draw("phase").uniform(0.0, float(settings.stagger), len(sus)) / settings.imu_rate
+    noise, clock = draw("noise"), draw("SU clock")
+    streams = []
+    for u, su in enumerate(sus):
+        sampled, force = _shifted(time, forces[u], phase[u])
+        stamps = stamp(sampled, settings.jitter, lag[u], clock)
+        streams.append(SuStream(su.name, stamps, sensors[u].read(force, noise), su.topic))
+    return tuple(streams)
+
+
+def shift_clock(streams: Sequence[Stream], shift: float) -> tuple[Stream, ...]:
+    """Add a time to all stamps; streams that share a time array still do [s]."""
+    shifted = {id(stream.time): frozen(stream.time + shift) for stream in streams}
+    return tuple(replace(stream, time=shifted[id(stream.time)]) for stream in streams)
+
+
+def _sample_times(motion: JointMotion, rate: float) -> F64:
+    """Regular sampling instants over the whole motion [s]."""
+    return np.arange(int(motion.time[-1] * rate) + 1) / rate
+
+
+def _shifted(time: F64, force: F64, phase: float) -> tuple[F64, F64]:
+    """Sampling instants moved by less than a period, and the (N - 1, 3) forces there.
+
+    A quintic spline through the samples is as good as the truth for motion far below the sampling
+    rate, and spares a pass through the robot's dynamics for every SU.
+    """
+    if phase == 0.0:
+        return time[:-1], force[:-1]
+    from scipy.interpolate import make_interp_spline
+
+    sampled = time[:-1] + phase
+    return sampled, np.asarray(make_interp_spline(time, force, k=5)(sampled))

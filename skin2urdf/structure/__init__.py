@@ -1,0 +1,1 @@
+"""Features -> kinematic tree: activity matrix, merging, nesting (paper II-B)."""

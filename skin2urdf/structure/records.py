@@ -1,0 +1,69 @@
+"""The kinematic tree: which joint hangs on which, and which SU sits on which segment."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+
+from skin2urdf.arrays import Bool, Int, frozen
+
+JointType = Literal["revolute", "prismatic"]
+
+
+@dataclass(frozen=True, eq=False)
+class KinematicTree:
+    """A rooted tree of single-DoF joints; segment j is what joint j carries.
+
+    Joints are in topological order: ``parent[j] < j``. Index -1 is the reference segment (RS).
+
+    Attributes:
+        joint_names: D joint names as in the log.
+        parent: (D,) index of the joint before each joint, -1 for the RS.
+        joint_types: D joint types.
+        su_names: U SU names.
+        su_joint: (U,) index of the last joint before each SU; -1 for an SU on the RS.
+        notes: repairs and omissions, in words for the user.
+    """
+
+    joint_names: tuple[str, ...]
+    parent: Int
+    joint_types: tuple[JointType, ...]
+    su_names: tuple[str, ...]
+    su_joint: Int
+    notes: tuple[str, ...] = field(default=())
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "parent", frozen(self.parent, np.int64))
+        object.__setattr__(self, "su_joint", frozen(self.su_joint, np.int64))
+
+    @property
+    def n_joints(self) -> int:
+        """Number of joints D."""
+        return len(self.joint_names)
+
+    @property
+    def n_sus(self) -> int:
+        """Number of SUs U."""
+        return len(self.su_names)
+
+    def chain(self, joint: int) -> tuple[int, ...]:
+        """Joints from the RS to ``joint``, both ends included; empty for -1."""
+        path: list[int] = []
+        while joint >= 0:
+            path.append(joint)
+            joint = int(self.parent[joint])
+        return tuple(reversed(path))
+
+    def activity(self) -> Bool:
+        """(U, D) activity matrix this tree produces (paper II-B.1)."""
+        active = np.zeros((self.n_sus, self.n_joints), dtype=bool)
+        for u, joint in enumerate(self.su_joint):
+            active[u, list(self.chain(int(joint)))] = True
+        return active
+
+    @property
+    def prismatic(self) -> Bool:
+        """(D,) True where a joint is prismatic."""
+        return np.array([t == "prismatic" for t in self.joint_types], dtype=bool)

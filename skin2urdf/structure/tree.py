@@ -1,0 +1,176 @@
+"""From activity to a kinematic tree: merging, nesting, repair of uncertain bits (paper II-B)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from skin2urdf.arrays import F64, Bool
+from skin2urdf.errors import StructureError
+from skin2urdf.signals.records import Features
+from skin2urdf.structure.activity import Activity
+from skin2urdf.structure.records import JointType, KinematicTree
+
+_CERTAIN = np.log(4.0)
+"""Evidence beyond which a bit of the activity matrix is not touched by a repair."""
+
+
+def kinematic_tree(activity: Activity, features: Features) -> KinematicTree:
+    """The tree whose activity matrix the evidence shows.
+
+    The SUs beyond a DoF form a set; in a tree any two such sets nest or are disjoint, and the
+    parent of a DoF is the smallest set that contains its own. DoFs with equal sets form one
+    multi-DoF joint, whose order the activity does not show.
+
+    Args:
+        activity: evidence for every SU and DoF.
+        features: the measurements, for joint types.
+
+    Raises:
+        StructureError: no DoF moves any SU, or the evidence contradicts every tree.
+    """
+    notes: list[str] = []
+    heard = np.flatnonzero(activity.heard)
+    for u in np.flatnonzero(~activity.heard):
+        notes.append(f"{activity.su_names[u]} has no usable readings and is left out")
+    evidence = activity.evidence[heard]
+    bits, repairs = nested(
+        evidence, [activity.su_names[u] for u in heard], activity.dof_names
+    )
+    notes += repairs
+    felt = bits.any(axis=0)
+    for d in np.flatnonzero(~felt):
+        why = "no SU feels it" if activity.excited[d] else "it never moved in this log"
+        notes.append(f"{activity.dof_names[d]} is left out of the tree: {why}")
+    if not felt.any():
+        raise StructureError(
+            "no SU is moved by any DoF: every row of the activity matrix is empty",
+            "check that the joints moved during the log, and that the SUs sit on moving segments",
+        )
+    if bits.all(axis=1).all() and not (~bits).all(axis=1).any():
+        notes.append("no SU sits on the reference segment")
+    dofs = sorted(np.flatnonzero(felt), key=lambda d: (-int(bits[:, d].sum()), int(d)))
+    parent = _parents(bits[:, dofs])
+    su_joint = _carriers(bits[:, dofs], parent)
+    types = tuple(_joint_type(features, heard[bits[:, d]], int(d)) for d in dofs)
+    return KinematicTree(
+        tuple(activity.dof_names[d] for d in dofs),
+        parent,
+        types,
+        tuple(activity.su_names[u] for u in heard),
+        su_joint,
+        tuple(notes),
+    )
+
+
+def nested(
+    evidence: F64, su_names: Sequence[str], dof_names: Sequence[str]
+) -> tuple[Bool, list[str]]:
+    """Activity bits whose columns nest, with the least certain bits changed where needed.
+
+    Args:
+        evidence: (U, D) log-evidence, positive for active.
+        su_names: U names, for messages.
+        dof_names: D names, for messages.
+
+    Returns:
+        (U, D) bits, and a note for every changed one.
+
+    Raises:
+        StructureError: a contradiction that rests on certain bits only.
+    """
+    bits = evidence > 0
+    notes: list[str] = []
+    for _ in range(4 * evidence.size + 1):
+        conflict = _worst_conflict(bits, evidence)
+        if conflict is None:
+            return bits, notes
+        cost, rows, column, d, e = conflict
+        if cost > _CERTAIN:
+            sus = [su_names[u] for u in rows]
+            raise StructureError(
+                f"the activity of {dof_names[d]} and {dof_names[e]} contradicts a kinematic tree: "
+                f"some SUs move with either alone and some with both (least certain: "
+                f"{', '.join(sus)})",
+                "look for a DoF that moves along with another one (mimic or coupled joints), a "
+                "closed kinematic loop, or an SU that touches two segments; record one DoF at a "
+                "time from several poses",
+                sus=sus,
+                dofs=[dof_names[d], dof_names[e]],
+            )
+        for u in rows:
+            bits[u, column] = ~bits[u, column]
+            state = "active" if bits[u, column] else "inactive"
+            notes.append(
+                f"{su_names[u]} under {dof_names[column]} was undecided and is taken as {state}, "
+                "which the rest of the activity matrix asks for"
+            )
+    raise StructureError(
+        "no kinematic tree explains the activity matrix",
+        "record structural moves of one DoF at a time, by half a radian or more",
+    )
+
+
+def _worst_conflict(
+    bits: Bool, evidence: F64
+) -> tuple[float, list[int], int, int, int] | None:
+    """The crossing pair of columns that is cheapest to mend: cost, rows, column, pair."""
+    best: tuple[float, list[int], int, int, int] | None = None
+    sure = np.abs(evidence)
+    D = bits.shape[1]
+    for d in range(D):
+        for e in range(d + 1, D):
+            a, b = bits[:, d], bits[:, e]
+            both, only_a, only_b = a & b, a & ~b, b & ~a
+            if not (both.any() and only_a.any() and only_b.any()):
+                continue
+            options = ((both, d), (both, e), (only_a, d), (only_a, e), (only_b, d), (only_b, e))
+            for rows, column in options:
+                cost = float(sure[rows, column].max() + 1e-3 * sure[rows, column].sum())
+                if best is None or cost < best[0]:
+                    best = (cost, [int(u) for u in np.flatnonzero(rows)], column, d, e)
+    return best
+
+
+def _parents(bits: Bool) -> list[int]:
+    """Parent of each column among those before it: the smallest set that contains it."""
+    parent = []
+    for d in range(bits.shape[1]):
+        containing = [
+            e for e in range(d)
+            if bool((bits[:, e] | ~bits[:, d]).all())
+        ]  # fmt: skip
+        parent.append(containing[-1] if containing else -1)
+    return parent
+
+
+def _carriers(bits: Bool, parent: Sequence[int]) -> list[int]:
+    """The last joint before each SU: its active column deepest in the tree."""
+    depth: list[int] = []
+    for p in parent:
+        depth.append(0 if p < 0 else depth[p] + 1)
+    out = []
+    for row in bits:
+        active = np.flatnonzero(row)
+        out.append(int(max(active, key=lambda d: depth[d])) if len(active) else -1)
+    return out
+
+
+def _joint_type(features: Features, sus: F64, dof: int) -> JointType:
+    """A prismatic DoF turns nothing and pushes every SU beyond it by the same vector."""
+    D = features.n_dofs
+    rows = np.array([1 + dof, 1 + D + dof])
+    information = features.information[:, sus][:, :, rows[:, None], rows]
+    seen = features.valid[:, sus] & (np.einsum("puii->pui", information) > 0).all(axis=-1)
+    if not seen.any():
+        return "revolute"
+    s = np.linalg.norm(features.s[:, sus, dof][seen], axis=-1)
+    tau = np.linalg.norm(features.tau[:, sus, dof][seen], axis=-1)
+    weight = information[:, :, 1, 1][seen]
+    order = np.argsort(tau)
+    middle = tau[order][np.searchsorted(np.cumsum(weight[order]), weight.sum() / 2)]
+    spread = float(np.sqrt(np.average((tau - middle) ** 2, weights=weight)))
+    turning = float(np.sqrt(np.average(s**2, weights=information[:, :, 0, 0][seen])))
+    pushes = abs(middle - 1.0) < 0.1 and spread < 0.1
+    return "prismatic" if pushes and turning < 0.25 * 9.81 else "revolute"

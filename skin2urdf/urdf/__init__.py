@@ -1,0 +1,1 @@
+"""URDF out (emit) and back in (compare)."""

@@ -1,0 +1,176 @@
+"""URDFs as Pinocchio sees them, with errors that a person understands."""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ET
+from collections import Counter
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from skin2urdf.arrays import F64
+from skin2urdf.errors import UnreadableInputError
+from skin2urdf.structure.records import JointType
+
+
+@dataclass(frozen=True, eq=False)
+class Robot:
+    """A URDF loaded for kinematics.
+
+    Attributes:
+        path: where it came from.
+        model: its ``pinocchio.Model``, fixed base.
+        joint_types: names and types of the single-DoF joints, base to tip.
+        limits: lower and upper position limit of each of them [rad or m]; +-inf where unlimited.
+        links: names of all links.
+        fixed_leaves: names of links on a fixed joint that carry nothing, as SUs do.
+    """
+
+    path: Path
+    model: Any
+    joint_types: dict[str, JointType]
+    limits: dict[str, tuple[float, float]]
+    links: frozenset[str]
+    fixed_leaves: tuple[str, ...]
+
+    def chain(self, link: str) -> tuple[str, ...]:
+        """Names of the movable joints from the base to ``link``."""
+        joint = self.model.frames[self.frame(link)].parentJoint
+        names: list[str] = []
+        while joint > 0:
+            names.append(self.model.names[joint])
+            joint = self.model.parents[joint]
+        return tuple(reversed(names))
+
+    def frame(self, link: str) -> int:
+        """Index of the frame of ``link`` in the Pinocchio model."""
+        import pinocchio as pin
+
+        return int(self.model.getFrameId(link, pin.FrameType.BODY))
+
+
+def load_robot(path: str | Path) -> Robot:
+    """Load a URDF for kinematics; meshes are not needed.
+
+    Args:
+        path: URDF file.
+
+    Raises:
+        UnreadableInputError: there is no such file, or it is no XML, or no URDF of one tree.
+    """
+    path = Path(path)
+    root = _read(path)
+    links, leaves = _check(path, root)
+
+    import pinocchio as pin
+
+    try:
+        model = pin.buildModelFromUrdf(str(path))
+    except (ValueError, RuntimeError) as error:
+        raise UnreadableInputError(
+            str(path), f"Pinocchio can not load it: {error}", "check it with check_urdf"
+        ) from error
+    types: dict[str, JointType] = {}
+    limits: dict[str, tuple[float, float]] = {}
+    for joint in list(model.joints)[1:]:
+        kind = _joint_type(joint.shortname())
+        if kind is not None:
+            name = model.names[joint.id]
+            types[name] = kind
+            limits[name] = (-np.inf, np.inf)
+            if joint.nq == 1:
+                lower, upper = model.lowerPositionLimit, model.upperPositionLimit
+                limits[name] = (float(lower[joint.idx_q]), float(upper[joint.idx_q]))
+    return Robot(path, model, types, limits, links, leaves)
+
+
+def neutral(robot: Robot) -> dict[str, float]:
+    """Position of every single-DoF joint nearest to 0 inside its limits [rad or m]."""
+    return {name: float(np.clip(0.0, *limits)) for name, limits in robot.limits.items()}
+
+
+def configuration(robot: Robot, positions: dict[str, float]) -> F64:
+    """(nq,) configuration vector; joints not named are neutral, continuous ones (cos, sin)."""
+    import pinocchio as pin
+
+    q = np.array(pin.neutral(robot.model))
+    for name, value in (neutral(robot) | positions).items():
+        joint = robot.model.joints[robot.model.getJointId(name)]
+        if joint.nq == 1:
+            q[joint.idx_q] = value
+        else:
+            q[joint.idx_q : joint.idx_q + 2] = np.cos(value), np.sin(value)
+    return q
+
+
+def _joint_type(shortname: str) -> JointType | None:
+    """Type of a Pinocchio joint by its short name; None for joints of several DoFs."""
+    if shortname.startswith("JointModelR"):
+        return "revolute"
+    if shortname.startswith("JointModelP") and not shortname.startswith("JointModelPlanar"):
+        return "prismatic"
+    return None
+
+
+def _read(path: Path) -> ET.Element:
+    """Root element of an XML file."""
+    try:
+        # Plain expat: no external entities are fetched, and its own limit stops entity bombs.
+        return ET.fromstring(path.read_bytes())  # noqa: S314
+    except OSError as error:
+        raise UnreadableInputError(
+            str(path), f"can not be read: {error.strerror or error}", "check the path"
+        ) from error
+    except (ET.ParseError, ValueError, LookupError) as error:
+        raise UnreadableInputError(
+            str(path), f"is not XML: {error}", "give a URDF file (not xacro, not a log)"
+        ) from error
+
+
+def _check(path: Path, root: ET.Element) -> tuple[frozenset[str], tuple[str, ...]]:
+    """Names of all links and of the fixed leaves of a URDF that is one tree of links."""
+
+    def complain(what: str) -> UnreadableInputError:
+        return UnreadableInputError(str(path), what, "check it with check_urdf")
+
+    if root.tag != "robot":
+        raise complain(f"is not a URDF: its root element is <{root.tag}>, not <robot>")
+    links = [link.get("name") or "" for link in root.findall("link")]
+    if not links:
+        raise complain("has no links")
+    repeated = [name for name, n in Counter(links).items() if n > 1 or not name]
+    if repeated:
+        raise complain(f"has several links, or one without a name, called {repeated[0]!r}")
+    parents: dict[str, str] = {}
+    fixed: set[str] = set()
+    for joint in root.findall("joint"):
+        name = joint.get("name")
+        parent, child = (_end(joint, end) for end in ("parent", "child"))
+        for link in (parent, child):
+            if link not in links:
+                raise complain(f"joint {name!r} refers to a link {link!r} that does not exist")
+        if child in parents:
+            raise complain(f"link {child!r} is the child of two joints")
+        parents[child] = parent
+        if joint.get("type") == "fixed":
+            fixed.add(child)
+    roots = [link for link in links if link not in parents]
+    if len(roots) != 1:
+        raise complain(f"is not one tree: {len(roots)} of its links have no parent joint")
+    for link in links:
+        ancestor, steps = link, 0
+        while ancestor in parents and steps <= len(links):
+            ancestor, steps = parents[ancestor], steps + 1
+        if steps > len(links):
+            raise complain(f"is not a tree: link {link!r} is its own ancestor")
+    inner = set(parents.values())
+    leaves = tuple(link for link in links if link in fixed and link not in inner)
+    return frozenset(links), leaves
+
+
+def _end(joint: ET.Element, tag: str) -> str:
+    """Name of the parent or child link of a joint; empty where there is none."""
+    end = joint.find(tag)
+    return "" if end is None else end.get("link", "")

@@ -1,0 +1,148 @@
+"""What a comparison of two URDFs finds (design section 8)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from skin2urdf.arrays import F64, frozen
+from skin2urdf.structure.records import JointType
+
+
+@dataclass(frozen=True)
+class Spread:
+    """Size of an error over many configurations.
+
+    Attributes:
+        rms: root of the mean square.
+        max: largest value.
+    """
+
+    rms: float
+    max: float
+
+    @classmethod
+    def of(cls, errors: F64) -> Spread:
+        """Spread of errors of any shape; NaN for none."""
+        if errors.size == 0:
+            return cls(float("nan"), float("nan"))
+        return cls(float(np.sqrt(np.mean(errors**2))), float(np.max(np.abs(errors))))
+
+    def to_dict(self, scale: float) -> dict[str, float] | None:
+        """Values times ``scale``, ready for JSON: None where there was nothing to compare."""
+        if not np.isfinite(self.rms):
+            return None
+        return {"rms": self.rms * scale, "max": self.max * scale}
+
+
+@dataclass(frozen=True)
+class SuError:
+    """Error of one SU's pose after base alignment.
+
+    Attributes:
+        name: the SU.
+        position: distance between estimated and true origin [m]; None where the log tells no
+            part of it.
+        orientation: angle between estimated and true frame [rad]; None likewise.
+        n_unobservable: number of directions, of 6, that were left out because the log can not
+            tell them.
+    """
+
+    name: str
+    position: Spread | None
+    orientation: Spread | None
+    n_unobservable: int = 0
+
+
+@dataclass(frozen=True)
+class JointError:
+    """Error of one joint's axis after base alignment.
+
+    Attributes:
+        name: the joint.
+        joint_type: its type in the estimate.
+        angle: between estimated and true axis, sense included: 180 deg for a joint that counts
+            the other way round [rad].
+        distance: between the axis lines where the joint carries its SUs, None for a prismatic
+            joint, whose axis has a direction only [m].
+    """
+
+    name: str
+    joint_type: JointType
+    angle: Spread
+    distance: Spread | None
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """Errors of an estimated robot that do not depend on free choices of frames.
+
+    Attributes:
+        sus: one entry per SU that counts.
+        joints: one entry per joint that both robots have.
+        position: SU position over all SUs and configurations [m].
+        orientation: SU orientation likewise [rad].
+        axis_angle: axis angles over all joints and configurations [rad].
+        axis_distance: axis distances over all revolute joints and configurations [m].
+        T_truth_estimate: (4, 4) the rigid transform that aligns the base frames.
+        tree_equal: whether every SU hangs on the same joints, of the same types, in the same order.
+        tree_differences: where not, in words.
+        not_observable: SUs left out because the log says nothing of their pose.
+        unmatched: links of the estimate that look like SUs and that the truth does not have.
+        held_joints: joints of only one of the robots, held at their neutral position.
+        n_configurations: how many random configurations were compared.
+    """
+
+    sus: tuple[SuError, ...]
+    joints: tuple[JointError, ...]
+    position: Spread
+    orientation: Spread
+    axis_angle: Spread
+    axis_distance: Spread
+    T_truth_estimate: F64
+    tree_equal: bool
+    tree_differences: tuple[str, ...]
+    not_observable: tuple[str, ...]
+    unmatched: tuple[str, ...]
+    held_joints: tuple[str, ...]
+    n_configurations: int
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "T_truth_estimate", frozen(self.T_truth_estimate))
+
+    def to_dict(self) -> dict[str, Any]:
+        """The comparison for a JSON file: lengths in mm, angles in deg, None for what is not."""
+        degrees = float(np.rad2deg(1.0))
+        return {
+            "tree_equal": self.tree_equal,
+            "tree_differences": list(self.tree_differences),
+            "overall": {
+                "position_mm": self.position.to_dict(1e3),
+                "orientation_deg": self.orientation.to_dict(degrees),
+                "axis_angle_deg": self.axis_angle.to_dict(degrees),
+                "axis_distance_mm": self.axis_distance.to_dict(1e3),
+            },
+            "sus": {
+                su.name: {
+                    "position_mm": su.position.to_dict(1e3) if su.position else None,
+                    "orientation_deg": su.orientation.to_dict(degrees) if su.orientation else None,
+                    "n_unobservable": su.n_unobservable,
+                }
+                for su in self.sus
+            },
+            "joints": {
+                joint.name: {
+                    "type": joint.joint_type,
+                    "axis_angle_deg": joint.angle.to_dict(degrees),
+                    "axis_distance_mm": joint.distance.to_dict(1e3) if joint.distance else None,
+                }
+                for joint in self.joints
+            },
+            "T_truth_estimate": self.T_truth_estimate.tolist(),
+            "not_observable": list(self.not_observable),
+            "unmatched": list(self.unmatched),
+            "held_joints": list(self.held_joints),
+            "n_configurations": self.n_configurations,
+        }

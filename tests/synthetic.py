@@ -1,0 +1,194 @@
+"""Random robots and their features, made by Pinocchio's own frame Jacobians.
+
+Shared by the tests of the model and of the estimation. Features come from
+``pin.computeFrameJacobian`` on a model that is built here, never from the package's prediction of
+features, so that the two can be held against each other.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+from scipy.spatial.transform import Rotation
+
+from skin2urdf.arrays import F64, Int
+from skin2urdf.estimation.blocks import feature_blocks
+from skin2urdf.estimation.cost import Cost, Priors
+from skin2urdf.estimation.state import State, Step
+from skin2urdf.signals.records import Features, StaticMoves
+from skin2urdf.structure.records import KinematicTree
+
+GRAVITY = 9.81
+
+
+def rigid_transforms(rng: np.random.Generator, n: int, size: float = 0.3) -> F64:
+    """(n, 4, 4) uniformly random orientations at origins of about ``size`` [m]."""
+    T = np.tile(np.eye(4), (n, 1, 1))
+    if n:
+        T[:, :3, :3] = Rotation.random(n, random_state=rng).as_matrix()
+        T[:, :3, 3] = size * rng.standard_normal((n, 3))
+    return T
+
+
+def serial_tree(n_joints: int, prismatic: tuple[int, ...] = ()) -> KinematicTree:
+    """A chain with one SU on every segment."""
+    return KinematicTree(
+        tuple(f"joint{i}" for i in range(n_joints)),
+        np.arange(-1, n_joints - 1),
+        tuple("prismatic" if i in prismatic else "revolute" for i in range(n_joints)),
+        tuple(f"su{i}" for i in range(n_joints)),
+        np.arange(n_joints),
+    )
+
+
+def random_tree(
+    rng: np.random.Generator, n_joints: int, n_sus: int, prismatic: float = 0.3
+) -> KinematicTree:
+    """A branching tree; the first SU sits on the base, the second on the last segment."""
+    parent = np.array([rng.integers(max(-1, i - 2), i) for i in range(n_joints)], dtype=np.int64)
+    su_joint = rng.integers(-1, n_joints, n_sus)
+    su_joint[:2] = [-1, n_joints - 1][:n_sus]
+    return KinematicTree(
+        tuple(f"joint{i}" for i in range(n_joints)),
+        parent,
+        tuple("prismatic" if p else "revolute" for p in rng.random(n_joints) < prismatic),
+        tuple(f"su{i}" for i in range(n_sus)),
+        su_joint,
+    )
+
+
+def random_state(
+    rng: np.random.Generator, tree: KinematicTree, n_logs: int = 1, intrinsics: float = 1.0
+) -> State:
+    """Random placements, gravity directions and sensors.
+
+    Args:
+        rng: source of randomness.
+        tree: the structure.
+        n_logs: number G of gravity directions; the first is z.
+        intrinsics: size of bias and shape errors; 1 stands for 0.3 m/s^2 and 2 %.
+    """
+    up = rng.standard_normal((n_logs, 3))
+    up[0] = 0.0, 0.0, 1.0
+    return State(
+        rigid_transforms(rng, tree.n_joints),
+        rigid_transforms(rng, tree.n_sus, 0.1),
+        up / np.linalg.norm(up, axis=1, keepdims=True),
+        0.3 * intrinsics * rng.standard_normal((tree.n_sus, 3)),
+        0.02 * intrinsics * rng.standard_normal((tree.n_sus, 6)),
+    )
+
+
+def random_step(rng: np.random.Generator, cost: Cost, size: float = 0.1) -> Step:
+    """A random step of the shape of a cost's coordinates; shape errors a tenth of the rest."""
+    zero = cost.zero_step()
+    step = zero.like(size * rng.standard_normal(zero.flat().size))
+    step.sus[:, 9:] *= 0.1
+    return step
+
+
+def pinocchio_model(tree: KinematicTree, state: State) -> tuple[pin.Model, list[int]]:
+    """Pinocchio model with SUs as frames, and the frames' indices."""
+    model = pin.Model()
+    for name, parent, kind, T in zip(
+        tree.joint_names, tree.parent, tree.joint_types, state.T_parent_joint, strict=True
+    ):
+        joint = pin.JointModelPZ() if kind == "prismatic" else pin.JointModelRZ()
+        model.addJoint(int(parent) + 1, joint, pin.SE3(T), name)
+    frames = [
+        model.addFrame(pin.Frame(name, int(j) + 1, pin.SE3(T), pin.FrameType.OP_FRAME))
+        for name, j, T in zip(tree.su_names, tree.su_joint, state.T_joint_su, strict=True)
+    ]
+    return model, frames
+
+
+def pinocchio_jacobians(tree: KinematicTree, state: State, q: F64) -> tuple[F64, F64, F64]:
+    """LOCAL frame Jacobians of all SUs at positions q (P, D), straight from Pinocchio.
+
+    Returns:
+        R_base_su (P, U, 3, 3), w (P, U, D, 3) and v (P, U, D, 3), zero outside an SU's chain.
+    """
+    model, frames = pinocchio_model(tree, state)
+    data = model.createData()
+    shape = (len(q), tree.n_sus)
+    R, w, v = np.zeros((*shape, 3, 3)), np.zeros((*shape, q.shape[1], 3)), None
+    v = np.zeros_like(w)
+    for p, position in enumerate(q):
+        pin.framesForwardKinematics(model, data, position)
+        for u, frame in enumerate(frames):
+            J = pin.computeFrameJacobian(model, data, position, frame, pin.LOCAL)
+            R[p, u] = data.oMf[frame].rotation
+            v[p, u], w[p, u] = J[:3].T, J[3:].T
+    return R, w, v
+
+
+def exact_coefficients(tree: KinematicTree, state: State, q: F64, log: Int) -> F64:
+    """(P, U, 1 + 2 D, 3) what the SUs measure around poses q (P, D) of logs (P,), without noise."""
+    R, w, v = pinocchio_jacobians(tree, state, q)
+    f0 = np.einsum("puij,pi->puj", R, state.up[log] * GRAVITY)[:, :, None]
+    ideal = np.concatenate([f0, np.cross(f0, w), v], axis=2)
+    read = np.einsum("uij,pumj->pumi", state.sensor_matrix(), ideal)
+    read[:, :, 0] += state.bias
+    return read
+
+
+def random_features(
+    rng: np.random.Generator,
+    tree: KinematicTree,
+    state: State,
+    n_poses: int,
+    noise: float = 0.0,
+    shuffle: bool = True,
+) -> Features:
+    """Features of a robot in random poses, with full random information matrices.
+
+    Args:
+        rng: source of randomness.
+        tree: the structure.
+        state: the truth; poses are spread evenly over its logs.
+        n_poses: number of poses P.
+        noise: standard deviation of a sample [m/s^2]; weights are for 0.05 where it is 0.
+        shuffle: list SUs and DoFs in another order than the tree does.
+    """
+    D, U = tree.n_joints, tree.n_sus
+    q = rng.uniform(-2.0, 2.0, (n_poses, D)) * np.where(tree.prismatic, 0.2, 1.0)
+    log = np.arange(n_poses) % len(state.up)
+    n = 1 + 2 * D
+    # Regressors of 10 n samples each: 1, dq of about 0.1 rad, qdd of about 5 rad/s^2.
+    X = rng.standard_normal((n_poses, U, 10 * n, n))
+    X[..., 0] = 1.0
+    X[..., 1 : 1 + D] *= 0.1
+    X[..., 1 + D :] *= 5.0
+    information = np.swapaxes(X, -1, -2) @ X
+    root = np.linalg.cholesky(information)
+    error = noise * rng.standard_normal((n_poses, U, n, 3))
+    coefficients = exact_coefficients(tree, state, q, log)
+    coefficients = coefficients + np.linalg.solve(np.swapaxes(root, -1, -2), error)
+    dof = rng.permutation(D) if shuffle else np.arange(D)
+    su = rng.permutation(U) if shuffle else np.arange(U)
+    rows = np.concatenate([[0], 1 + dof, 1 + D + dof])
+    return Features(
+        su_names=tuple(tree.su_names[u] for u in su),
+        dof_names=tuple(tree.joint_names[d] for d in dof),
+        q=q[:, dof],
+        log=log,
+        coefficients=coefficients[:, su][:, :, rows],
+        information=information[:, su][:, :, rows][..., rows],
+        noise=np.full((n_poses, U, 3), noise or 0.05),
+        latency=np.zeros(U),
+        latency_sd=np.zeros(U),
+        moves=StaticMoves(np.zeros(0), np.zeros(0), np.zeros((0, U, 3))),
+    )
+
+
+def random_cost(
+    rng: np.random.Generator,
+    tree: KinematicTree,
+    state: State,
+    n_poses: int,
+    noise: float = 0.0,
+    priors: Priors | None = None,
+) -> Cost:
+    """The cost of :func:`random_features`."""
+    features = random_features(rng, tree, state, n_poses, noise)
+    return Cost(tree, feature_blocks(features, tree), priors or Priors(gravity=GRAVITY))

@@ -1,0 +1,244 @@
+"""The shape of the package: who imports whom, how large a module is, what prints."""
+
+from __future__ import annotations
+
+import ast
+import fnmatch
+import graphlib
+import json
+import subprocess
+import sys
+import tomllib
+from collections.abc import Iterator
+from functools import cache
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+PACKAGE = ROOT / "skin2urdf"
+MODULES = {
+    ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__"): path
+    for path in sorted(PACKAGE.rglob("*.py"))
+}
+SOURCES = [*MODULES.values(), *sorted((ROOT / "scripts").rglob("*.py"))]
+
+# What the modules of a layer may import beside their own layer. A name covers what is below it;
+# "*.records" stands for the records of every folder. Data flows down this table.
+BASE = ("arrays", "errors", "files")
+LAYERS: dict[str, tuple[str, ...]] = {
+    "arrays": (),
+    "errors": (),
+    "files": ("errors",),
+    "recording": BASE,
+    "signals": (*BASE, "recording"),
+    "structure": (*BASE, "signals"),
+    "model": (*BASE, "structure.records", "signals.records"),
+    "estimation": (*BASE, "model", "structure", "signals.records"),
+    "urdf": (*BASE, "model", "structure"),
+    "simulation": ("arrays", "errors", "recording.records", "recording.writing"),
+    "report": (*BASE, "*.records", "urdf.compare"),
+    "pipeline": (
+        *BASE,
+        "recording",
+        "signals",
+        "structure",
+        "model",
+        "estimation",
+        "urdf",
+        "report",
+    ),
+    "cli": (
+        "",
+        *BASE,
+        "recording",
+        "signals",
+        "structure",
+        "model",
+        "estimation",
+        "urdf",
+        "simulation",
+        "report",
+        "pipeline",
+    ),
+    # The package itself: its public names.
+    "": (
+        *BASE,
+        "pipeline",
+        "*.records",
+    ),
+}
+# Nobody but the command line may know where the truth comes from.
+READERS_OF_TRUTH = {"simulation", "cli"}
+
+ENTRIES = {"pyproject.toml", "skin2urdf", "robots", "tests", "scripts", "README.md", "LICENSE"}
+MAX_LINES = 400
+# Loading any of these takes longer than `skin2urdf --help` may.
+HEAVY = {"casadi", "mujoco", "nlopt", "pinocchio", "trimesh", "yourdfpy"}
+IMPORT_NAMES = {"pin": "pinocchio", "example-robot-data": "example_robot_data"}
+
+
+@cache
+def parsed(path: Path) -> ast.Module:
+    return ast.parse(path.read_text(encoding="utf-8"), filename=str(path))
+
+
+def layer_of(module: str) -> str:
+    """First part of a module's name below the package; "" for the package itself."""
+    return [*module.split("."), ""][1]
+
+
+def imported_names(tree: ast.AST, module: str, is_package: bool) -> Iterator[str]:
+    """Dotted names of all modules a tree imports, in functions and by string too.
+
+    ``from a import b`` yields ``a.b`` where that is a module of the package, else ``a``.
+    """
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            anchor = module.split(".")[: None if is_package else -1]
+            anchor = anchor[: len(anchor) - node.level + 1] if node.level else []
+            base = ".".join([*anchor, *([node.module] if node.module else [])])
+            for alias in node.names:
+                name = f"{base}.{alias.name}"
+                yield name if name in MODULES else base
+        elif isinstance(node, ast.Call):
+            function = ast.unparse(node.func)
+            if function.endswith(("import_module", "__import__")) and node.args:
+                argument = node.args[0]
+                if isinstance(argument, ast.Constant) and isinstance(argument.value, str):
+                    yield argument.value
+
+
+def imports_of(module: str) -> set[str]:
+    path = MODULES[module]
+    return set(imported_names(parsed(path), module, path.name == "__init__.py"))
+
+
+def is_allowed(importer: str, imported: str) -> bool:
+    """Whether module ``importer`` may import module ``imported`` of the same package."""
+    own, other = layer_of(importer), layer_of(imported)
+    if own == other:
+        return True
+    if other == "simulation" and own not in READERS_OF_TRUTH:
+        return False
+    below = imported.removeprefix("skin2urdf").lstrip(".")
+    return any(
+        (rule == "*.records" and below.endswith(".records"))
+        or below == rule
+        or (rule != "" and below.startswith(f"{rule}."))
+        for rule in LAYERS[own]
+    )
+
+
+@pytest.mark.parametrize(
+    ("source", "expected"),
+    [
+        ("import skin2urdf.errors", {"skin2urdf.errors"}),
+        ("from skin2urdf import errors", {"skin2urdf.errors"}),
+        ("from skin2urdf.errors import UsageError", {"skin2urdf.errors"}),
+        ("from .records import KinematicTree", {"skin2urdf.structure.records"}),
+        ("from . import records", {"skin2urdf.structure.records"}),
+        ("from ..recording import records", {"skin2urdf.recording.records"}),
+        ("def f():\n    import numpy.linalg", {"numpy.linalg"}),
+        ("importlib.import_module('skin2urdf.cli')", {"skin2urdf.cli"}),
+    ],
+)
+def test_the_import_finder_sees_every_way_to_import(source: str, expected: set[str]) -> None:
+    assert set(imported_names(ast.parse(source), "skin2urdf.structure.tree", False)) == expected
+
+
+@pytest.mark.parametrize(
+    ("importer", "imported", "allowed"),
+    [
+        ("skin2urdf.estimation.refine", "skin2urdf.signals.records", True),
+        ("skin2urdf.estimation.refine", "skin2urdf.recording.records", False),
+        ("skin2urdf.estimation.refine", "skin2urdf.simulation.simulate", False),
+        ("skin2urdf.recording.reading", "skin2urdf.signals.records", False),
+        ("skin2urdf.model.dh", "skin2urdf.structure.records", True),
+        ("skin2urdf.model.dh", "skin2urdf.structure.tree", False),
+        ("skin2urdf.simulation.plant", "skin2urdf.recording.reading", False),
+        ("skin2urdf.report.page", "skin2urdf.simulation.records", False),
+        ("skin2urdf.pipeline", "skin2urdf.cli", False),
+        ("skin2urdf.pipeline", "skin2urdf", False),
+        ("skin2urdf", "skin2urdf.cli", False),
+        ("skin2urdf.cli", "skin2urdf", True),
+    ],
+)
+def test_the_rules_say_what_the_layers_mean(importer: str, imported: str, allowed: bool) -> None:
+    assert is_allowed(importer, imported) is allowed
+
+
+@pytest.mark.parametrize("module", MODULES)
+def test_imports_follow_the_layers(module: str) -> None:
+    assert layer_of(module) in LAYERS, f"{module}: a layer without a rule; add it to LAYERS"
+    own = {name for name in imports_of(module) if name.split(".")[0] == "skin2urdf"}
+    forbidden = sorted(name for name in own if not is_allowed(module, name))
+    assert not forbidden, f"{module} must not import {', '.join(forbidden)}"
+
+
+def test_modules_import_each_other_in_no_circle() -> None:
+    graph = {module: imports_of(module) & MODULES.keys() - {module} for module in MODULES}
+    order = list(graphlib.TopologicalSorter(graph).static_order())
+    assert set(order) == MODULES.keys()
+
+
+def test_every_third_party_import_is_a_declared_dependency() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    distributions = {line.partition(">=")[0].strip() for line in project["dependencies"]}
+    declared = {IMPORT_NAMES.get(name, name.replace("-", "_")) for name in distributions}
+    known = declared | sys.stdlib_module_names | {"skin2urdf"}
+    unknown = {
+        f"{module}: {name}"
+        for module in MODULES
+        for name in imports_of(module)
+        if name.split(".")[0] not in known
+    }
+    assert not unknown
+
+
+@pytest.mark.parametrize("module", MODULES)
+def test_only_the_command_line_prints(module: str) -> None:
+    lines = [
+        node.lineno
+        for node in ast.walk(parsed(MODULES[module]))
+        if isinstance(node, ast.Call) and ast.unparse(node.func) in {"print", "builtins.print"}
+    ]
+    assert module == "skin2urdf.cli" or not lines, f"{module} prints in lines {lines}"
+
+
+@pytest.mark.parametrize("path", SOURCES, ids=lambda path: path.relative_to(ROOT).as_posix())
+def test_a_file_is_short_and_says_what_it_is_for(path: Path) -> None:
+    lines = len(path.read_text(encoding="utf-8").splitlines())
+    assert lines < MAX_LINES, f"{lines} lines; split it by responsibility"
+    assert ast.get_docstring(parsed(path)), "no module docstring"
+
+
+def test_the_top_of_the_repository_stays_tidy() -> None:
+    ignored = [
+        line.strip("/ ")
+        for line in (ROOT / ".gitignore").read_text(encoding="utf-8").splitlines()
+        if line.strip() and not line.startswith("#")
+    ]
+    strangers = {
+        entry.name
+        for entry in ROOT.iterdir()
+        if entry.name not in ENTRIES
+        and not entry.name.startswith(".")
+        and not any(fnmatch.fnmatch(entry.name, pattern) for pattern in ignored)
+    }
+    assert not strangers
+    missing = {name for name in ENTRIES if not (ROOT / name).exists()}
+    assert not missing
+
+
+def test_the_command_line_loads_heavy_packages_only_where_needed() -> None:
+    probe = "import json, sys, skin2urdf.cli; print(json.dumps(sorted(sys.modules)))"
+    done = subprocess.run(  # noqa: S603 - our own words
+        [sys.executable, "-c", probe], cwd=ROOT, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    loaded = set(json.loads(done.stdout.splitlines()[-1]))
+    assert "skin2urdf.cli" in loaded
+    assert not HEAVY & loaded

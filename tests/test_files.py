@@ -1,0 +1,84 @@
+"""Files appear whole or not at all."""
+
+from __future__ import annotations
+
+import os
+import stat
+from pathlib import Path
+
+import pytest
+
+from skin2urdf.errors import UsageError
+from skin2urdf.files import check_target, write_atomically
+
+
+def test_text_is_written_as_it_is(tmp_path: Path) -> None:
+    path = tmp_path / "robot.urdf"
+    write_atomically(path, "é\n<robot/>\n")
+    assert path.read_bytes() == "é\n<robot/>\n".encode()
+    write_atomically(str(path), "new")
+    assert path.read_text() == "new"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_new_file_obeys_the_umask(tmp_path: Path) -> None:
+    path = tmp_path / "robot.urdf"
+    before = os.umask(0o022)
+    try:
+        write_atomically(path, "x")
+    finally:
+        os.umask(before)
+    assert stat.S_IMODE(path.stat().st_mode) == 0o644
+
+
+def test_a_link_keeps_being_a_link(tmp_path: Path) -> None:
+    path, link = tmp_path / "robot.urdf", tmp_path / "link.urdf"
+    link.symlink_to(path)
+    write_atomically(link, "x")
+    assert link.is_symlink()
+    assert path.read_text() == "x"
+
+
+def test_failure_leaves_the_old_file_and_nothing_else(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "robot.urdf"
+    path.write_text("old")
+
+    def full(_: int) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(UsageError, match="No space left") as caught:
+        write_atomically(path, "new")
+    assert caught.value.exit_status == 2
+    assert path.read_text() == "old"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_text_that_can_not_be_encoded_leaves_nothing(tmp_path: Path) -> None:
+    with pytest.raises(UnicodeEncodeError):
+        write_atomically(tmp_path / "robot.urdf", "\ud800")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_unusable_targets_are_named_with_a_remedy(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("x")
+    targets = {
+        tmp_path / "missing" / "robot.urdf": "does not exist",
+        tmp_path: "is a folder",
+        tmp_path / "file" / "robot.urdf": "is not a folder",
+        Path("/dev/null"): "not a regular file",
+    }
+    for target, words in targets.items():
+        with pytest.raises(UsageError, match=words) as caught:
+            check_target(target)
+        assert caught.value.remedy
+        assert caught.value.exit_status == 2
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may write anywhere")
+def test_a_folder_without_permission_is_named(tmp_path: Path) -> None:
+    tmp_path.chmod(0o500)
+    with pytest.raises(UsageError, match="no permission"):
+        check_target(tmp_path / "robot.urdf")

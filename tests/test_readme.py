@@ -1,0 +1,106 @@
+"""Every command the README shows exists, with the options it shows."""
+
+from __future__ import annotations
+
+import os
+import re
+import shlex
+import subprocess
+import sys
+from collections.abc import Iterator
+from functools import cache
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+FENCE = re.compile(r"^```sh\s*\n(.*?)^```\s*$", re.MULTILINE | re.DOTALL)
+OPTION = re.compile(r"--?[A-Za-z][\w-]*")
+ENTRY = "import sys; from skin2urdf.cli import main; sys.exit(main())"
+
+
+def shell_commands(markdown: str) -> Iterator[list[str]]:
+    """Words of every command in the fenced ``sh`` blocks, continuation lines joined."""
+    for block in FENCE.findall(markdown):
+        for line in block.replace("\\\n", " ").splitlines():
+            words = shlex.split(line.strip().removeprefix("$ "), comments=True)
+            if words:
+                yield words
+
+
+def readme_commands(*starts: str) -> list[list[str]]:
+    """Commands of the README whose program starts with one of ``starts``.
+
+    A missing README gives none here, so that the tests can run and say that it is missing.
+    """
+    path = ROOT / "README.md"
+    text = path.read_text(encoding="utf-8") if path.is_file() else ""
+    return [words for words in shell_commands(text) if words[0].startswith(starts)]
+
+
+def options_of(words: list[str]) -> set[str]:
+    return {match[0] for word in words if (match := OPTION.match(word))}
+
+
+def run(*command: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(  # noqa: S603 - commands of this repository alone
+        command,
+        cwd=ROOT,
+        env={**os.environ, "COLUMNS": "120"},
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=60,
+    )
+
+
+@cache
+def help_text(*command: str) -> str:
+    done = run(*command, "--help")
+    assert done.returncode == 0, f"{command}: {done.stderr}"
+    return done.stdout
+
+
+def test_the_finder_reads_shell_blocks() -> None:
+    text = (
+        "a\n```sh\n$ skin2urdf x -o a.b \\\n   --long-one=3  # why\n```\n```py\nskin2urdf y\n```\n"
+    )
+    (words,) = shell_commands(text)
+    assert words[:2] == ["skin2urdf", "x"]
+    assert options_of(words) == {"-o", "--long-one"}
+
+
+def test_the_readme_shows_the_two_commands_and_the_calibration() -> None:
+    programs = [words[0] for words in readme_commands("")]
+    assert {"scripts/demo", "scripts/test"} <= set(programs)
+    assert any(words[1:2] == ["calibrate"] for words in readme_commands("skin2urdf"))
+
+
+@pytest.mark.parametrize("words", readme_commands("skin2urdf"), ids=" ".join)
+def test_the_command_line_knows_what_the_readme_shows(words: list[str]) -> None:
+    subcommand = [word for word in words[1:2] if not word.startswith("-")]
+    shown = set(OPTION.findall(help_text(sys.executable, "-c", ENTRY, *subcommand)))
+    assert options_of(words[1:]) <= shown
+
+
+@pytest.mark.parametrize("words", readme_commands("scripts/", "./scripts/"), ids=" ".join)
+def test_scripts_know_what_the_readme_shows(words: list[str]) -> None:
+    script = ROOT / words[0]
+    assert os.access(script, os.X_OK), f"{words[0]} is no executable file"
+    if options_of(words[1:]):
+        assert options_of(words[1:]) <= set(OPTION.findall(help_text(str(script))))
+
+
+@pytest.mark.parametrize("script", ["scripts/setup", "scripts/test", "scripts/demo"])
+def test_scripts_explain_themselves_and_refuse_what_they_do_not_know(script: str) -> None:
+    text = help_text(str(ROOT / script))
+    assert text.startswith(("Make", "Check", "Record"))
+    assert f"usage: {script}" in text
+    assert "set -euo" not in text
+
+
+@pytest.mark.parametrize("script", ["scripts/setup", "scripts/demo"])
+def test_scripts_refuse_an_unknown_argument(script: str) -> None:
+    done = run(str(ROOT / script), "--no-such-option")
+    assert done.returncode == 2
+    assert "--no-such-option" in done.stderr

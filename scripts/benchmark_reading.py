@@ -15,6 +15,7 @@ import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -86,7 +87,7 @@ def read_with_rosbags(path: Path) -> int:
     kept = []
     with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
         for connection, _, raw in reader.messages():
-            ros = reader.deserialize(raw, connection.msgtype)
+            ros: Any = reader.deserialize(raw, connection.msgtype)
             if hasattr(ros, "linear_acceleration"):
                 vector = ros.linear_acceleration
                 kept.append((ros.header.stamp.sec, vector.x, vector.y, vector.z))

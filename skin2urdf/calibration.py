@@ -27,13 +27,13 @@ class CalibrationSettings:
     Attributes:
         estimation: priors, refinement, robustness.
         static_threshold: change of a static reading that makes an SU active [m/s^2].
-        relinearisations: how often the features are taken again with the estimate's prediction
-            of what lies beyond first order.
+        relinearisations: how often, at most, the features are taken again with the estimate's
+            prediction of what lies beyond first order.
     """
 
     estimation: EstimationSettings = field(default_factory=EstimationSettings)
     static_threshold: float = STATIC_THRESHOLD
-    relinearisations: int = 2
+    relinearisations: int = 6
 
 
 @dataclass(frozen=True)

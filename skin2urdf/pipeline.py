@@ -10,7 +10,7 @@ from typing import TypeVar
 import numpy as np
 
 from skin2urdf.arrays import F64
-from skin2urdf.calibration import BAD_FIT, Calibration, CalibrationSettings, Source
+from skin2urdf.calibration import BAD_FIT, GOOD_FIT, Calibration, CalibrationSettings, Source
 from skin2urdf.errors import BadFitError, InsufficientDataError
 from skin2urdf.estimation.estimate import Estimate, estimate
 from skin2urdf.estimation.observability import observability
@@ -59,15 +59,21 @@ def calibrate(
     tree = kinematic_tree(seen, features)
     found = clock.run("estimation", lambda _: estimate(features, tree, settings.estimation))
     for _ in range(settings.relinearisations):
-        previous = found
+        previous, relinearised = found, _curvature(found, features)
         features = clock.run(
             "features",
-            lambda _, e=found, f=features: extract_features(  # type: ignore[misc]
-                sampled, su_names, curvature=_curvature(e, f), latency=f.latency
+            lambda _, c=relinearised, f=features: extract_features(  # type: ignore[misc]
+                sampled, su_names, curvature=c, latency=f.latency
             ),
         )
-        found = clock.run("estimation", lambda _, f=features: estimate(f, tree, settings.estimation))  # type: ignore[misc]
-        if _moved(previous, found) < 1e-4:
+        found = clock.run(
+            "estimation",
+            lambda _, f=features, e=previous: estimate(  # type: ignore[misc]
+                f, tree, settings.estimation, start=e.state
+            ),
+        )
+        settled = found.cost_per_dof > 0.98 * previous.cost_per_dof
+        if _moved(previous, found) < 1e-4 or (settled and found.cost_per_dof < GOOD_FIT):
             break
     if not found.cost_per_dof <= BAD_FIT:
         raise BadFitError(*_why_bad(found, features), cost_per_dof=found.cost_per_dof)

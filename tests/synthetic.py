@@ -111,8 +111,8 @@ def pinocchio_jacobians(tree: KinematicTree, state: State, q: F64) -> tuple[F64,
     model, frames = pinocchio_model(tree, state)
     data = model.createData()
     shape = (len(q), tree.n_sus)
-    R, w, v = np.zeros((*shape, 3, 3)), np.zeros((*shape, q.shape[1], 3)), None
-    v = np.zeros_like(w)
+    R = np.zeros((*shape, 3, 3))
+    w, v = np.zeros((*shape, q.shape[1], 3)), np.zeros((*shape, q.shape[1], 3))
     for p, position in enumerate(q):
         pin.framesForwardKinematics(model, data, position)
         for u, frame in enumerate(frames):
@@ -189,6 +189,7 @@ def random_cost(
     noise: float = 0.0,
     priors: Priors | None = None,
 ) -> Cost:
-    """The cost of :func:`random_features`."""
+    """The cost of :func:`random_features`; offsets have no prior unless one is given."""
     features = random_features(rng, tree, state, n_poses, noise)
-    return Cost(tree, feature_blocks(features, tree), priors or Priors(gravity=GRAVITY))
+    priors = priors or Priors(gravity=GRAVITY, position=np.inf)
+    return Cost(tree, feature_blocks(features, tree), priors)

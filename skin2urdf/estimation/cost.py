@@ -38,12 +38,16 @@ class Priors:
         bias: standard deviation of each axis' bias [m/s^2]; 0 fixes it at zero.
         scale: standard deviation of each axis' scale error [1]; 0 fixes it.
         cross: standard deviation of the symmetric cross-axis terms [1]; 0 fixes them.
+        position: expected size of the offsets between joints, and between joints and SUs [m].
+            It keeps offsets that the log does not determine near zero, and is far too weak to
+            matter for the others.
         gravity: magnitude of gravity [m/s^2].
     """
 
     bias: float = 0.5
     scale: float = 0.03
     cross: float = 0.01
+    position: float = 1.0
     gravity: float = GRAVITY
 
     @property
@@ -118,8 +122,15 @@ class Cost:
         residual = blocks.W @ (Y @ GT) - blocks.target * self._weight[:, :, None]
         residual += blocks.W[..., :1] * (bias * self._weight)[:, :, None]
         prior = np.concatenate([bias, shape], axis=1) * self._prior
+        offsets = (
+            T_parent_joint[:, :3, 3] / self.priors.position,
+            T_joint_su[:, :3, 3] / self.priors.position,
+        )
+        frames = (state.T_parent_joint[:, :3, :3], state.T_joint_su[:, :3, :3])
         zero = zero_frames(R, p, blocks.q, self.tree.prismatic)
-        return Evaluation(self, kin, zero, (joint_basis, su_basis), Y, GT, residual, prior)
+        return Evaluation(
+            self, kin, zero, (joint_basis, su_basis), frames, Y, GT, residual, prior, offsets
+        )
 
     def zero_step(self) -> Step:
         """A step of zeros, of this problem's shapes."""
@@ -136,21 +147,25 @@ class Evaluation:
         kin: kinematics of all SUs.
         residual: (P, U, m, 3) whitened residuals [standard deviations].
         prior: (U, 9) residuals of bias and shape against their priors.
+        offsets: (D, 3) and (U, 3) residuals of the offsets against theirs.
     """
 
     cost: Cost
     kin: SuKinematics
     _zero: tuple[F64, F64]
     _basis: tuple[F64, F64]
+    _frames: tuple[F64, F64]
     _Y: F64
     _GT: F64
     residual: F64
     prior: F64
+    offsets: tuple[F64, F64]
 
     @property
     def chi2(self) -> float:
         """Sum of squared residuals and priors."""
-        return float(np.vdot(self.residual, self.residual) + np.vdot(self.prior, self.prior))
+        parts = (self.residual, self.prior, *self.offsets)
+        return float(sum(np.vdot(part, part) for part in parts))
 
     def chi2_by_block(self) -> F64:
         """(P, U) chi-squared of each pose and SU."""
@@ -179,8 +194,16 @@ class Evaluation:
         logs = self._log_gradient(rows_turned.sum(axis=2))
         su_twist = rows_moved.sum(axis=(0, 2))
         placement = np.einsum("uij,ui->uj", self._basis[1], su_twist)
+        by_offset = self._offset_rows()
+        joint[:, :2] += np.einsum("dij,di->dj", by_offset[0], self.offsets[0])
+        placement[:, :3] += np.einsum("uij,ui->uj", by_offset[1], self.offsets[1])
         weighted = raw * cost._weight[:, :, None]
         return Step(joint, logs, np.concatenate([placement, self._intrinsic(weighted)], axis=1))
+
+    def _offset_rows(self) -> tuple[F64, F64]:
+        """Derivatives of the offset residuals in tx, ty (D, 3, 2) and tx, ty, tz (U, 3, 3)."""
+        scale = 1 / self.cost.priors.position
+        return self._frames[0][..., :2] * scale, self._frames[1] * scale
 
     def _intrinsic(self, raw: F64) -> F64:
         """(U, 9) gradient in bias and shape from unwhitened, noise-weighted residuals."""
@@ -205,7 +228,8 @@ class Evaluation:
 
         Returns:
             joint part (U, P m 3, C), whose columns are those of :class:`NormalEquations`, and SU
-            part (U, P m 3 + 9, 15), whose last rows are the priors.
+            part (U, P m 3 + 12, 15), whose last rows are the priors of bias, shape and offset. The
+            priors of the joints' offsets have no rows here.
         """
         cost = self.cost
         moved, turned = twist_maps(self.kin)
@@ -233,8 +257,9 @@ class Evaluation:
         both = np.concatenate([raw, su_raw], axis=-1).reshape(P, U, m, 3 * (C + N_SU))
         J = (cost.blocks.W @ both).reshape(P, U, m * 3, C + N_SU)
         J = np.swapaxes(J, 0, 1).reshape(U, P * m * 3, C + N_SU)
-        prior_rows = np.zeros((U, 9, N_SU))
-        prior_rows[:, :, N_PLACEMENT:] = np.diag(cost._prior)
+        prior_rows = np.zeros((U, 12, N_SU))
+        prior_rows[:, :9, N_PLACEMENT:] = np.diag(cost._prior)
+        prior_rows[:, 9:, :3] = self._offset_rows()[1]
         return J[..., :C], np.concatenate([J[..., C:], prior_rows], axis=1)
 
     def _row_before(self, m: int) -> F64:
@@ -258,7 +283,7 @@ class Evaluation:
         Jj, Js = self.jacobian()
         U, N, C = Jj.shape
         r = np.swapaxes(self.residual, 0, 1).reshape(U, N)
-        r_full = np.concatenate([r, self.prior], axis=1)
+        r_full = np.concatenate([r, self.prior, self.offsets[1]], axis=1)
         Jt = np.swapaxes(Jj, 1, 2)
         Jst = np.swapaxes(Js, 1, 2)
         n = cost.tree.n_joints * N_JOINT + 2 * (cost.n_logs - 1)
@@ -266,6 +291,10 @@ class Evaluation:
         columns = cost._columns
         np.add.at(H, (columns[:, :, None], columns[:, None, :]), Jt @ Jj)
         np.add.at(g, columns, (Jt @ r[..., None])[..., 0])
+        rows = self._offset_rows()[0]
+        own = np.arange(cost.tree.n_joints)[:, None] * N_JOINT + np.arange(2)
+        H[own[:, :, None], own[:, None, :]] += np.swapaxes(rows, 1, 2) @ rows
+        g[own] += np.einsum("dij,di->dj", rows, self.offsets[0])
         return NormalEquations(
             H, g, Jst @ Js, (Jst @ r_full[..., None])[..., 0], Jst[:, :, :N] @ Jj, columns
         )

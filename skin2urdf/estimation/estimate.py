@@ -18,14 +18,11 @@ from skin2urdf.estimation.inward import inward_starts
 from skin2urdf.estimation.orientation import Orientations
 from skin2urdf.estimation.outward import outward_starts
 from skin2urdf.estimation.progressive import minimise, progressive
-from skin2urdf.estimation.state import Free, State, identifiable, moved
+from skin2urdf.estimation.state import N_PLACEMENT, N_SU, Free, State, identifiable, moved
 from skin2urdf.signals.records import Features
 from skin2urdf.structure.records import KinematicTree
 
 Refinement = Literal["casadi", "none"]
-
-POSITION_SCALE = 1.0
-"""Expected size of offsets [m]; holds unexcited offsets near zero in the closed-form start."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,7 +86,10 @@ class Estimate:
 
 
 def estimate(
-    features: Features, tree: KinematicTree, settings: EstimationSettings | None = None
+    features: Features,
+    tree: KinematicTree,
+    settings: EstimationSettings | None = None,
+    start: State | None = None,
 ) -> Estimate:
     """Estimate all placements of a tree from features.
 
@@ -97,6 +97,7 @@ def estimate(
         features: the measurements.
         tree: the structure, with names as in the features.
         settings: how to.
+        start: an earlier estimate of the same tree, followed besides the closed-form starts.
 
     Raises:
         InsufficientDataError: no start can be computed from these features.
@@ -105,7 +106,7 @@ def estimate(
     blocks = feature_blocks(features, tree)
     cost = Cost(tree, blocks, settings.priors)
     free = _free(cost, settings)
-    state, hypotheses = _followed_starts(cost, free)
+    state, hypotheses = _followed_starts(cost, free, start)
     weight = np.ones(blocks.count.shape)
     state, chi2 = minimise(cost, state, free)
     plain = cost
@@ -159,7 +160,9 @@ def _starts(cost: Cost) -> Iterator[Orientations]:
         yield from outward_starts(cost.tree, cost.blocks, cost.priors)
 
 
-def _followed_starts(cost: Cost, free: Free) -> tuple[State, tuple[float, ...]]:
+def _followed_starts(
+    cost: Cost, free: Free, earlier: State | None
+) -> tuple[State, tuple[float, ...]]:
     """The most promising start, after positions and the progressive estimation."""
     tree = cost.tree
     starts = [with_positions(cost, o.state(tree), free) for o in _starts(cost)]
@@ -169,12 +172,17 @@ def _followed_starts(cost: Cost, free: Free) -> tuple[State, tuple[float, ...]]:
             "segment carries no SU",
             "record patterns that move every DoF by 0.05 rad or more around each pose",
         )
-    if len(starts) == 1:
-        state = progressive(cost, starts[0], free)
+    # Placements first: from far away, a sensor matrix would rather turn itself inside out.
+    placements = Free(free.joints, free.logs, free.sus & (np.arange(N_SU) < N_PLACEMENT))
+    if len(starts) == 1 and earlier is None:
+        state = progressive(cost, starts[0], placements)
         return state, (cost.at(state).chi2,)
-    followed = [gauss_newton(cost, s, free, iterations=6) for s in starts]
+    followed = [gauss_newton(cost, s, placements, iterations=8) for s in starts]
+    followed = [gauss_newton(cost, s, free, iterations=8) for s, _ in followed]
+    if earlier is not None:
+        followed.append(gauss_newton(cost, earlier, free, iterations=8))
     best = min(range(len(followed)), key=lambda i: followed[i][1])
-    return progressive(cost, followed[best][0], free), tuple(c for _, c in followed)
+    return followed[best][0], tuple(c for _, c in followed)
 
 
 def with_positions(cost: Cost, state: State, free: Free) -> State:
@@ -189,11 +197,8 @@ def with_positions(cost: Cost, state: State, free: Free) -> State:
     joints[:, 2:], sus[:, 3:] = False, False
     only = Free(joints, np.zeros_like(free.logs), sus)
     here = cost.at(state)
-    equations = here.normal_equations()
-    ridge = 1 / POSITION_SCALE**2
-    equations.joint[np.diag_indices(len(equations.joint))] += ridge
-    equations.su[:, range(15), range(15)] += ridge
-    return moved(state, factor(equations, only).newton_step(here.gradient()))
+    step = factor(here.normal_equations(), only).newton_step(here.gradient())
+    return moved(state, step)
 
 
 def _n_parameters(cost: Cost, state: State, free: Free) -> int:

@@ -17,11 +17,13 @@ from skin2urdf.arrays import F64
 from skin2urdf.estimation.blocks import FeatureBlocks
 from skin2urdf.estimation.cost import Priors
 from skin2urdf.estimation.orientation import ROUGH_BIAS, Orientations, with_all_sus
-from skin2urdf.model.spatial import axis_rotation, frame_with_z, skew, wahba
+from skin2urdf.model.spatial import axis_rotation, cross, frame_with_z, skew, wahba
 from skin2urdf.structure.records import KinematicTree
 
 _SENSE_EVIDENCE = 30.0
 """Chi-squared difference below which both senses of an axis are kept as hypotheses."""
+_SENSE_LEVER = 1.5
+"""Gravity across an axis [m/s^2 rms] below which its sense is not taken from gravity's slope."""
 _MOST_HYPOTHESES = 8
 
 
@@ -131,7 +133,9 @@ def _constant_axis(f0: F64, s: F64, tau: F64, var_s: F64, var_tau: F64) -> list[
     A += np.einsum("p,pji,pjk->ik", w_rough, S, S)
     b = np.einsum("p,pji,pj->i", w_rough, S, s)
     k = _least_on_sphere(A, b)
-    return [k] if 4 * float(b @ k) > _SENSE_EVIDENCE else [k, -k]
+    lever = np.sqrt(np.mean(np.sum(cross(f0, k[None]) ** 2, axis=-1)))
+    certain = 4 * float(b @ k) > _SENSE_EVIDENCE and lever > _SENSE_LEVER
+    return [k] if certain else [k, -k]
 
 
 def _least_on_sphere(A: F64, b: F64) -> F64:

@@ -76,7 +76,7 @@ def minimise(
         optimiser.set_maxeval(evaluations)
         try:
             optimiser.optimize(np.zeros(best_z.size))
-        except (RuntimeError, nlopt.RoundoffLimited):
+        except (RuntimeError, nlopt.runtime_error):
             pass  # at the floor of rounding; the best point is kept
         state = moved(base, arrow.unwhiten(shape.like(best_z)))
         if begin - best <= max(tolerance, 1e-6 * best):

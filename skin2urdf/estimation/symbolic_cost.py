@@ -30,6 +30,7 @@ from skin2urdf.estimation.state import (
     State,
     Step,
 )
+from skin2urdf.model.spatial import cross
 from skin2urdf.model.symbolic import (
     chain_kinematics,
     composed,
@@ -87,11 +88,10 @@ def reading_functions(prismatic: tuple[bool, ...]) -> ReadingFunctions:
     jacobian = ca.substitute(ca.vec(jacobian), z, ca.DM.zeros(z.shape))
     along = readings(e * z, _screw_placements)
     bending = ca.substitute(ca.jacobian(ca.jacobian(along, e), e), e, 0)
-    cse = {"cse": True}
     return ReadingFunctions(
-        ca.Function("readings", inputs, [ca.densify(at_rest)], cse),
-        ca.Function("jacobian", inputs, [ca.densify(jacobian)], cse),
-        ca.Function("bending", [*inputs, z], [ca.densify(bending)], cse),
+        ca.Function("readings", inputs, [ca.densify(at_rest)]),
+        ca.Function("jacobian", inputs, [ca.densify(jacobian)]),
+        ca.Function("bending", [*inputs, z], [ca.densify(bending)]),
     )
 
 
@@ -153,11 +153,12 @@ class SymbolicCost:
         self._cost = cost
         deviations = cost.priors.deviations
         self._prior = np.divide(1.0, deviations, out=np.zeros(N_INTRINSIC), where=deviations > 0)
+        self._per_offset = 1 / cost.priors.position
         self._groups = tuple(_groups(cost))
 
     def chi2(self, state: State) -> float:
         """Sum of squared whitened residuals and priors; infinite where not a number."""
-        total = float(np.sum(self._prior_residual(state) ** 2))
+        total = float(sum(np.vdot(r, r) for r in self._prior_residuals(state)))
         for group in self._groups:
             residual = self._residual(group, state)
             total += float(np.vdot(residual, residual))
@@ -168,7 +169,10 @@ class SymbolicCost:
         jacobians = tuple(self._jacobian(group, state) for group in self._groups)
         residuals = [self._residual(group, state) for group in self._groups]
         gradient = self._pulled_back(jacobians, residuals)
-        gradient.sus[:, N_PLACEMENT:] += self._prior_residual(state) * self._prior
+        sensors, joints, sus = self._prior_residuals(state)
+        gradient.sus[:, N_PLACEMENT:] += sensors * self._prior
+        gradient.sus[:, :3] += _into(state.T_joint_su, sus) * self._per_offset
+        gradient.joints[:, :2] += _into(state.T_parent_joint, joints)[:, :2] * self._per_offset
         equations = self._normal_equations(jacobians, gradient)
         return Linearisation(self, state, equations, gradient, jacobians)
 
@@ -181,16 +185,23 @@ class SymbolicCost:
             z = _broadcast(group, joints, turn[:, None], step.sus[group.sus])
             y = self._evaluate(group, group.functions.bending, state, z)
             bent.append(group.W @ y.reshape(group.target.shape) * group.weight)
-        return self._pulled_back(jacobians, bent)
+        total = self._pulled_back(jacobians, bent)
+        # A screw bends the way of an SU's origin; a joint's origin it bends along its axis only.
+        total.sus[:, :3] += cross(step.sus[:, 3:6], step.sus[:, :3]) * self._per_offset**2
+        return total
 
     def _residual(self, group: _Group, state: State) -> F64:
         """(P, K, m, 3) whitened residuals."""
         y = self._evaluate(group, group.functions.readings, state).reshape(group.target.shape)
         return (group.W @ y - group.target) * group.weight
 
-    def _prior_residual(self, state: State) -> F64:
-        """(U, 9) bias and shape in standard deviations of their priors."""
-        return np.concatenate([state.bias, state.shape], axis=1) * self._prior
+    def _prior_residuals(self, state: State) -> tuple[F64, F64, F64]:
+        """Sensors (U, 9), offsets of joints (D, 3) and of SUs (U, 3) over their deviations."""
+        return (
+            np.concatenate([state.bias, state.shape], axis=1) * self._prior,
+            state.T_parent_joint[:, :3, 3] * self._per_offset,
+            state.T_joint_su[:, :3, 3] * self._per_offset,
+        )
 
     def _jacobian(self, group: _Group, state: State) -> F64:
         """(P, K, 3 m, Z) derivatives of the whitened residuals in the functions' coordinates."""
@@ -228,8 +239,11 @@ class SymbolicCost:
             np.add.at(H, (c[:, :, None], c[:, None, :]), information[:, :n, :n])
             su[group.sus] = information[:, n:, n:]
             mixed[group.sus, :, :n], columns[group.sus, :n] = information[:, n:, :n], c
-        intrinsic = np.arange(N_PLACEMENT, N_SU)
-        su[:, intrinsic, intrinsic] += self._prior**2
+        offsets, sensors = np.arange(3), np.arange(N_PLACEMENT, N_SU)
+        su[:, offsets, offsets] += self._per_offset**2
+        su[:, sensors, sensors] += self._prior**2
+        across = np.arange(gradient.joints.size).reshape(-1, N_JOINT)[:, :2]
+        H[across, across] += self._per_offset**2
         joint_gradient = gradient.flat()[:n_joint]
         return NormalEquations(H, joint_gradient, su, gradient.sus, mixed, columns)
 
@@ -286,9 +300,14 @@ class Linearisation:
     def bending(self, step: Step) -> Step:
         """``J^T r''`` with r'' the second derivative of the residuals along a step.
 
-        Placements move along screws; priors are linear and do not bend.
+        Placements move along screws.
         """
         return self.cost.bending(self.state, self._jacobians, step)
+
+
+def _into(T: F64, v: F64) -> F64:
+    """Vectors v (N, 3) of the outer frames, seen in the frames T (N, 4, 4) lead to."""
+    return np.asarray((v[:, None] @ T[:, :3, :3])[:, 0])
 
 
 def _broadcast(group: _Group, *parts: F64) -> F64:

@@ -16,6 +16,8 @@ from skin2urdf.recording.timing import Chosen, sample_times
 # Streams whose stamps differ from the log time this much more than others' were stamped by a
 # clock of their own (a device that counts from its start, say), not late [s].
 OTHER_CLOCK = 5.0
+# No joint and no accelerometer reads more [rad, m or m/s^2]; such values are damage.
+LARGEST_VALUE = 1e6
 
 
 class TimedStream(NamedTuple):
@@ -56,6 +58,9 @@ def timed_joints(
     found: dict[str, list[TimedStream]] = {}
     notes: list[str] = []
     for (topic, names), samples in gathered.items():
+        credible = np.abs(samples.values) < LARGEST_VALUE
+        if not credible.all():
+            samples = samples._replace(values=np.where(credible, samples.values, np.nan))
         whole = _timed("", topic, samples)
         for name, values in zip(names, whole.values.T, strict=True):
             stream, note = _finite(whole._replace(name=name, values=values), f"joint {name}")
@@ -91,11 +96,13 @@ def timed_sus(
     names = su_names(list(gathered))
     for name, ((topic, _), samples) in zip(names, gathered.items(), strict=True):
         # Without its bad samples first: they would spoil the comparison of timings.
-        finite = np.isfinite(samples.values)
-        if not finite.all():
-            whole: Bool = np.logical_and.reduce(finite, axis=1)
+        credible = np.abs(samples.values) < LARGEST_VALUE
+        if not credible.all():
+            whole: Bool = np.logical_and.reduce(credible, axis=1)
             bad = int(np.count_nonzero(~whole))
-            notes.append(f"SU {name} ({topic}): {bad} samples are not finite and were left out")
+            notes.append(
+                f"SU {name} ({topic}): {bad} samples are not finite or absurdly large; left out"
+            )
             samples = samples.at(whole)
         if samples.arrival.size < 2:
             notes.append(f"SU {name} ({topic}) was left out: fewer than two usable samples")
@@ -208,7 +215,9 @@ def _finite(stream: TimedStream, what: str) -> tuple[TimedStream | None, list[st
     bad = int(np.count_nonzero(~finite))
     notes = []
     if bad:
-        notes.append(f"{what} ({stream.topic}): {bad} positions are not finite and were left out")
+        notes.append(
+            f"{what} ({stream.topic}): {bad} positions are not finite or absurdly large; left out"
+        )
         stream = stream._replace(time=stream.time[finite], values=stream.values[finite])
     if stream.time.size < 2:
         notes.append(f"{what} ({stream.topic}) was left out: fewer than two usable positions")

@@ -8,7 +8,7 @@ from __future__ import annotations
 import struct
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
-from io import BytesIO
+from typing import IO, cast
 
 import numpy as np
 from mcap.data_stream import ReadDataStream
@@ -184,6 +184,20 @@ class McapFile:
                 yield Block(channel, buffer, start[rows], end[rows], log_time[rows])
 
 
+class _Window:
+    """Reads part of a buffer as if it were a file; a chunk is copied once, not twice."""
+
+    def __init__(self, view: memoryview) -> None:
+        self._view = view
+        self._at = 0
+
+    def read(self, size: int) -> bytes:
+        """Return the next ``size`` bytes, fewer at the end."""
+        piece = self._view[self._at : self._at + size].tobytes()
+        self._at += len(piece)
+        return piece
+
+
 def _stream(buffer: U8, record: Record) -> ReadDataStream:
     """Open a record's content for mcap's record classes."""
-    return ReadDataStream(BytesIO(buffer[record.start : record.stop].tobytes()))
+    return ReadDataStream(cast("IO[bytes]", _Window(buffer.data[record.start : record.stop])))

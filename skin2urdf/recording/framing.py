@@ -9,11 +9,11 @@ from typing import NamedTuple
 
 import numpy as np
 from mcap.opcode import Opcode
-from mcap.writer import MCAP0_MAGIC
 
 from skin2urdf.arrays import Int
 
-MAGIC: bytes = MCAP0_MAGIC
+# First and last bytes of every file (https://mcap.dev/spec#magic).
+MAGIC = b"\x89MCAP0\r\n"
 
 # Opcode, length and the fixed fields of a message record (https://mcap.dev/spec#message-op0x05).
 MESSAGE_HEADER = np.dtype(

@@ -53,7 +53,7 @@ def number_messages(stamp: F64, period: float, noise: float) -> Numbering | None
     apart = np.zeros(stamp.size, np.bool_)
     if not _count_jumps(stamp, period, noise, reach, lost, apart):
         return None
-    _recount(stamp, period, reach, lost, apart)
+    _recount(stamp, period, noise, reach, lost, apart)
     if not lost.any() and not apart.any():
         return None
     lost[0] = 0
@@ -104,16 +104,14 @@ def _count_jumps(
         np.where(short_before, reach, suspects - previous),
         np.where(short_after, reach, following - suspects),
     )
-    certain = np.abs(jump) > np.maximum(
-        MOVED * period, 5.0 * noise / np.sqrt(np.minimum(seen, reach))
-    )
+    certain = np.abs(jump) > _least_jump(period, noise, np.minimum(seen, reach))
     place = suspects[certain] + 1
     lost[place] = np.maximum(np.rint(jump[certain] / period), 0.0).astype(np.int64)
     apart[place] = jump[certain] < 0.0
     return True
 
 
-def _recount(stamp: F64, period: float, reach: int, lost: Int, apart: Bool) -> None:
+def _recount(stamp: F64, period: float, noise: float, reach: int, lost: Int, apart: Bool) -> None:
     """Correct the count where the level still moves by whole messages.
 
     Finds what noise hid from `_count_jumps`, and what that counted twice.
@@ -121,20 +119,22 @@ def _recount(stamp: F64, period: float, reach: int, lost: Int, apart: Bool) -> N
     Args:
         stamp: (N,) stamps [s].
         period: sampling period [s].
+        noise: scale of the noise of one stamp [s].
         reach: samples that make a level.
         lost: (N,) messages lost before each sample, corrected in place.
         apart: (N,) where stamps step back for good, filled in further.
     """
+    least = float(_least_jump(period, noise, np.array(reach)))
     number = np.cumsum(1 + lost) - 1
     level = stamp - period * number
     total = np.concatenate([[0.0], np.cumsum(level - level[0])])
     mean = (total[reach:] - total[:-reach]) / reach
     # Means first, as they are cheap; medians, which wrong stamps do not move, where these differ.
-    if not (np.abs(mean[reach:] - mean[:-reach]) > MOVED * period).any():
+    if not (np.abs(mean[reach:] - mean[:-reach]) > least).any():
         return
     windows = np.lib.stride_tricks.sliding_window_view(level, reach)
     settled = np.median(windows, axis=1)
-    moves = np.abs(settled[reach:] - settled[:-reach]) > MOVED * period
+    moves = np.abs(settled[reach:] - settled[:-reach]) > least
     edges = np.flatnonzero(np.diff(np.concatenate([[False], moves, [False]]).astype(np.int8)))
     step = np.diff(stamp)
     for start, stop in edges.reshape(-1, 2):
@@ -151,6 +151,16 @@ def _recount(stamp: F64, period: float, reach: int, lost: Int, apart: Bool) -> N
             count += taken
         if count < 0 and not apart[span].any():
             apart[span.start + int(np.argmin(step[start : span.stop - 1]))] = True
+
+
+def _least_jump(period: float, noise: float, seen: Int) -> F64:
+    """Return what the difference of two medians must exceed to be more than noise.
+
+    Four standard deviations: a median of n samples has 1.25 / sqrt(n), a difference of two
+    sqrt(2) times that.
+    """
+    noise_of_jump = 1.25 * np.sqrt(2.0) * noise / np.sqrt(seen)
+    return np.asarray(np.maximum(MOVED * period, 4.0 * noise_of_jump), dtype=np.float64)
 
 
 def _masked_median(values: F64, index: Int, mask: Bool) -> F64:

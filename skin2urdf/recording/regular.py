@@ -138,14 +138,17 @@ def _misfit(stamp: F64, fitted: F64) -> float:
 def _astray(stamp: F64, fitted: F64, period: float, noise: float) -> bool:
     """Tell whether a fit is off by whole messages for a while.
 
-    Single stamps may be far off. Averages over many samples may not, but for what the noise
-    explains, except here and there where the clock stepped.
+    Single stamps may be far off, so they are clipped. Averages over many may not, but for what
+    the noise explains, except here and there where the clock stepped.
     """
     count = stamp.size // ASTRAY_SAMPLES
     if count == 0:
         return False
     apart = (stamp - fitted)[: count * ASTRAY_SAMPLES].reshape(count, ASTRAY_SAMPLES)
     apart = apart[:: count // 256 | 1]
-    level = np.abs(np.median(apart, axis=1) - np.median(apart))
+    middle = median_of(apart.reshape(-1))
+    reach = period + 4.0 * median_of(np.abs(apart - middle).reshape(-1))
+    level = np.clip(apart - middle, -reach, reach).mean(axis=1)
+    level = np.abs(level - np.median(level))
     bound = max(ASTRAY * period, 8.0 * noise / np.sqrt(ASTRAY_SAMPLES))
     return bool(np.mean(level > bound) > 0.02)

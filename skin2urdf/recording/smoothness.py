@@ -97,8 +97,9 @@ def _moving_windows(signal: F64) -> np.ndarray:
     # Every fourth sample is enough to see where a window moves.
     cut = signal[HALO : HALO + usable * WINDOW : 4].reshape(usable, WINDOW // 4, -1)
     extent = cut.max(axis=1) - cut.min(axis=1)
-    scale = np.nanmedian(np.where(np.isfinite(extent), extent, np.nan), axis=0)
-    relative = np.nan_to_num(extent / np.where(scale > 0.0, scale, 1.0)).sum(axis=1)
+    extent = np.where(np.isfinite(extent), extent, 0.0)
+    scale = extent.mean(axis=0)
+    relative = (extent / np.where(scale > 0.0, scale, 1.0)).sum(axis=1)
     return np.sort(np.argsort(relative)[-MAX_WINDOWS:]) * WINDOW
 
 

@@ -12,9 +12,11 @@ from skin2urdf.signals.records import Features
 STATIC_THRESHOLD = 0.05 * 9.81
 """Change of a static reading that makes an SU active, 0.05 g [m/s^2] (paper III)."""
 
-_SMALLEST_EFFECT = 2e-3
+_SMALLEST_EFFECT = 5e-3
 """Effect of a pattern [m/s^2 rms] that is never taken for activity on its own."""
-_NOISE_FACTOR = 2.5
+_SHARE = 0.3
+"""Share of a DoF's largest static effect from which an SU counts as beyond it."""
+_NOISE_FACTOR = 0.8
 _UNMODELLED_FACTOR = 6.0
 
 
@@ -48,9 +50,18 @@ class Activity:
 
     @property
     def evidence(self) -> F64:
-        """(U, D) logarithm of the stronger evidence: positive active, near zero undecided."""
-        strongest = np.fmax(self.static, self.dynamic)
-        return np.log(np.maximum(np.nan_to_num(strongest, nan=0.0), 1e-3))
+        """(U, D) logarithm of the evidence: positive active, near zero undecided.
+
+        A DoF that turns gravity turns it by the same angle in every SU beyond it: where one SU
+        passes the static threshold, the others are judged by how close they come to it. Dynamic
+        evidence decides for the DoFs that turn no gravity in this log.
+        """
+        static = np.nan_to_num(self.static, nan=0.0)
+        largest = static.max(axis=0, initial=0.0)
+        relative = static / np.maximum(_SHARE * largest, 1e-12)
+        known = np.isfinite(self.static) & (largest >= 1.0)
+        strongest = np.where(known, relative, np.maximum(static, self.dynamic))
+        return np.asarray(np.log(np.maximum(strongest, 1e-3)))
 
     @property
     def matrix(self) -> Bool:

@@ -39,6 +39,7 @@ class RosLog:
         self._channels: dict[str, int] = {}
 
     def channel(self, topic: str, ros_type: str, encoding: str = "cdr") -> int:
+        """Return the id of a topic's channel, registered at first use."""
         if topic not in self._channels:
             if ros_type not in self._schemas:
                 text = STORE.generate_msgdef(ros_type, ros_version=2)[0].encode()
@@ -49,11 +50,13 @@ class RosLog:
         return self._channels[topic]
 
     def raw(self, topic: str, ros_type: str, payload: bytes, log_time: int) -> None:
+        """Add a payload as it is."""
         self._writer.add_message(self.channel(topic, ros_type), log_time, payload, log_time)
 
     def add(
         self, topic: str, message: Any, log_time: int | None = None, *, little_endian: bool = True
     ) -> None:
+        """Add a message; its stamp is the log time unless given."""
         payload = bytes(
             STORE.serialize_cdr(message, message.__msgtype__, little_endian=little_endian)
         )
@@ -64,6 +67,7 @@ class RosLog:
     def joints(
         self, stamp: int, positions: dict[str, float], topic: str = "/joint_states", **options: Any
     ) -> None:
+        """Add a JointState message."""
         values = np.array(list(positions.values()), dtype=np.float64)
         empty = np.zeros(0)
         message = TYPES[JOINT_STATE](header(stamp, ""), list(positions), values, values, empty)
@@ -72,6 +76,7 @@ class RosLog:
     def imu(
         self, stamp: int, force: Any, frame: str = "su", topic: str = "/imu", **options: Any
     ) -> None:
+        """Add an Imu message whose other fields are not zero."""
         quaternion = TYPES["geometry_msgs/msg/Quaternion"](0.1, 0.2, 0.3, 0.4)
         covariance = np.arange(9.0)
         message = TYPES[IMU](
@@ -86,6 +91,7 @@ class RosLog:
         self.add(topic, message, **options)
 
     def close(self) -> Path:
+        """Finish the file and return its path."""
         self._writer.finish()
         self._stream.close()
         return self.path

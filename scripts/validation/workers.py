@@ -1,0 +1,96 @@
+"""Who does the work: this process, a pool of processes, or a dask.distributed cluster."""
+
+from __future__ import annotations
+
+import multiprocessing
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+
+from validation.cases import Case
+from validation.records import Failure, Run
+
+Work = Callable[[Case], Run]
+Map = Callable[[Work, Sequence[Case]], Iterator[Run]]
+"""Does the work on every case and yields the runs as they finish."""
+
+
+def here(work: Work, cases: Sequence[Case]) -> Iterator[Run]:
+    """One after the other in this process."""
+    yield from map(work, cases)
+
+
+def pool(workers: int) -> Map:
+    """A map over a pool of processes on this machine.
+
+    A worker that dies takes the pool with it. Then every case it may have died of is run again
+    in a process of its own, so that the one to blame is a failure and the others are not.
+    """
+
+    def over(work: Work, cases: Sequence[Case]) -> Iterator[Run]:
+        waiting = list(cases)
+        while waiting:
+            under_way: dict[Future[Run], Case] = {}
+            with _executor(min(workers, len(waiting))) as executor:
+                try:
+                    while waiting or under_way:
+                        while waiting and len(under_way) < workers:
+                            under_way[executor.submit(work, waiting[0])] = waiting[0]
+                            waiting.pop(0)
+                        done, _ = wait(under_way, return_when=FIRST_COMPLETED)
+                        for future in done:
+                            run = future.result()
+                            del under_way[future]
+                            yield run
+                except BrokenProcessPool:
+                    suspects = list(under_way.values())
+            if under_way:
+                for case in suspects:
+                    yield _alone(work, case)
+
+    return over
+
+
+def _executor(workers: int) -> ProcessPoolExecutor:
+    """Fresh interpreters: forking a process that has loaded Pinocchio and BLAS is asking for it."""
+    return ProcessPoolExecutor(workers, mp_context=multiprocessing.get_context("spawn"))
+
+
+def _alone(work: Work, case: Case) -> Run:
+    """Run a case in a process of its own, which may die."""
+    with _executor(1) as executor:
+        try:
+            return executor.submit(work, case).result()
+        except BrokenProcessPool as error:
+            return Run(case, Failure("WorkerDied", str(error), "its worker process"))
+
+
+def cluster(address: str) -> Map:
+    """A map over the workers of an existing dask.distributed scheduler.
+
+    The workers need skin2urdf installed. The code of the validation itself goes there by value.
+
+    Args:
+        address: of the scheduler, such as ``tcp://127.0.0.1:8786``.
+    """
+
+    def over(work: Work, cases: Sequence[Case]) -> Iterator[Run]:
+        import cloudpickle  # type: ignore[import-untyped]
+        from distributed import Client, as_completed
+
+        import validation
+
+        cloudpickle.register_pickle_by_value(validation)
+        try:
+            with Client(address) as client:  # type: ignore[no-untyped-call]
+                futures = client.map(work, cases, key=[case.key for case in cases], pure=False)
+                case_of = dict(zip((future.key for future in futures), cases, strict=True))
+                for future in as_completed(futures):  # type: ignore[no-untyped-call]
+                    error = future.exception()
+                    failure = Failure(type(error).__name__, str(error), "its dask worker")
+                    yield future.result() if error is None else Run(case_of[future.key], failure)
+                    future.release()
+        finally:
+            cloudpickle.unregister_pickle_by_value(validation)
+
+    return over

@@ -1,0 +1,7 @@
+"""``python -m skin2urdf``."""
+
+import sys
+
+from skin2urdf.cli import main
+
+sys.exit(main())

@@ -1,0 +1,128 @@
+"""Write a calibration: a URDF, and beside it a JSON with all that a URDF can not hold."""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import json
+import secrets
+from pathlib import Path
+from typing import Any
+
+from skin2urdf.calibration import Calibration
+from skin2urdf.errors import UsageError
+from skin2urdf.files import check_target, write_atomically
+from skin2urdf.report.document import as_document, dumps
+from skin2urdf.urdf.check import check_urdf
+from skin2urdf.urdf.emit import emit
+
+
+def output_paths(path: str | Path) -> tuple[Path, Path]:
+    """Where the URDF and the JSON go, checked before the work that fills them.
+
+    Args:
+        path: the URDF to write, such as ``robot.urdf``; the JSON goes to ``robot.json``.
+
+    Returns:
+        Absolute paths of both.
+
+    Raises:
+        UsageError: one of them can not be written, or both would be the same file.
+    """
+    urdf = check_target(path)
+    if urdf.suffix.lower() in (".json", ".mcap"):
+        raise UsageError(
+            f"can not write a URDF to {path}: the name ends in {urdf.suffix}",
+            "give a name such as robot.urdf; the JSON goes beside it, to robot.json",
+        )
+    return urdf, check_target(urdf.with_suffix(".json"))
+
+
+def save(
+    calibration: Calibration,
+    path: str | Path,
+    *,
+    name: str | None = None,
+    visuals: bool = True,
+) -> tuple[Path, Path]:
+    """Write a calibration as URDF and JSON; on failure the old files of both names stay.
+
+    Args:
+        calibration: what was found.
+        path: the URDF to write; the JSON has its name with the ending ``.json``.
+        name: the robot's name in the URDF; that of the file by default.
+        visuals: whether to draw simple shapes, so that viewers show a robot.
+
+    Returns:
+        Paths of the URDF and of the JSON.
+
+    Raises:
+        UsageError: a file can not be written, or a name can not stand in a URDF.
+        InconsistentUrdfError: the URDF does not read back as the robot that was found.
+    """
+    urdf, beside = output_paths(path)
+    text, document = render(calibration, name or urdf.stem, visuals=visuals)
+    # All that takes space on the disk is done before the first of the old files goes.
+    staged = urdf.with_name(f".{urdf.name[:100]}.{secrets.token_hex(8)}.new")
+    try:
+        write_atomically(staged, text)
+        write_atomically(beside, dumps({**document, "urdf": _digest(urdf, text)}))
+        try:
+            staged.replace(urdf)
+        except OSError as error:
+            raise UsageError(
+                f"can not write {path}: {error.strerror}", "give another path"
+            ) from error
+    finally:
+        with contextlib.suppress(OSError):
+            staged.unlink(missing_ok=True)
+    return urdf, beside
+
+
+def document_beside(urdf: str | Path) -> Path | None:
+    """The JSON that was written together with a URDF.
+
+    Args:
+        urdf: a URDF, which may have been changed or replaced since.
+
+    Returns:
+        Path of the JSON; None where there is none or where it belongs to another URDF.
+    """
+    path = Path(urdf)
+    beside = path.with_suffix(".json")
+    try:
+        belongs = json.loads(beside.read_bytes())["urdf"]["sha256"]
+        same = belongs == hashlib.sha256(path.read_bytes()).hexdigest()
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
+    return beside if same else None
+
+
+def render(
+    calibration: Calibration, name: str, *, visuals: bool = True
+) -> tuple[str, dict[str, Any]]:
+    """The checked text of the URDF and the JSON document of a calibration.
+
+    Args:
+        calibration: what was found.
+        name: the robot's name.
+        visuals: whether to draw simple shapes.
+
+    Raises:
+        UsageError: a name can not stand in a URDF.
+        InconsistentUrdfError: the URDF does not read back as the robot that was found.
+    """
+    text = emit(
+        calibration.model,
+        name=name,
+        limits=calibration.limits,
+        velocity=calibration.velocity,
+        visuals=visuals,
+    )
+    check_urdf(text, calibration.model)
+    return text, as_document(calibration)
+
+
+def _digest(urdf: Path, text: str) -> dict[str, str]:
+    """Which URDF a JSON belongs to."""
+    return {"file": urdf.name, "sha256": hashlib.sha256(text.encode()).hexdigest()}

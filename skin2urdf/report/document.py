@@ -1,0 +1,208 @@
+"""A calibration as plain JSON: everything that a URDF has no place for."""
+
+from __future__ import annotations
+
+import json
+import math
+import platform
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from importlib import metadata
+from typing import Any
+
+import numpy as np
+
+from skin2urdf.arrays import F64
+from skin2urdf.calibration import Calibration
+from skin2urdf.model.dh import joint_placement, prismatic_placement
+from skin2urdf.report.findings import Findings, findings
+from skin2urdf.structure.activity import Activity
+
+SCHEMA = "skin2urdf/calibration/1"
+_LIBRARIES = ("numpy", "scipy", "pin", "nlopt", "casadi")
+_MM, _DEG = 1e3, float(np.rad2deg(1.0))
+
+
+def as_document(calibration: Calibration) -> dict[str, Any]:
+    """A calibration as dictionaries, lists, strings and finite numbers.
+
+    Lengths are in m and angles in rad unless a key says otherwise; covariances and twists are
+    (linear, angular) in the frame of the SU they belong to; what has no value is null.
+
+    Args:
+        calibration: a finished calibration.
+    """
+    found = findings(calibration)
+    tree = calibration.model.tree
+    document = {
+        "schema": SCHEMA,
+        "versions": versions(),
+        "inputs": [asdict(source) for source in calibration.sources],
+        "settings": asdict(calibration.settings),
+        "verdict": {"quality": calibration.quality, "words": found.verdict},
+        "fit": _fit(calibration, found),
+        "tree": {
+            "joints": [
+                {"name": name, "parent": _name(tree.joint_names, int(parent)), "type": kind}
+                for name, parent, kind in zip(
+                    tree.joint_names, tree.parent, tree.joint_types, strict=True
+                )
+            ],
+            "sus": {
+                name: _name(tree.joint_names, int(joint))
+                for name, joint in zip(tree.su_names, tree.su_joint, strict=True)
+            },
+        },
+        "joints": {name: _joint(calibration, found, j) for j, name in enumerate(tree.joint_names)},
+        "sus": {name: _su(calibration, u) for u, name in enumerate(tree.su_names)},
+        "gravity_up": calibration.estimate.state.up,
+        "observability": {
+            "open_joint_directions": found.open_joints,
+            "sus": {
+                name: {
+                    "unobservable": calibration.observability.su_unobservable[u],
+                    "words": [asdict(unknown) for unknown in found.unknown[u]],
+                }
+                for u, name in enumerate(tree.su_names)
+            },
+        },
+        "activity": activity_document(calibration.activity),
+        "left_out": {
+            "sus": [n for n in calibration.features.su_names if n not in tree.su_names],
+            "joints": [n for n in calibration.features.dof_names if n not in tree.joint_names],
+        },
+        "notes": calibration.notes,
+        "seconds": calibration.seconds,
+    }
+    plain: dict[str, Any] = to_plain(document)
+    return plain
+
+
+def activity_document(activity: Activity) -> dict[str, Any]:
+    """An activity matrix with its evidence; see :class:`Activity` for the figures."""
+    plain: dict[str, Any] = to_plain(
+        {
+            "sus": activity.su_names,
+            "dofs": activity.dof_names,
+            "matrix": activity.matrix,
+            "static": activity.static,
+            "dynamic": activity.dynamic,
+            "excited": activity.excited,
+            "heard": activity.heard,
+        }
+    )
+    return plain
+
+
+def versions() -> dict[str, str | None]:
+    """Versions of this package, of Python and of the libraries that compute."""
+    result: dict[str, str | None] = {"python": platform.python_version()}
+    for name in ("skin2urdf", *_LIBRARIES):
+        try:
+            result[name] = metadata.version(name)
+        except metadata.PackageNotFoundError:
+            result[name] = None
+    return result
+
+
+def to_plain(value: Any) -> Any:
+    """Turn records' values into what JSON can hold; NaN and infinity become None."""
+    if isinstance(value, Mapping):
+        return {str(key): to_plain(item) for key, item in value.items()}
+    if isinstance(value, np.ndarray | np.generic):
+        return to_plain(value.tolist())
+    if isinstance(value, Sequence) and not isinstance(value, str):
+        return [to_plain(item) for item in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
+
+
+def dumps(document: Mapping[str, Any]) -> str:
+    """JSON text of a plain document: indented, lists of plain values on one line."""
+    return _lines(document, "") + "\n"
+
+
+def _lines(value: Any, indent: str) -> str:
+    """JSON text of plain values, indented."""
+    deeper = indent + "  "
+    if isinstance(value, dict) and value:
+        items = [f"{json.dumps(key)}: {_lines(item, deeper)}" for key, item in value.items()]
+    elif isinstance(value, list) and any(isinstance(item, dict | list) for item in value):
+        items = [_lines(item, deeper) for item in value]
+    else:
+        return json.dumps(value, allow_nan=False)
+    begin, end = "{}" if isinstance(value, dict) else "[]"
+    return f"{begin}\n{deeper}" + f",\n{deeper}".join(items) + f"\n{indent}{end}"
+
+
+def _fit(calibration: Calibration, found: Findings) -> dict[str, Any]:
+    """How well the model explains the readings, as a whole and where."""
+    fit = calibration.estimate
+    return {
+        "chi2": fit.chi2,
+        "degrees_of_freedom": fit.degrees_of_freedom,
+        "cost_per_dof": fit.cost_per_dof,
+        "n_parameters": fit.n_parameters,
+        "n_poses": calibration.features.n_poses,
+        "expected_su_position_mm": found.expected_position * _MM,
+        "expected_su_orientation_deg": found.expected_orientation * _DEG,
+        "chi2_per_measurement_by_su": dict(
+            zip(fit.tree.su_names, _per_count(fit.chi2_by_block, fit.count, 0), strict=True)
+        ),
+        "chi2_per_measurement_by_pose": _per_count(fit.chi2_by_block, fit.count, 1),
+        "robust_weights": fit.weight,
+        "hypotheses": fit.hypotheses,
+    }
+
+
+def _per_count(chi2: F64, count: F64, axis: int) -> list[float]:
+    """Chi-squared per measurement, summed over one axis; NaN where there are none."""
+    total, number = chi2.sum(axis=axis), count.sum(axis=axis)
+    ratio = np.divide(total, number, out=np.full(total.shape, np.nan), where=number > 0)
+    return [float(value) for value in ratio]
+
+
+def _joint(calibration: Calibration, found: Findings, j: int) -> dict[str, Any]:
+    """One joint: placement, DH numbers, limits and uncertainty."""
+    tree, T = calibration.model.tree, calibration.model.T_parent_joint[j]
+    dh, _ = (prismatic_placement if tree.prismatic[j] else joint_placement)(T)
+    numbers = {"theta0": dh.theta0, "d": dh.d, "a": dh.a, "alpha": dh.alpha}
+    if dh.hayati:
+        numbers["beta"] = dh.turn
+    return {
+        "parent": _name(tree.joint_names, int(tree.parent[j])),
+        "type": tree.joint_types[j],
+        "dh": {key: float(value) for key, value in numbers.items()},
+        "T_parent_joint": T,
+        "limits": calibration.limits[j],
+        "velocity": calibration.velocity[j],
+        "axis_position_sd_mm": found.axis_position_sd[j] * _MM,
+        "axis_direction_sd_deg": found.axis_direction_sd[j] * _DEG,
+        "verdict": calibration.observability.joint_verdict[j],
+    }
+
+
+def _su(calibration: Calibration, u: int) -> dict[str, Any]:
+    """One SU: placement, uncertainty and what was found of its sensor."""
+    tree, state, features = calibration.model.tree, calibration.estimate.state, calibration.features
+    heard = features.su_names.index(tree.su_names[u])
+    noise = features.noise[:, heard]
+    noise = noise[np.isfinite(noise).all(axis=1)]
+    return {
+        "joint": _name(tree.joint_names, int(tree.su_joint[u])),
+        "T_joint_su": calibration.model.T_joint_su[u],
+        "covariance": calibration.observability.su_covariance[u],
+        "verdict": calibration.observability.su_verdict[u],
+        "bias": state.bias[u],
+        "scale": state.shape[u, :3],
+        "cross_yz_xz_xy": state.shape[u, 3:],
+        "latency": features.latency[heard],
+        "latency_sd": features.latency_sd[heard],
+        "noise": np.median(noise, axis=0) if len(noise) else None,
+    }
+
+
+def _name(names: Sequence[str], index: int) -> str | None:
+    """Name of a joint, None for the reference segment."""
+    return names[index] if index >= 0 else None

@@ -1,0 +1,110 @@
+"""A calibration in words and tables, the verdict first."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from skin2urdf.calibration import Calibration
+from skin2urdf.report.findings import Findings, findings
+from skin2urdf.report.tables import bullets, number, span, table
+
+_MM = 1e3
+_DEG = float(np.rad2deg(1.0))
+_MG = 1e3 / 9.81
+_SKEW = (
+    "(Orientations are those of the readings. Axes skewed the same way round, by 1 % of cross-axis\n"
+    "error, are a turn of the sensor by 0.6 deg, which no log can tell from a turned sensor.)"
+)
+
+
+def as_text(calibration: Calibration) -> str:
+    """A calibration as plain text: verdict, joints, SUs, what is not known, notes.
+
+    Args:
+        calibration: a finished calibration.
+
+    Returns:
+        Lines without colour or trailing spaces; standard deviations (sd) in mm and deg.
+    """
+    found = findings(calibration)
+    lines = [
+        found.verdict,
+        _expectation(found),
+        "",
+        *_joints(calibration, found),
+        "",
+        *_sus(calibration, found),
+        _SKEW,
+        *bullets("Not observable from this log", _not_known(found)),
+        *bullets("Notes", calibration.notes),
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _expectation(found: Findings) -> str:
+    """What errors to expect, in one line."""
+    if not np.isfinite(found.expected_position):
+        return "no SU's pose is observable as a whole"
+    return (
+        f"error to expect of an SU that is determined: {number(found.expected_position * _MM)} mm, "
+        f"{number(found.expected_orientation * _DEG, 3)} deg rms"
+    )
+
+
+def _joints(calibration: Calibration, found: Findings) -> list[str]:
+    """The table of joints."""
+    tree = calibration.model.tree
+    rows = []
+    for j, name in enumerate(tree.joint_names):
+        prismatic = bool(tree.prismatic[j])
+        low, high = calibration.limits[j] * (_MM if prismatic else _DEG)
+        parent = int(tree.parent[j])
+        rows.append(
+            (
+                name,
+                tree.joint_types[j],
+                tree.joint_names[parent] if parent >= 0 else "base",
+                f"{span(low, high)} {'mm' if prismatic else 'deg'}",
+                number(found.axis_position_sd[j] * _MM),
+                number(found.axis_direction_sd[j] * _DEG, 3),
+                calibration.observability.joint_verdict[j],
+            )
+        )
+    head = ("joint", "type", "parent", "range seen", "axis sd [mm]", "[deg]", "verdict")
+    return table(head, rows, "<<<>>><")
+
+
+def _sus(calibration: Calibration, found: Findings) -> list[str]:
+    """The table of SUs."""
+    tree, state = calibration.model.tree, calibration.estimate.state
+    features = calibration.features
+    rows = []
+    for u in np.argsort(tree.su_joint, kind="stable"):
+        name, joint = tree.su_names[u], int(tree.su_joint[u])
+        heard = features.su_names.index(name)
+        known = np.isfinite(features.latency_sd[heard])
+        rows.append(
+            (
+                name,
+                tree.joint_names[joint] if joint >= 0 else "base",
+                number(found.su_position_sd[u] * _MM),
+                number(found.su_orientation_sd[u] * _DEG, 3),
+                number(float(np.linalg.norm(state.bias[u])) * _MG, 1),
+                number(features.latency[heard] * 1e3 if known else float("nan")),
+                calibration.observability.su_verdict[u],
+            )
+        )
+    head = ("SU", "on joint", "position sd [mm]", "[deg]", "bias [mg]", "latency [ms]", "verdict")
+    return table(head, rows, "<<>>>><")
+
+
+def _not_known(found: Findings) -> list[str]:
+    """Everything the log does not tell, one line each."""
+    lines = [str(unknown) for su in found.unknown for unknown in su]
+    if found.open_joints:
+        directions = "direction" if found.open_joints == 1 else "directions"
+        lines.append(
+            f"{found.open_joints} {directions} of the joints' axes: the motion in this log does "
+            "not tell them; record more poses, far from each other, with every joint moving"
+        )
+    return lines

@@ -1,0 +1,223 @@
+"""What a log does not tell of an SU, in words: what it is, why, and what to record."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from skin2urdf.arrays import F64
+from skin2urdf.model.records import KinematicModel
+
+ARM = 0.1
+"""Length [m] by which the angular part of a direction is multiplied."""
+_ALIKE = 0.1
+"""Part of a unit direction that may lie outside of a set of directions it counts as one of."""
+_PARALLEL = 0.05
+_VERTICAL = np.deg2rad(15.0)
+
+TILT_REMEDY = "record a second log with the base tilted by 20 degrees or more"
+
+
+@dataclass(frozen=True)
+class Unknown:
+    """Something a log does not tell.
+
+    Attributes:
+        what: what is not known.
+        why: what keeps the log from telling it.
+        remedy: what to record to learn it; empty where no recording helps.
+    """
+
+    what: str
+    why: str
+    remedy: str = ""
+
+    def __str__(self) -> str:
+        """All of it in one line."""
+        return f"{self.what}: {self.why}" + (f"; {self.remedy}" if self.remedy else "")
+
+
+def unknowns(
+    model: KinematicModel, unobservable: Sequence[F64], up: F64
+) -> tuple[tuple[Unknown, ...], ...]:
+    """Put the unobservable directions of every SU into words.
+
+    Args:
+        model: D joints and U SUs.
+        unobservable: per SU (k, 6) orthonormal twists in its own frame, (linear [m], angular times
+            :data:`ARM`), as :class:`skin2urdf.estimation.observability.Observability` has them.
+        up: (G, 3) unit vector opposite to gravity in the base frame, per log.
+
+    Returns:
+        What is not known of each SU; empty where all of it is.
+    """
+    T_base_joint = _at_zero(model)
+    return tuple(
+        _of_reference(model.tree.su_names[u], len(rows))
+        if model.tree.su_joint[u] < 0
+        else _of_moving(model, u, np.asarray(rows, float), T_base_joint, up)
+        for u, rows in enumerate(unobservable)
+    )
+
+
+def _at_zero(model: KinematicModel) -> F64:
+    """(D, 4, 4) joint frames in the base frame with all joints at 0."""
+    T = np.empty_like(model.T_parent_joint)
+    for j, parent in enumerate(model.tree.parent):
+        T[j] = model.T_parent_joint[j] if parent < 0 else T[parent] @ model.T_parent_joint[j]
+    return T
+
+
+def _of_reference(name: str, count: int) -> tuple[Unknown, ...]:
+    """What is not known of an SU that no joint moves; gravity alone shows up to two turns of it."""
+    if not count:
+        return ()
+    moves = f"{name} does not move with any joint"
+    if count == 6:
+        return (
+            Unknown(
+                f"where {name} sits and how it is turned",
+                f"{moves}, and in one orientation its bias can not be told from a tilt",
+                f"{TILT_REMEDY} to learn how it is turned; no recording tells where it sits",
+            ),
+        )
+    unknown = [Unknown(f"position of {name}", f"{moves}, so that no recording tells it")]
+    if count > 3:
+        unknown.append(
+            Unknown(
+                f"turn of {name} about the vertical", f"{moves}; only its tilt shows", TILT_REMEDY
+            )
+        )
+    return tuple(unknown)
+
+
+def _of_moving(
+    model: KinematicModel, u: int, rows: F64, T_base_joint: F64, up: F64
+) -> tuple[Unknown, ...]:
+    """What is not known of an SU that joints move."""
+    name, tree = model.tree.su_names[u], model.tree
+    chain = tree.chain(int(tree.su_joint[u]))
+    last, names = chain[-1], [tree.joint_names[j] for j in chain]
+    if not len(rows):
+        return ()
+    if len(rows) == 6:
+        return (Unknown(f"pose of {name}", "its readings tell nothing", _more(names)),)
+    found: list[Unknown] = []
+    slide, turn = _about_axis(model.T_joint_su[u])
+    parallel = _parallel(T_base_joint, chain)
+    if _holds(rows, np.eye(6)[:3]):
+        found.append(_no_position(name, tree.joint_names[last], bool(tree.prismatic[last])))
+        rows = _without(rows, np.eye(6)[:3])
+    elif _holds(rows, slide[None]):
+        found.append(_along(name, names, parallel))
+        rows = _without(rows, slide[None])
+    tilt = _largest_angle(up, T_base_joint[chain[0], :3, 2])
+    if _holds(rows, turn[None]) and parallel:
+        found.append(_yaw(name, names, tilt))
+        rows = _without(rows, turn[None])
+    if len(rows) and parallel and tilt < _VERTICAL:
+        found.append(_tilt(name, names))
+        rows = rows[:0]
+    if len(rows):
+        found.append(
+            Unknown(
+                f"{_kinds(rows)} of {name} along {len(rows)} of 6 directions",
+                f"the motion of {_listed(names)} in this log is too small or too much alike",
+                _more(names),
+            )
+        )
+    return tuple(found)
+
+
+def _about_axis(T_joint_su: F64) -> tuple[F64, F64]:
+    """Unit directions (6,) of an SU along, and turning about, the axis of its joint."""
+    R, p = T_joint_su[:3, :3], T_joint_su[:3, 3]
+    axis = R[2]  # R^T e_z: the joint's axis in the SU's frame
+    turn = np.concatenate([R.T @ np.cross((0.0, 0.0, 1.0), p), ARM * axis])
+    return np.concatenate([axis, np.zeros(3)]), turn / np.linalg.norm(turn)
+
+
+def _parallel(T_base_joint: F64, chain: Sequence[int]) -> bool:
+    """Whether the axes of all joints of a chain are parallel."""
+    axes = T_base_joint[list(chain), :3, 2]
+    sine = np.linalg.norm(np.cross(axes, axes[-1]), axis=-1)
+    return bool((sine < _PARALLEL).all())
+
+
+def _holds(rows: F64, directions: F64) -> bool:
+    """Whether the span of orthonormal ``rows`` holds all unit ``directions``, nearly."""
+    if not len(rows):
+        return False
+    outside = directions - directions @ rows.T @ rows
+    return bool((np.linalg.norm(outside, axis=-1) < _ALIKE).all())
+
+
+def _without(rows: F64, directions: F64) -> F64:
+    """Orthonormal rows of the span of ``rows`` square to the unit ``directions`` in it."""
+    left = rows - rows @ directions.T @ directions
+    _, values, Vt = np.linalg.svd(left, full_matrices=False)
+    return np.asarray(Vt[values > 0.5])
+
+
+def _no_position(name: str, joint: str, prismatic: bool) -> Unknown:
+    """An SU of whose position nothing is known."""
+    if prismatic:
+        why = f"{joint} pushes it the same way wherever it sits, and no joint before it turns it"
+        return Unknown(f"position of {name}", why)
+    return Unknown(f"position of {name}", f"{joint} turns it too slowly for that", _more([joint]))
+
+
+def _along(name: str, names: Sequence[str], parallel: bool) -> Unknown:
+    """An SU that may be slid along the axis of its joint."""
+    what = f"position of {name} along the axis of {names[-1]}"
+    if len(names) == 1:
+        why = f"{names[0]} is the only joint that moves it, so that no recording tells it"
+        return Unknown(what, why)
+    if parallel:
+        why = f"the axes of {_listed(names)} are parallel, so that no recording tells it"
+        return Unknown(what, why)
+    why = f"the joints before {names[-1]} move too little or too slowly in this log"
+    return Unknown(what, why, _more(names[:-1]))
+
+
+def _largest_angle(up: F64, axis: F64) -> float:
+    """Largest angle between an axis and the vertical over all logs [rad]."""
+    return float(np.max(np.arccos(np.clip(np.abs(up @ axis), 0.0, 1.0))))
+
+
+def _tilt(name: str, names: Sequence[str]) -> Unknown:
+    """An SU in which gravity never turns, so that its bias and scale look like a tilt."""
+    why = f"gravity keeps its direction in {name} whatever {_listed(names)} does, and so does bias"
+    return Unknown(f"tilt of {name}", why, TILT_REMEDY)
+
+
+def _yaw(name: str, names: Sequence[str], tilt: float) -> Unknown:
+    """An SU that may be turned about the axis of its joint, ``tilt`` [rad] from the vertical."""
+    what = f"turn of {name} about the axis of {names[-1]}"
+    if tilt < _VERTICAL:
+        degrees = np.rad2deg(tilt)
+        why = "the axis is vertical" + (f" to {degrees:.0f} deg" if degrees >= 0.5 else "")
+        return Unknown(what, why, TILT_REMEDY)
+    why = f"{names[-1]} turns too little between the poses of this log"
+    return Unknown(what, why, f"record poses in which {names[-1]} differs by a radian or more")
+
+
+def _kinds(rows: F64) -> str:
+    """Which parts of a pose directions are about."""
+    linear = float(np.sum(rows[:, :3] ** 2))
+    angular = float(np.sum(rows[:, 3:] ** 2))
+    if angular < _ALIKE**2 * linear:
+        return "position"
+    return "orientation" if linear < _ALIKE**2 * angular else "pose"
+
+
+def _more(names: Sequence[str]) -> str:
+    """What to record where motion is missing."""
+    return f"record more poses, with a pattern of 0.1 rad or more on {_listed(names)}"
+
+
+def _listed(names: Sequence[str]) -> str:
+    """Names in a sentence."""
+    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"

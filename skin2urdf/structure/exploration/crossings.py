@@ -1,0 +1,157 @@
+"""Activity that no tree has: closed loops, coupled DoFs, missed reactions (paper II-A.2, II-B.3).
+
+In a tree the sets of SUs beyond any two joints nest or are disjoint. Two sets that cross violate
+a constraint. What explains the crossings is searched among three causes, each of which says how
+the matrix would look without it; the cause that leaves the fewest crossings is the one reported.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from skin2urdf.arrays import Bool, Int
+
+Cause = Literal["coupled DoFs", "missed reaction", "closed loop"]
+_PAIRS_WEIGHED = 24
+"""Crossing pairs looked at in each step; a matrix with many more is beyond explanation anyway."""
+
+_PREFERENCE: tuple[Cause, ...] = ("coupled DoFs", "missed reaction", "closed loop")
+
+
+@dataclass(frozen=True, eq=False)
+class Crossing:
+    """An explanation of joints whose sets of SUs cross.
+
+    Attributes:
+        cause: what it is.
+        joints: columns concerned. Closed loop: the joints that the segments hang on. Coupled:
+            the joint that drives, then the joint that is dragged along. Missed reaction: the
+            joint not reacted to, then the joint beyond it.
+        segments: rows concerned: the segments on the loop, those dragged along, or those that
+            missed the reaction.
+    """
+
+    cause: Cause
+    joints: tuple[int, ...]
+    segments: tuple[int, ...]
+
+
+def crossing_pairs(merged: Bool) -> list[tuple[int, int]]:
+    """Pairs of columns whose sets of rows neither nest nor are disjoint.
+
+    Args:
+        merged: (S, J) merged activity matrix.
+    """
+    M = merged.astype(np.int64)
+    both = M.T @ M
+    size = np.diagonal(both)
+    cross = (both > 0) & (both < size[:, None]) & (both < size[None, :])
+    return [(int(a), int(b)) for a, b in np.argwhere(np.triu(cross))]
+
+
+def explain_crossings(merged: Bool, weights: Int) -> tuple[Crossing, ...]:
+    """What makes the columns of a matrix cross; empty for the matrix of a tree.
+
+    Args:
+        merged: (S, J) merged activity matrix.
+        weights: (S,) number of SUs on each segment.
+    """
+    found: list[Crossing] = []
+    matrix = merged.copy()
+    while pairs := crossing_pairs(matrix):
+        options = [
+            _Option(len(pairs) + change.fewer_crossings(matrix), change)
+            for pair in pairs[:: 1 + len(pairs) // _PAIRS_WEIGHED]
+            for change in _explanations(matrix, weights, *pair)
+        ]
+        best = _best(options, len(pairs)).change
+        found.append(best.crossing)
+        matrix[:, best.column] = best.entries
+    return tuple(_joined(found))
+
+
+@dataclass(frozen=True, eq=False)
+class _Change:
+    """An explanation, and the one column that would have been different without it."""
+
+    crossing: Crossing
+    column: int
+    entries: Bool
+
+    def fewer_crossings(self, M: Bool) -> int:
+        """Number of crossing columns with the change, less that without it."""
+        others = np.delete(M, self.column, axis=1)
+        return _n_crossing(self.entries, others) - _n_crossing(M[:, self.column], others)
+
+
+@dataclass(frozen=True)
+class _Option:
+    """A change and the number of crossings left after it."""
+
+    left: int
+    change: _Change
+
+
+def _n_crossing(column: Bool, others: Bool) -> int:
+    both = (others & column[:, None]).any(axis=0)
+    only_column = (~others & column[:, None]).any(axis=0)
+    only_other = (others & ~column[:, None]).any(axis=0)
+    return int((both & only_column & only_other).sum())
+
+
+def _best(options: list[_Option], n_pairs: int) -> _Option:
+    """The explanation that leaves the fewest crossings."""
+    missed = [
+        o for o in options if o.change.crossing.cause == "missed reaction" and o.left < n_pairs
+    ]
+    fewest = min(o.left for o in options)
+    # A missed reaction is only one where it is clear who missed what. To take only those that
+    # help also ends the search: the other causes clear entries and never set any.
+    clear = missed if sum(o.left == fewest for o in missed) == 1 else []
+    others = [o for o in options if o.change.crossing.cause != "missed reaction"]
+    return min(others + clear, key=lambda o: (o.left, _PREFERENCE.index(o.change.crossing.cause)))
+
+
+def _explanations(M: Bool, weights: Int, a: int, b: int) -> Iterator[_Change]:
+    """Explanations of one crossing pair."""
+    both = M[:, a] & M[:, b]
+    # What is beyond the segment that closes a loop hangs on its joints too, but does not close it.
+    closing = [s for s in _rows(both) if not any(_within(M[r], M[s]) for r in _rows(both))]
+    yield _Change(Crossing("closed loop", (a, b), tuple(closing)), b, M[:, b] & ~both)
+    for d, e in ((a, b), (b, a)):
+        missing = M[:, e] & ~M[:, d]
+        if weights[missing].sum() < weights[both].sum():
+            crossing = Crossing("missed reaction", (d, e), _rows(missing))
+            yield _Change(crossing, d, M[:, d] | missing)
+        only = M[:, d] & ~M[:, e]
+        for y in range(M.shape[1]):
+            dragged = M[:, y]
+            # Without what it drags along, d must not cross e any more: one side of it is left.
+            if y not in (a, b) and (np.array_equal(dragged, both) or np.array_equal(dragged, only)):
+                crossing = Crossing("coupled DoFs", (d, y), _rows(dragged))
+                yield _Change(crossing, d, M[:, d] & ~dragged)
+
+
+def _within(inner: Bool, outer: Bool) -> bool:
+    """True where a row's ones are a true subset of another's."""
+    return bool((outer | ~inner).all()) and bool((outer & ~inner).any())
+
+
+def _rows(mask: Bool) -> tuple[int, ...]:
+    return tuple(int(r) for r in np.flatnonzero(mask))
+
+
+def _joined(crossings: list[Crossing]) -> Iterator[Crossing]:
+    """Loops through the same segments as one."""
+    loops: dict[tuple[int, ...], list[int]] = {}
+    for c in crossings:
+        if c.cause == "closed loop":
+            loops.setdefault(c.segments, []).extend(c.joints)
+        else:
+            yield c
+    for segments, joints in loops.items():
+        yield Crossing("closed loop", tuple(sorted(set(joints))), segments)

@@ -1,0 +1,211 @@
+"""Looking into logs short of a calibration: what they hold, and what moves with what."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from skin2urdf.arrays import F64, Bool, frozen
+from skin2urdf.errors import InsufficientDataError, StructureError, UnreadableInputError
+from skin2urdf.recording.inventory import LogInventory
+from skin2urdf.recording.reading import inventory, read
+from skin2urdf.recording.records import Recording
+from skin2urdf.signals.features import Sampled, extract_features, sample_recording
+from skin2urdf.signals.records import Features
+from skin2urdf.structure.activity import STATIC_THRESHOLD, Activity, activity
+from skin2urdf.structure.exploration import Exploration
+from skin2urdf.structure.exploration import explore as run_algorithm_1
+from skin2urdf.structure.records import KinematicTree
+from skin2urdf.structure.tree import kinematic_tree
+
+Progress = Callable[[str, float], None]
+"""Called with the name of a stage and the share of it that is done, in [0, 1]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Explored:
+    """Structure as logs show it.
+
+    Attributes:
+        activity: evidence for every SU and DoF.
+        exploration: every step of the paper's Algorithm 1 on the activity matrix as it is,
+            with the constraints that the matrix violates.
+        tree: the kinematic tree; None where the evidence contradicts every tree.
+        contradiction: what contradicts; None where there is a tree.
+        notes: what was found and mended, in words.
+    """
+
+    activity: Activity
+    exploration: Exploration
+    tree: KinematicTree | None
+    contradiction: StructureError | None
+    notes: tuple[str, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Surveyed:
+    """What one log holds, as far as it can be used.
+
+    Attributes:
+        inventory: topics and messages.
+        recording: joints and SUs; None where the log lacks either.
+        sampled: the robot's motion and rests; None where there are none to find.
+        features: readings around its poses; None where no pose can be used.
+        excited: (P, D) poses and DoFs with a pattern; (0, D) without features.
+        problems: what stands in the way of a calibration, in words, the gravest first.
+    """
+
+    inventory: LogInventory
+    recording: Recording | None
+    sampled: Sampled | None
+    features: Features | None
+    excited: Bool
+    problems: tuple[str, ...]
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "excited", frozen(self.excited, bool))
+
+
+def explore(
+    logs: Sequence[str | Path],
+    threshold: float = STATIC_THRESHOLD,
+    *,
+    progress: Progress | None = None,
+) -> Explored:
+    """Find the structure of the robot that one or several logs show.
+
+    Args:
+        logs: paths of the logs, all of one robot.
+        threshold: change of a static reading that makes an SU active [m/s^2].
+        progress: told how far each stage is.
+
+    Raises:
+        UnreadableInputError: a log can not be read.
+        InsufficientDataError: the robot never rests, or no pose can be used.
+    """
+    tell = progress or (lambda _stage, _share: None)
+    recordings = []
+    for i, log in enumerate(logs):
+
+        def part(share: float, i: int = i) -> None:
+            tell("reading", (i + share) / len(logs))
+
+        recordings.append(read(log, part))
+    tell("features", 0.0)
+    features = extract_features(*sampled_together(recordings))
+    tell("features", 1.0)
+    seen = activity(features, threshold)
+    steps = run_algorithm_1(
+        seen.matrix, seen.su_names, seen.dof_names, excited=seen.excited, heard=seen.heard
+    )
+    try:
+        tree = kinematic_tree(seen, features)
+    except StructureError as error:
+        return Explored(seen, steps, None, error, features.notes)
+    return Explored(seen, steps, tree, None, (*features.notes, *tree.notes))
+
+
+def sampled_together(recordings: Sequence[Recording]) -> tuple[list[Sampled], tuple[str, ...]]:
+    """All logs on their grids, and the SU names of all; DoFs are those of any log."""
+    dofs = tuple(sorted({joint.name for r in recordings for joint in r.joints}))
+    sus = tuple(sorted({su.name for r in recordings for su in r.sus}))
+    return [sample_recording(r, dofs, sus) for r in recordings], sus
+
+
+def survey(log: str | Path, *, progress: Progress | None = None) -> Surveyed:
+    """Look through one log; whatever is missing ends up in the problems.
+
+    Args:
+        log: path of the log.
+        progress: told how far each stage is.
+
+    Raises:
+        UnreadableInputError: the file is no log.
+    """
+    tell = progress or (lambda _stage, _share: None)
+    tell("listing", 0.0)
+    listed = inventory(log)
+    tell("listing", 1.0)
+    nothing = frozen([], bool)
+    try:
+        recording = read(log, lambda share: tell("reading", share))
+    except UnreadableInputError as error:
+        return Surveyed(listed, None, None, None, nothing, (_without_path(error),))
+    try:
+        (sampled,), sus = sampled_together([recording])
+    except InsufficientDataError as error:
+        return Surveyed(listed, recording, None, None, nothing, (_without_path(error),))
+    tell("features", 0.0)
+    try:
+        features = extract_features([sampled], sus)
+    except InsufficientDataError as error:
+        problems = (_without_path(error), *_weak_motion(sampled))
+        return Surveyed(listed, recording, sampled, None, nothing, problems)
+    tell("features", 1.0)
+    excited = excited_dofs(features)
+    problems = (*_weak_motion(sampled), *_weak_poses(features, excited))
+    return Surveyed(listed, recording, sampled, features, excited, problems)
+
+
+def excited_dofs(features: Features) -> Bool:
+    """(P, D) True where the readings around a pose tell of a pattern on a DoF."""
+    D = features.n_dofs
+    rows = range(1 + D, 1 + 2 * D)
+    measured = features.information[:, :, rows, rows] > 0
+    return frozen((measured & features.valid[:, :, None]).any(axis=1), bool)
+
+
+_ENOUGH_POSES = 6
+_SMALL_MOVE = 0.05
+
+
+def _weak_motion(sampled: Sampled) -> list[str]:
+    """What the motion lacks, whatever the readings are."""
+    names, spans = sampled.motion.dof_names, _spans(sampled)
+    still = [name for name, span in zip(names, spans, strict=True) if span < 1e-3]
+    lazy = [name for name, span in zip(names, spans, strict=True) if 1e-3 <= span < _SMALL_MOVE]
+    problems = [f"{name} never moves: it will not be in the URDF" for name in still]
+    problems += [f"{name} hardly moves: its axis will be uncertain" for name in lazy]
+    return problems
+
+
+def _spans(sampled: Sampled) -> F64:
+    """(D,) how far each joint moves in all [rad or m]."""
+    q = sampled.motion.q[sampled.motion.valid]
+    span: F64 = q.max(axis=0) - q.min(axis=0)
+    return span
+
+
+def _weak_poses(features: Features, excited: Bool) -> list[str]:
+    """What the poses lack."""
+    problems = []
+    patterned = int(excited.any(axis=1).sum())
+    if not patterned:
+        problems.append(
+            "no patterns: move the joints by about 0.1 rad at 1 to 4 Hz around each pose"
+        )
+    elif patterned < _ENOUGH_POSES:
+        problems.append(
+            f"few poses: patterns around {patterned} poses only; {_ENOUGH_POSES} to 12 are good"
+        )
+    for d, name in enumerate(features.dof_names):
+        if patterned and 0 < excited[:, d].sum() <= 1:
+            problems.append(f"{name} has a pattern in one pose only")
+        elif patterned and not excited[:, d].any():
+            problems.append(f"{name} has no pattern: its SUs' positions will not be known")
+    if not len(features.moves.dof):
+        problems.append(
+            "no structural moves: let one joint at a time move by half a radian, at rest before "
+            "and after; patterns alone may do"
+        )
+    deaf = [name for u, name in enumerate(features.su_names) if not features.valid[:, u].any()]
+    return problems + [f"{name} has no usable readings around any pose" for name in deaf]
+
+
+def _without_path(error: Exception) -> str:
+    """An error's words without the path they start with."""
+    path = getattr(error, "path", None)
+    text = str(error).removeprefix(f"{path}: ") if path else str(error)
+    remedy = getattr(error, "remedy", "")
+    return f"{text}; {remedy}" if remedy else text

@@ -1,0 +1,103 @@
+"""Read an emitted URDF back, the way its users will, before it replaces an older one."""
+
+from __future__ import annotations
+
+import io
+from typing import Any
+
+import numpy as np
+
+from skin2urdf.arrays import F64
+from skin2urdf.errors import Skin2UrdfError
+from skin2urdf.model.dh import screw
+from skin2urdf.model.records import KinematicModel
+from skin2urdf.urdf.names import BASE_LINK, urdf_names
+
+TOLERANCE = 1e-9
+"""Largest difference of any entry of an SU's pose [m, 1]."""
+_CONFIGURATIONS = 3
+
+
+class InconsistentUrdfError(Skin2UrdfError):
+    """A URDF that does not say what the model says: a defect of this package."""
+
+    def __init__(self, what: str) -> None:
+        super().__init__(
+            f"the URDF does not hold the robot that was found: {what}",
+            "nothing was written; please report this with the log, it is a defect of skin2urdf",
+        )
+
+
+def check_urdf(text: str, model: KinematicModel, rng: np.random.Generator | None = None) -> None:
+    """Make sure that a URDF reads back as the model it was made of.
+
+    yourdfpy validates it and Pinocchio loads it. In both, every SU must be where the model has
+    it, at random joint positions; the model's own kinematics are products of transforms.
+
+    Args:
+        text: the URDF.
+        model: what it should hold.
+        rng: source of the joint positions; a fixed one by default.
+
+    Raises:
+        InconsistentUrdfError: it does not.
+    """
+    rng = rng or np.random.default_rng(0)
+    q = rng.uniform(-1.0, 1.0, (_CONFIGURATIONS, model.tree.n_joints))
+    expected = [su_poses(model, row) for row in q]
+    for reader in (_by_pinocchio, _by_yourdfpy):
+        name = reader.__name__.removeprefix("_by_")
+        try:
+            read = reader(text, model, q)
+        except InconsistentUrdfError:
+            raise
+        except Exception as error:
+            raise InconsistentUrdfError(f"{name} can not load it ({error})") from error
+        error_size = float(np.max(np.abs(np.array(read) - np.array(expected)), initial=0.0))
+        if not error_size <= TOLERANCE:
+            raise InconsistentUrdfError(f"{name} has SUs {error_size:.1e} away from the model's")
+
+
+def su_poses(model: KinematicModel, q: F64) -> F64:
+    """(U, 4, 4) SU poses in the base frame at joint positions q (D,), by plain products."""
+    tree = model.tree
+    T_base_joint = np.tile(np.eye(4), (tree.n_joints + 1, 1, 1))  # index -1 is the base
+    for j, parent in enumerate(tree.parent):
+        motion = screw("z", 0.0, q[j]) if tree.prismatic[j] else screw("z", q[j], 0.0)
+        T_base_joint[j] = T_base_joint[parent] @ model.T_parent_joint[j] @ motion
+    return np.asarray(T_base_joint[tree.su_joint] @ model.T_joint_su)
+
+
+def _by_pinocchio(text: str, model: KinematicModel, q: F64) -> list[list[Any]]:
+    """SU poses (C, U, 4, 4) as Pinocchio reads them."""
+    import pinocchio as pin
+
+    loaded = pin.buildModelFromXML(text)
+    data = loaded.createData()
+    index = [loaded.joints[loaded.getJointId(n)].idx_q for n in model.tree.joint_names]
+    if min(index, default=0) < 0 or loaded.nq != len(index):
+        raise InconsistentUrdfError("Pinocchio finds other joints")
+    frames = [loaded.getFrameId(n, pin.FrameType.BODY) for n in urdf_names(model.tree).su_links]
+    poses = []
+    for row in q:
+        ordered = np.empty(len(index))
+        ordered[index] = row
+        pin.framesForwardKinematics(loaded, data, ordered)
+        poses.append([data.oMf[frame].homogeneous for frame in frames])
+    return poses
+
+
+def _by_yourdfpy(text: str, model: KinematicModel, q: F64) -> list[list[Any]]:
+    """SU poses (C, U, 4, 4) as yourdfpy reads them, which validates the file as well."""
+    from yourdfpy import URDF
+
+    loaded = URDF.load(io.BytesIO(text.encode()), load_meshes=False)
+    if not loaded.validate():
+        raise InconsistentUrdfError(f"yourdfpy complains: {'; '.join(map(str, loaded.errors))}")
+    poses = []
+    for row in q:
+        loaded.update_cfg(dict(zip(model.tree.joint_names, map(float, row), strict=True)))
+        poses.append(
+            [loaded.get_transform(link, BASE_LINK) for link in urdf_names(model.tree).su_links]
+        )
+    return poses

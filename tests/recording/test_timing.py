@@ -1,0 +1,205 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from skin2urdf.recording.timing import SampleTimes, sample_times
+
+F64 = NDArray[np.float64]
+EPOCH = 1_700_000_000
+RATE = 200.0
+PERIOD = 1.0 / RATE
+N = 6000
+
+
+def moving(time: F64, noise: float, rng: np.random.Generator) -> F64:
+    """Three axes that swing at 2 Hz for 8 of every 12 seconds and rest between."""
+    swing = np.where(time % 12 < 8, np.sin(np.pi * (time % 12) / 8) ** 2, 0.0)
+    clean = [9.81 * np.sin(c) + 4 * swing * np.sin(4 * np.pi * time + c) for c in range(3)]
+    return np.stack(clean, axis=1) + noise * rng.standard_normal((time.size, 3))
+
+
+def ns(time: F64) -> NDArray[np.int64]:
+    return EPOCH * 10**9 + np.rint(time * 1e9).astype(np.int64)
+
+
+def timed(stamp: F64, signal: F64) -> tuple[SampleTimes, F64]:
+    times = sample_times(ns(stamp), ns(stamp), signal)
+    assert (np.diff(times.time) > 0).all()
+    assert times.time.size == times.kept.size
+    return times, (times.time - EPOCH * 10**9) / 1e9
+
+
+def error(got: F64, true: F64) -> F64:
+    """Timing errors but for a constant, which no one can tell from a latency."""
+    return np.abs(got - true - np.median(got - true))
+
+
+@pytest.mark.parametrize("noise", [0.01, 0.08])
+@pytest.mark.parametrize("jitter", [0.1, 0.4, 1.5])
+def test_noisy_stamps_of_a_regular_sensor_are_made_regular(jitter: float, noise: float) -> None:
+    rng = np.random.default_rng(1)
+    true = np.arange(N) * PERIOD
+    stamp = true + jitter * PERIOD * rng.exponential(size=N)
+    times, got = timed(stamp, moving(true, noise, rng))
+    assert times.chosen == "regular"
+    assert times.kept.size == N
+    assert error(got, true).max() < 0.25 * jitter * PERIOD
+
+
+@pytest.mark.parametrize("noise", [0.01, 0.03])
+@pytest.mark.parametrize("jitter", [0.2, 0.4])
+def test_exact_stamps_of_an_irregular_sensor_are_kept(jitter: float, noise: float) -> None:
+    rng = np.random.default_rng(2)
+    true = (np.arange(N) + jitter * rng.uniform(-1, 1, N)) * PERIOD
+    times, got = timed(true, moving(true, noise, rng))
+    assert times.chosen == "stamps"
+    np.testing.assert_allclose(got, true, rtol=0, atol=1e-9)
+
+
+def test_samples_at_random_times_keep_their_stamps() -> None:
+    rng = np.random.default_rng(3)
+    true = np.cumsum(PERIOD * rng.exponential(size=N) + 1e-6)
+    _, got = timed(true, moving(true, 0.01, rng))
+    np.testing.assert_allclose(got, true, rtol=0, atol=1e-9)
+
+
+def test_at_rest_a_nearly_regular_stream_counts_as_regular() -> None:
+    rng = np.random.default_rng(4)
+    true = np.arange(N) * PERIOD
+    still = 0.01 * rng.standard_normal((N, 3))
+    times, _ = timed(true + 0.1 * PERIOD * rng.random(N), still)
+    assert times.chosen == "regular"
+
+
+def test_clean_stamps_stay_to_the_nanosecond() -> None:
+    rng = np.random.default_rng(5)
+    true = np.arange(N) / 300.0
+    times, _ = timed(true, moving(true, 0.01, rng))
+    assert times.chosen == "stamps"
+    assert np.array_equal(times.time, ns(true))
+
+
+def test_lost_messages_and_pauses_stay() -> None:
+    rng = np.random.default_rng(6)
+    grid = np.arange(N) * PERIOD
+    heard = rng.random(N) > 0.01
+    heard &= ~((grid > 7.0) & (grid < 7.043))
+    true = grid[heard] + np.where(grid[heard] > 18.0, 2.0013, 0.0)
+    stamp = true + 0.2 * PERIOD * rng.random(true.size)
+    times, got = timed(stamp, moving(true, 0.01, rng))
+    assert times.chosen == "regular"
+    assert error(got, true).max() < 0.1 * PERIOD
+
+
+def test_the_drift_of_a_clock_stays() -> None:
+    rng = np.random.default_rng(7)
+    grid = np.arange(N) * PERIOD
+    true = grid * (1 + 2e-4) + 3e-3 * np.sin(2 * np.pi * grid / 30)
+    stamp = true + 0.3 * PERIOD * rng.random(N)
+    times, got = timed(stamp, moving(true, 0.01, rng))
+    assert times.chosen == "regular"
+    assert error(got, true).max() < 0.06 * PERIOD
+    assert np.abs(grid - true).max() > PERIOD
+
+
+@pytest.mark.parametrize("burst", [4, 16])
+def test_samples_that_arrive_in_bursts_are_spread(burst: int) -> None:
+    rng = np.random.default_rng(8)
+    true = np.arange(N) * PERIOD
+    arrival = true[np.minimum((np.arange(N) // burst + 1) * burst - 1, N - 1)]
+    _, got = timed(arrival + 1e-6 * (np.arange(N) % burst), moving(true, 0.01, rng))
+    assert error(got, true).max() < 0.25 * PERIOD
+
+
+def test_a_coarse_clock_repeats_stamps_and_loses_no_sample() -> None:
+    rng = np.random.default_rng(9)
+    true = np.arange(N) * PERIOD
+    times, got = timed(np.floor(true / 0.02) * 0.02, moving(true, 0.01, rng))
+    assert times.kept.size == N
+    assert error(got, true).max() < 0.25 * PERIOD
+
+
+def test_messages_delivered_twice_count_once() -> None:
+    rng = np.random.default_rng(10)
+    true = np.arange(N) * PERIOD
+    twice = np.sort(np.concatenate([np.arange(N), np.arange(0, N, 7)]))
+    times, got = timed(true[twice], moving(true, 0.01, rng)[twice])
+    np.testing.assert_allclose(got, true, rtol=0, atol=1e-9)
+    assert times.kept.size == N
+
+
+@pytest.mark.parametrize("offset", [-0.05, 0.05])
+@pytest.mark.parametrize("jitter", [0.0, 0.1])
+def test_stamps_that_jump_for_a_moment_are_mended(offset: float, jitter: float) -> None:
+    rng = np.random.default_rng(11)
+    true = np.arange(N) * PERIOD
+    stamp = true + jitter * PERIOD * rng.random(N)
+    stamp[rng.choice(N, 20, replace=False)] += offset
+    times, got = timed(stamp, moving(true, 0.01, rng))
+    assert times.kept.size == N
+    assert error(got, true).max() < 0.1 * PERIOD
+
+
+def test_only_wrong_stamps_of_an_irregular_stream_are_dropped() -> None:
+    rng = np.random.default_rng(12)
+    true = np.cumsum(PERIOD * (0.1 + rng.exponential(size=N)))
+    stamp = true.copy()
+    wrong = np.arange(50, N, 97)
+    stamp[wrong] -= 0.2
+    times, got = timed(stamp, moving(true, 0.01, rng))
+    np.testing.assert_allclose(got, true[times.kept], rtol=0, atol=1e-9)
+    assert times.kept.size == N - wrong.size
+
+
+def test_messages_that_overtook_each_other_are_put_in_order() -> None:
+    rng = np.random.default_rng(13)
+    true = np.arange(N) * PERIOD
+    order = np.arange(N)
+    swapped = np.arange(20, N - 1, 31)
+    order[swapped], order[swapped + 1] = swapped + 1, swapped
+    times, got = timed(true[order], moving(true, 0.01, rng)[order])
+    assert np.array_equal(order[times.kept], np.arange(N))
+    np.testing.assert_allclose(got, true, rtol=0, atol=1e-9)
+
+
+def test_a_clock_set_back_costs_only_the_samples_it_repeats() -> None:
+    rng = np.random.default_rng(14)
+    true = np.arange(N) * PERIOD
+    stamp = true + 0.1 * PERIOD * rng.random(N)
+    stamp[N // 2 :] -= 0.3
+    times, got = timed(stamp, moving(true, 0.01, rng))
+    dropped = N - times.kept.size
+    assert 0 < dropped <= 0.3 * RATE + 2
+    on_the_clock = true - np.where(np.arange(N) >= N // 2, 0.3, 0.0)
+    assert error(got, on_the_clock[times.kept]).max() < 0.1 * PERIOD
+
+
+def test_joints_with_gaps_in_one_channel_are_timed_by_the_others() -> None:
+    rng = np.random.default_rng(15)
+    true = np.arange(N) * PERIOD
+    signal = moving(true, 1e-3, rng)
+    signal[:, 1] = np.nan
+    signal[::5, 2] = np.nan
+    times, got = timed(true + 0.3 * PERIOD * rng.random(N), signal)
+    assert times.chosen == "regular"
+    assert error(got, true).max() < 0.1 * PERIOD
+
+
+@settings(max_examples=150, deadline=None)
+@given(
+    stamps=st.lists(st.integers(-(2**60), 2**60) | st.integers(0, 5), max_size=60),
+    seed=st.integers(0, 9),
+)
+def test_times_rise_strictly_whatever_the_stamps(stamps: list[int], seed: int) -> None:
+    stamp = np.array(stamps, dtype=np.int64)
+    rng = np.random.default_rng(seed)
+    log_time = rng.integers(0, 2**60, stamp.size)
+    times = sample_times(stamp, log_time, rng.standard_normal((stamp.size, 3)))
+    assert (np.diff(times.time) > 0).all()
+    assert times.time.size == times.kept.size
+    assert np.unique(times.kept).size == times.kept.size
+    assert times.time.size > 0 or stamp.size == 0

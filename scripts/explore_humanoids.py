@@ -126,7 +126,9 @@ def main() -> None:
             f"{cells[1]} | {seconds:.1f} |",
             flush=True,
         )
-        for kind in sorted({v.words for way in results for r in way for v in r.exploration.violations}):
+        for kind in sorted(
+            {v.words for way in results for r in way for v in r.exploration.violations}
+        ):
             print(f"|   {kind} |")
         if arguments.figures:
             arguments.figures.mkdir(parents=True, exist_ok=True)

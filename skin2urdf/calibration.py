@@ -16,7 +16,7 @@ Quality = Literal["good", "fair", "bad"]
 
 GOOD_FIT = 2.0
 """Cost per degree of freedom up to which the model explains the data."""
-BAD_FIT = 20.0
+BAD_FIT = 50.0
 """Cost per degree of freedom beyond which no URDF is written."""
 
 

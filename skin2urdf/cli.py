@@ -203,12 +203,6 @@ def _compare(options: argparse.Namespace) -> int:
     from skin2urdf.urdf.compare import compare, load_unobservable
 
     beside = document_beside(options.estimate)
-    if beside is None and not options.quiet:
-        print(
-            f"note: no JSON of this very file beside {options.estimate}: what the log could not "
-            "tell counts as error",
-            file=sys.stderr,
-        )
     comparison = compare(
         options.estimate,
         options.truth,
@@ -220,6 +214,12 @@ def _compare(options: argparse.Namespace) -> int:
         _print_json(comparison.to_dict())
     elif not options.quiet:
         print(as_text(comparison), end="")
+        if beside is None:
+            print(
+                f"note: no JSON of this very file beside {options.estimate}: what the log could "
+                "not tell counts as error",
+                file=sys.stderr,
+            )
     return 0 if comparison.tree_equal else 1
 
 

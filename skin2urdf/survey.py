@@ -7,7 +7,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from skin2urdf.arrays import F64, Bool, frozen
-from skin2urdf.errors import InsufficientDataError, StructureError, UnreadableInputError
+from skin2urdf.errors import (
+    InsufficientDataError,
+    Skin2UrdfError,
+    StructureError,
+    UnreadableInputError,
+)
 from skin2urdf.recording.inventory import LogInventory
 from skin2urdf.recording.reading import inventory, read
 from skin2urdf.recording.records import Recording
@@ -131,16 +136,16 @@ def survey(log: str | Path, *, progress: Progress | None = None) -> Surveyed:
     try:
         recording = read(log, lambda share: tell("reading", share))
     except UnreadableInputError as error:
-        return Surveyed(listed, None, None, None, nothing, (_without_path(error),))
+        return Surveyed(listed, None, None, None, nothing, (_words(error, log),))
     try:
         (sampled,), sus = sampled_together([recording])
     except InsufficientDataError as error:
-        return Surveyed(listed, recording, None, None, nothing, (_without_path(error),))
+        return Surveyed(listed, recording, None, None, nothing, (_words(error, log),))
     tell("features", 0.0)
     try:
         features = extract_features([sampled], sus)
     except InsufficientDataError as error:
-        problems = (_without_path(error), *_weak_motion(sampled))
+        problems = (_words(error, log), *_weak_motion(sampled))
         return Surveyed(listed, recording, sampled, None, nothing, problems)
     tell("features", 1.0)
     excited = excited_dofs(features)
@@ -203,9 +208,7 @@ def _weak_poses(features: Features, excited: Bool) -> list[str]:
     return problems + [f"{name} has no usable readings around any pose" for name in deaf]
 
 
-def _without_path(error: Exception) -> str:
-    """An error's words without the path they start with."""
-    path = getattr(error, "path", None)
-    text = str(error).removeprefix(f"{path}: ") if path else str(error)
-    remedy = getattr(error, "remedy", "")
-    return f"{text}; {remedy}" if remedy else text
+def _words(error: Skin2UrdfError, log: str | Path) -> str:
+    """What an error says, without the path it starts with."""
+    text = str(error).removeprefix(f"{log}: ")
+    return f"{text}; {error.remedy}" if error.remedy else text

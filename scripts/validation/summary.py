@@ -49,7 +49,7 @@ class Group:
     """Runs of one kind taken together; None where no run tells.
 
     Attributes:
-        label: words that name the group, without those that all groups share.
+        label: words that name the group.
         target: what it must reach.
         n_runs: number of runs.
         n_tree: with the right tree.

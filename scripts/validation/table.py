@@ -58,7 +58,10 @@ def _by_kind(runs: Iterable[Run]) -> list[Run]:
 
 def _table(title: str, groups: Sequence[Group]) -> str:
     """Lines of a table, one row per group; `!` marks what falls short."""
-    labels = [" ".join(group.label) for group in groups]
+    shared = set.intersection(*(set(group.label) for group in groups))
+    if len(groups) == 1:
+        shared = set()
+    labels = [" ".join(word for word in group.label if word not in shared) for group in groups]
     rows = [_row(group) for group in groups]
     width = max(len(title), *map(len, labels))
     widths = [
@@ -73,6 +76,9 @@ def _table(title: str, groups: Sequence[Group]) -> str:
         for label, row in zip(labels, rows, strict=True)
     ]
     lines = [*heads, "-" * max(map(len, heads)), *body]
+    if shared:
+        common = " ".join(word for word in groups[0].label if word in shared)
+        lines.append(f"(all of them: {common})")
     return "\n".join(line.rstrip() for line in lines) + "\n"
 
 

@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import multiprocessing
+import tempfile
+import zipfile
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
+from pathlib import Path
 
+from skin2urdf.errors import UsageError
 from validation.cases import Case
 from validation.records import Failure, Run
 
@@ -68,29 +72,47 @@ def _alone(work: Work, case: Case) -> Run:
 def cluster(address: str) -> Map:
     """A map over the workers of an existing dask.distributed scheduler.
 
-    The workers need skin2urdf installed. The code of the validation itself goes there by value.
+    The workers need skin2urdf installed; the code of the validation itself is sent to them.
 
     Args:
         address: of the scheduler, such as ``tcp://127.0.0.1:8786``.
+
+    Raises:
+        UsageError: dask.distributed is not installed, or nobody answers at the address.
     """
 
     def over(work: Work, cases: Sequence[Case]) -> Iterator[Run]:
-        import cloudpickle  # type: ignore[import-untyped]
-        from distributed import Client, as_completed
-
-        import validation
-
-        cloudpickle.register_pickle_by_value(validation)
         try:
-            with Client(address) as client:  # type: ignore[no-untyped-call]
-                futures = client.map(work, cases, key=[case.key for case in cases], pure=False)
-                case_of = dict(zip((future.key for future in futures), cases, strict=True))
-                for future in as_completed(futures):  # type: ignore[no-untyped-call]
-                    error = future.exception()
-                    failure = Failure(type(error).__name__, str(error), "its dask worker")
-                    yield future.result() if error is None else Run(case_of[future.key], failure)
-                    future.release()
-        finally:
-            cloudpickle.unregister_pickle_by_value(validation)
+            from distributed import Client, as_completed
+        except ImportError as error:
+            raise UsageError("--scheduler needs dask", "pip install distributed") from error
+        try:
+            client = Client(address, timeout=10)  # type: ignore[no-untyped-call]
+        except (OSError, ValueError) as error:
+            raise UsageError(
+                f"no scheduler answers at {address}", "give what `dask scheduler` prints"
+            ) from error
+        with client, tempfile.TemporaryDirectory() as folder:
+            client.upload_file(_packed(Path(folder)))
+            futures = client.map(work, cases, key=[case.key for case in cases], pure=False)
+            case_of = dict(zip((future.key for future in futures), cases, strict=True))
+            for future in as_completed(futures):  # type: ignore[no-untyped-call]
+                problem = future.exception()
+                if problem is None:
+                    yield future.result()
+                else:
+                    failure = Failure(type(problem).__name__, str(problem), "its dask worker")
+                    yield Run(case_of[future.key], failure)
+                future.release()
 
     return over
+
+
+def _packed(folder: Path) -> str:
+    """Path of a zip file of this package, as Python imports it."""
+    package = Path(__file__).parent
+    path = folder / f"{package.name}.zip"
+    with zipfile.ZipFile(path, "w") as file:
+        for source in sorted(package.glob("*.py")):
+            file.write(source, f"{package.name}/{source.name}")
+    return str(path)

@@ -55,6 +55,35 @@ class FeatureBlocks:
         return replace(self, W=self.W * root, target=self.target * root)
 
 
+def _blurred(
+    info: F64, eta: F64, measured: F64, noise: F64, position_sd: F64
+) -> tuple[F64, F64]:
+    """Information with f0 blurred by what is not known of the joints' positions at rest.
+
+    A position that is off by a constant shifts f0 by ``s_d`` times that. Slopes that were not
+    measured are taken as gravity's (Sherman-Morrison update, the same for all axes).
+
+    Args:
+        info: (P, U, m, m) information, and
+        eta: (P, U, m, 3) its product with the coefficients.
+        measured: (P, U, m, 3) coefficients of f0, s_d, tau_d of the chain.
+        noise: (P, U, 3) standard deviation of one sample.
+        position_sd: (P, U, n) standard deviation of the chain's positions.
+    """
+    n = position_sd.shape[-1]
+    seen = np.einsum("puii->pui", info)[..., 1 : 1 + n] > 0
+    largest = (measured[:, :, :1] ** 2).sum(axis=-1)
+    slope2 = np.where(seen, (measured[:, :, 1 : 1 + n] ** 2).sum(axis=-1), largest * 2 / 3) / 3
+    variance = np.where(np.isfinite(noise), noise, 1.0) ** 2
+    ratio = (slope2 * position_sd**2).sum(axis=-1) / np.maximum(variance.mean(axis=-1), 1e-300)
+    first = info[..., 0]
+    share = (ratio / (1 + ratio * first[..., 0]))[..., None, None]
+    return (
+        info - share * first[..., :, None] * first[..., None, :],
+        eta - share * first[..., :, None] * eta[..., :1, :],
+    )
+
+
 def feature_blocks(features: Features, tree: KinematicTree) -> FeatureBlocks:
     """Restrict features to what the tree says can move each SU, and whiten them.
 
@@ -84,7 +113,11 @@ def feature_blocks(features: Features, tree: KinematicTree) -> FeatureBlocks:
         eta = products[:, pick, rows] * valid[:, us, None, None]
         info = info[:, pick[..., None], rows[:, :, None], rows[:, None, :]]
         info = info * valid[:, us, None, None]
-        scale = np.sqrt(np.einsum("puii->pui", info))
+        measured = features.coefficients[:, su[us]][:, pick, rows]
+        info, eta = _blurred(
+            info, eta, measured, features.noise[:, su[us]], features.position_sd[:, own]
+        )
+        scale = np.sqrt(np.maximum(np.einsum("puii->pui", info), 0.0))
         inverse_scale = np.divide(1.0, scale, out=np.zeros_like(scale), where=scale > 0)
         lam, V = np.linalg.eigh(info * inverse_scale[..., :, None] * inverse_scale[..., None, :])
         excited = lam > _RANK_TOLERANCE * max(1, int(length))

@@ -16,6 +16,7 @@ from skin2urdf.estimation.state import (
     Step,
     joint_motion,
     local_motion,
+    turn_basis,
     turned_up,
 )
 from skin2urdf.model.kinematics import PinocchioTree
@@ -128,8 +129,9 @@ class Cost:
         )
         frames = (state.T_parent_joint[:, :3, :3], state.T_joint_su[:, :3, :3])
         zero = zero_frames(R, p, blocks.q, self.tree.prismatic)
+        basis, turns = (joint_basis, su_basis), turn_basis(step.logs)
         return Evaluation(
-            self, kin, zero, (joint_basis, su_basis), frames, Y, GT, residual, prior, offsets
+            self, kin, zero, basis, turns, frames, Y, GT, residual, prior, offsets
         )
 
     def zero_step(self) -> Step:
@@ -154,6 +156,7 @@ class Evaluation:
     kin: SuKinematics
     _zero: tuple[F64, F64]
     _basis: tuple[F64, F64]
+    _turns: F64
     _frames: tuple[F64, F64]
     _Y: F64
     _GT: F64
@@ -218,10 +221,10 @@ class Evaluation:
 
     def _log_gradient(self, wrench: F64) -> F64:
         """(G - 1, 2) gradient in the turns of gravity, from gravity's rows (P, U, 6)."""
-        world = -(self.kin.R @ wrench[..., :3, None])[..., :2, 0].sum(axis=1)
-        out = np.zeros((self.cost.n_logs, 2))
+        world = -(self.kin.R @ wrench[..., :3, None])[..., 0].sum(axis=1)
+        out = np.zeros((self.cost.n_logs, 3))
         np.add.at(out, self.cost.blocks.log, world)
-        return out[1:]
+        return (out[1:, None] @ self._turns)[:, 0]
 
     def jacobian(self) -> tuple[F64, F64]:
         """Derivatives of the whitened residuals.
@@ -270,10 +273,11 @@ class Evaluation:
 
     def _log_columns(self, turned: F64) -> F64:
         """(P, U, m, 3, 2 (G - 1)) derivatives in the turns of gravity."""
-        Rt = np.swapaxes(self.kin.R, -1, -2)[:, :, None, :, :2]
-        columns = -(turned[..., :3] @ Rt)
+        Rt = np.swapaxes(self.kin.R, -1, -2)[:, :, None]
+        poses = np.arange(turned.shape[0])
+        B = np.concatenate([np.zeros((1, 3, 2)), self._turns])[self.cost.blocks.log]
+        columns = -(turned[..., :3] @ (Rt @ B[:, None, None]))
         out = np.zeros((*columns.shape[:-1], self.cost.n_logs, 2))
-        poses = np.arange(columns.shape[0])
         out[poses, :, :, :, self.cost.blocks.log] = columns
         return out[..., 1:, :].reshape(*columns.shape[:-1], -1)
 

@@ -24,6 +24,9 @@ from skin2urdf.structure.records import KinematicTree
 
 Refinement = Literal["casadi", "none"]
 
+_EXPLAINED = 10.0
+"""Chi-squared per measurement up to which a followed start counts as an explanation."""
+
 
 @dataclass(frozen=True, eq=False)
 class EstimationSettings:
@@ -151,38 +154,56 @@ def _free(cost: Cost, settings: EstimationSettings) -> Free:
     return Free(free.joints, free.logs, sus)
 
 
-def _starts(cost: Cost) -> Iterator[Orientations]:
-    L = cost.blocks.chains.joint.shape[1]
-    slopes = cost.blocks.variance[:, :, 1 : 1 + L][:, cost.blocks.chains.present]
-    if slopes.size and np.isfinite(slopes).mean() > 0.5:
-        yield from inward_starts(cost.tree, cost.blocks, cost.priors)
-    else:
-        yield from outward_starts(cost.tree, cost.blocks, cost.priors)
-
-
 def _followed_starts(
     cost: Cost, free: Free, earlier: State | None
 ) -> tuple[State, tuple[float, ...]]:
-    """The most promising start, after positions and the progressive estimation."""
-    tree = cost.tree
-    starts = [with_positions(cost, o.state(tree), free) for o in _starts(cost)]
-    if not starts:
+    """The most promising start, followed to the neighbourhood of its optimum.
+
+    Peeling inwards comes first where slopes were measured. The search outwards follows where they
+    were not, or where no peeled start explains the data (slopes and accelerations are hard to
+    tell apart in a short pattern of one frequency).
+    """
+    # Placements first: from far away, a sensor matrix would rather turn itself inside out.
+    placements = Free(free.joints, free.logs, free.sus & (np.arange(N_SU) < N_PLACEMENT))
+    followed: list[tuple[State, float]] = []
+
+    def follow(starts: Iterator[Orientations]) -> None:
+        for start in starts:
+            state = with_positions(cost, start.state(cost.tree), free)
+            state, _ = gauss_newton(cost, state, placements, iterations=8)
+            followed.append(gauss_newton(cost, state, free, iterations=8))
+
+    if earlier is not None:
+        followed.append(gauss_newton(cost, earlier, free, iterations=8))
+    inward = _slopes_measured(cost)
+    if inward:
+        follow(inward_starts(cost.tree, cost.blocks, cost.priors))
+    explained = any(chi2 < _EXPLAINED * cost.n_data for _, chi2 in followed)
+    if not inward and not followed:
+        starts = list(outward_starts(cost.tree, cost.blocks, cost.priors))
+        if len(starts) == 1:
+            state = with_positions(cost, starts[0].state(cost.tree), free)
+            state = progressive(cost, state, placements)
+            return state, (cost.at(state).chi2,)
+        follow(iter(starts))
+    elif not explained and earlier is None:
+        follow(outward_starts(cost.tree, cost.blocks, cost.priors))
+    if not followed:
         raise InsufficientDataError(
             "no start for the estimation: the gravity slopes of the DoFs were not measured, and a "
             "segment carries no SU",
             "record patterns that move every DoF by 0.05 rad or more around each pose",
         )
-    # Placements first: from far away, a sensor matrix would rather turn itself inside out.
-    placements = Free(free.joints, free.logs, free.sus & (np.arange(N_SU) < N_PLACEMENT))
-    if len(starts) == 1 and earlier is None:
-        state = progressive(cost, starts[0], placements)
-        return state, (cost.at(state).chi2,)
-    followed = [gauss_newton(cost, s, placements, iterations=8) for s in starts]
-    followed = [gauss_newton(cost, s, free, iterations=8) for s, _ in followed]
-    if earlier is not None:
-        followed.append(gauss_newton(cost, earlier, free, iterations=8))
     best = min(range(len(followed)), key=lambda i: followed[i][1])
-    return followed[best][0], tuple(c for _, c in followed)
+    return progressive(cost, followed[best][0], free), tuple(c for _, c in followed)
+
+
+def _slopes_measured(cost: Cost) -> bool:
+    """Whether most DoFs' slopes s were measured in most poses where the DoF moved the SU."""
+    L = cost.blocks.chains.joint.shape[1]
+    slopes = cost.blocks.variance[:, :, 1 : 1 + L][:, cost.blocks.chains.present]
+    levers = cost.blocks.variance[:, :, 1 + L :][:, cost.blocks.chains.present]
+    return bool(np.isfinite(slopes).sum() > 0.5 * max(1, int(np.isfinite(levers).sum())))
 
 
 def with_positions(cost: Cost, state: State, free: Free) -> State:

@@ -106,7 +106,7 @@ def placements(
         # On the first segment sit SUs and the joints that carry everything else.
         own, behind = np.flatnonzero(tree.su_joint == root), np.flatnonzero(tree.parent == root)
         groups = [[int(u)] for u in own] + [_sus_behind(tree, int(j)) for j in behind]
-        means = np.array([np.nanmean(gravity[group], axis=0) for group in groups])
+        means = np.array([_mean_of_known(gravity[group]) for group in groups])
         weights = np.array([float(len(group)) for group in groups])
         reference, yaws = _aligned(means, weights)
         turns = screw("z", yaws, 0.0)
@@ -129,6 +129,14 @@ def placements(
 def _sus_behind(tree: KinematicTree, joint: int) -> list[int]:
     """SUs that a joint moves."""
     return [u for u, j in enumerate(tree.su_joint) if joint in tree.chain(int(j))]
+
+
+def _mean_of_known(vectors: F64) -> F64:
+    """(G, 3) mean of vectors (n, G, 3) over those without NaN; NaN where there are none."""
+    known = np.isfinite(vectors).all(axis=-1, keepdims=True)
+    count = known.sum(axis=0)
+    total = np.where(known, vectors, 0.0).sum(axis=0)
+    return np.where(count > 0, total / np.maximum(count, 1), np.nan)
 
 
 def _aligned(means: F64, weights: F64) -> tuple[F64, F64]:

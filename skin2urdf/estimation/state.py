@@ -8,7 +8,7 @@ import numpy as np
 
 from skin2urdf.arrays import F64, Bool, frozen
 from skin2urdf.model.records import KinematicModel
-from skin2urdf.model.spatial import placement, rotation_exp
+from skin2urdf.model.spatial import placement, rotation_exp, skew
 from skin2urdf.structure.records import KinematicTree
 
 JOINT_COORDINATES = (0, 1, 3, 4)
@@ -134,6 +134,20 @@ def turned_up(up: F64, x: F64) -> F64:
     w = np.concatenate([x, np.zeros((len(x), 1))], axis=1)
     out[1:] = (rotation_exp(w) @ up[1:, :, None])[..., 0]
     return out
+
+
+def turn_basis(x: F64) -> F64:
+    """(G - 1, 3, 2) turns in the base frame per unit of the coordinates x of :func:`turned_up`.
+
+    The first two columns of the left Jacobian of SO(3).
+    """
+    w = np.concatenate([x, np.zeros((len(x), 1))], axis=1)
+    angle = np.linalg.norm(w, axis=1)[:, None, None]
+    safe = np.where(angle < 1e-4, 1.0, angle)
+    a = 0.5 * np.sinc(angle / (2 * np.pi)) ** 2
+    b = np.where(angle < 1e-4, 1 / 6, (safe - np.sin(safe)) / safe**3)
+    W = skew(w)
+    return np.asarray((np.eye(3) + a * W + b * (W @ W))[..., :2])
 
 
 def moved(state: State, step: Step) -> State:

@@ -63,8 +63,10 @@ def frame_with_z(z: F64) -> F64:
     """
     x, y, c = z[..., 0], z[..., 1], z[..., 2]
     R = np.zeros((*z.shape, 3))
-    down = c < -1 + 1e-12
-    k = 1 / np.where(down, 1.0, 1 + c)
+    # 1 / (1 + c), without its cancellation near c = -1.
+    across = x * x + y * y
+    down = (c < 0) & (across < 1e-300)
+    k = np.where(c < 0, 1 - c, 1.0) / np.where(c < 0, np.where(down, 1.0, across), 1 + c)
     R[..., 0, 0] = 1 - x * x * k
     R[..., 0, 1] = R[..., 1, 0] = -x * y * k
     R[..., 1, 1] = 1 - y * y * k

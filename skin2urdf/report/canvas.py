@@ -22,7 +22,9 @@ Align = Literal["left", "center", "right"]
 FORMATS = (".svg", ".pdf", ".png")
 _POINTS_PER_INCH = 72.0
 _PNG_DPI = 160
-_STYLE: dict[str, Any] = {
+_MOST_PIXELS = 30_000
+"""Longest side of a PNG; a renderer takes 65,535 at most."""
+_STYLE: Any = {
     "font.family": "sans-serif",
     "font.sans-serif": ["DejaVu Sans"],  # comes with matplotlib: the same widths everywhere
     "svg.fonttype": "path",
@@ -63,7 +65,8 @@ def page(path: str | Path, width: float, height: float) -> Iterator[Canvas]:
         axes = figure.add_axes((0.0, 0.0, 1.0, 1.0), frameon=False)
         axes.set(xlim=(0.0, width), ylim=(height, 0.0), xticks=(), yticks=())
         yield Canvas(axes)
-        figure.savefig(target, format=kind[1:], dpi=_PNG_DPI, metadata=_DATES[kind])
+        dpi = min(_PNG_DPI, _MOST_PIXELS / max(width, height))
+        figure.savefig(target, format=kind[1:], dpi=dpi, metadata=_DATES[kind])
 
 
 @lru_cache(maxsize=4096)

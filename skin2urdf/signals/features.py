@@ -22,13 +22,24 @@ from skin2urdf.signals.filters import (
 from skin2urdf.signals.motion import Motion, joint_motion
 from skin2urdf.signals.poses import Neighbourhood, Rest, find_neighbourhoods, find_rests
 from skin2urdf.signals.records import Features, StaticMoves
-from skin2urdf.signals.regression import Design, enough, excited, fit, regressors
+from skin2urdf.signals.regression import (
+    Design,
+    enough,
+    excited,
+    fit,
+    noise_by_row,
+    regressors,
+)
 
 Curvature = Callable[[F64, F64, F64, F64, int], F64]
 """(q (D,), dq (N, D), qd, qdd, log) -> (N, U, 3) readings beyond first order around pose q."""
 
 STANDARD_GRAVITY = 9.81
 _G_UNITS = (0.5, 2.0)
+_MODEL_NOISE = 3e-4
+"""Error of interpolating and differentiating sampled signals [m/s^2]; a floor for the noise."""
+_STILL = 20.0
+"""Encoder steps per second below which rounding does not average out [1/s]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -169,6 +180,7 @@ def extract_features(
         coefficients=np.array([p.coefficients for p in poses]),
         information=np.array([p.information for p in poses]),
         noise=np.array([p.noise for p in poses]),
+        position_sd=np.array([p.offset for p in poses]),
         latency=lag,
         latency_sd=lag_sd,
         moves=static_moves(sampled),
@@ -183,6 +195,7 @@ class _Pose:
     coefficients: F64
     information: F64
     noise: F64
+    offset: F64
     lag_numerator: F64
     lag_denominator: F64
 
@@ -206,6 +219,7 @@ def _poses(s: Sampled, lag: F64, curvature: Curvature | None, log: int) -> list[
         y = readings[spans]
         if curvature is not None:
             y = y - curvature(pose.q, dq, qd, qdd, log)
+        still = (np.abs(qd) < _STILL * motion.resolution).mean(axis=0)
         inner, usable, at = [], [], 0
         for (a, b), (lo, hi) in zip(pose.windows, pieces, strict=True):
             inner.append(np.arange(at + a - lo, at + b - lo))
@@ -219,7 +233,12 @@ def _poses(s: Sampled, lag: F64, curvature: Curvature | None, log: int) -> list[
             at += hi - lo
         use = np.concatenate(inner)
         ok = np.concatenate(usable)
-        out.append(_regress(pose.q, log, X[use], Z[use], y[use], ok, noise, independence, rate))
+        out.append(
+            _regress(
+                pose.q, log, X[use], Z[use], y[use], ok, noise, still * motion.noise,
+                (independence, rate, s.cutoff),
+            )
+        )  # fmt: skip
     return [p for p in out if np.isfinite(p.noise).any()]
 
 
@@ -236,9 +255,18 @@ def eroded_columns(valid: Bool, reach: int) -> Bool:
 
 
 def _regress(
-    q: F64, log: int, X: F64, Z: F64, y: F64, ok: Bool, noise: F64, independence: float, rate: float
+    q: F64,
+    log: int,
+    X: F64,
+    Z: F64,
+    y: F64,
+    ok: Bool,
+    noise: F64,
+    offset: F64,
+    sampling: tuple[float, float, float],
 ) -> _Pose:
     """Fit all SUs around one pose; SUs with the same valid samples share one factorisation."""
+    independence, rate, cutoff = sampling
     U, n = y.shape[1], X.shape[1]
     coefficients = np.zeros((U, n, 3))
     information = np.zeros((U, n, n))
@@ -255,8 +283,10 @@ def _regress(
         Ze = Z[use]
         result = fit(Design(Xe, Ze, noise), y[use][:, members], independence)
         coefficients[members] = result.coefficients
-        information[members] = result.information
-        deviation[members] = np.maximum(result.deviation, 1e-6)
+        factor = noise_by_row(Xe, result.residual, rate, cutoff, independence)
+        root = np.sqrt(factor)
+        information[members] = result.information / (root[:, :, None] * root[:, None, :])
+        deviation[members] = np.hypot(result.deviation, _MODEL_NOISE)
         fitted = np.zeros((len(use), len(members), 3))
         fitted[use] = y[use][:, members] - result.residual
         slope = first_derivative(fitted, rate)
@@ -269,8 +299,9 @@ def _regress(
         denominator[members] = np.einsum("nui,nui,ui->u", across, across, weight)
     scale = independence
     return _Pose(
-        q, log, coefficients, information, deviation, numerator * scale, denominator * scale
-    )
+        q, log, coefficients, information, deviation, offset,
+        numerator * scale, denominator * scale,
+    )  # fmt: skip
 
 
 def _latency_step(poses: Sequence[_Pose]) -> tuple[F64, F64]:

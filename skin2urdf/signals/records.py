@@ -52,6 +52,8 @@ class Features:
             coefficients' covariance per axis is ``noise**2 * pinv(information)``.
         noise: (P, U, 3) standard deviation of one independent sample per axis [m/s^2];
             infinite where an SU has no samples around a pose.
+        position_sd: (P, D) standard deviation of the reference positions: encoders at rest are off
+            by a constant up to half a step [rad or m].
         latency: (U,) time by which each SU's stamps lag the joints' [s].
         latency_sd: (U,) its standard deviation [s]; infinite where nothing moved the SU.
         moves: static evidence from larger single-DoF moves.
@@ -68,12 +70,15 @@ class Features:
     latency: F64
     latency_sd: F64
     moves: StaticMoves
+    position_sd: F64 = field(default_factory=lambda: np.zeros(()))
     notes: tuple[str, ...] = field(default=())
 
     def __post_init__(self) -> None:
         for name in ("q", "coefficients", "information", "noise", "latency", "latency_sd"):
             object.__setattr__(self, name, frozen(getattr(self, name)))
         object.__setattr__(self, "log", frozen(self.log, np.int64))
+        everywhere = np.broadcast_to(np.asarray(self.position_sd, dtype=np.float64), self.q.shape)
+        object.__setattr__(self, "position_sd", frozen(everywhere))
 
     @property
     def n_poses(self) -> int:

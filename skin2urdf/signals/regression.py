@@ -12,6 +12,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.ndimage import uniform_filter1d
 
 from skin2urdf.arrays import F64, Bool
 
@@ -55,7 +56,9 @@ class Fit:
 def excited(X: F64, noise: F64) -> F64:
     """X (N, n) with columns set to zero whose variation does not stand out from encoder noise."""
     energy = X.var(axis=0)
-    quiet = energy <= _SIGNAL_TO_NOISE * noise
+    n_dofs = (X.shape[1] - 1) // 2
+    smallest = np.r_[0.0, np.full(n_dofs, 1e-10), np.full(n_dofs, 1e-6)]
+    quiet = energy <= np.maximum(_SIGNAL_TO_NOISE * noise, smallest)
     quiet[0] = False
     return np.asarray(np.where(quiet, 0.0, X))
 
@@ -103,6 +106,73 @@ def fit(design: Design, y: F64, independence: float) -> Fit:
         residual.reshape(N, U, 3),
         np.sqrt(variance.reshape(U, 3)),
     )
+
+
+def noise_by_row(
+    X: F64, residual: F64, rate: float, cutoff: float, independence: float
+) -> F64:
+    """Noise power that each regressor meets, relative to the mean over all samples.
+
+    Residuals are neither white nor steady: what the encoders' rounding adds grows with the fourth
+    power of frequency, and only while a joint moves. A coefficient sees the noise at the
+    frequencies and times of its own regressor, so its variance is that of ordinary least squares
+    times ``sum |X(f)|^2 S(f) / sum |X(f)|^2`` and the same over time (White 1980).
+
+    Args:
+        X: (N, n) filtered regressors; zero columns get 1.
+        residual: (N, U, 3) residuals.
+        rate: samples per second [Hz].
+        cutoff: of the low-pass [Hz].
+        independence: independent samples per sample.
+
+    Returns:
+        (U, n) factors.
+    """
+    N, U, _ = residual.shape
+    f = np.fft.rfftfreq(N, 1 / rate)
+    band = (f > 0.25) & (f < 0.9 * cutoff)
+    power = (np.abs(np.fft.rfft(residual, axis=0)) ** 2).mean(axis=2)[band]
+    basis = np.stack([np.ones(int(band.sum())), (f[band] / cutoff) ** 4], axis=1)
+    level = np.array([_spectrum(basis, p) for p in power.T])
+    X_power = np.abs(np.fft.rfft(X, axis=0)) ** 2
+    inside = f < 0.9 * cutoff
+    shape = np.stack([np.ones(int(inside.sum())), (f[inside] / cutoff) ** 4], axis=1)
+    share = X_power[inside].T @ shape
+    total = X_power[inside].sum(axis=0)
+    by_frequency = np.divide(level @ share.T, total, out=np.ones((U, len(total))), where=total > 0)
+    by_frequency /= np.maximum(power.mean(axis=0), 1e-300)[:, None]
+
+    used = X[:, np.einsum("ni,ni->i", X, X) > 0]
+    q, _ = np.linalg.qr(used)
+    leverage = np.clip(np.einsum("ni,ni->n", q, q) / independence, 0.0, 0.8)
+    squared = (residual**2).mean(axis=2) / (1 - leverage)[:, None]
+    span = max(1, int(0.5 * rate))
+    steady = uniform_filter1d(squared, span, axis=0, mode="nearest")
+    energy = X**2
+    sums = energy.sum(axis=0)
+    by_time = np.divide(steady.T @ energy, sums, out=np.ones((U, len(sums))), where=sums > 0)
+    by_time /= np.maximum(steady.mean(axis=0), 1e-300)[:, None]
+    return np.asarray(np.clip(by_frequency * by_time, 1e-3, 1e3))
+
+
+def _spectrum(basis: F64, power: F64) -> F64:
+    """Non-negative levels (2,) of a spectrum ``a + b (f / cutoff)^4``, by iterated weighting."""
+    model = np.full(len(power), max(float(power.mean()), 1e-300))
+    level = np.array([model[0], 0.0])
+    for _ in range(4):
+        A = basis / model[:, None]
+        y = power / model
+        candidates = []
+        both, *_ = np.linalg.lstsq(A, y, rcond=None)
+        candidates.append(both)
+        for i in (0, 1):
+            only = np.zeros(2)
+            only[i] = (A[:, i] @ y) / (A[:, i] @ A[:, i])
+            candidates.append(only)
+        feasible = [c for c in candidates if (c >= 0).all()]
+        level = min(feasible, key=lambda c: float(np.sum((A @ c - y) ** 2)))
+        model = np.maximum(basis @ level, 1e-3 * float(power.mean()) + 1e-300)
+    return np.asarray(level)
 
 
 def regressors(dq: F64, qd: F64, qdd: F64, linear: bool) -> tuple[F64, F64]:

@@ -10,7 +10,7 @@ from skin2urdf.arrays import Bool, Int
 from skin2urdf.errors import StructureError, UsageError
 from skin2urdf.structure.exploration import violations as say
 from skin2urdf.structure.exploration.crossings import explain_crossings
-from skin2urdf.structure.exploration.limbs import end_effectors, limbs
+from skin2urdf.structure.exploration.limbs import connection_sequences, end_effectors, limbs
 from skin2urdf.structure.exploration.merging import merge_dofs, merge_sus
 from skin2urdf.structure.exploration.records import (
     BREAKS_THE_TREE,
@@ -101,6 +101,7 @@ def explore(
         segments=segments,
         joints=joints,
         triangular=triangular,
+        sequences=connection_sequences(triangular),
         connectivity=connectivity,
         true_end_effectors=true,
         false_end_effectors=false,

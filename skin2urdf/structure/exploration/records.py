@@ -117,7 +117,8 @@ class Exploration:
         segments: SUs of each segment; empty where a segment must exist but carries no SU.
         joints: DoFs of each joint.
         triangular: (N + 1, N) sorted matrix, with rows for the segments that carry no SU.
-        connectivity: (N, 2) the two segments that each joint connects, RS side first (line 6).
+        sequences: joints from the RS to each segment, in order (line 6: connection sequences).
+        connectivity: (N, 2) the two segments that each joint connects, RS side first (II-B.3).
         true_end_effectors: segments with exactly one joint, without the RS (line 8).
         false_end_effectors: segments with more than two joints, without the RS (line 8).
         limbs: from the RS to every true and false end effector (line 9).
@@ -135,6 +136,7 @@ class Exploration:
     segments: tuple[Group, ...]
     joints: tuple[Group, ...]
     triangular: Bool
+    sequences: tuple[tuple[int, ...], ...]
     connectivity: Int
     true_end_effectors: tuple[int, ...]
     false_end_effectors: tuple[int, ...]
@@ -161,11 +163,6 @@ class Exploration:
     def is_tree(self) -> bool:
         """True where the activity matrix is that of a kinematic tree."""
         return not any(v.kind in BREAKS_THE_TREE for v in self.violations)
-
-    @property
-    def sequences(self) -> tuple[tuple[int, ...], ...]:
-        """Joints from the RS to each segment, in order (line 6: connection sequences)."""
-        return tuple(tuple(int(n) for n in np.flatnonzero(row)) for row in self.triangular)
 
     def sus_of(self, limb: Limb) -> tuple[str, ...]:
         """Names of the SUs on a limb, from its reference to its end effector."""

@@ -71,7 +71,7 @@ def reference_segment(matrix: Bool) -> int | None:
 
 
 def joint_segment_connectivity(triangular: Bool) -> Int:
-    """The two segments that each joint connects (line 6).
+    """The two segments that each joint connects (paper II-B.3).
 
     Walks along the secondary diagonal, from low to high indices. The row of the current element
     is identical to that of another segment except for this element: its column is the joint that

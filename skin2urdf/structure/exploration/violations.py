@@ -30,7 +30,7 @@ def crossing_violations(
         if c.cause == "closed loop":
             words = (
                 f"closed loop: the segment with {_list(names)} hangs on more than one joint: it "
-                f"moves with {_list([_list(j) for j in joints])}, none of which carries the other"
+                f"moves with {_list([_list(j) for j in joints])}, none of which carries another"
             )
             remedy = (
                 "open the loop (or lock its joints) during calibration; if there is none, an SU "

@@ -1,0 +1,96 @@
+"""Activity matrix and tree as text and for scripts."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+
+from skin2urdf.errors import StructureError
+from skin2urdf.report.document import dumps
+from skin2urdf.report.exploration import as_document, as_text, limbs
+from skin2urdf.structure.activity import Activity
+from skin2urdf.structure.exploration import explore
+from skin2urdf.structure.records import KinematicTree
+from skin2urdf.survey import Explored
+
+
+def forked() -> Explored:
+    """Trunk ``t`` with arms ``a`` and ``b``, a DoF nobody feels, and one SU per segment."""
+    sus, dofs = ("s_tip", "s_base", "s_trunk", "s_b"), ("a", "b", "idle", "t")
+    static = np.array(
+        [
+            [9.0, 0.01, 0.01, 8.0],
+            [0.01, 0.01, 0.01, 0.02],
+            [0.01, 0.01, 0.01, 12.0],
+            [0.7, 5.0, 0.01, 9.0],
+        ]
+    )
+    activity = Activity(
+        sus,
+        dofs,
+        static,
+        np.zeros((4, 4)),
+        np.array([True, True, False, True]),
+        np.ones(4, dtype=bool),
+    )
+    tree = KinematicTree(
+        ("t", "a", "b"),
+        np.array([-1, 0, 0]),
+        ("revolute", "revolute", "prismatic"),
+        sus,
+        np.array([1, -1, 0, 2]),
+    )
+    steps = explore(activity.matrix, sus, dofs, excited=activity.excited)
+    return Explored(activity, steps, tree, None, ("a note",))
+
+
+def test_the_matrix_is_in_the_order_of_the_tree() -> None:
+    lines = as_text(forked()).splitlines()
+    rows = [line.split() for line in lines[3:7]]
+    assert [row[0] for row in rows] == ["s_base", "s_trunk", "s_tip", "s_b"]
+    assert rows[0][1:] == ["."] * 4
+    active = [[cell != "." and not cell.startswith("0") for cell in row[1:]] for row in rows]
+    assert active == [
+        [False] * 4,
+        [True, False, False, False],
+        [True, True, False, False],
+        [True, False, True, False],
+    ]
+    legend = [line.split(maxsplit=2) for line in lines[7:11]]
+    assert [entry[1] for entry in legend] == ["t", "a", "b", "idle"]
+    assert legend[3][2] == "never moves"
+
+
+def test_the_tree_names_joints_and_what_they_carry() -> None:
+    text = as_text(forked())
+    assert "base  [s_base]\n└─ t (revolute)  [s_trunk]\n" in text
+    assert "   ├─ a (revolute)  [s_tip]\n   └─ b (prismatic)  [s_b]\n" in text
+    assert "limb 1: 2 DoF: t > a" in text
+    assert "limb 2: 2 DoF: t > b" in text
+    assert "  - a note" in text
+
+
+def test_limbs_run_from_the_base_to_every_end() -> None:
+    tree = forked().tree
+    assert tree is not None
+    assert limbs(tree) == [(0, 1), (0, 2)]
+
+
+def test_the_document_says_the_same() -> None:
+    document = as_document(forked())
+    assert json.loads(dumps(document)) == document
+    assert document["limbs"] == [["t", "a"], ["t", "b"]]
+    assert document["tree"]["sus"] == {"s_tip": "a", "s_base": None, "s_trunk": "t", "s_b": "b"}
+    assert np.array(document["activity"]["matrix"]).sum() == 5
+    assert "idle" in [dof for v in document["violations"] for dof in v["dofs"]]
+
+
+def test_a_contradiction_still_shows_its_matrix() -> None:
+    contradiction = replace(forked(), tree=None, contradiction=StructureError("a loop"))
+    text = as_text(contradiction)
+    assert "s_trunk" in text
+    assert "limb" not in text
+    assert as_document(contradiction)["contradiction"] == "a loop"
+    assert as_document(contradiction)["tree"] is None

@@ -1,0 +1,98 @@
+"""The summary: a verdict that can be believed, then tables, then what is not known."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from calibrated import calibration
+
+from skin2urdf.calibration import Calibration
+from skin2urdf.report.findings import findings
+from skin2urdf.report.summary import as_text
+from skin2urdf.report.tables import bullets, number, span, table
+
+
+def with_cost(cost_per_dof: float) -> Calibration:
+    fit = calibration().estimate
+    changed = replace(fit, chi2=cost_per_dof * fit.degrees_of_freedom)
+    return replace(calibration(), estimate=changed)
+
+
+@pytest.mark.parametrize(
+    ("cost", "quality", "words"),
+    [
+        (0.98, "good", "the model explains the readings (cost per degree of freedom 0.98)"),
+        (7.0, "fair", "in part (cost per degree of freedom 7.00"),
+        (900.0, "bad", "does not explain the readings"),
+        (float("nan"), "bad", "does not explain the readings"),
+    ],
+)
+def test_the_first_line_is_the_verdict(cost: float, quality: str, words: str) -> None:
+    first = as_text(with_cost(cost)).splitlines()[0]
+    assert first.startswith(f"{quality}: 6 joints, 7 SUs; ")
+    assert words in first
+
+
+def test_every_joint_and_su_has_its_row() -> None:
+    lines = as_text(calibration()).splitlines()
+    tree = calibration().model.tree
+    for j, name in enumerate(tree.joint_names):
+        row = next(line for line in lines if line.startswith(f"{name} ")).split()
+        low, high = np.rad2deg(calibration().limits[j])
+        assert row[1] == "revolute"
+        assert row[2] == ("base" if j == 0 else tree.joint_names[j - 1])
+        assert row[3:7] == [f"{low:.0f}", "..", f"{high:.0f}", "deg"]
+        assert row[-1] == calibration().observability.joint_verdict[j].split()[-1]
+    for u, name in enumerate(tree.su_names):
+        row = next(line for line in lines if line.startswith(f"{name} ")).split()
+        joint = int(tree.su_joint[u])
+        assert row[1] == ("base" if joint < 0 else tree.joint_names[joint])
+        assert row[-1] == calibration().observability.su_verdict[u].split()[-1]
+
+
+def test_what_is_not_known_comes_with_what_to_record() -> None:
+    text = as_text(calibration())
+    first = calibration().model.tree.joint_names[0]
+    unknown = text[text.index("Not observable from this log:") :]
+    assert f"along the axis of {first}: {first} is the only joint that moves it" in unknown
+    assert f"about the axis of {first}: the axis is vertical; record a second log" in unknown
+
+
+def test_notes_are_shown() -> None:
+    text = as_text(replace(calibration(), notes=("su_1 was mended",)))
+    assert "Notes:\n  - su_1 was mended\n" in text
+    assert "Notes" not in as_text(replace(calibration(), notes=()))
+
+
+def test_open_directions_of_joints_are_told() -> None:
+    observability = replace(calibration().observability, n_open=2)
+    text = as_text(replace(calibration(), observability=observability))
+    assert "2 directions of the joints' axes" in text
+
+
+def test_without_an_observable_su_no_error_is_promised() -> None:
+    observability = calibration().observability
+    nothing = replace(
+        observability, su_unobservable=tuple(np.eye(6) for _ in observability.su_unobservable)
+    )
+    changed = replace(calibration(), observability=nothing)
+    assert np.isnan(findings(changed).expected_position)
+    assert "no SU's pose is observable" in as_text(changed)
+    assert "nan" not in as_text(changed)
+
+
+def test_expected_errors_are_small_and_positive() -> None:
+    found = findings(calibration())
+    assert 0 < found.expected_position < 1e-3
+    assert 0 < found.expected_orientation < np.deg2rad(0.1)
+
+
+def test_tables_line_up() -> None:
+    lines = table(("name", "n"), [("a", "1.0"), ("long name", "10.0")], "<>")
+    assert lines == ["name          n", "---------------", "a           1.0", "long name  10.0"]
+    assert bullets("Notes", []) == []
+    assert span(-90.2, 44.9) == "-90 .. 45"
+    assert number(float("nan")) == "-"
+    assert number(-0.001) == "0.00"

@@ -1,0 +1,353 @@
+"""The command line as a user meets it: results, exit statuses, and errors that help."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import NamedTuple
+
+import pytest
+
+from skin2urdf import cli, options, survey, terminal
+from skin2urdf.cli import main
+from skin2urdf.errors import BadFitError, StructureError
+from skin2urdf.estimation.cost import Priors
+from skin2urdf.files import write_atomically
+
+SHORT = ["--poses", "3", "--imu-rate", "250", "--joint-rate", "125", "--seed", "5"]
+
+
+class Files(NamedTuple):
+    """A log and its truth, an estimate and its JSON."""
+
+    log: Path
+    truth: Path
+    urdf: Path
+    json: Path
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory: pytest.TempPathFactory) -> Files:
+    """A recording and what was made of it, all by the command line."""
+    folder = tmp_path_factory.mktemp("cli")
+    made = Files(*(folder / n for n in ("log.mcap", "truth.urdf", "robot.urdf", "robot.json")))
+    to = ["-o", str(made.log), "--truth", str(made.truth)]
+    assert main(["simulate", "panda", *to, *SHORT]) == 0
+    assert main(["calibrate", str(made.log), "-o", str(made.urdf), "--quiet"]) == 0
+    return made
+
+
+Run = Callable[..., tuple[int, str, str]]
+
+
+@pytest.fixture
+def run(capsys: pytest.CaptureFixture[str]) -> Run:
+    def call(*words: object) -> tuple[int, str, str]:
+        status = main([str(word) for word in words])
+        return (status, *capsys.readouterr())
+
+    return call
+
+
+def test_calibrate_tells_the_verdict_first_and_the_files_last(
+    files: Files, run: Run, tmp_path: Path
+) -> None:
+    status, out, err = run("calibrate", files.log, "-o", tmp_path / "a.urdf", "--name", "arm")
+    assert (status, err) == (0, "")
+    lines = out.splitlines()
+    assert lines[0].startswith("good: 7 joints, 8 SUs;")
+    assert "a.urdf" in lines[-1]
+    assert "a.json" in lines[-1]
+    assert (tmp_path / "a.json").is_file()
+    assert '<robot name="arm">' in (tmp_path / "a.urdf").read_text()
+
+
+def test_calibrate_prints_the_json_it_writes(files: Files, run: Run, tmp_path: Path) -> None:
+    status, out, _ = run("calibrate", files.log, "-o", tmp_path / "a.urdf", "--json")
+    assert status == 0
+    printed, written = json.loads(out), json.loads((tmp_path / "a.json").read_text())
+    del written["urdf"]
+    assert printed == written
+    assert printed["inputs"][0]["path"] == str(files.log)
+    assert len(printed["inputs"][0]["digest"]) == 64
+
+
+def test_compare_finds_the_estimate_close_to_the_truth(files: Files, run: Run) -> None:
+    status, out, err = run("compare", files.urdf, files.truth)
+    assert (status, err) == (0, "")
+    assert out.startswith("Tree: right\n")
+    status, out, _ = run("compare", files.urdf, files.truth, "--json", "--configurations", 20)
+    assert status == 0
+    overall = json.loads(out)["overall"]
+    assert overall["position_mm"]["rms"] < 0.5
+    assert overall["orientation_deg"]["rms"] < 0.05
+
+
+def test_compare_without_the_json_says_so(files: Files, run: Run, tmp_path: Path) -> None:
+    (tmp_path / "alone.urdf").write_bytes(files.urdf.read_bytes())
+    status, _, err = run("compare", tmp_path / "alone.urdf", files.truth)
+    assert status == 0
+    assert "note: no JSON" in err
+
+
+def test_compare_of_different_trees_exits_with_1(files: Files, run: Run, tmp_path: Path) -> None:
+    wrong = tmp_path / "wrong.urdf"
+    text = files.truth.read_text()
+    wrong.write_text(text.replace('name="panda_joint3"', 'name="elbow"'))
+    status, out, _ = run("compare", files.urdf, wrong)
+    assert status == 1
+    assert out.startswith("Tree: WRONG")
+
+
+def test_explore_shows_matrix_tree_and_limbs(files: Files, run: Run) -> None:
+    status, out, _ = run("explore", files.log)
+    assert status == 0
+    assert "limb 1: 7 DoF: panda_joint1 >" in out
+    status, out, _ = run("explore", files.log, "--json")
+    assert len(json.loads(out)["tree"]["joints"]) == 7
+
+
+def test_explore_shows_a_contradiction_and_fails(
+    files: Files, run: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    found = survey.explore([files.log])
+    broken = replace(found, tree=None, contradiction=StructureError("crossing", "look closer"))
+    monkeypatch.setattr(survey, "explore", lambda *_, **__: broken)
+    status, out, err = run("explore", files.log)
+    assert status == 1
+    assert "activity" in out
+    assert err == "error: crossing\n  -> look closer\n"
+
+
+def test_info_shows_what_is_there_and_what_is_missing(files: Files, run: Run) -> None:
+    status, out, err = run("info", files.log)
+    assert (status, err) == (0, "")
+    assert "few poses" in out
+    status, out, _ = run("info", files.log, "--json")
+    assert json.loads(out)["poses_with_pattern"] == 3
+
+
+def test_quiet_prints_nothing(files: Files, run: Run, tmp_path: Path) -> None:
+    log, urdf = tmp_path / "l.mcap", tmp_path / "t.urdf"
+    commands = [
+        ("simulate", "so101", "-o", log, "--truth", urdf, "--poses", 1),
+        ("explore", files.log),
+        ("info", files.log),
+        ("compare", files.urdf, files.truth),
+    ]
+    for command in commands:
+        assert run(*command, "--quiet") == (0, "", "")
+
+
+def test_simulate_lists_its_robots(run: Run) -> None:
+    status, out, _ = run("simulate", "--list")
+    assert status == 0
+    assert any(line.startswith("panda ") and "Franka" in line for line in out.splitlines())
+
+
+def test_simulate_takes_its_options(run: Run, tmp_path: Path) -> None:
+    words = ["--poses", 1, "--sus-per-segment", 2, "--sus-on-base", 0, "--excite", "all"]
+    words += ["--base-rpy", 10, 20, 30, "--grade", "ideal", "--tracking", "none", "--lag", 5]
+    words += ["--encoder-bits", 0, "--jitter", 0, "--compression", "none", "--no-index"]
+    status, out, _ = run("simulate", "so101", "-o", tmp_path / "log.mcap", *words, "--no-chunks")
+    assert status == 0
+    assert "5 joints, 10 SUs, 1 poses" in out
+
+
+@pytest.mark.parametrize(
+    ("words", "status", "says"),
+    [
+        (["calibrate", "{log}", "-o", "{tmp}/none/a.urdf"], 2, "mkdir -p"),
+        (["calibrate", "{log}", "-o", "{log}"], 2, "would be overwritten"),
+        (["calibrate", "{log}", "-o", "{tmp}/a.json"], 2, "robot.urdf"),
+        (["calibrate", "{tmp}/none.mcap", "-o", "{tmp}/a.urdf"], 2, "check the path"),
+        (["calibrate", "{empty}", "-o", "{tmp}/a.urdf"], 2, "the file is empty"),
+        (["calibrate", "{text}", "-o", "{tmp}/a.urdf"], 2, "not an MCAP file"),
+        (["calibrate", "{log}", "-o", "{tmp}/a.urdf", "--bias", "nan"], 2, "--bias"),
+        (["calibrate", "{log}", "-o", "{tmp}/a.urdf", "--threshold", "-1"], 2, "--threshold"),
+        (["calibrate", "{log}", "-o", "{tmp}/a.urdf", "--gravity", "0"], 2, "--gravity"),
+        (["compare", "{text}", "{truth}"], 2, "is not XML"),
+        (["compare", "{truth}", "{tmp}/none.urdf"], 2, "check the path"),
+        (["compare", "{truth}", "{truth}", "--seed", "-1"], 2, "--seed"),
+        (["explore", "{text}"], 2, "not an MCAP file"),
+        (["explore", "{log}", "--plot", "{tmp}/none/a.svg"], 2, "mkdir -p"),
+        (["info", "{text}"], 2, "not an MCAP file"),
+        (["simulate", "panda"], 2, "--list"),
+        (["simulate", "marvin", "-o", "{tmp}/a.mcap"], 2, "panda"),
+        (["simulate", "panda", "-o", "{tmp}/none/a.mcap"], 2, "mkdir -p"),
+        (["simulate", "panda", "-o", "{tmp}/a", "--truth", "{tmp}/a"], 2, "two names"),
+        (["simulate", "{truth}", "-o", "{truth}"], 2, "would be overwritten"),
+        (["simulate", "panda", "-o", "{tmp}/a.mcap", "--poses", "0"], 2, "n_poses"),
+    ],
+    ids=lambda value: " ".join(value[:1]) if isinstance(value, list) else str(value),
+)
+def test_errors_say_what_to_do_and_leave_nothing(
+    files: Files, run: Run, tmp_path: Path, words: list[str], status: int, says: str
+) -> None:
+    inputs = tmp_path / "inputs"
+    inputs.mkdir()
+    (inputs / "empty").touch()
+    (inputs / "text").write_text("hello")
+    places = {
+        **files._asdict(),
+        "tmp": tmp_path,
+        "empty": inputs / "empty",
+        "text": inputs / "text",
+    }
+    done, out, err = run(*(word.format(**places) for word in words))
+    assert (done, out) == (status, "")
+    first, second = err.splitlines()
+    assert first.startswith("error: ")
+    assert second.startswith("  -> ")
+    assert says in err
+    assert [path.name for path in tmp_path.iterdir()] == ["inputs"]
+    assert sorted(path.name for path in inputs.iterdir()) == ["empty", "text"]
+
+
+def test_a_bad_fit_writes_nothing(
+    files: Files, run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(*_: object, **__: object) -> None:
+        raise BadFitError("no robot explains this", "look again", 900.0)
+
+    monkeypatch.setattr("skin2urdf.pipeline.calibrate", fail)
+    status, out, err = run("calibrate", files.log, "-o", tmp_path / "a.urdf")
+    assert (status, out, err) == (1, "", "error: no robot explains this\n  -> look again\n")
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("raised", "status", "says"),
+    [
+        (KeyboardInterrupt(), 130, "interrupted"),
+        (ZeroDivisionError("0/0"), 1, "internal error: ZeroDivisionError: 0/0"),
+        (RecursionError(), 1, "internal error: RecursionError"),
+    ],
+    ids=["interrupt", "defect", "defect without words"],
+)
+def test_no_traceback_reaches_a_user(
+    run: Run, monkeypatch: pytest.MonkeyPatch, raised: BaseException, status: int, says: str
+) -> None:
+    def fail(_: object) -> int:
+        raise raised
+
+    monkeypatch.setitem(cli._COMMANDS, "info", fail)
+    done, out, err = run("info", "log.mcap")
+    assert (done, out) == (status, "")
+    assert says in err
+    assert "Traceback" not in err
+
+
+@pytest.mark.parametrize("error", [ZeroDivisionError("0/0"), BadFitError("no")])
+def test_debug_shows_where_an_error_comes_from(
+    monkeypatch: pytest.MonkeyPatch, error: Exception
+) -> None:
+    def fail(_: object) -> int:
+        raise error
+
+    monkeypatch.setitem(cli._COMMANDS, "info", fail)
+    with pytest.raises(type(error)):
+        main(["info", "log.mcap", "--debug"])
+
+
+def test_a_reader_who_goes_away_is_no_error() -> None:
+    process = subprocess.Popen(
+        [sys.executable, "-m", "skin2urdf", "simulate", "--list"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+    )
+    assert process.stdout is not None
+    assert process.stderr is not None
+    process.stdout.close()
+    complaint = process.stderr.read()
+    process.stderr.close()
+    assert (process.wait(timeout=60), complaint) == (0, b"")
+
+
+def test_a_terminal_without_the_characters_is_no_error(files: Files) -> None:
+    done = subprocess.run(  # noqa: S603 - our own words
+        [sys.executable, "-m", "skin2urdf", "explore", files.log],
+        env={"PYTHONIOENCODING": "ascii", "PATH": ""},
+        capture_output=True,
+        check=False,
+        timeout=120,
+    )
+    assert (done.returncode, done.stderr) == (0, b"")
+    assert b"panda_joint7" in done.stdout
+
+
+def test_defaults_in_the_help_are_those_of_the_estimation(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "160")
+    parser = options.parser(tuple)
+    given = parser.parse_args(["calibrate", "log.mcap", "-o", "robot.urdf"])
+    settings = cli._calibration_settings(given)
+    assert asdict(settings.estimation.priors) == asdict(Priors())
+    with pytest.raises(SystemExit):
+        parser.parse_args(["calibrate", "--help"])
+    text = capsys.readouterr().out
+    priors = Priors()
+    for option, default in (
+        ("--bias", f"{priors.bias / 9.81e-3:.0f}"),
+        ("--scale", f"{priors.scale:g}"),
+        ("--cross", f"{priors.cross:g}"),
+        ("--gravity", f"{priors.gravity:g}"),
+    ):
+        line = next(line for line in text.splitlines() if f"  {option} " in line)
+        assert line.endswith(f"({default})")
+
+
+def test_options_reach_the_settings() -> None:
+    words = ["--bias", "10", "--scale", "0", "--cross", "0.002", "--gravity", "9.78"]
+    words += ["--no-intrinsics", "--refine", "casadi", "--threshold", "0.1"]
+    given = options.parser(tuple).parse_args(["calibrate", "l", "-o", "r", *words])
+    settings = cli._calibration_settings(given)
+    priors = settings.estimation.priors
+    assert priors.bias == pytest.approx(10e-3 * 9.81)
+    assert (priors.scale, priors.cross, priors.gravity) == (0.0, 0.002, 9.78)
+    assert not settings.estimation.intrinsics
+    assert settings.estimation.refine == "casadi"
+    assert settings.static_threshold == pytest.approx(0.981)
+
+
+@pytest.mark.parametrize("command", ["calibrate", "simulate", "compare", "explore", "info"])
+def test_help_teaches_with_an_example(command: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as stopped:
+        main([command, "--help"])
+    assert stopped.value.code == 0
+    out = capsys.readouterr().out
+    assert f"example:\n  skin2urdf {command} " in out
+    assert "--quiet" in out
+
+
+def test_a_bar_appears_after_a_second_and_only_where_someone_watches(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    bar = terminal.Bar(shown=True)
+    bar("reading", 0.5)
+    assert bar._progress is None
+    monkeypatch.setattr(terminal, "_PATIENCE", 0.0)
+    hidden = terminal.Bar(shown=False)
+    hidden("reading", 0.5)
+    assert hidden._progress is None
+    bar("reading", 0.7)
+    bar("features", 0.1)
+    assert bar._progress is not None
+    assert [task.description for task in bar._progress.tasks] == ["reading", "features"]
+    bar.close()
+    assert capsys.readouterr().out == ""
+    with terminal.progress_bar(quiet=False) as silent:  # standard error is no terminal here
+        silent("reading", 0.5)
+        assert silent._progress is None
+
+
+def test_the_written_truth_is_whole(files: Files, tmp_path: Path) -> None:
+    text = files.truth.read_text()
+    write_atomically(tmp_path / "copy.urdf", text)
+    assert text.rstrip().endswith("</robot>")
+    assert all(f"panda_joint{i}" in text for i in range(1, 8))

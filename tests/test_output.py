@@ -1,0 +1,101 @@
+"""Two files, written together or not at all."""
+
+from __future__ import annotations
+
+import json
+import xml.etree.ElementTree as ET
+from pathlib import Path
+
+import pytest
+from calibrated import calibration
+
+from skin2urdf import output
+from skin2urdf.errors import Skin2UrdfError, UsageError
+from skin2urdf.output import document_beside, output_paths, save
+from skin2urdf.urdf.loading import load_robot
+
+
+def names(folder: Path) -> list[str]:
+    return sorted(path.name for path in folder.iterdir())
+
+
+def test_both_files_are_written_and_belong_together(tmp_path: Path) -> None:
+    urdf, beside = save(calibration(), tmp_path / "arm.urdf")
+    assert names(tmp_path) == ["arm.json", "arm.urdf"]
+    tree = calibration().model.tree
+    robot = load_robot(urdf)
+    assert tuple(robot.joint_types) == tree.joint_names
+    assert set(tree.su_names) <= robot.links
+    document = json.loads(beside.read_text())
+    assert document["urdf"]["file"] == "arm.urdf"
+    assert document_beside(urdf) == beside
+
+
+def test_the_json_of_another_urdf_is_not_taken(tmp_path: Path) -> None:
+    urdf, beside = save(calibration(), tmp_path / "arm.urdf")
+    urdf.write_text(urdf.read_text() + "\n")
+    assert document_beside(urdf) is None
+    beside.write_text("no JSON")
+    assert document_beside(urdf) is None
+    beside.unlink()
+    assert document_beside(urdf) is None
+
+
+def test_name_and_visuals_can_be_chosen(tmp_path: Path) -> None:
+    urdf, _ = save(calibration(), tmp_path / "a.urdf", name="lab arm", visuals=False)
+    root = ET.fromstring(urdf.read_text())  # noqa: S314 - our own file
+    assert root.get("name") == "lab arm"
+    assert not root.findall(".//visual")
+    urdf, _ = save(calibration(), tmp_path / "a.urdf")
+    root = ET.fromstring(urdf.read_text())  # noqa: S314 - our own file
+    assert root.get("name") == "a"
+    assert root.findall(".//visual")
+
+
+@pytest.mark.parametrize("name", ["robot.json", "robot.JSON", "robot.mcap", "none/robot.urdf"])
+def test_places_that_can_not_be_are_refused(tmp_path: Path, name: str) -> None:
+    with pytest.raises(UsageError) as raised:
+        output_paths(tmp_path / name)
+    assert raised.value.remedy
+    assert names(tmp_path) == []
+
+
+def test_a_folder_in_the_place_of_the_json_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "robot.json").mkdir()
+    with pytest.raises(UsageError, match=r"robot\.json"):
+        output_paths(tmp_path / "robot.urdf")
+
+
+@pytest.mark.parametrize("step", ["check_urdf", "as_document", "dumps"])
+def test_a_failure_leaves_the_old_files(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, step: str
+) -> None:
+    for name in ("robot.urdf", "robot.json"):
+        (tmp_path / name).write_text(f"old {name}")
+
+    def fail(*_: object) -> None:
+        raise Skin2UrdfError("no")
+
+    monkeypatch.setattr(output, step, fail)
+    with pytest.raises(Skin2UrdfError, match="no"):
+        save(calibration(), tmp_path / "robot.urdf")
+    assert names(tmp_path) == ["robot.json", "robot.urdf"]
+    assert (tmp_path / "robot.urdf").read_text() == "old robot.urdf"
+    assert (tmp_path / "robot.json").read_text() == "old robot.json"
+
+
+def test_a_full_disk_leaves_the_old_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "robot.urdf").write_text("old")
+    (tmp_path / "robot.json").write_text("old")
+    whole = output.write_atomically
+
+    def write(path: Path, text: str) -> None:
+        if path.suffix == ".json":
+            raise UsageError("no space left on device")
+        whole(path, text)
+
+    monkeypatch.setattr(output, "write_atomically", write)
+    with pytest.raises(UsageError, match="no space"):
+        save(calibration(), tmp_path / "robot.urdf")
+    assert names(tmp_path) == ["robot.json", "robot.urdf"]
+    assert {path.read_text() for path in tmp_path.iterdir()} == {"old"}

@@ -3,8 +3,9 @@
 For each robot and seed: short recordings in which every DoF moves, with SUs on some segments only
 (hips and shoulders are three-DoF joints) and several on others, trunk static. Counts the wrong
 entries of the activity matrix and says whether the segments, joints and limbs found are the true
-ones. "static" is the paper's test alone (0.05 g, two logs with the base turned by 90 degrees);
-"all evidence" is what `skin2urdf explore` uses, on the first log alone.
+ones. "static" is the paper's test alone (0.05 g, two logs with the base turned by 90 degrees); "all
+evidence" adds the patterns, on the first log alone, and lets uncertain entries be overruled by
+the rest of the matrix.
 
     python scripts/explore_humanoids.py --seeds 3 --figures /tmp/figures
 """
@@ -32,6 +33,7 @@ from skin2urdf.structure.exploration import (
     or_combination,
     static_activity,
 )
+from skin2urdf.structure.tree import nested
 
 ROBOTS = ("talos", "romeo", "icub", "simple_humanoid", "g1", "panda")
 TILTED = tuple(radians(a) for a in (25.0, 15.0, 0.0))
@@ -91,8 +93,9 @@ def run(name: str, seed: int, poses: int) -> tuple[Result, Result]:
     joints = [su.joint for su in simulation.truth.sus]
     truth = explore(true_activity(name, joints), sus, dofs)
     static = or_combination([static_activity(static_moves([log]), len(dofs)) for log in logs])
-    features = extract_features(logs[:1], sus)
-    return judge(static, truth), judge(activity(features).matrix, truth)
+    seen = activity(extract_features(logs[:1], sus))
+    entries, _ = nested(seen.evidence, sus, dofs)
+    return judge(static, truth), judge(entries, truth)
 
 
 def main() -> None:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from paper_errors import (
+    LENGTHS,
     LINK_NAMES,
     SU_NAMES,
     Run,
@@ -69,56 +70,69 @@ class Table:
         return "\n".join([f"**{self.title}**", "", line(self.head), line(marks), *body])
 
 
-def parameter_tables(one: Run, truth: DhTable) -> list[Table]:
+def parameter_tables(one: Run) -> list[Table]:
     """DoF-DoF and DoF-SU transformation parameters, as the paper arranges them."""
-    shown = in_true_gauge(model_of(case.PRINTED_LINKS, case.PRINTED_SUS, case.TILT))
-    head = (
-        "",
-        "true",
-        "paper",
-        "error",
-        "ours, paper's method",
-        "error",
-        "ours, default",
-        "error",
-        "",
-    )
     tables = []
     for links in (True, False):
-        names = LINK_NAMES if links else SU_NAMES
-        true = truth.links[1:] if links else truth.sus
+        true = case.TRUE_LINKS if links else case.TRUE_SUS
         scanned = case.PRINTED_LINKS if links else case.PRINTED_SUS
-        printed_error = (shown.links[1:] if links else shown.sus) - true
-        ours = [
-            None if t is None else (t.links[1:] if links else t.sus)
-            for t in (one.paper_table, one.default_table)
-        ]
+        columns: list[F64 | None] = [scanned]
+        for table in (one.paper_table, one.default_table):
+            values = None if table is None else (table.links[1:] if links else table.sus)
+            columns.append(values)
         rows: list[tuple[str, ...]] = []
         for n in range(len(true)):
-            rows += [()] if n else []
-            for i, name in enumerate(names):
-                open_ = n == 0 and (name == "d" or (links and name == "theta0"))
-                ambiguous = not links and abs(np.sin(true[n, 3])) < PARALLEL
-                ambiguous &= name in ("theta0", "d", "theta_acc", "d_acc")
-                angle = name not in ("d", "a", "d_acc")
-                where = f"DoF {n + 1}-{n + 2}" if links else f"DoF {n + 1} - SU {n + 1}"
-                cells = [f"{where} {name}", f"{true[n, i]:.3f}", f"{scanned[n, i]:.3f}"]
-                difference = float(wrapped(printed_error)[n, i] if angle else printed_error[n, i])
-                cells.append("-" if open_ else f"{difference:+.3f}")
-                for values in ours:
-                    if values is None:
-                        cells += ["-", "-"]
-                        continue
-                    error = values[n, i] - true[n, i]
-                    error = float(wrapped(error)) if angle else float(error)
-                    cells += [f"{values[n, i]:.4f}", "-" if open_ else f"{error:+.4f}"]
-                note = "arbitrary" if open_ else "sum only" if ambiguous else ""
-                if not note and abs(difference) > SUSPECT:
-                    note = "scan?"
-                rows.append((*cells, note))
-        title = "DoF-DoF" if links else "DoF-SU"
-        tables.append(Table(f"{title} transformation parameters [rad, m]", head, tuple(rows)))
+            if n:
+                rows.append(())
+            rows += _rows_of_one(n, links, true[n], [None if c is None else c[n] for c in columns])
+        title = f"{'DoF-DoF' if links else 'DoF-SU'} transformation parameters [rad, m]"
+        tables.append(Table(title, _PARAMETER_HEAD, tuple(rows)))
     return tables
+
+
+_PARAMETER_HEAD = (
+    "", "true", "paper", "error", "ours, paper's method", "error", "ours, default", "error", "",
+)  # fmt: skip
+
+
+def _rows_of_one(
+    n: int, links: bool, true: F64, columns: Sequence[F64 | None]
+) -> list[tuple[str, ...]]:
+    """Rows of one transform; near-parallel SUs get the sums that mean something."""
+    names = LINK_NAMES if links else SU_NAMES
+    where = f"DoF {n + 1}-{n + 2}" if links else f"DoF {n + 1} - SU {n + 1}"
+    parallel = not links and abs(np.sin(true[3])) < PARALLEL
+    rows = []
+    for i, name in enumerate(names):
+        arbitrary = n == 0 and name in (("theta0", "d") if links else ("d",))
+        ambiguous = parallel and name in ("theta0", "d", "theta_acc", "d_acc")
+        note = "arbitrary" if arbitrary else "ambiguous" if ambiguous else ""
+        gauge = n == 0 and name == "theta0" and not note
+        values = [None if c is None else float(c[i]) for c in columns]
+        row = _row(f"{where} {name}", float(true[i]), values, name not in LENGTHS, note)
+        rows.append((*row[:3], "-", *row[4:-1], "paper: with theta0_1 = 0") if gauge else row)
+    if parallel:
+        for name, i, k in (("theta0 + theta_acc", 0, 4), ("d + d_acc", 1, 5)):
+            values = [None if c is None else float(c[i] + c[k]) for c in columns]
+            rows.append(_row(f"{where} {name}", float(true[i] + true[k]), values, i == 0, ""))
+    return rows
+
+
+def _row(
+    label: str, true: float, values: Sequence[float | None], angle: bool, note: str
+) -> tuple[str, ...]:
+    """One parameter: the scanned number with 3 digits, ours with 4, and errors unless noted."""
+    cells, remark = [label, f"{true:.3f}"], note
+    for n, value in enumerate(values):
+        if value is None:
+            cells += ["-", "-"]
+            continue
+        digits = 4 if n else 3
+        error = float(wrapped(np.array(value - true))) if angle else value - true
+        cells += [f"{value:.{digits}f}", "-" if note else f"{error:+.{digits}f}"]
+        if n == 0 and not note and abs(error) > SUSPECT:
+            remark = "scan?"
+    return (*cells, remark)
 
 
 def placement_table(one: Run, truth: DhTable, settings: PaperSettings) -> Table:
@@ -140,7 +154,7 @@ def placement_table(one: Run, truth: DhTable, settings: PaperSettings) -> Table:
                 for p, r in zip(position, turn, strict=True)
             ]
         )
-    rows = []
+    rows: list[tuple[str, ...]] = []
     for u in range(case.N_DOFS):
         e_T = (
             f"{printed_error(one, links, u, settings):.3f}"
@@ -165,13 +179,13 @@ def printed_error(one: Run, links: F64, u: int, settings: PaperSettings) -> floa
             settings.last_dofs,
             pattern.amplitude,
             pattern.frequency,
-        )  # fmt: skip
+        )
     )
 
 
 def step_table(one: Run) -> Table:
     """Optimization steps; the paper's columns as the scan shows them, one of seven is lost."""
-    rows = []
+    rows: list[tuple[str, ...]] = []
     steps = one.paper.steps if one.paper else ()
     for n, step in enumerate(steps):
         scanned = case.PRINTED_STEPS[n] if n < len(case.PRINTED_STEPS) else None
@@ -192,7 +206,7 @@ def step_table(one: Run) -> Table:
     return Table("Optimization steps (paper's method)", head, tuple(rows))
 
 
-def printed(values: Sequence[float], length: Sequence[bool]) -> F64:
+def printed(values: F64, length: Sequence[bool]) -> F64:
     """Values in mm and deg from m and rad."""
     return np.asarray(values) * np.where(np.asarray(length), 1e3, np.rad2deg(1.0))
 
@@ -210,19 +224,23 @@ def statistics_table(found: Statistics) -> Table:
             found.paper_rms,
             found.default_rms,
             found.bound,
-            found.bound_known_sensors,
+            found.bound_unknown_sensors,
         )
     ]
     rows: list[tuple[str, ...]] = []
     for i, parameter in enumerate(names):
-        one, ours, default, bound, known = (float(c[i]) for c in columns)
+        scanned, ours, default, bound, unknown = (float(c[i]) for c in columns)
         unit = "mm" if parameter.length else "deg"
         rows.append(
-            (f"{parameter.name} [{unit}]", f"{one:+.2f}", f"{ours:.3f}", f"{default:.3f}",
-             f"{bound:.3f}", f"{default / bound:.2f}", f"{known:.3f}")
+            (
+                f"{parameter.name} [{unit}]", f"{scanned:+.2f}", f"{ours:.3f}", f"{default:.3f}",
+                f"{bound:.3f}", f"{default / bound:.2f}", f"{unknown:.3f}",
+            )
         )  # fmt: skip
-    head = ("", "paper's error", "paper's method", "default", "bound", "default/bound",
-            "bound, ideal sensors")  # fmt: skip
+    head = (
+        "", "paper's error", "paper's method", "default", "bound", "default/bound",
+        "bound, sensors unknown",
+    )  # fmt: skip
     return Table(f"Root mean square errors over {found.seeds} seeds", head, tuple(rows))
 
 
@@ -250,7 +268,7 @@ def summary(found: Statistics) -> list[str]:
             f"ratio of times: median {np.median(seconds / default):.1f}, of means "
             f"{seconds.mean() / default.mean():.1f}; the paper's {case.PAPER_SECONDS:.0f} s over "
             f"our default {case.PAPER_SECONDS / np.median(default):.0f}",
-            f"parameters in which the default's rms is larger than the paper's method's: {worse} of "
-            f"{len(names)}",
+            f"parameters in which the default's rms is larger than the paper's method's: "
+            f"{worse} of {len(names)}",
         ]
     return lines

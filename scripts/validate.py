@@ -10,7 +10,7 @@ a summary next to the Cramer-Rao bounds and to what must be reached.
         --postures tilted upright --excite one all --output runs.jsonl --plot runs.png
     python scripts/validate.py --output runs.jsonl --summary-only
 
-Exit status: 0, or 1 where a run failed, found a wrong tree or did not converge.
+Exit status: 0; 1 where a run failed, found a wrong tree or did not converge; 2 for bad usage.
 """
 
 from __future__ import annotations
@@ -121,6 +121,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parser().parse_args(arguments)
     try:
         return _validate(options)
+    except KeyboardInterrupt:
+        print(f"\nstopped; the same command goes on where {options.output} ends", file=sys.stderr)
+        return 130
     except Skin2UrdfError as error:
         print(f"validate.py: {error}", file=sys.stderr)
         if error.remedy:

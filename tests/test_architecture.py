@@ -95,7 +95,7 @@ READERS_OF_TRUTH = {"simulation", "cli"}
 ENTRIES = {"pyproject.toml", "skin2urdf", "robots", "tests", "scripts", "README.md", "LICENSE"}
 MAX_LINES = 400
 # Loading any of these takes longer than `skin2urdf --help` may.
-HEAVY = {"casadi", "mujoco", "nlopt", "pinocchio", "trimesh", "yourdfpy"}
+HEAVY = {"casadi", "matplotlib", "mujoco", "nlopt", "pinocchio", "trimesh", "yourdfpy"}
 IMPORT_NAMES = {"pin": "pinocchio", "example-robot-data": "example_robot_data"}
 
 

@@ -26,6 +26,7 @@ def save(runs: Iterable[Run], path: Path) -> None:
         raise UsageError("plots need matplotlib", "pip install matplotlib") from error
     matplotlib.use("Agg")
     from matplotlib.figure import Figure
+    from matplotlib.ticker import MaxNLocator, ScalarFormatter
 
     parts: dict[str, list[Run]] = {}
     for run in runs:
@@ -48,6 +49,10 @@ def save(runs: Iterable[Run], path: Path) -> None:
     beyond.set(xlabel="DoFs", ylabel="SU position error over Cramer-Rao bound", yscale="log")
     success.set(xlabel="tree right and converged [%]", xlim=(0, 100))
     seconds.set(xlabel="DoFs", ylabel="time of a calibration [s]", ylim=(0, None))
+    beyond.yaxis.set_major_formatter(ScalarFormatter())
+    beyond.yaxis.set_minor_formatter(ScalarFormatter())
+    for axes in (beyond, seconds):
+        axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     beyond.legend(fontsize="x-small")
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path, dpi=120)

@@ -20,6 +20,9 @@ from skin2urdf.estimation.state import Free, State, moved
 from skin2urdf.model.prediction import Chains
 from skin2urdf.structure.records import KinematicTree
 
+_DAMPING = 1e-5
+"""Relative damping of the whitening: steps along gauge directions stay small enough to be linear."""
+
 
 def minimise(
     cost: Cost,
@@ -28,7 +31,7 @@ def minimise(
     *,
     rounds: int = 4,
     evaluations: int = 60,
-    tolerance: float = 1e-3,
+    tolerance: float = 5e-3,
 ) -> tuple[State, float]:
     """Local minimum of chi-squared by NLopt's L-BFGS in whitened coordinates.
 
@@ -38,7 +41,7 @@ def minimise(
         free: which coordinates may move.
         rounds: how often the whitening is renewed at most.
         evaluations: limit for each round.
-        tolerance: stop when chi-squared changes by less than this.
+        tolerance: stop when chi-squared changes, and can be expected to change, by less than this.
 
     Returns:
         The best state evaluated and its chi-squared; never worse than the start.
@@ -49,10 +52,9 @@ def minimise(
     best = here.chi2
     for _ in range(rounds):
         begin = best
-        arrow = factor(here.normal_equations(), free)
+        arrow = factor(here.normal_equations(), free, _DAMPING)
         shape = cost.zero_step()
-        base, best_z = state, np.zeros(shape.flat().size)
-        best_evaluation = here
+        base, best_z, promise = state, np.zeros(shape.flat().size), np.inf
 
         def objective(
             z: F64,
@@ -60,14 +62,15 @@ def minimise(
             base: State = base,
             arrow: object = arrow,  # bound now: each round has its own whitening
         ) -> float:
-            nonlocal best, best_z, best_evaluation
+            nonlocal best, best_z, promise
             evaluation = cost.at(base, arrow.unwhiten(shape.like(z)))  # type: ignore[attr-defined]
             chi2 = evaluation.chi2
             if gradient.size:
                 whitened = arrow.whiten_gradient(evaluation.gradient())  # type: ignore[attr-defined]
                 gradient[:] = whitened.flat()
             if chi2 < best:
-                best, best_z, best_evaluation = chi2, z.copy(), evaluation
+                # In whitened coordinates a Newton step would gain the gradient's squared length.
+                best, best_z, promise = chi2, z.copy(), float(gradient @ gradient)
             return 0.5 * chi2
 
         optimiser = nlopt.opt(nlopt.LD_LBFGS, best_z.size)
@@ -79,7 +82,7 @@ def minimise(
         except (RuntimeError, nlopt.runtime_error):
             pass  # at the floor of rounding; the best point is kept
         state = moved(base, arrow.unwhiten(shape.like(best_z)))
-        if begin - best <= max(tolerance, 1e-6 * best):
+        if promise <= 4 * tolerance or begin - best <= max(tolerance, 1e-6 * best):
             break
         here = cost.at(state)
     return state, best
@@ -116,7 +119,7 @@ def progressive(cost: Cost, state: State, free: Free) -> State:
             bias=state.bias[sus],
             shape=state.shape[sus],
         )
-        found, _ = minimise(part, part_state, part_free, rounds=1, evaluations=15, tolerance=0.1)
+        found, _ = minimise(part, part_state, part_free, rounds=1, evaluations=12, tolerance=0.5)
         state = replace(
             state,
             T_parent_joint=_put(state.T_parent_joint, index, found.T_parent_joint),

@@ -99,40 +99,60 @@ def _of_moving(
     """What is not known of an SU that joints move."""
     name, tree = model.tree.su_names[u], model.tree
     chain = tree.chain(int(tree.su_joint[u]))
-    last, names = chain[-1], [tree.joint_names[j] for j in chain]
+    names = [tree.joint_names[j] for j in chain]
     if not len(rows):
         return ()
     if len(rows) == 6:
         return (Unknown(f"pose of {name}", "its readings tell nothing", _more(names)),)
+    turning = [j for j in chain if not tree.prismatic[j]]
+    if not turning:
+        return _of_pushed(name, names, rows)
+    pivot = [tree.joint_names[j] for j in turning]
+    T_base_su = T_base_joint[chain[-1]] @ model.T_joint_su[u]
+    slide, turn = _about_axis(np.linalg.solve(T_base_joint[turning[-1]], T_base_su))
+    parallel = _parallel(T_base_joint, turning)
+    tilt = _largest_angle(up, T_base_joint[turning[0], :3, 2])
     found: list[Unknown] = []
-    slide, turn = _about_axis(model.T_joint_su[u])
-    parallel = _parallel(T_base_joint, chain)
     if _holds(rows, np.eye(6)[:3]):
-        found.append(_no_position(name, tree.joint_names[last], bool(tree.prismatic[last])))
+        why = f"{_listed(pivot)} turned it too slowly for that"
+        found.append(Unknown(f"position of {name}", why, _more(pivot)))
         rows = _without(rows, np.eye(6)[:3])
     elif _holds(rows, slide[None]):
-        found.append(_along(name, names, parallel))
+        found.append(_along(name, pivot, parallel))
         rows = _without(rows, slide[None])
-    tilt = _largest_angle(up, T_base_joint[chain[0], :3, 2])
     if _holds(rows, turn[None]) and parallel:
-        found.append(_yaw(name, names, tilt))
+        found.append(_yaw(name, pivot[-1], tilt))
         rows = _without(rows, turn[None])
     if len(rows) and parallel and tilt < _VERTICAL:
-        found.append(_tilt(name, names))
-        rows = rows[:0]
-    if len(rows):
-        found.append(
-            Unknown(
-                f"{_kinds(rows)} of {name} along {len(rows)} of 6 directions",
-                f"the motion of {_listed(names)} in this log is too small or too much alike",
-                _more(names),
-            )
-        )
+        found.append(_tilt(name, pivot))
+    elif len(rows):
+        found.append(_some(name, names, rows))
     return tuple(found)
 
 
+def _of_pushed(name: str, names: Sequence[str], rows: F64) -> tuple[Unknown, ...]:
+    """What is not known of an SU that joints push but never turn."""
+    pushed = f"{_listed(names)} push" if len(names) > 1 else f"{names[0]} pushes"
+    position = Unknown(f"position of {name}", f"{pushed} it the same way wherever it sits")
+    if not _holds(rows, np.eye(6)[:3]):
+        return (_some(name, names, rows),)
+    if not len(_without(rows, np.eye(6)[:3])):
+        return (position,)
+    why = "no joint turns it, and in one orientation its bias can not be told from a turn"
+    return position, Unknown(f"how {name} is turned", why, TILT_REMEDY)
+
+
+def _some(name: str, names: Sequence[str], rows: F64) -> Unknown:
+    """Directions of no special kind."""
+    return Unknown(
+        f"{_kinds(rows)} of {name} along {len(rows)} of 6 directions",
+        f"the motion of {_listed(names)} in this log is too small or too much alike",
+        _more(names),
+    )
+
+
 def _about_axis(T_joint_su: F64) -> tuple[F64, F64]:
-    """Unit directions (6,) of an SU along, and turning about, the axis of its joint."""
+    """Unit directions (6,) of an SU along, and turning about, the z axis of a joint."""
     R, p = T_joint_su[:3, :3], T_joint_su[:3, 3]
     axis = R[2]  # R^T e_z: the joint's axis in the SU's frame
     turn = np.concatenate([R.T @ np.cross((0.0, 0.0, 1.0), p), ARM * axis])
@@ -161,19 +181,11 @@ def _without(rows: F64, directions: F64) -> F64:
     return np.asarray(Vt[values > 0.5])
 
 
-def _no_position(name: str, joint: str, prismatic: bool) -> Unknown:
-    """An SU of whose position nothing is known."""
-    if prismatic:
-        why = f"{joint} pushes it the same way wherever it sits, and no joint before it turns it"
-        return Unknown(f"position of {name}", why)
-    return Unknown(f"position of {name}", f"{joint} turns it too slowly for that", _more([joint]))
-
-
 def _along(name: str, names: Sequence[str], parallel: bool) -> Unknown:
-    """An SU that may be slid along the axis of its joint."""
+    """An SU that may be slid along the axis of the last joint that turns it."""
     what = f"position of {name} along the axis of {names[-1]}"
     if len(names) == 1:
-        why = f"{names[0]} is the only joint that moves it, so that no recording tells it"
+        why = f"{names[0]} is the only joint that turns it, so that no recording tells it"
         return Unknown(what, why)
     if parallel:
         why = f"the axes of {_listed(names)} are parallel, so that no recording tells it"
@@ -193,15 +205,15 @@ def _tilt(name: str, names: Sequence[str]) -> Unknown:
     return Unknown(f"tilt of {name}", why, TILT_REMEDY)
 
 
-def _yaw(name: str, names: Sequence[str], tilt: float) -> Unknown:
-    """An SU that may be turned about the axis of its joint, ``tilt`` [rad] from the vertical."""
-    what = f"turn of {name} about the axis of {names[-1]}"
+def _yaw(name: str, joint: str, tilt: float) -> Unknown:
+    """An SU that may be turned about the axis of a joint, ``tilt`` [rad] from the vertical."""
+    what = f"turn of {name} about the axis of {joint}"
     if tilt < _VERTICAL:
         degrees = np.rad2deg(tilt)
         why = "the axis is vertical" + (f" to {degrees:.0f} deg" if degrees >= 0.5 else "")
         return Unknown(what, why, TILT_REMEDY)
-    why = f"{names[-1]} turns too little between the poses of this log"
-    return Unknown(what, why, f"record poses in which {names[-1]} differs by a radian or more")
+    why = f"{joint} turns too little between the poses of this log"
+    return Unknown(what, why, f"record poses in which {joint} differs by a radian or more")
 
 
 def _kinds(rows: F64) -> str:

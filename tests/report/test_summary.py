@@ -56,7 +56,7 @@ def test_what_is_not_known_comes_with_what_to_record() -> None:
     text = as_text(calibration())
     first = calibration().model.tree.joint_names[0]
     unknown = text[text.index("Not observable from this log:") :]
-    assert f"along the axis of {first}: {first} is the only joint that moves it" in unknown
+    assert f"along the axis of {first}: {first} is the only joint that turns it" in unknown
     assert f"about the axis of {first}: the axis is vertical; record a second log" in unknown
 
 

@@ -70,7 +70,7 @@ def test_slide_and_turn_are_told_apart_in_any_basis(seed: int, mix: float) -> No
     slide, turn = words(model, *rows)
     assert slide.what == "position of su along the axis of j1"
     assert slide.remedy == ""
-    assert "only joint that moves it" in slide.why
+    assert "only joint that turns it" in slide.why
     assert turn.what == "turn of su about the axis of j1"
     assert "vertical" in turn.why
     assert turn.remedy == TILT_REMEDY
@@ -114,7 +114,20 @@ def test_an_su_that_is_only_pushed() -> None:
     model = arm((0.4,), kinds="p")
     (position,) = words(model, *np.eye(6)[:3])
     assert position.what == "position of su"
-    assert "pushes" in position.why
+    assert "j1 pushes" in position.why
+    _, turn = words(model, *np.eye(6)[:3], np.r_[0, 0, 0, model.T_joint_su[0, 2, :3]])
+    assert turn.what == "how su is turned"
+    assert "bias" in turn.why
+    (unknown,) = words(arm((0.4, 1.0), kinds="pp"), along(model))
+    assert unknown.what.startswith("position of su along 1 of 6")
+
+
+def test_a_slide_after_the_last_turn_does_not_hide_its_axis() -> None:
+    model = arm((0.4, 0.0, 0.7), kinds="prp")
+    T_turn_su = model.T_parent_joint[2] @ model.T_joint_su[0]
+    (slide,) = words(model, np.r_[T_turn_su[2, :3], 0, 0, 0])
+    assert slide.what == "position of su along the axis of j2"
+    assert "j2 is the only joint that turns it" in slide.why
 
 
 def test_an_unmoved_position_of_a_turned_su() -> None:

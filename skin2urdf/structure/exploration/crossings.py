@@ -76,11 +76,12 @@ def explain_crossings(merged: Bool, weights: Int) -> tuple[Crossing, ...]:
 
 @dataclass(frozen=True, eq=False)
 class _Change:
-    """An explanation, and the one column that would have been different without it."""
+    """An explanation, the one column that would be different without it, and how many SUs err."""
 
     crossing: Crossing
     column: int
     entries: Bool
+    weight: int = 0
 
     def fewer_crossings(self, M: Bool) -> int:
         """Number of crossing columns with the change, less that without it."""
@@ -95,6 +96,10 @@ class _Option:
     left: int
     change: _Change
 
+    def effort(self) -> tuple[int, int]:
+        """What to keep small: crossings left, and SUs that are said to have missed a reaction."""
+        return self.left, self.change.weight
+
 
 def _n_crossing(column: Bool, others: Bool) -> int:
     both = (others & column[:, None]).any(axis=0)
@@ -105,14 +110,12 @@ def _n_crossing(column: Bool, others: Bool) -> int:
 
 def _best(options: list[_Option], n_pairs: int) -> _Option:
     """The explanation that leaves the fewest crossings."""
-    missed = [
-        o for o in options if o.change.crossing.cause == "missed reaction" and o.left < n_pairs
-    ]
-    fewest = min(o.left for o in options)
-    # A missed reaction is only one where it is clear who missed what. To take only those that
-    # help also ends the search: the other causes clear entries and never set any.
-    clear = missed if sum(o.left == fewest for o in missed) == 1 else []
+    missed = [o for o in options if o.change.crossing.cause == "missed reaction"]
     others = [o for o in options if o.change.crossing.cause != "missed reaction"]
+    # To take only what helps also ends the search: the other causes clear entries, none sets any.
+    missed = sorted((o for o in missed if o.left < n_pairs), key=_Option.effort)
+    # A missed reaction is only one where it is clear who missed what.
+    clear = missed[:1] if len({o.effort() for o in missed[:2]}) == len(missed[:2]) else []
     return min(others + clear, key=lambda o: (o.left, _PREFERENCE.index(o.change.crossing.cause)))
 
 
@@ -124,9 +127,10 @@ def _explanations(M: Bool, weights: Int, a: int, b: int) -> Iterator[_Change]:
     yield _Change(Crossing("closed loop", (a, b), tuple(closing)), b, M[:, b] & ~both)
     for d, e in ((a, b), (b, a)):
         missing = M[:, e] & ~M[:, d]
-        if weights[missing].sum() < weights[both].sum():
+        weight = int(weights[missing].sum())
+        if 2 * weight <= weights[both].sum():
             crossing = Crossing("missed reaction", (d, e), _rows(missing))
-            yield _Change(crossing, d, M[:, d] | missing)
+            yield _Change(crossing, d, M[:, d] | missing, weight)
         only = M[:, d] & ~M[:, e]
         for y in range(M.shape[1]):
             dragged = M[:, y]

@@ -48,7 +48,10 @@ def crossing_violations(
                 f"{_list(joints[0])}, which moves the other SUs beyond {_list(joints[1])}, seems "
                 "not to: an entry of the activity matrix is falsely 0"
             )
-            remedy = f"{_ONE_AT_A_TIME}, and check these SUs"
+            remedy = (
+                f"{_ONE_AT_A_TIME}, and check these SUs; if they still do not react, look for a "
+                "closed kinematic loop"
+            )
         yield Violation(c.cause, words, remedy, names, moved)
 
 

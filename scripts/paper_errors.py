@@ -172,6 +172,7 @@ class Run:
         features: the same as features.
         default: estimate of the default method.
         default_seconds: its time from features to estimate [s].
+        default_cpu: the processor time of the same [s].
         default_table: its parameters, with the arbitrary two as in the truth.
         paper: result of the paper's method, if it ran.
         paper_seconds: its time [s], NaN if it did not run.
@@ -183,6 +184,7 @@ class Run:
     features: Features
     default: Estimate
     default_seconds: float
+    default_cpu: float
     default_table: DhTable
     paper: PaperResult | None
     paper_seconds: float
@@ -197,6 +199,7 @@ class Statistics:
         seeds: N.
         default_optimum: seeds in which the default method found the global optimum.
         default_seconds: (N,) its times [s].
+        default_cpu: (N,) its processor times [s].
         default_rms: its root mean square errors.
         paper_converged: seeds in which the paper's method ended below its stop value.
         paper_seconds: (N,) its times [s].
@@ -209,6 +212,7 @@ class Statistics:
     seeds: int
     default_optimum: int
     default_seconds: F64
+    default_cpu: F64
     default_rms: F64
     paper_converged: int
     paper_seconds: F64
@@ -230,6 +234,7 @@ def statistics(runs: list[Run], truth: DhTable, tilt: float) -> Statistics:
         seeds=len(runs),
         default_optimum=sum(r.default.cost_per_dof < OPTIMUM for r in runs),
         default_seconds=np.array([r.default_seconds for r in runs]),
+        default_cpu=np.array([r.default_cpu for r in runs]),
         default_rms=rms([errors(r.default_table, truth) for r in runs]),
         paper_converged=sum(r.paper is not None and r.paper.converged for r in runs),
         paper_seconds=np.array([r.paper_seconds for r in runs]),

@@ -251,12 +251,15 @@ def summary(found: Statistics) -> list[str]:
     ratio = found.default_rms / found.bound
     link = np.array([p.link for p in names])
     shape = np.array([p.link and p.name.split()[-1] in ("a", "alpha") for p in names])
+    unknown = found.default_rms / found.bound_unknown_sensors
     lines = [
         f"default: global optimum in {found.default_optimum} of {n}; time median "
-        f"{np.median(default):.3f} s, mean {default.mean():.3f} s, max {default.max():.3f} s",
+        f"{np.median(default):.3f} s, mean {default.mean():.3f} s, max {default.max():.3f} s "
+        f"(processor time median {np.median(found.default_cpu):.3f} s)",
         f"default rms over its bound: link lengths and twists {ratio[shape].min():.2f} to "
-        f"{ratio[shape].max():.2f}, all link parameters up to {ratio[link].max():.2f}, "
-        f"SU placements up to {ratio[~link].max():.2f}",
+        f"{ratio[shape].max():.2f}, all link parameters up to {ratio[link].max():.2f}",
+        f"SU placements: up to {ratio[~link].max():.2f} times the bound for ideal sensors, "
+        f"{unknown[~link].max():.2f} times that for sensors with unknown bias and scale",
     ]
     if np.isfinite(found.paper_seconds).any():
         seconds = found.paper_seconds

@@ -55,7 +55,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             print(f"  -> {error.remedy}", file=sys.stderr)
         return error.exit_status
     except KeyboardInterrupt:
-        print("interrupted; nothing was written", file=sys.stderr)
+        print("interrupted; no file was left half-written", file=sys.stderr)
         return _INTERRUPTED
     except Exception as error:
         if options.debug:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 import sys
-import time
+import threading
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
@@ -20,27 +20,48 @@ class Bar:
     """A progress bar on the error stream that appears once the work takes over a second."""
 
     def __init__(self, shown: bool) -> None:
-        self._shown = shown
-        self._begin = time.monotonic()
+        self._lock = threading.Lock()
+        self._closed = False
         self._progress: Progress | None = None
+        self._shares: dict[str, float] = {}
         self._tasks: dict[str, TaskID] = {}
+        # A timer, because one long stage may be all there is, and it tells nothing meanwhile.
+        self._timer = threading.Timer(_PATIENCE, self._appear)
+        self._timer.daemon = True
+        if shown:
+            self._timer.start()
 
     def __call__(self, stage: str, share: float) -> None:
         """Say that a share in [0, 1] of a stage is done."""
-        if not self._shown or (
-            self._progress is None and time.monotonic() - self._begin < _PATIENCE
-        ):
-            return
-        if self._progress is None:
-            self._progress = _started()
-        if stage not in self._tasks:
-            self._tasks[stage] = self._progress.add_task(stage, total=1.0)
-        self._progress.update(self._tasks[stage], completed=share)
+        with self._lock:
+            self._shares[stage] = share
+            self._draw(stage)
 
     def close(self) -> None:
         """Take the bar off the screen."""
-        if self._progress is not None:
-            self._progress.stop()
+        self._timer.cancel()
+        with self._lock:
+            self._closed = True
+            if self._progress is not None:
+                self._progress.stop()
+
+    def _appear(self) -> None:
+        with self._lock:
+            if self._closed:
+                return
+            self._progress = _started()
+            for stage in self._shares:
+                self._draw(stage)
+
+    def _draw(self, stage: str) -> None:
+        """Show what is known of a stage; a stage that has not told its share yet only pulses."""
+        if self._progress is None:
+            return
+        if stage not in self._tasks:
+            self._tasks[stage] = self._progress.add_task(stage, total=None)
+        share = self._shares[stage]
+        if share > 0:
+            self._progress.update(self._tasks[stage], total=1.0, completed=share)
 
 
 def _started() -> Progress:

@@ -325,25 +325,33 @@ def test_help_teaches_with_an_example(command: str, capsys: pytest.CaptureFixtur
     assert "--quiet" in out
 
 
-def test_a_bar_appears_after_a_second_and_only_where_someone_watches(
+def test_a_bar_appears_after_a_while_and_only_where_someone_watches(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    bar = terminal.Bar(shown=True)
-    bar("reading", 0.5)
-    assert bar._progress is None
+    early = terminal.Bar(shown=True)
+    early("reading", 0.5)
+    early.close()
+    assert early._progress is None
     monkeypatch.setattr(terminal, "_PATIENCE", 0.0)
-    hidden = terminal.Bar(shown=False)
-    hidden("reading", 0.5)
-    assert hidden._progress is None
+    bar = terminal.Bar(shown=True)
     bar("reading", 0.7)
-    bar("features", 0.1)
+    bar._timer.join(timeout=30)
+    bar("features", 0.0)
     assert bar._progress is not None
-    assert [task.description for task in bar._progress.tasks] == ["reading", "features"]
+    tasks = [(task.description, task.total, task.completed) for task in bar._progress.tasks]
+    assert tasks == [("reading", 1.0, 0.7), ("features", None, 0)]
     bar.close()
     assert capsys.readouterr().out == ""
     with terminal.progress_bar(quiet=False) as silent:  # standard error is no terminal here
         silent("reading", 0.5)
+        assert not silent._timer.is_alive()
         assert silent._progress is None
+
+
+def test_explore_draws_a_picture(files: Files, run: Run, tmp_path: Path) -> None:
+    status, _, err = run("explore", files.log, "--plot", tmp_path / "a.svg", "--quiet")
+    assert (status, err) == (0, "")
+    assert "<svg" in (tmp_path / "a.svg").read_text()
 
 
 def test_the_written_truth_is_whole(files: Files, tmp_path: Path) -> None:

@@ -32,7 +32,12 @@ _STYLE: Any = {
     "pdf.fonttype": 42,
     "path.simplify": False,
 }
-_DATES = {".svg": {"Date": None}, ".pdf": {"CreationDate": None}, ".png": {"Software": None}}
+_METADATA: dict[str, dict[str, Any]] = {
+    # Neither dates nor versions, which would make each day's or each machine's file another one.
+    ".svg": {"Date": None, "Creator": None},
+    ".pdf": {"CreationDate": None, "Creator": None, "Producer": None},
+    ".png": {"Software": None},
+}
 
 
 @contextmanager
@@ -66,7 +71,7 @@ def page(path: str | Path, width: float, height: float) -> Iterator[Canvas]:
         axes.set(xlim=(0.0, width), ylim=(height, 0.0), xticks=(), yticks=())
         yield Canvas(axes)
         dpi = min(_PNG_DPI, _MOST_PIXELS / max(width, height))
-        figure.savefig(target, format=kind[1:], dpi=dpi, metadata=_DATES[kind])
+        figure.savefig(target, format=kind[1:], dpi=dpi, metadata=_METADATA[kind])
 
 
 @lru_cache(maxsize=4096)

@@ -11,9 +11,9 @@ from skin2urdf.report.tables import bullets, number, span, table
 _MM = 1e3
 _DEG = float(np.rad2deg(1.0))
 _MG = 1e3 / 9.81
-_SKEW = (
-    "(Orientations are those of the readings. Axes skewed the same way round, by 1 % of cross-axis\n"
-    "error, are a turn of the sensor by 0.6 deg, which no log can tell from a turned sensor.)"
+_AXES = (
+    "(Orientations are those of a sensor's measuring axes, which a cross-axis error of 1 %\n"
+    "can turn by 0.6 deg against its housing.)"
 )
 
 
@@ -34,7 +34,7 @@ def as_text(calibration: Calibration) -> str:
         *_joints(calibration, found),
         "",
         *_sus(calibration, found),
-        _SKEW,
+        _AXES,
         *bullets("Not observable from this log", _not_known(found)),
         *bullets("Notes", calibration.notes),
     ]

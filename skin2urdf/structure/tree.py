@@ -15,6 +15,9 @@ from skin2urdf.structure.records import JointType, KinematicTree
 _CERTAIN = np.log(4.0)
 """Evidence beyond which a bit of the activity matrix is not touched by a repair."""
 
+_PUSH_ERROR = 0.05
+"""Deviation of a prismatic DoF's push from unit length that scale errors may cause."""
+
 
 def kinematic_tree(activity: Activity, features: Features) -> KinematicTree:
     """The tree whose activity matrix the evidence shows.
@@ -35,9 +38,7 @@ def kinematic_tree(activity: Activity, features: Features) -> KinematicTree:
     for u in np.flatnonzero(~activity.heard):
         notes.append(f"{activity.su_names[u]} has no usable readings and is left out")
     evidence = activity.evidence[heard]
-    bits, repairs = nested(
-        evidence, [activity.su_names[u] for u in heard], activity.dof_names
-    )
+    bits, repairs = nested(evidence, [activity.su_names[u] for u in heard], activity.dof_names)
     notes += repairs
     felt = bits.any(axis=0)
     for d in np.flatnonzero(~felt):
@@ -53,7 +54,7 @@ def kinematic_tree(activity: Activity, features: Features) -> KinematicTree:
     dofs = sorted(np.flatnonzero(felt), key=lambda d: (-int(bits[:, d].sum()), int(d)))
     parent = _parents(bits[:, dofs])
     su_joint = _carriers(bits[:, dofs], parent)
-    types = tuple(_joint_type(features, heard[bits[:, d]], int(d)) for d in dofs)
+    types = tuple(_joint_type(features, activity, heard[bits[:, d]], int(d)) for d in dofs)
     return KinematicTree(
         tuple(activity.dof_names[d] for d in dofs),
         parent,
@@ -112,9 +113,7 @@ def nested(
     )
 
 
-def _worst_conflict(
-    bits: Bool, evidence: F64
-) -> tuple[float, list[int], int, int, int] | None:
+def _worst_conflict(bits: Bool, evidence: F64) -> tuple[float, list[int], int, int, int] | None:
     """The crossing pair of columns that is cheapest to mend: cost, rows, column, pair."""
     best: tuple[float, list[int], int, int, int] | None = None
     sure = np.abs(evidence)
@@ -157,20 +156,27 @@ def _carriers(bits: Bool, parent: Sequence[int]) -> list[int]:
     return out
 
 
-def _joint_type(features: Features, sus: F64, dof: int) -> JointType:
-    """A prismatic DoF turns nothing and pushes every SU beyond it by the same vector."""
+def _joint_type(features: Features, activity: Activity, sus: F64, dof: int) -> JointType:
+    """A prismatic DoF turns nothing and pushes every SU beyond it by the same unit vector.
+
+    With ``s = 0`` taken as given, the push ``tau`` must have length 1 in every SU and pose; no
+    lever arm of a revolute DoF does that.
+    """
+    if np.nanmax(activity.static[sus, dof], initial=0.0) >= 1.0:
+        return "revolute"
     D = features.n_dofs
     rows = np.array([1 + dof, 1 + D + dof])
     information = features.information[:, sus][:, :, rows[:, None], rows]
-    seen = features.valid[:, sus] & (np.einsum("puii->pui", information) > 0).all(axis=-1)
+    seen = features.valid[:, sus] & (information[:, :, 1, 1] > 0)
     if not seen.any():
         return "revolute"
-    s = np.linalg.norm(features.s[:, sus, dof][seen], axis=-1)
-    tau = np.linalg.norm(features.tau[:, sus, dof][seen], axis=-1)
-    weight = information[:, :, 1, 1][seen]
-    order = np.argsort(tau)
-    middle = tau[order][np.searchsorted(np.cumsum(weight[order]), weight.sum() / 2)]
-    spread = float(np.sqrt(np.average((tau - middle) ** 2, weights=weight)))
-    turning = float(np.sqrt(np.average(s**2, weights=information[:, :, 0, 0][seen])))
-    pushes = abs(middle - 1.0) < 0.1 and spread < 0.1
-    return "prismatic" if pushes and turning < 0.25 * 9.81 else "revolute"
+    information = information[seen]
+    ratio = information[:, 0, 1] / information[:, 1, 1]
+    push = features.tau[:, sus, dof][seen] + ratio[:, None] * features.s[:, sus, dof][seen]
+    length = np.linalg.norm(push, axis=-1)
+    noise = np.sqrt(3 * (features.noise[:, sus][seen] ** 2).mean(axis=-1) / information[:, 1, 1])
+    known = noise < 0.2
+    if not known.any():
+        return "revolute"
+    off = np.abs(length[known] - 1.0) - 4 * noise[known]
+    return "prismatic" if np.quantile(off, 0.9) < _PUSH_ERROR else "revolute"

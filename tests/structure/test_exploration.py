@@ -182,6 +182,7 @@ def test_limbs_stay_together_and_keep_the_order_of_the_log() -> None:
         ("-,A,B,C,ABC,ABC", "closed loop", ("su4", "su5"), ("d0", "d1", "d2")),
         ("-,A,AB,CB,CBD", "coupled DoFs", ("su3", "su4"), ("d1", "d2")),
         ("-,A,AB,BC,ABCD", "missed reaction", ("su3",), ("d0", "d1")),
+        ("-,A,AB,ABC,ABC,ABC,ABC,BC", "missed reaction", ("su7",), ("d0", "d1")),
         ("-,A,A,AB,AB,B,ABC", "missed reaction", ("su5",), ("d0", "d1")),
     ],
 )

@@ -64,7 +64,7 @@ def explain_crossings(merged: Bool, weights: Int) -> tuple[Crossing, ...]:
     matrix = merged.copy()
     while pairs := crossing_pairs(matrix):
         options = [
-            _Option(len(pairs) + change.fewer_crossings(matrix), change)
+            _Option(len(pairs) + change.more_crossings(matrix), change)
             for pair in pairs[:: 1 + len(pairs) // _PAIRS_WEIGHED]
             for change in _explanations(matrix, weights, *pair)
         ]
@@ -83,7 +83,12 @@ class _Change:
     entries: Bool
     weight: int = 0
 
-    def fewer_crossings(self, M: Bool) -> int:
+    @property
+    def key(self) -> tuple[int, bytes]:
+        """The same for the same change."""
+        return self.column, self.entries.tobytes()
+
+    def more_crossings(self, M: Bool) -> int:
         """Number of crossing columns with the change, less that without it."""
         others = np.delete(M, self.column, axis=1)
         return _n_crossing(self.entries, others) - _n_crossing(M[:, self.column], others)
@@ -113,9 +118,12 @@ def _best(options: list[_Option], n_pairs: int) -> _Option:
     missed = [o for o in options if o.change.crossing.cause == "missed reaction"]
     others = [o for o in options if o.change.crossing.cause != "missed reaction"]
     # To take only what helps also ends the search: the other causes clear entries, none sets any.
-    missed = sorted((o for o in missed if o.left < n_pairs), key=_Option.effort)
+    # Different pairs can ask for the same change.
+    distinct = {o.change.key: o for o in reversed(missed) if o.left < n_pairs}
+    helpful = sorted(distinct.values(), key=_Option.effort)
     # A missed reaction is only one where it is clear who missed what.
-    clear = missed[:1] if len({o.effort() for o in missed[:2]}) == len(missed[:2]) else []
+    best = [o for o in helpful if o.effort() == helpful[0].effort()]
+    clear = best if len(best) == 1 else []
     return min(others + clear, key=lambda o: (o.left, _PREFERENCE.index(o.change.crossing.cause)))
 
 

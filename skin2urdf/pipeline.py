@@ -14,6 +14,7 @@ from skin2urdf.calibration import BAD_FIT, GOOD_FIT, Calibration, CalibrationSet
 from skin2urdf.errors import BadFitError, InsufficientDataError
 from skin2urdf.estimation.estimate import Estimate, estimate
 from skin2urdf.estimation.observability import observability
+from skin2urdf.estimation.order import ordered
 from skin2urdf.model.dh import canonical
 from skin2urdf.model.specific_force import beyond_first_order
 from skin2urdf.recording.records import Recording
@@ -56,7 +57,7 @@ def calibrate(
     sampled, su_names = clock.run("sampling", lambda _: _sampled(recordings))
     features = clock.run("features", lambda _: extract_features(sampled, su_names))
     seen = activity(features, settings.static_threshold)
-    tree = kinematic_tree(seen, features)
+    tree = ordered(kinematic_tree(seen, features), features)
     found = clock.run("estimation", lambda _: estimate(features, tree, settings.estimation))
     for _ in range(settings.relinearisations):
         previous, relinearised = found, _curvature(found, features)

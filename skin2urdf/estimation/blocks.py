@@ -84,6 +84,36 @@ def _blurred(
     )
 
 
+def _leaked(info: F64, eta: F64, measured: F64, noise: F64, hidden: F64) -> tuple[F64, F64]:
+    """Information with tau_d blurred by motions that the encoders round away.
+
+    Joint e moving by h in step with the pattern of d, unseen, changes the reading by
+    ``(s_e - omega^2 tau_e) h``, which the regression takes for an effect of d.
+
+    Args:
+        info: (P, U, m, m), and
+        eta: (P, U, m, 3), as in :func:`_blurred`.
+        measured: (P, U, m, 3) coefficients of f0, s_d, tau_d of the chain.
+        noise: (P, U, 3) standard deviation of one sample.
+        hidden: (P, U, n, n) hidden motion of e per acceleration of d, at [d, e].
+    """
+    n = hidden.shape[-1]
+    diagonal = np.einsum("puii->pui", info)
+    levers, slopes = diagonal[..., 1 + n :], diagonal[..., 1 : 1 + n]
+    omega2 = np.sqrt(np.divide(levers, slopes, out=np.zeros_like(levers), where=slopes > 0))
+    s, tau = measured[:, :, 1 : 1 + n], measured[:, :, 1 + n :]
+    effect = s[:, :, None] - omega2[..., None, None] * tau[:, :, None]
+    variance = np.where(np.isfinite(noise), noise, 1.0) ** 2
+    added = (hidden * (effect**2).sum(axis=-1)).sum(axis=-1) / 3
+    added /= np.maximum(variance.mean(axis=-1), 1e-300)[..., None]
+    for d in range(n):
+        column = info[..., 1 + n + d]
+        share = (added[..., d] / (1 + added[..., d] * column[..., 1 + n + d]))[..., None, None]
+        eta = eta - share * column[..., :, None] * eta[..., 1 + n + d, None, :]
+        info = info - share * column[..., :, None] * column[..., None, :]
+    return info, eta
+
+
 def feature_blocks(features: Features, tree: KinematicTree) -> FeatureBlocks:
     """Restrict features to what the tree says can move each SU, and whiten them.
 
@@ -117,6 +147,8 @@ def feature_blocks(features: Features, tree: KinematicTree) -> FeatureBlocks:
         info, eta = _blurred(
             info, eta, measured, features.noise[:, su[us]], features.position_sd[:, own]
         )
+        hidden = features.hidden[:, own[:, :, None], own[:, None, :]]
+        info, eta = _leaked(info, eta, measured, features.noise[:, su[us]], hidden)
         scale = np.sqrt(np.maximum(np.einsum("puii->pui", info), 0.0))
         inverse_scale = np.divide(1.0, scale, out=np.zeros_like(scale), where=scale > 0)
         lam, V = np.linalg.eigh(info * inverse_scale[..., :, None] * inverse_scale[..., None, :])

@@ -113,14 +113,14 @@ def _peel(
             yield from inwards(i - 1, R, (mean / np.linalg.norm(mean), *axes))
             return
         s = (R @ y[:, 1 + i, :, None])[..., 0]
-        for k in _constant_axis(f0, s, tau, variance[:, 1 + i], variance[:, 1 + L + i]):
+        for k in constant_axis(f0, s, tau, variance[:, 1 + i], variance[:, 1 + L + i]):
             yield from inwards(i - 1, axis_rotation(k, q[:, i]) @ R, (k, *axes))
 
     identity = np.broadcast_to(np.eye(3), (int(ok.sum()), 3, 3))
     yield from inwards(n - 1, identity, ())
 
 
-def _constant_axis(f0: F64, s: F64, tau: F64, var_s: F64, var_tau: F64) -> list[F64]:
+def constant_axis(f0: F64, s: F64, tau: F64, var_s: F64, var_tau: F64) -> list[F64]:
     """The axis that is constant in all poses; both senses where the data leave it open.
 
     Minimises the misfit of ``s = f0 x k`` and of ``s . k = tau . k = 0`` over unit vectors k.

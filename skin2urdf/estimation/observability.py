@@ -13,11 +13,10 @@ from typing import Literal
 import numpy as np
 
 from skin2urdf.arrays import F64, frozen
+from skin2urdf.estimation.bounds import Align, expected_errors
 from skin2urdf.estimation.cost import NormalEquations
 from skin2urdf.estimation.estimate import Estimate
 from skin2urdf.estimation.state import N_JOINT, N_PLACEMENT
-from skin2urdf.model.kinematics import PinocchioTree
-from skin2urdf.model.prediction import Chains, joint_twists, su_kinematics, zero_frames
 
 Verdict = Literal["determined", "weak", "not observable"]
 
@@ -169,64 +168,34 @@ def _verdict(covariance: F64, n_open: int) -> Verdict:
 
 
 def aligned_deviations(
-    estimate: Estimate, found: Observability, q: F64
+    estimate: Estimate, found: Observability, q: F64, *, align: Align = "limbs"
 ) -> tuple[F64, F64]:
     """Standard deviations to expect when the robot is compared with the truth.
 
     The Cramer-Rao bound of the comparison's metrics: SU position and orientation over the given
-    configurations, after one rigid transform of the base and with unobservable directions of
-    the SUs left out.
+    configurations, after one rigid transform of each limb and with unobservable directions of
+    the SUs left out. A limb is aligned by its determined SUs; where it has none by those that
+    are observable in all directions, and where it has none of these either, by all it has.
 
     Args:
         estimate: the estimate.
-        found: its covariance and unobservable directions.
+        found: its covariance, unobservable directions and verdicts.
         q: (C, D) configurations.
+        align: one transform per limb, or one for the whole robot ("base").
 
     Returns:
         position (U,) [m] and orientation (U,) [rad], root mean square over configurations; NaN for
-        SUs of which nothing is observable.
+        SUs of which nothing is observable, and for the position of SUs on the RS.
     """
-    tree, state = estimate.tree, estimate.state
-    C, U, D = len(q), tree.n_sus, tree.n_joints
-    chains = Chains.of(tree)
-    pinocchio = PinocchioTree(tree)
-    pinocchio.write_joints(state.T_parent_joint)
-    R, p = pinocchio.joint_frames(q)
-    up = np.tile([0.0, 0.0, 1.0], (C, 1))
-    kin = su_kinematics(chains, tree.su_joint, R, p, state.T_joint_su, up)
-    basis = np.zeros((D, 6, N_JOINT))
-    basis[:, 3, 0] = basis[:, 4, 1] = basis[:, 0, 2] = basis[:, 1, 3] = 1.0
-    twists = joint_twists(chains, kin, *zero_frames(R, p, q, tree.prismatic), basis)
-    n = found.covariance.shape[0]
-    J = n - 15 * U
-    E = np.zeros((C, U, 6, n))
-    G = np.zeros((C, U, 6, 6))
-    for u in range(U):
-        for i in range(int(chains.length[u])):
-            j = int(chains.joint[u, i])
-            E[:, u, :, N_JOINT * j : N_JOINT * j + 4] = _linear_first(twists[:, u, i])
-        E[:, u, :, J + 15 * u : J + 15 * u + 6] = np.eye(6)
-        Rt = np.swapaxes(kin.R[:, u], 1, 2)
-        G[:, u, :3, :3] = Rt
-        from skin2urdf.model.spatial import skew
-
-        G[:, u, :3, 3:] = -Rt @ skew(kin.p[:, u])
-        G[:, u, 3:, 3:] = Rt
-    weigh = np.array([1.0, 1.0, 1.0, ARM, ARM, ARM])[:, None]
-    E, G = E * weigh, G * weigh
-    for u, directions in enumerate(found.su_unobservable):
-        P = np.eye(6) - directions.T @ directions
-        E[:, u], G[:, u] = P @ E[:, u], P @ G[:, u]
-    flat_E, flat_G = E.reshape(-1, n), G.reshape(-1, 6)
-    flat_E = flat_E - flat_G @ np.linalg.lstsq(flat_G, flat_E, rcond=None)[0]
-    variance = np.einsum("ij,jk,ik->i", flat_E, found.covariance, flat_E).reshape(C, U, 6)
-    position = np.sqrt(variance[..., :3].sum(axis=-1).mean(axis=0))
-    orientation = np.sqrt(variance[..., 3:].sum(axis=-1).mean(axis=0)) / ARM
-    nothing = np.array([len(d) == 6 for d in found.su_unobservable], dtype=bool)
-    position[nothing], orientation[nothing] = np.nan, np.nan
+    tree = estimate.tree
+    n_open = np.array([len(rows) for rows in found.su_unobservable])
+    determined = np.array([verdict == "determined" for verdict in found.su_verdict])
+    nothing = n_open == N_PLACEMENT
+    position, orientation = expected_errors(
+        tree, estimate.state, found.covariance, q,
+        free=found.su_unobservable,
+        trust=np.where(nothing, -1, (n_open == 0) * 1 + (determined & (n_open == 0))),
+        arm=ARM, align=align,
+    )  # fmt: skip
+    position[nothing | (tree.su_joint < 0)], orientation[nothing] = np.nan, np.nan
     return position, orientation
-
-
-def _linear_first(twist: F64) -> F64:
-    """Twists with rows (angular, linear) as (linear, angular)."""
-    return np.concatenate([twist[..., 3:, :], twist[..., :3, :]], axis=-2)

@@ -19,7 +19,7 @@ from skin2urdf.arrays import F64
 from skin2urdf.estimation.blocks import FeatureBlocks
 from skin2urdf.estimation.cost import Priors
 from skin2urdf.estimation.orientation import ROUGH_BIAS, Orientations, with_all_sus
-from skin2urdf.model.spatial import axis_rotation, rotation_exp, skew, wahba
+from skin2urdf.model.spatial import axis_rotation, cross, rotation_exp, skew, wahba
 from skin2urdf.structure.records import KinematicTree
 
 _GRID = 800
@@ -162,21 +162,25 @@ class _NextAxis:
         """(K, P, 3) vectors x (P, 3) of the parent segment seen beyond an axis k (K, 3)."""
         c, s = np.cos(self.q)[:, None], np.sin(self.q)[:, None]
         along = (k @ x.T)[..., None] * k[:, None]
-        across = np.einsum("kij,pj->kpi", skew(k), x)
-        return np.asarray(c * x - s * across + (1 - c) * along)
+        return np.asarray(c * x - s * cross(k[:, None], x) + (1 - c) * along)
 
     def grid_loss(self, k: F64) -> F64:
         """(K,) Wahba's loss of static gravity for axes k (K, 3), rotations eliminated.
 
         The largest eigenvalue of Davenport's matrix by Newton's method (Markley's FOAM).
         """
-        y = self.turned(k, self.h)
-        B = np.einsum("p,pi,kpj->kij", self.w_f0, self.f0, y)
+        # B = sum w f (Rot(k, -q) h)^T is a polynomial in k.
+        weighted = self.w_f0[:, None] * self.f0
+        c, s = np.cos(self.q)[:, None], np.sin(self.q)[:, None]
+        B_cos, B_sin = (weighted * c).T @ self.h, (weighted * s).T @ self.h
+        B_rest = weighted.T @ self.h - B_cos
+        B = B_cos - B_sin @ np.swapaxes(skew(k), 1, 2)
+        B = B + (k @ B_rest.T)[:, :, None] * k[:, None, :]
         total = 0.5 * np.sum(self.w_f0[:, None] * (self.f0**2 + self.h**2))
-        det = np.linalg.det(B)
-        norm2 = np.einsum("kij,kij->k", B, B)
         BtB = np.swapaxes(B, 1, 2) @ B
-        adj2 = 0.5 * (norm2**2 - np.einsum("kij,kij->k", BtB, BtB))
+        norm2 = np.trace(BtB, axis1=1, axis2=2)
+        det = (cross(B[:, 0], B[:, 1]) * B[:, 2]).sum(axis=1)
+        adj2 = 0.5 * (norm2**2 - (BtB * BtB).sum(axis=(1, 2)))
         lam = np.full(len(k), total)
         for _ in range(12):
             a = lam**2 - norm2
@@ -266,6 +270,6 @@ class _NextAxis:
 def _tangent(k: F64) -> F64:
     """(K, 3, 2) orthonormal bases of the planes perpendicular to k (K, 3)."""
     flat = np.argmin(np.abs(k), axis=1)
-    a = np.cross(k, np.eye(3)[flat])
+    a = cross(k, np.eye(3)[flat])
     a /= np.linalg.norm(a, axis=1, keepdims=True)
-    return np.stack([a, np.cross(k, a)], axis=2)
+    return np.stack([a, cross(k, a)], axis=2)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from functools import lru_cache
+from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -12,6 +13,7 @@ import numpy as np
 
 from skin2urdf.arrays import Bool
 from skin2urdf.errors import UsageError
+from skin2urdf.files import check_target
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -40,6 +42,27 @@ _METADATA: dict[str, dict[str, Any]] = {
 }
 
 
+def check_picture(path: str | Path) -> Path:
+    """Make sure that a picture can be written at ``path``, before the work that it shows.
+
+    Args:
+        path: file to be written; the ending says the format (.svg, .pdf, .png).
+
+    Returns:
+        The absolute path, symbolic links resolved.
+
+    Raises:
+        UsageError: another ending, or nothing can be written there.
+    """
+    kind = Path(path).suffix.lower()
+    if kind not in FORMATS:
+        raise UsageError(
+            f"{path}: pictures are not written as {kind or 'a file without ending'}",
+            f"use a name that ends in {', '.join(FORMATS)}",
+        )
+    return check_target(path)
+
+
 @contextmanager
 def page(path: str | Path, width: float, height: float) -> Iterator[Canvas]:
     """Open a page; what was drawn is saved when the context ends without an error.
@@ -50,17 +73,9 @@ def page(path: str | Path, width: float, height: float) -> Iterator[Canvas]:
         height: height of the page [in].
 
     Raises:
-        UsageError: an ending that is none of the three, or a folder that does not exist.
+        UsageError: an ending that is none of the three, or nothing can be written there.
     """
-    target = Path(path)
-    kind = target.suffix.lower()
-    if kind not in FORMATS:
-        raise UsageError(
-            f"{target}: pictures are not written as {kind or 'a file without ending'}",
-            f"use a name that ends in {', '.join(FORMATS)}",
-        )
-    if not target.parent.is_dir():
-        raise UsageError(f"{target.parent}: no such folder", "create it first")
+    target = check_picture(path)
     # matplotlib takes half a second to import, and nothing but pictures needs it.
     import matplotlib as mpl
     from matplotlib.figure import Figure
@@ -71,7 +86,15 @@ def page(path: str | Path, width: float, height: float) -> Iterator[Canvas]:
         axes.set(xlim=(0.0, width), ylim=(height, 0.0), xticks=(), yticks=())
         yield Canvas(axes)
         dpi = min(_PNG_DPI, _MOST_PIXELS / max(width, height))
-        figure.savefig(target, format=kind[1:], dpi=dpi, metadata=_METADATA[kind])
+        kind = Path(path).suffix.lower()
+        drawn = BytesIO()
+        figure.savefig(drawn, format=kind[1:], dpi=dpi, metadata=_METADATA[kind])
+    try:
+        target.write_bytes(drawn.getvalue())
+    except OSError as error:
+        raise UsageError(
+            f"can not write {path}: {error.strerror or error}", "give another output path"
+        ) from error
 
 
 @lru_cache(maxsize=4096)

@@ -41,17 +41,29 @@ def as_text(comparison: Comparison) -> str:
     )
     lines.append("")
     lines.append(
-        f"Errors over {c.n_configurations} random configurations inside the limits, "
-        "base frames aligned."
+        f"Errors over {c.n_configurations} random configurations inside the limits, {_aligned(c)}."
     )
     for words, names in (
         ("Not observable from the log, left out", c.not_observable),
+        ("Joints of limbs without an observable SU, left out", c.joints_left_out),
         ("Links of the estimate that the truth does not have", c.unmatched),
         ("Joints of one robot only, held still", c.held_joints),
     ):
         if names:
             lines.append(f"{words}: {', '.join(names)}.")
     return "\n".join(lines) + "\n"
+
+
+def _aligned(c: Comparison) -> str:
+    """How the robots were aligned, in words."""
+    if len(c.alignments) == 1:
+        return "base frames aligned"
+    limbs = ", ".join(str(alignment.limb) for alignment in c.alignments)
+    return (
+        f"{len(c.alignments)} limbs aligned one by one (from {limbs} on), since a log does not "
+        "tell their yaw and position relative to each other; they agree on gravity within "
+        f"{c.tilt_between_limbs * _DEG:.3f} deg"
+    )
 
 
 _Row = tuple[str, tuple[str, str], tuple[str, str], str]

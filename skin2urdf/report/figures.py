@@ -48,7 +48,7 @@ def draw_exploration(exploration: Exploration, path: str | Path) -> None:
         path: where to write; .svg, .pdf or .png.
 
     Raises:
-        UsageError: another ending, or a folder that does not exist.
+        UsageError: another ending, or nothing can be written there.
     """
     figure = _figure(exploration)
     width, height = figure.size

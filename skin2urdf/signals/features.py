@@ -27,6 +27,7 @@ from skin2urdf.signals.regression import (
     enough,
     excited,
     fit,
+    hidden_motion,
     noise_by_row,
     regressors,
 )
@@ -181,6 +182,7 @@ def extract_features(
         information=np.array([p.information for p in poses]),
         noise=np.array([p.noise for p in poses]),
         position_sd=np.array([p.offset for p in poses]),
+        hidden=np.array([p.hidden for p in poses]),
         latency=lag,
         latency_sd=lag_sd,
         moves=static_moves(sampled),
@@ -196,6 +198,7 @@ class _Pose:
     information: F64
     noise: F64
     offset: F64
+    hidden: F64
     lag_numerator: F64
     lag_denominator: F64
 
@@ -220,6 +223,7 @@ def _poses(s: Sampled, lag: F64, curvature: Curvature | None, log: int) -> list[
         if curvature is not None:
             y = y - curvature(pose.q, dq, qd, qdd, log)
         still = (np.abs(qd) < _STILL * motion.resolution).mean(axis=0)
+        hidden = hidden_motion(dq, qdd, motion.resolution)
         inner, usable, at = [], [], 0
         for (a, b), (lo, hi) in zip(pose.windows, pieces, strict=True):
             inner.append(np.arange(at + a - lo, at + b - lo))
@@ -235,7 +239,7 @@ def _poses(s: Sampled, lag: F64, curvature: Curvature | None, log: int) -> list[
         ok = np.concatenate(usable)
         out.append(
             _regress(
-                pose.q, log, X[use], Z[use], y[use], ok, noise, still * motion.noise,
+                pose.q, log, X[use], Z[use], y[use], ok, noise, (still * motion.noise, hidden),
                 (independence, rate, s.cutoff),
             )
         )  # fmt: skip
@@ -262,7 +266,7 @@ def _regress(
     y: F64,
     ok: Bool,
     noise: F64,
-    offset: F64,
+    unseen: tuple[F64, F64],
     sampling: tuple[float, float, float],
 ) -> _Pose:
     """Fit all SUs around one pose; SUs with the same valid samples share one factorisation."""
@@ -299,7 +303,7 @@ def _regress(
         denominator[members] = np.einsum("nui,nui,ui->u", across, across, weight)
     scale = independence
     return _Pose(
-        q, log, coefficients, information, deviation, offset,
+        q, log, coefficients, information, deviation, *unseen,
         numerator * scale, denominator * scale,
     )  # fmt: skip
 
@@ -327,7 +331,7 @@ def _regressor_noise(motion: Motion, cutoff: float) -> F64:
 
 def static_moves(sampled: Sequence[Sampled]) -> StaticMoves:
     """Readings at rest before and after a single DoF moved (paper II-B.1)."""
-    dofs, distances, changes = [], [], []
+    dofs, distances, changes, doubts = [], [], [], []
     for s in sampled:
         span = np.ptp(s.motion.q, axis=0)
         small = np.minimum(0.03, np.maximum(0.03 * span, 1e-4))
@@ -340,9 +344,14 @@ def static_moves(sampled: Sequence[Sampled]) -> StaticMoves:
             dofs.append(int(moved[0]))
             distances.append(float(step[moved[0]]))
             changes.append(after - before)
+            others = np.abs(step).sum() - abs(step[moved[0]])
+            doubts.append(STANDARD_GRAVITY * float(others))
     U = sampled[0].readings.shape[1]
     return StaticMoves(
-        np.array(dofs, dtype=np.int64), np.array(distances), np.array(changes).reshape(-1, U, 3)
+        np.array(dofs, dtype=np.int64),
+        np.array(distances),
+        np.array(changes).reshape(-1, U, 3),
+        np.array(doubts),
     )
 
 

@@ -17,16 +17,20 @@ class StaticMoves:
         dof: (S,) index of the DoF that moved.
         distance: (S,) how far it moved [rad or m].
         change: (S, U, 3) change of each SU's static reading [m/s^2]; NaN where it has none.
+        doubt: (S,) what the small motions of the other joints can have changed [m/s^2].
     """
 
     dof: Int
     distance: F64
     change: F64
+    doubt: F64 = field(default_factory=lambda: np.zeros(()))
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "dof", frozen(self.dof, np.int64))
         object.__setattr__(self, "distance", frozen(self.distance))
         object.__setattr__(self, "change", frozen(self.change))
+        doubt = np.broadcast_to(np.asarray(self.doubt, dtype=np.float64), self.distance.shape)
+        object.__setattr__(self, "doubt", frozen(doubt))
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,6 +58,8 @@ class Features:
             infinite where an SU has no samples around a pose.
         position_sd: (P, D) standard deviation of the reference positions: encoders at rest are off
             by a constant up to half a step [rad or m].
+        hidden: (P, D, D) mean square motion of joint e that its encoder rounds away in step with
+            the pattern of DoF d, per mean square acceleration of d, at [d, e].
         latency: (U,) time by which each SU's stamps lag the joints' [s].
         latency_sd: (U,) its standard deviation [s]; infinite where nothing moved the SU.
         moves: static evidence from larger single-DoF moves.
@@ -71,6 +77,7 @@ class Features:
     latency_sd: F64
     moves: StaticMoves
     position_sd: F64 = field(default_factory=lambda: np.zeros(()))
+    hidden: F64 = field(default_factory=lambda: np.zeros(()))
     notes: tuple[str, ...] = field(default=())
 
     def __post_init__(self) -> None:
@@ -79,6 +86,9 @@ class Features:
         object.__setattr__(self, "log", frozen(self.log, np.int64))
         everywhere = np.broadcast_to(np.asarray(self.position_sd, dtype=np.float64), self.q.shape)
         object.__setattr__(self, "position_sd", frozen(everywhere))
+        P, D = self.q.shape
+        hidden = np.broadcast_to(np.asarray(self.hidden, dtype=np.float64), (P, D, D))
+        object.__setattr__(self, "hidden", frozen(hidden))
 
     @property
     def n_poses(self) -> int:

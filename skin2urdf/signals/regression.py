@@ -191,6 +191,37 @@ def regressors(dq: F64, qd: F64, qdd: F64, linear: bool) -> tuple[F64, F64]:
     return X, np.concatenate([1 - np.cos(dq), qd**2], axis=1)
 
 
+def hidden_motion(dq: F64, qdd: F64, resolution: F64) -> F64:
+    """Motion that encoders round away in step with a DoF's pattern, relative to the pattern.
+
+    While DoF d moves, others move along a little (coupling, sag). An encoder that sees such a
+    motion of ``a`` steps gets its amplitude wrong by about ``0.2 / sqrt(a)`` steps, the same way in
+    every cycle, so that it does not average out.
+
+    Args:
+        dq: (N, D) positions relative to the pose [rad or m].
+        qdd: (N, D) accelerations.
+        resolution: (D,) encoder steps [rad or m].
+
+    Returns:
+        (D, D) mean square hidden motion of joint e per mean square acceleration of DoF d, at
+        [d, e]; 0 for DoFs that do not move.
+    """
+    energy = qdd**2
+    total = energy.sum(axis=0)
+    weight = np.divide(energy, total, out=np.zeros_like(energy), where=total > 0)
+    mean = weight.T @ dq
+    spread = np.sqrt(np.maximum(weight.T @ dq**2 - mean**2, 0.0))
+    steps = np.divide(
+        np.sqrt(2.0) * spread, resolution, out=np.ones_like(spread), where=resolution > 0
+    )
+    amplitude2 = 0.04 * resolution**2 / np.maximum(steps, 0.5) / 2
+    while_moving = (weight * energy).sum(axis=0)[:, None]
+    return np.divide(
+        amplitude2, while_moving, out=np.zeros_like(spread), where=while_moving > 1e-6
+    )
+
+
 def enough(samples: Bool, rate: float) -> bool:
     """Whether a pose has enough samples to be of use (a quarter of a second)."""
     return int(samples.sum()) >= 0.25 * rate

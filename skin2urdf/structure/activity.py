@@ -12,6 +12,8 @@ from skin2urdf.signals.records import Features
 STATIC_THRESHOLD = 0.05 * 9.81
 """Change of a static reading that makes an SU active, 0.05 g [m/s^2] (paper III)."""
 
+_SMALLEST_STATIC = 0.1
+"""Static evidence that noise alone may make, in thresholds."""
 _SMALLEST_EFFECT = 5e-3
 """Effect of a pattern [m/s^2 rms] that is never taken for activity on its own."""
 _SHARE = 0.3
@@ -31,6 +33,8 @@ class Activity:
             threshold; NaN where no such move was recorded.
         dynamic: (U, D) what the reading owes to a DoF's pattern, over what the regression leaves
             unexplained.
+        static_doubt: (D,) largest static evidence that noise and the small motions of other joints
+            can have made.
         excited: (D,) False for DoFs that never moved.
         heard: (U,) False for SUs without data.
     """
@@ -39,11 +43,12 @@ class Activity:
     dof_names: tuple[str, ...]
     static: F64
     dynamic: F64
+    static_doubt: F64
     excited: Bool
     heard: Bool
 
     def __post_init__(self) -> None:
-        for name in ("static", "dynamic"):
+        for name in ("static", "dynamic", "static_doubt"):
             object.__setattr__(self, name, frozen(getattr(self, name)))
         for name in ("excited", "heard"):
             object.__setattr__(self, name, frozen(getattr(self, name), np.bool_))
@@ -59,7 +64,7 @@ class Activity:
         static = np.nan_to_num(self.static, nan=0.0)
         largest = static.max(axis=0, initial=0.0)
         relative = static / np.maximum(_SHARE * largest, 1e-12)
-        known = np.isfinite(self.static) & (largest >= 1.0)
+        known = np.isfinite(self.static) & (largest >= self.static_doubt)
         strongest = np.where(known, relative, np.maximum(static, self.dynamic))
         return np.asarray(np.log(np.maximum(strongest, 1e-3)))
 
@@ -80,13 +85,16 @@ def activity(features: Features, threshold: float = STATIC_THRESHOLD) -> Activit
     """
     U, D = features.n_sus, features.n_dofs
     static = np.full((U, D), np.nan)
+    static_doubt = np.ones(D)
     moves = features.moves
     for d in range(D):
-        change = moves.change[moves.dof == d]
-        if len(change):
-            size = np.linalg.norm(change, axis=-1)
+        mine = moves.dof == d
+        if mine.any():
+            size = np.linalg.norm(moves.change[mine], axis=-1)
             heard = np.isfinite(size).any(axis=0)
             static[heard, d] = np.nanmax(size[:, heard], axis=0) / threshold
+            doubt = _SMALLEST_STATIC + 3 * float(moves.doubt[mine].max()) / threshold
+            static_doubt[d] = min(1.0, doubt)
     dynamic = np.zeros((U, D))
     excited = np.zeros(D, dtype=bool)
     finite = features.valid
@@ -111,5 +119,6 @@ def activity(features: Features, threshold: float = STATIC_THRESHOLD) -> Activit
         effect = np.sqrt(np.maximum((explained - chance).sum(axis=0), 0.0) / weight)
         dynamic[:, d] = np.where(seen.any(axis=0), effect / doubt, 0.0)
     return Activity(
-        features.su_names, features.dof_names, static, dynamic, excited, finite.any(axis=0)
-    )
+        features.su_names, features.dof_names, static, dynamic, static_doubt, excited,
+        finite.any(axis=0),
+    )  # fmt: skip

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from skin2urdf.arrays import F64
+from skin2urdf.arrays import F64, Bool
 from skin2urdf.model.dh import inverse
 from skin2urdf.urdf import twists
 
@@ -15,25 +15,40 @@ _SCALE = np.array([1.0, 1.0, 1.0, ARM, ARM, ARM])
 _MAX_STEPS = 30
 
 
-def align(T_est_su: F64, T_true_su: F64, free: list[F64]) -> tuple[F64, F64]:
+def align(
+    T_est_su: F64, T_true_su: F64, free: list[F64], anchors: Bool | None = None
+) -> tuple[F64, F64]:
     """Fit base frames onto each other, with SUs free to move where the log can not see them.
 
     Minimises, over the transform X = T_true_est of the base frames and one displacement D_u per
     SU, the sum over configurations and SUs of ``|log((X T_est_su D_u)^-1 T_true_su)|^2``, the
     angular part weighed by :data:`ARM`. D_u moves the SU in its own frame along its free
-    directions only; those then count neither here nor for the errors that remain. Gauss-Newton
-    with the displacements eliminated, so that the cost is linear in the number of SUs.
+    directions only; those then count neither here nor for the errors that remain.
 
     Args:
         T_est_su: (N, U, 4, 4) SU poses in the estimate's base, N configurations, U SUs.
         T_true_su: (N, U, 4, 4) the same SUs at the same configurations in the true base.
         free: U arrays (k, 6), k from 0 to 5: twists in the SU's own frame, linear part [m] first,
             angular part [rad] times :data:`ARM`; rows need not be orthonormal.
+        anchors: (U,) the SUs that X is fitted to, at least one; all of them where not given. The
+            others are displaced only.
 
     Returns:
         (4, 4) X = T_true_est and (U, 4, 4) D = T_su_moved, displacements of the SUs.
     """
+    on = np.ones(len(free), dtype=bool) if anchors is None else anchors
     P = np.stack([projector(directions) for directions in free])
+    D = np.empty((len(free), 4, 4))
+    X, D[on] = _fit(T_est_su[:, on], T_true_su[:, on], P[on])
+    D[~on] = displace(X @ T_est_su[:, ~on], T_true_su[:, ~on], P[~on])
+    return X, D
+
+
+def _fit(T_est_su: F64, T_true_su: F64, P: F64) -> tuple[F64, F64]:
+    """X and D of :func:`align` over all given SUs, whose projectors are P (U, 6, 6).
+
+    Gauss-Newton with the displacements eliminated: the cost is linear in the number of SUs.
+    """
     ranks = np.array([np.linalg.matrix_rank(p) for p in P])
     firm = ranks == ranks.min()
     X = kabsch(T_est_su[:, firm], T_true_su[:, firm])
@@ -53,6 +68,29 @@ def align(T_est_su: F64, T_true_su: F64, free: list[F64]) -> tuple[F64, F64]:
         D = D @ _displacement(P, (r - A @ step).mean(axis=0))
         X = X @ twists.exp(step)
     return best[1], best[2]
+
+
+def displace(T_est_su: F64, T_true_su: F64, P: F64) -> F64:
+    """(U, 4, 4) displacements along free directions that fit each SU best; bases coincide.
+
+    Args:
+        T_est_su: (N, U, 4, 4) SU poses of the estimate.
+        T_true_su: (N, U, 4, 4) true SU poses in the same base frame.
+        P: (U, 6, 6) projectors onto each SU's free directions, see :func:`align`.
+    """
+    best = _first_displacements(T_est_su, T_true_su, P)
+    best_cost = np.full(len(P), np.inf)
+    D = best
+    for _ in range(_MAX_STEPS):
+        r = twists.log(inverse(T_est_su @ D) @ T_true_su) * _SCALE
+        cost = np.sum(r**2, axis=(0, 2))
+        better = cost < best_cost
+        if not better.any():
+            break
+        best = np.where(better[:, None, None], D, best)
+        best_cost = np.minimum(cost, best_cost)
+        D = best @ _displacement(P, r.mean(axis=0))
+    return best
 
 
 def kabsch(T_est_su: F64, T_true_su: F64) -> F64:

@@ -1,28 +1,35 @@
 """How far an estimated robot is from the true one, free choices of frames aside.
 
-Nothing that a log can not tell, or that two good URDFs may choose differently, counts: the base
-frames are aligned by one rigid transform, joint frames may be turned about and slid along their
-axes, links may have any names. What counts is where the SUs are at the same joint positions, and
-where the axes are.
+Nothing that a log can not tell, or that two good URDFs may choose differently, counts: each limb
+is aligned by one rigid transform, joint frames may be turned about and slid along their axes,
+links may have any names. What counts is where the SUs are at the same joint positions, and where
+the axes are.
 """
 
 from __future__ import annotations
 
-import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from skin2urdf.arrays import F64
-from skin2urdf.errors import InsufficientDataError, UnreadableInputError, UsageError
+from skin2urdf.errors import InsufficientDataError, UsageError
 from skin2urdf.urdf import twists
-from skin2urdf.urdf.alignment import align, projector
+from skin2urdf.urdf.axes import AxisErrors, axis_errors
+from skin2urdf.urdf.differences import tree_differences
+from skin2urdf.urdf.directions import (
+    load_determined,
+    load_unobservable,
+    of_base_su,
+    spanned,
+    told,
+)
+from skin2urdf.urdf.limbs import ON_BASE, Align, Aligned, align_robot
 from skin2urdf.urdf.loading import Robot, configuration, load_robot
-from skin2urdf.urdf.records import Comparison, JointError, Spread, SuError
+from skin2urdf.urdf.records import Comparison, Spread, SuError
 
-_RANK = 1e-6  # singular values below this count as 0 in given directions
+__all__ = ["compare", "load_determined", "load_unobservable", "random_positions"]
 
 
 def compare(
@@ -30,6 +37,9 @@ def compare(
     truth: str | Path,
     *,
     unobservable: Mapping[str, F64] | None = None,
+    anchors: Collection[str] | None = None,
+    sus: Sequence[str] | None = None,
+    align: Align = "limbs",
     n_configurations: int = 200,
     rng: np.random.Generator,
 ) -> Comparison:
@@ -39,15 +49,15 @@ def compare(
     robots take the same random positions of the joints they share, inside the limits of both.
     Joints that only one of them has stay at the position nearest to 0.
 
+    Each limb, all that lies beyond one joint on the reference segment, is aligned by a rigid
+    transform of its own: one log tells neither yaw nor position of the limbs relative to each
+    other. An SU on the reference segment is compared by its tilt, the angle between the gravity
+    directions it implies (z of the estimate's base is up); its position never counts.
+
     An SU with unobservable directions is moved along them, once for all configurations, to where
     it fits best, and what remains is its error. Finite displacements are followed exactly (an SU
     that may sit anywhere on a circle about a vertical first axis). SUs of which nothing is
-    observable are left out altogether.
-
-    The distance of two axis lines is taken where it matters: from the point of the true axis that
-    is nearest to the middle of the SUs which the joint carries, square to the estimated axis. The
-    distance along the common normal would be meaningless, because two lines that should coincide
-    and do not quite are nearest to each other anywhere.
+    observable are left out altogether, and so are joints of limbs without any other SU.
 
     Args:
         estimate: the estimated URDF.
@@ -55,6 +65,12 @@ def compare(
         unobservable: per SU name (k, 6) twists xi in the SU's own frame along which the log says
             nothing, ``T_joint_su -> T_joint_su exp(xi)``: linear part [m] first, angular part
             [rad] times 0.1 m/rad. SUs without an entry are observable.
+        anchors: names of SUs to align limbs by (the well determined ones). A limb without any is
+            aligned by its SUs that are observable in all directions, or by all it has.
+        sus: the SUs to expect; one that the estimate lacks is a difference of the trees. SUs
+            that nobody names and the estimate lacks can not be recognised in the truth.
+        align: "limbs", or "base" for one transform of the whole robot, where the limbs' places
+            on the reference segment count, and the yaw of the SUs on it.
         n_configurations: number of random configurations.
         rng: source of the configurations.
 
@@ -63,129 +79,84 @@ def compare(
 
     Raises:
         UnreadableInputError: a file is no URDF.
-        UsageError: the robots share no SU, or directions are not (k, 6) finite numbers.
-        InsufficientDataError: no SU is observable.
+        UsageError: the robots share no SU, the truth lacks an expected one, or directions are not
+            (k, 6) finite numbers.
+        InsufficientDataError: no SU beyond a joint is observable.
     """
     if n_configurations < 1:
         raise UsageError(f"{n_configurations} configurations can not be compared", "give 1 or more")
+    if align not in ("limbs", "base"):
+        raise UsageError(f"can not align by {align!r}", 'align by "limbs" or by "base"')
     est, true = load_robot(estimate), load_robot(truth)
-    shared = [name for name in est.fixed_leaves if name in true.links]
-    if not shared:
-        raise UsageError(
-            f"no link on a fixed joint of {estimate} is also a link of {truth}",
-            "compare with the truth of the same log: SUs are recognised by their names",
-        )
-    free = {name: _directions(name, (unobservable or {}).get(name)) for name in shared}
-    hidden = tuple(name for name in shared if len(free[name]) == 6)
-    sus = [name for name in shared if name not in hidden]
-    if not sus:
+    shared, missing = _recognised(est, true, sus or ())
+    joints = [name for name in est.joint_types if name in true.joint_types]
+    positions = random_positions(est, true, joints, n_configurations, rng)
+    poses_est, axes_est = _kinematics(est, shared, joints, positions)
+    poses_true, axes_true = _kinematics(true, shared, joints, positions)
+
+    free = []
+    for u, name in enumerate(shared):
+        rows = spanned(name, (unobservable or {}).get(name))
+        if not est.chain(name):
+            rows = of_base_su(rows, poses_est[0, u, :3, :3], yaw=align == "limbs")
+        free.append(rows)
+    seen = np.array([len(rows) < 6 for rows in free])
+    names = [name for name, counts in zip(shared, seen, strict=True) if counts]
+    free = [rows for rows, counts in zip(free, seen, strict=True) if counts]
+    limbs = [_limb(est.chain(name)) for name in names]
+    if all(limb == ON_BASE for limb in limbs):
         raise InsufficientDataError(
-            "nothing to compare: no SU of the estimate is observable",
+            "nothing to compare: no SU of the estimate that a joint moves is observable",
             "record a log in which the joints move",
         )
-    joints = [name for name in est.joint_types if name in true.joint_types]
-    held = [n for r in (est, true) for n in r.joint_types if n not in joints]
-
-    positions = random_positions(est, true, joints, n_configurations, rng)
-    T_est_su, axes_est = _kinematics(est, sus, joints, positions)
-    T_true_su, axes_true = _kinematics(true, sus, joints, positions)
-    X, D = align(T_est_su, T_true_su, [free[name] for name in sus])
-    T_est_su = X @ T_est_su @ D
-    axes_est = np.einsum("ij,ndj->ndi", twists.adjoint(X), axes_est)
-
-    shift = np.linalg.norm(T_true_su[..., :3, 3] - T_est_su[..., :3, 3], axis=-1)
-    R_error = np.swapaxes(T_est_su[..., :3, :3], -1, -2) @ T_true_su[..., :3, :3]
-    turn = np.linalg.norm(twists.rotation_vector(R_error), axis=-1)
-    told = np.array([_told(free[name]) for name in sus])
-    differences = _tree_differences(est, true, shared, joints)
-    joint_errors, angle, distance = _joint_errors(
-        est, true, joints, sus, T_true_su, axes_est, axes_true
-    )
+    T_true_su = poses_true[:, seen]
+    aligned = align_robot(
+        poses_est[:, seen], T_true_su, names, limbs, free,
+        preferred=np.array([name in (anchors or ()) for name in names]), how=align,
+    )  # fmt: skip
+    left_out, axes = _axes(est, true, joints, names, T_true_su, aligned, axes_est, axes_true)
+    errors, position, orientation = _su_errors(names, free, aligned.T_base_su, T_true_su)
+    differences = tree_differences(est, true, [*shared, *missing])
     return Comparison(
-        sus=tuple(
-            SuError(
-                name,
-                Spread.of(shift[:, u]) if told[u, 0] else None,
-                Spread.of(turn[:, u]) if told[u, 1] else None,
-                len(free[name]),
-            )
-            for u, name in enumerate(sus)
-        ),
-        joints=joint_errors,
-        position=Spread.of(shift[:, told[:, 0]]),
-        orientation=Spread.of(turn[:, told[:, 1]]),
-        axis_angle=Spread.of(angle),
-        axis_distance=Spread.of(distance),
-        T_truth_estimate=X,
+        sus=errors,
+        joints=axes.joints,
+        position=position,
+        orientation=orientation,
+        axis_angle=axes.angle,
+        axis_distance=axes.distance,
+        alignments=aligned.alignments,
         tree_equal=not differences,
         tree_differences=differences,
-        not_observable=hidden,
+        not_observable=tuple(n for n, counts in zip(shared, seen, strict=True) if not counts),
+        joints_left_out=left_out,
         unmatched=tuple(name for name in est.fixed_leaves if name not in true.links),
-        held_joints=tuple(held),
+        held_joints=tuple(n for r in (est, true) for n in r.joint_types if n not in joints),
         n_configurations=n_configurations,
     )
 
 
-def load_unobservable(path: str | Path) -> dict[str, F64] | None:
-    """Read the unobservable directions of SUs from the JSON beside an estimated URDF.
-
-    Args:
-        path: the JSON file; ``observability.sus[name].unobservable`` is a list of k vectors of 6
-            numbers, or null where nothing is known of the SU.
-
-    Returns:
-        (k, 6) directions per SU, as :func:`compare` takes them; all six for null. None where
-        there is no such file or it holds no observability.
-
-    Raises:
-        UnreadableInputError: the file is no JSON, or the entry has another shape.
-    """
-    path = Path(path)
-    try:
-        content: Any = json.loads(path.read_bytes())
-    except FileNotFoundError:
-        return None
-    except (OSError, ValueError) as error:
-        raise UnreadableInputError(
-            str(path), f"is not a JSON file: {error}", "remove it to compare without it"
-        ) from error
-    entry = content.get("observability") if isinstance(content, dict) else None
-    sus = entry.get("sus") if isinstance(entry, dict) else None
-    if not isinstance(sus, dict):
-        return None
-    result: dict[str, F64] = {}
-    for name, su in sus.items():
-        if not isinstance(su, dict) or "unobservable" not in su:
-            continue
-        try:
-            result[name] = _directions(name, su["unobservable"], nothing_known=np.eye(6))
-        except UsageError as error:
-            raise UnreadableInputError(str(path), str(error), error.remedy) from error
-    return result
-
-
-def _directions(name: str, given: Any, nothing_known: F64 | None = None) -> F64:
-    """(k, 6) orthonormal directions that span the ``given`` ones; k is their rank."""
-    if given is None:
-        return np.zeros((0, 6)) if nothing_known is None else nothing_known
-    try:
-        rows = np.asarray(given, float)
-        rows = rows.reshape(0, 6) if rows.size == 0 else rows
-    except (TypeError, ValueError):
-        rows = np.zeros(0)
-    if rows.ndim != 2 or rows.shape[1] != 6 or not np.isfinite(rows).all():
+def _recognised(
+    est: Robot, true: Robot, expected: Sequence[str]
+) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Names of the SUs that both robots have, and of expected ones that the estimate lacks."""
+    foreign = [name for name in expected if name not in true.links]
+    if foreign:
         raise UsageError(
-            f"the unobservable directions of SU {name!r} are not rows of 6 numbers",
-            "give (k, 6) twists, linear part first",
+            f"SU {foreign[0]!r} is no link of {true.path}", "expect SUs that the truth has"
         )
-    _, values, Vt = np.linalg.svd(rows, full_matrices=False)
-    return np.asarray(Vt[values > _RANK])
+    leaves = [name for name in est.fixed_leaves if name in true.links]
+    shared = tuple(dict.fromkeys([*leaves, *(name for name in expected if name in est.links)]))
+    if not shared:
+        raise UsageError(
+            f"no link on a fixed joint of {est.path} is also a link of {true.path}",
+            "compare with the truth of the same log: SUs are recognised by their names",
+        )
+    return shared, tuple(name for name in expected if name not in est.links)
 
 
-def _told(free: F64) -> tuple[bool, bool]:
-    """Whether any part of the position, and of the orientation, is not free."""
-    P = projector(free)
-    return float(np.trace(P[:3, :3])) < 3 - _RANK, float(np.trace(P[3:, 3:])) < 3 - _RANK
+def _limb(chain: Sequence[str]) -> str:
+    """The first joint of a chain, which names the limb."""
+    return chain[0] if chain else ON_BASE
 
 
 def random_positions(
@@ -238,63 +209,55 @@ def _kinematics(
     return T_base_su, axes
 
 
-def _joint_errors(
+def _su_errors(
+    names: Sequence[str], free: Sequence[F64], T_est_su: F64, T_true_su: F64
+) -> tuple[tuple[SuError, ...], Spread, Spread]:
+    """Errors per SU, and the spread of all positions [m] and all orientations [rad]."""
+    shift = np.linalg.norm(T_true_su[..., :3, 3] - T_est_su[..., :3, 3], axis=-1)
+    R_error = np.swapaxes(T_est_su[..., :3, :3], -1, -2) @ T_true_su[..., :3, :3]
+    turn = np.linalg.norm(twists.rotation_vector(R_error), axis=-1)
+    parts = np.array([told(rows) for rows in free])
+    errors = tuple(
+        SuError(
+            name,
+            Spread.of(shift[:, u]) if parts[u, 0] else None,
+            Spread.of(turn[:, u]) if parts[u, 1] else None,
+            len(free[u]),
+        )
+        for u, name in enumerate(names)
+    )
+    return errors, Spread.of(shift[:, parts[:, 0]]), Spread.of(turn[:, parts[:, 1]])
+
+
+def _axes(
     est: Robot,
     true: Robot,
     joints: Sequence[str],
     sus: Sequence[str],
     T_true_su: F64,
+    aligned: Aligned,
     axes_est: F64,
     axes_true: F64,
-) -> tuple[tuple[JointError, ...], F64, F64]:
-    """Errors per joint, and all angles [rad] and distances [m] there are, in one array each.
+) -> tuple[tuple[str, ...], AxisErrors]:
+    """Joints whose limb could not be aligned, and the errors of all others.
 
     Joints whose types differ have no axes to compare; the tree's differences name them.
     """
-    errors: list[JointError] = []
-    angles: list[F64] = [np.zeros(0)]
-    distances: list[F64] = [np.zeros(0)]
     chains = [true.chain(su) for su in sus]
-    positions = T_true_su[..., :3, 3]
+    left_out: list[str] = []
+    kept: list[int] = []
+    moved: list[F64] = []
+    places: list[F64] = []
     for d, name in enumerate(joints):
-        kind = est.joint_types[name]
-        if kind != true.joint_types[name]:
+        if est.joint_types[name] != true.joint_types[name]:
             continue
-        part = slice(3, 6) if kind == "revolute" else slice(0, 3)
-        w_est, w_true = axes_est[:, d, part], axes_true[:, d, part]
-        sine = np.linalg.norm(np.cross(w_est, w_true), axis=-1)
-        angle = np.arctan2(sine, np.sum(w_est * w_true, axis=-1))
-        angles.append(angle)
-        distance = None
-        if kind == "revolute":
-            carried = [u for u, chain in enumerate(chains) if name in chain]
-            places = positions[:, carried or slice(None)].mean(axis=1)
-            v_est, v_true = axes_est[:, d, :3], axes_true[:, d, :3]
-            foot = np.cross(w_true, v_true)
-            foot = foot + w_true * np.sum(w_true * (places - foot), axis=-1, keepdims=True)
-            # |v + w x p| is the distance of p from the line of the unit twist (v, w).
-            distance = np.linalg.norm(v_est + np.cross(w_est, foot), axis=-1)
-            distances.append(distance)
-        spread = None if distance is None else Spread.of(distance)
-        errors.append(JointError(name, kind, Spread.of(angle), spread))
-    return tuple(errors), np.concatenate(angles), np.concatenate(distances)
-
-
-def _tree_differences(
-    est: Robot, true: Robot, sus: Sequence[str], joints: Sequence[str]
-) -> tuple[str, ...]:
-    """Where the trees differ, in words: joint types, extra joints, joints before each SU."""
-    differences = [
-        f"joint {name} is {est.joint_types[name]}, but {true.joint_types[name]} in the truth"
-        for name in joints
-        if est.joint_types[name] != true.joint_types[name]
-    ]
-    differences += [
-        f"joint {name} is not in the truth" for name in est.joint_types if name not in joints
-    ]
-    for su in sus:
-        found, right = ([j for j in r.chain(su) if j in joints] for r in (est, true))
-        if found != right:
-            words = [", ".join(chain) or "no joint" for chain in (found, right)]
-            differences.append(f"SU {su} hangs on {words[0]}; in the truth on {words[1]}")
-    return tuple(differences)
+        X = aligned.transform(est.chain_of_joint(name)[0])
+        if X is None:
+            left_out.append(name)
+            continue
+        kept.append(d)
+        moved.append(axes_est[:, d] @ twists.adjoint(X).T)
+        carried = [u for u, chain in enumerate(chains) if name in chain]
+        places.append(T_true_su[:, carried or slice(None), :3, 3].mean(axis=1))
+    kinds = [(joints[d], est.joint_types[joints[d]]) for d in kept]
+    return tuple(left_out), axis_errors(kinds, moved, [axes_true[:, d] for d in kept], places)

@@ -37,7 +37,14 @@ class Robot:
 
     def chain(self, link: str) -> tuple[str, ...]:
         """Names of the movable joints from the base to ``link``."""
-        joint = self.model.frames[self.frame(link)].parentJoint
+        return self._ancestors(self.model.frames[self.frame(link)].parentJoint)
+
+    def chain_of_joint(self, name: str) -> tuple[str, ...]:
+        """Names of the movable joints from the base to the joint ``name``, both included."""
+        return self._ancestors(self.model.getJointId(name))
+
+    def _ancestors(self, joint: int) -> tuple[str, ...]:
+        """Names of the joints from the base to Pinocchio's joint of that index."""
         names: list[str] = []
         while joint > 0:
             names.append(self.model.names[joint])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -39,13 +40,14 @@ class Spread:
 
 @dataclass(frozen=True)
 class SuError:
-    """Error of one SU's pose after base alignment.
+    """Error of one SU's pose after alignment.
 
     Attributes:
         name: the SU.
         position: distance between estimated and true origin [m]; None where the log tells no
-            part of it.
-        orientation: angle between estimated and true frame [rad]; None likewise.
+            part of it, as on the reference segment.
+        orientation: angle between estimated and true frame [rad], on the reference segment
+            between the gravity directions they imply; None likewise.
         n_unobservable: number of directions, of 6, that were left out because the log can not
             tell them.
     """
@@ -58,7 +60,7 @@ class SuError:
 
 @dataclass(frozen=True)
 class JointError:
-    """Error of one joint's axis after base alignment.
+    """Error of one joint's axis after alignment.
 
     Attributes:
         name: the joint.
@@ -76,6 +78,36 @@ class JointError:
 
 
 @dataclass(frozen=True, eq=False)
+class Alignment:
+    """How one limb of the estimate, or all of it, was laid onto the truth.
+
+    Attributes:
+        limb: first joint of the limb; None for the whole robot.
+        sus: the SUs that it carries and that count.
+        anchors: those of them that it was aligned by.
+        T_truth_estimate: (4, 4) the rigid transform of the base frame.
+    """
+
+    limb: str | None
+    sus: tuple[str, ...]
+    anchors: tuple[str, ...]
+    T_truth_estimate: F64
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "T_truth_estimate", frozen(self.T_truth_estimate))
+
+
+def tilt_between(alignments: Sequence[Alignment]) -> float:
+    """Largest angle between the directions that limbs take for up in the truth's base [rad].
+
+    Gravity connects the limbs, so this is an error that aligning each of them by itself hides.
+    """
+    ups = np.array([alignment.T_truth_estimate[:3, 2] for alignment in alignments]).reshape(-1, 3)
+    sine = np.linalg.norm(np.cross(ups[:, None], ups), axis=-1)
+    return float(np.max(np.arctan2(sine, ups @ ups.T), initial=0.0))
+
+
+@dataclass(frozen=True, eq=False)
 class Comparison:
     """Errors of an estimated robot that do not depend on free choices of frames.
 
@@ -86,10 +118,12 @@ class Comparison:
         orientation: SU orientation likewise [rad].
         axis_angle: axis angles over all joints and configurations [rad].
         axis_distance: axis distances over all revolute joints and configurations [m].
-        T_truth_estimate: (4, 4) the rigid transform that aligns the base frames.
-        tree_equal: whether every SU hangs on the same joints, of the same types, in the same order.
+        alignments: the rigid transforms, one per limb or one in all.
+        tree_equal: whether every SU hangs on the same joints, of the same types, in the same order,
+            and no joint that moves an SU and no expected SU is missing.
         tree_differences: where not, in words.
         not_observable: SUs left out because the log says nothing of their pose.
+        joints_left_out: joints of limbs that no observable SU aligns.
         unmatched: links of the estimate that look like SUs and that the truth does not have.
         held_joints: joints of only one of the robots, held at their neutral position.
         n_configurations: how many random configurations were compared.
@@ -101,16 +135,19 @@ class Comparison:
     orientation: Spread
     axis_angle: Spread
     axis_distance: Spread
-    T_truth_estimate: F64
+    alignments: tuple[Alignment, ...]
     tree_equal: bool
     tree_differences: tuple[str, ...]
     not_observable: tuple[str, ...]
+    joints_left_out: tuple[str, ...]
     unmatched: tuple[str, ...]
     held_joints: tuple[str, ...]
     n_configurations: int
 
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "T_truth_estimate", frozen(self.T_truth_estimate))
+    @property
+    def tilt_between_limbs(self) -> float:
+        """Largest angle between the directions that limbs take for up [rad]."""
+        return tilt_between(self.alignments)
 
     def to_dict(self) -> dict[str, Any]:
         """The comparison for a JSON file: lengths in mm, angles in deg, None for what is not."""
@@ -140,8 +177,18 @@ class Comparison:
                 }
                 for joint in self.joints
             },
-            "T_truth_estimate": self.T_truth_estimate.tolist(),
+            "alignments": [
+                {
+                    "limb": each.limb,
+                    "sus": list(each.sus),
+                    "anchors": list(each.anchors),
+                    "T_truth_estimate": each.T_truth_estimate.tolist(),
+                }
+                for each in self.alignments
+            ],
+            "tilt_between_limbs_deg": self.tilt_between_limbs * degrees,
             "not_observable": list(self.not_observable),
+            "joints_left_out": list(self.joints_left_out),
             "unmatched": list(self.unmatched),
             "held_joints": list(self.held_joints),
             "n_configurations": self.n_configurations,

@@ -169,7 +169,7 @@ def test_other_formats_go_by_the_ending(tmp_path: Path, ending: str, start: byte
 def test_a_path_that_can_not_be_drawn_to(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match=r"not written as \.jpeg"):
         draw_exploration(arm(2), tmp_path / "figure.jpeg")
-    with pytest.raises(UsageError, match="no such folder"):
+    with pytest.raises(UsageError, match="does not exist"):
         draw_exploration(arm(2), tmp_path / "nowhere" / "figure.svg")
 
 

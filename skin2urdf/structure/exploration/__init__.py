@@ -1,4 +1,20 @@
-"""Algorithm 1 of the paper: from an activity matrix to segments, joints and limbs."""
+"""Algorithm 1 of the paper: from an activity matrix to segments, joints and limbs.
+
+`explore` runs all lines; each is a function of its own:
+
+| line | paper | here |
+|---|---|---|
+| 1 | number of SUs and DoFs | the rows and columns of the activity matrix |
+| 2, 3 | one DoF a time, thresholding gravity | `static_activity`, `or_combination` of logs |
+| 4 | merge similar rows to segments | `merge_sus` |
+| 5 | merge similar columns to joints | `merge_dofs` |
+| II-B.3 | strictly lower triangular form, its check | `sorted_order`, `triangular_form` |
+| II-B.3 | joint segment connectivity | `joint_segment_connectivity` |
+| 6 | connection sequences | `connection_sequences` |
+| 7 | reference segment | `reference_segment` |
+| 8 | true and false end effectors | `end_effectors` |
+| 9 | limbs and sub-limbs | `limbs` |
+"""
 
 from skin2urdf.structure.exploration.activity_matrix import or_combination, static_activity
 from skin2urdf.structure.exploration.explore import explore, require_tree

@@ -3,6 +3,9 @@
 In a tree the sets of SUs beyond any two joints nest or are disjoint. Two sets that cross violate
 a constraint. What explains the crossings is searched among three causes, each of which says how
 the matrix would look without it; the cause that leaves the fewest crossings is the one reported.
+
+Not every violation makes sets cross: a DoF that drags along all that hangs beside it looks like its
+parent, and DoFs that always move together look like one joint.
 """
 
 from __future__ import annotations

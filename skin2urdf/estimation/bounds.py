@@ -1,0 +1,179 @@
+"""What errors to expect when an estimate is compared with the truth (the Cramer-Rao bound).
+
+To first order the errors of a comparison are linear in those of the estimated coordinates: the
+error of an SU's pose, less the rigid transform that aligns its limb, less what displacing it along
+its unobservable directions takes up. Their covariance follows from that of the coordinates.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from skin2urdf.arrays import F64, Int
+from skin2urdf.estimation.state import N_JOINT, N_PLACEMENT, N_SU, State
+from skin2urdf.model.kinematics import PinocchioTree
+from skin2urdf.model.prediction import Chains, joint_twists, su_kinematics, zero_frames
+from skin2urdf.model.spatial import skew
+from skin2urdf.structure.records import KinematicTree
+
+Align = Literal["limbs", "base"]
+"""One transform per limb, all that lies beyond one joint on the RS, or one for the whole robot."""
+
+ON_BASE = -1
+"""Limb of an SU on the reference segment."""
+
+_BASIS = np.zeros((6, N_JOINT))
+_BASIS[[3, 4, 0, 1], [0, 1, 2, 3]] = 1.0
+_RCOND = 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class _Rows:
+    """Error of one SU's pose in its own frame, linear part first, angular part times an arm.
+
+    Attributes:
+        index: (m,) the coordinates that move the SU.
+        E: (C, 6, m) error per coordinate at C configurations.
+        G: (C, 6, 6) error per motion of the whole base frame.
+    """
+
+    index: Int
+    E: F64
+    G: F64
+
+    def without(self, free: F64) -> _Rows:
+        """The rows less what one displacement along free directions (k, 6) takes up."""
+        P = free.T @ free
+        return _Rows(
+            self.index, self.E - P @ self.E.mean(axis=0), self.G - P @ self.G.mean(axis=0)
+        )
+
+
+def limbs_of(tree: KinematicTree) -> Int:
+    """(U,) first joint before each SU, which names its limb; :data:`ON_BASE` on the RS."""
+    chains = [tree.chain(int(joint)) for joint in tree.su_joint]
+    return np.array([chain[0] if chain else ON_BASE for chain in chains], dtype=np.int64)
+
+
+def expected_errors(
+    tree: KinematicTree,
+    state: State,
+    covariance: F64,
+    q: F64,
+    *,
+    free: Sequence[F64],
+    trust: Int,
+    arm: float,
+    align: Align = "limbs",
+) -> tuple[F64, F64]:
+    """Standard deviations of SU poses after alignment, as the comparison of URDFs aligns.
+
+    Args:
+        tree: the kinematic tree.
+        state: the estimate.
+        covariance: (n, n) of its coordinates: joints, logs, SUs.
+        q: (C, D) configurations [rad or m].
+        free: per SU (k, 6) orthonormal directions that do not count (linear [m], angular [rad]
+            times ``arm``).
+        trust: (U,) each limb is aligned by its SUs of the highest value; negative for SUs that
+            align nothing.
+        arm: length that angles are weighed by [m].
+        align: one transform per limb, or one for all.
+
+    Returns:
+        Position (U,) [m] and orientation (U,) [rad], root mean square over configurations. Of an
+        SU on the RS the position is 0, for it never counts.
+    """
+    limbs = limbs_of(tree)
+    rows = _error_rows(tree, state, q, len(covariance), arm)
+    up = np.array([0.0, 0.0, 1.0])
+    for u, row in enumerate(rows):
+        directions = free[u]
+        if limbs[u] == ON_BASE:
+            yaw = state.T_joint_su[u, :3, :3].T @ up if align == "limbs" else np.zeros(3)
+            directions = _span(np.vstack([directions, np.eye(6)[:3], np.r_[0.0, 0.0, 0.0, yaw]]))
+        rows[u] = row.without(directions)
+
+    groups = limbs if align == "limbs" else np.zeros_like(limbs)
+    anchors = {int(g): _anchors(groups, trust, int(g)) for g in groups if g != ON_BASE}
+    fits = {g: _fit([rows[u] for u in on], len(covariance)) for g, on in anchors.items() if len(on)}
+    if not fits:
+        return np.full(len(rows), np.nan), np.full(len(rows), np.nan)
+    leading = max(fits, key=lambda g: len(anchors[g]))
+
+    deviations = np.full((len(rows), 2), np.nan)
+    for u, row in enumerate(rows):
+        fit = fits.get(leading if groups[u] == ON_BASE else int(groups[u]))
+        if fit is not None:
+            deviations[u] = _deviations(row, fit, covariance)
+    return deviations[:, 0], deviations[:, 1] / arm
+
+
+def _error_rows(tree: KinematicTree, state: State, q: F64, n: int, arm: float) -> list[_Rows]:
+    """Errors of all SUs per coordinate, of which there are n."""
+    chains = Chains.of(tree)
+    pinocchio = PinocchioTree(tree)
+    pinocchio.write_joints(state.T_parent_joint)
+    R, p = pinocchio.joint_frames(q)
+    up = np.tile([0.0, 0.0, 1.0], (len(q), 1))
+    kin = su_kinematics(chains, tree.su_joint, R, p, state.T_joint_su, up)
+    basis = np.tile(_BASIS, (tree.n_joints, 1, 1))
+    twists = joint_twists(chains, kin, *zero_frames(R, p, q, tree.prismatic), basis)
+    twists = np.roll(twists, 3, axis=-2)  # linear part first
+    scale = np.repeat([1.0, arm], 3)[:, None]
+    first_su = n - N_SU * tree.n_sus
+    result = []
+    for u in range(tree.n_sus):
+        joints = chains.joint[u, : chains.length[u]]
+        own = first_su + N_SU * u + np.arange(N_PLACEMENT)
+        index = np.concatenate([(N_JOINT * joints[:, None] + np.arange(N_JOINT)).ravel(), own])
+        E = np.zeros((len(q), 6, len(index)))
+        E[..., :-N_PLACEMENT] = np.swapaxes(twists[:, u, : len(joints)], 1, 2).reshape(
+            len(q), 6, -1
+        )
+        E[..., -N_PLACEMENT:] = np.eye(6)
+        Rt = np.swapaxes(kin.R[:, u], 1, 2)
+        G = np.zeros((len(q), 6, 6))
+        G[:, :3, :3] = G[:, 3:, 3:] = Rt
+        G[:, :3, 3:] = -Rt @ skew(kin.p[:, u])
+        result.append(_Rows(index, E * scale, G * scale))
+    return result
+
+
+def _anchors(groups: Int, trust: Int, group: int) -> Int:
+    """SUs that a limb is aligned by."""
+    best = trust[groups == group].max()
+    return np.flatnonzero((groups == group) & (trust == best) & (trust >= 0))
+
+
+def _fit(rows: Sequence[_Rows], n: int) -> F64:
+    """(6, n) motion of the base frame that aligns the given SUs best, per coordinate."""
+    N, M = np.zeros((6, 6)), np.zeros((6, n))
+    for row in rows:
+        N += np.einsum("cij,cik->jk", row.G, row.G)
+        M[:, row.index] += np.einsum("cij,cik->jk", row.G, row.E)
+    return np.asarray(np.linalg.pinv(N, rcond=_RCOND, hermitian=True) @ M)
+
+
+def _deviations(row: _Rows, fit: F64, covariance: F64) -> tuple[float, float]:
+    """Root mean square of the linear and of the angular part of an SU's error."""
+    across = covariance @ fit.T
+    S = np.block(
+        [
+            [covariance[np.ix_(row.index, row.index)], across[row.index]],
+            [across[row.index].T, fit @ across],
+        ]
+    )
+    F = np.concatenate([row.E, -row.G], axis=-1)
+    variance = np.einsum("cij,cij->ci", F @ S, F).mean(axis=0).clip(min=0.0)
+    return float(np.sqrt(variance[:3].sum())), float(np.sqrt(variance[3:].sum()))
+
+
+def _span(rows: F64) -> F64:
+    """(k, 6) orthonormal directions that span given ones (m, 6)."""
+    _, values, Vt = np.linalg.svd(rows, full_matrices=False)
+    return np.asarray(Vt[values > 1e-6])

@@ -1,0 +1,100 @@
+"""Alignment of an estimated robot with the true one, limb by limb.
+
+Limbs on one reference segment are connected by nothing but gravity: from one log their yaw and
+their position relative to each other can not be known (paper II-C.5; design section 6). So each
+limb, all that lies beyond one joint on the reference segment, takes a rigid transform of its own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from skin2urdf.arrays import F64, Bool, frozen
+from skin2urdf.urdf.alignment import align, displace, projector
+from skin2urdf.urdf.records import Alignment
+
+Align = Literal["limbs", "base"]
+"""One transform per limb, or one for the whole robot."""
+
+ON_BASE = ""
+"""Stands for the reference segment where a limb is named by its first joint."""
+
+
+@dataclass(frozen=True, eq=False)
+class Aligned:
+    """An estimated robot laid onto the true one.
+
+    Attributes:
+        T_base_su: (N, U, 4, 4) estimated SU poses in the true base frame.
+        alignments: the transforms, one per limb or one in all.
+    """
+
+    T_base_su: F64
+    alignments: tuple[Alignment, ...]
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "T_base_su", frozen(self.T_base_su))
+
+    def transform(self, limb: str) -> F64 | None:
+        """(4, 4) T_truth_estimate of a limb; None where no SU of it could be aligned."""
+        for alignment in self.alignments:
+            if alignment.limb in (None, limb):
+                return alignment.T_truth_estimate
+        return None
+
+
+def align_robot(
+    T_est_su: F64,
+    T_true_su: F64,
+    names: Sequence[str],
+    limbs: Sequence[str],
+    free: Sequence[F64],
+    *,
+    preferred: Bool,
+    how: Align,
+) -> Aligned:
+    """Lay an estimated robot onto the true one.
+
+    A limb is aligned by its preferred SUs; where it has none, by those that are observable in all
+    directions, and where it has none of these either, by all of them. An SU that is hardly
+    determined would else turn the frame in which all others are compared.
+
+    An SU on the reference segment is laid onto the truth by the transform of the limb with the
+    most such SUs, the leading one. Its position and its yaw must be among its free directions.
+
+    Args:
+        T_est_su: (N, U, 4, 4) SU poses in the estimate's base frame, z up.
+        T_true_su: (N, U, 4, 4) the same SUs in the true base frame.
+        names: U names.
+        limbs: U names of the first joint before each SU, or :data:`ON_BASE`; at least one joint.
+        free: U arrays (k, 6) of directions, see :func:`skin2urdf.urdf.alignment.align`.
+        preferred: (U,) SUs to align by, where there are any.
+        how: one transform per limb, or one for the whole robot.
+    """
+    whole = np.array([not len(rows) for rows in free])
+    T_aligned = np.empty_like(T_est_su)
+
+    def fit(limb: str | None, sus: Sequence[int]) -> Alignment:
+        on = next(mask for mask in (preferred[rows], whole[rows], rows >= 0) if mask.any())
+        X, D = align(T_est_su[:, rows], T_true_su[:, rows], [free[u] for u in rows], on)
+        T_aligned[:, rows] = X @ T_est_su[:, rows] @ D
+        return Alignment(limb, tuple(names[u] for u in rows), tuple(names[u] for u in rows[on]), X)
+
+    if how == "base":
+        return Aligned(T_aligned, (fit(None, np.arange(len(names))),))
+    found = tuple(
+        fit(limb, np.flatnonzero([each == limb for each in limbs]))
+        for limb in dict.fromkeys(limbs)
+        if limb != ON_BASE
+    )
+    leading = max(found, key=lambda alignment: len(alignment.anchors)).T_truth_estimate
+    rest = np.flatnonzero([limb == ON_BASE for limb in limbs])
+    if rest.size:
+        T = leading @ T_est_su[:, rest]
+        P = np.stack([projector(free[u]) for u in rest])
+        T_aligned[:, rest] = T @ displace(T, T_true_su[:, rest], P)
+    return Aligned(T_aligned, found)

@@ -13,6 +13,7 @@ from skin2urdf.signals.records import Features
 from skin2urdf.structure.activity import STATIC_THRESHOLD, Activity
 
 Quality = Literal["good", "fair", "bad"]
+Method = Literal["default", "paper"]
 
 GOOD_FIT = 2.0
 """Cost per degree of freedom up to which the model explains the data."""
@@ -25,12 +26,15 @@ class CalibrationSettings:
     """Choices of a calibration.
 
     Attributes:
+        method: ``default``, or ``paper`` for the paper's own estimator (Algorithm 2), which stops
+            far above the noise and is there for comparison.
         estimation: priors, refinement, robustness.
         static_threshold: change of a static reading that makes an SU active [m/s^2].
         relinearisations: how often, at most, the features are taken again with the estimate's
             prediction of what lies beyond first order.
     """
 
+    method: Method = "default"
     estimation: EstimationSettings = field(default_factory=EstimationSettings)
     static_threshold: float = STATIC_THRESHOLD
     relinearisations: int = 6

@@ -207,6 +207,7 @@ def _compare(options: argparse.Namespace) -> int:
         options.estimate,
         options.truth,
         unobservable=load_unobservable(beside) if beside else None,
+        align=options.align,
         n_configurations=options.configurations,
         rng=np.random.default_rng(options.seed),
     )

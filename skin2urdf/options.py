@@ -34,8 +34,8 @@ _COMPARE = """\
 example:
   skin2urdf compare robot.urdf truth.urdf
 
-SUs and joints are matched by name, base frames are aligned, links may have any names. Directions
-that the JSON beside the estimate (robot.json) calls not observable do not count.
+SUs and joints are matched by name, limbs are aligned, links may have any names. Directions that
+the JSON beside the estimate (robot.json) calls not observable do not count.
 Exits with 0 if the trees are equal, else with 1."""
 
 _EXPLORE = """\
@@ -174,6 +174,13 @@ def _compare(command: _Parser) -> None:
     command.add_argument("estimate", metavar="ESTIMATE", help="URDF that was found")
     command.add_argument("truth", metavar="TRUTH", help="URDF that is right")
     _json(command)
+    command.add_argument(
+        "--align",
+        choices=("limbs", "base"),
+        default="limbs",
+        help="one rigid transform per limb, which nothing connects but gravity, or one for the "
+        "whole robot (%(default)s)",
+    )
     group = command.add_argument_group("configurations")
     _number(group, "--configurations", 200, "how many, drawn at random (%(default)s)", int)
     _number(group, "--seed", 0, "what they are drawn from (%(default)s)", int)

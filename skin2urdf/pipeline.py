@@ -13,6 +13,7 @@ from skin2urdf.arrays import F64
 from skin2urdf.calibration import BAD_FIT, GOOD_FIT, Calibration, CalibrationSettings, Source
 from skin2urdf.errors import BadFitError, InsufficientDataError
 from skin2urdf.estimation.estimate import Estimate, estimate
+from skin2urdf.estimation.health import health_notes
 from skin2urdf.estimation.observability import observability
 from skin2urdf.estimation.order import ordered
 from skin2urdf.model.dh import canonical
@@ -21,6 +22,7 @@ from skin2urdf.recording.records import Recording
 from skin2urdf.signals.features import Curvature, Sampled, extract_features, sample_recording
 from skin2urdf.signals.records import Features
 from skin2urdf.structure.activity import activity
+from skin2urdf.structure.records import KinematicTree
 from skin2urdf.structure.tree import kinematic_tree
 
 T = TypeVar("T")
@@ -58,26 +60,12 @@ def calibrate(
     features = clock.run("features", lambda _: extract_features(sampled, su_names))
     seen = activity(features, settings.static_threshold)
     tree = ordered(kinematic_tree(seen, features), features)
-    found = clock.run("estimation", lambda _: estimate(features, tree, settings.estimation))
-    for _ in range(settings.relinearisations):
-        previous, relinearised = found, _curvature(found, features)
-        features = clock.run(
-            "features",
-            lambda _, c=relinearised, f=features: extract_features(  # type: ignore[misc]
-                sampled, su_names, curvature=c, latency=f.latency
-            ),
-        )
-        found = clock.run(
-            "estimation",
-            lambda _, f=features, e=previous: estimate(  # type: ignore[misc]
-                f, tree, settings.estimation, start=e.state
-            ),
-        )
-        settled = found.cost_per_dof > 0.98 * previous.cost_per_dof
-        if _moved(previous, found) < 1e-4 or (settled and found.cost_per_dof < GOOD_FIT):
-            break
-    if not found.cost_per_dof <= BAD_FIT:
-        raise BadFitError(*_why_bad(found, features), cost_per_dof=found.cost_per_dof)
+    if settings.method == "paper":
+        found = clock.run("estimation", lambda _: _by_the_paper(features, tree, settings))
+    else:
+        found, features = _relinearised(clock, sampled, su_names, tree, features, settings)
+        if not found.cost_per_dof <= BAD_FIT:
+            raise BadFitError(*_why_bad(found), cost_per_dof=found.cost_per_dof)
     span = np.array([_range(sampled, name) for name in tree.joint_names]).reshape(-1, 3)
     return Calibration(
         model=canonical(found.state.model(tree)),
@@ -89,9 +77,56 @@ def calibrate(
         velocity=span[:, 2],
         sources=tuple(Source(r.source, r.digest, r.duration) for r in recordings),
         settings=settings,
-        notes=(*features.notes, *tree.notes),
+        notes=(*features.notes, *tree.notes, *health_notes(found)),
         seconds=clock.seconds,
     )
+
+
+def _relinearised(
+    clock: _Clock,
+    sampled: Sequence[Sampled],
+    su_names: Sequence[str],
+    tree: KinematicTree,
+    features: Features,
+    settings: CalibrationSettings,
+) -> tuple[Estimate, Features]:
+    """Estimate, take the features again with what the estimate predicts, until it settles."""
+    found = clock.run("estimation", lambda _: estimate(features, tree, settings.estimation))
+    for _ in range(settings.relinearisations):
+        previous, predicted, latency = found, _curvature(found, features), features.latency
+        features = clock.run(
+            "features",
+            lambda _, c=predicted, t=latency: extract_features(  # type: ignore[misc]
+                sampled, su_names, curvature=c, latency=t
+            ),
+        )
+        found = clock.run(
+            "estimation",
+            lambda _, f=features, e=previous: estimate(  # type: ignore[misc]
+                f, tree, settings.estimation, start=e.state
+            ),
+        )
+        settled = found.cost_per_dof > 0.98 * previous.cost_per_dof
+        if _moved(previous, found) < 1e-4 or (settled and found.cost_per_dof < GOOD_FIT):
+            break
+    return found, features
+
+
+def _by_the_paper(
+    features: Features, tree: KinematicTree, settings: CalibrationSettings
+) -> Estimate:
+    """The paper's own estimator (Algorithm 2), judged like any other estimate."""
+    from skin2urdf.estimation.paper_method import PaperSettings, as_estimate, estimate_paper
+
+    gravity = settings.estimation.priors.gravity
+    result = estimate_paper(features, tree, PaperSettings(gravity=gravity))
+    if not result.converged:
+        open_ = [f"{s.su} (e_T {s.e_total:.2f} g^2)" for s in result.steps if not s.converged]
+        raise BadFitError(
+            f"the paper's method did not reach its stop value for {', '.join(open_)}",
+            "calibrate with the default method, or record more poses",
+        )
+    return as_estimate(result, features, gravity)
 
 
 class _Clock:
@@ -165,11 +200,12 @@ def _range(sampled: Sequence[Sampled], name: str) -> tuple[float, float, float]:
     """Lowest and highest position and highest speed of a joint over all logs."""
     columns = [s.motion.dof_names.index(name) for s in sampled]
     q = np.concatenate([s.motion.q[:, d] for s, d in zip(sampled, columns, strict=True)])
-    speed = max(float(np.abs(s.motion.qd[:, d]).max()) for s, d in zip(sampled, columns, strict=True))
+    speeds = [np.abs(s.motion.qd[:, d]).max() for s, d in zip(sampled, columns, strict=True)]
+    speed = float(max(speeds))
     return float(q.min()), float(q.max()), speed
 
 
-def _why_bad(found: Estimate, features: Features) -> tuple[str, str]:
+def _why_bad(found: Estimate) -> tuple[str, str]:
     """What a bad fit looks like, by SU and pose, and what to do about it."""
     per = found.chi2_by_block.sum(axis=0) / np.maximum(found.count.sum(axis=0), 1)
     worst = np.argsort(-per)[:3]
@@ -179,7 +215,10 @@ def _why_bad(found: Estimate, features: Features) -> tuple[str, str]:
         f"freedom {found.cost_per_dof:.0f} where 1 is expected; worst SUs (theirs): {named}"
     )
     if all(per[u] > BAD_FIT for u in range(len(per)) if found.tree.su_joint[u] >= 0):
-        where = "all SUs are affected: check that the base stands still and the joint states are the measured ones, in rad"
+        where = (
+            "all SUs are affected: check that the base stands still and that the joint states are "
+            "the measured ones, in rad"
+        )
     else:
         where = "check that these SUs are fixed rigidly and report m/s^2 in a right-handed frame"
     return what, f"{where}; `skin2urdf explore` shows the structure that was found"

@@ -13,6 +13,7 @@ from skin2urdf.errors import (
     StructureError,
     UnreadableInputError,
 )
+from skin2urdf.estimation.order import ordered
 from skin2urdf.recording.inventory import LogInventory
 from skin2urdf.recording.reading import inventory, read
 from skin2urdf.recording.records import Recording
@@ -105,7 +106,7 @@ def explore(
         seen.matrix, seen.su_names, seen.dof_names, excited=seen.excited, heard=seen.heard
     )
     try:
-        tree = kinematic_tree(seen, features)
+        tree = ordered(kinematic_tree(seen, features), features)
     except StructureError as error:
         return Explored(seen, steps, None, error, features.notes)
     return Explored(seen, steps, tree, None, (*features.notes, *tree.notes))

@@ -38,7 +38,7 @@ LAYERS: dict[str, tuple[str, ...]] = {
     "urdf": (*BASE, "model", "structure"),
     "simulation": ("arrays", "errors", "recording.records", "recording.writing"),
     "calibration": (*BASE, "model", "structure", "signals.records", "estimation"),
-    "survey": (*BASE, "recording", "signals", "structure"),
+    "survey": (*BASE, "recording", "signals", "structure", "estimation.order"),
     "report": (
         *BASE,
         "*.records",

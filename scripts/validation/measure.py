@@ -7,7 +7,7 @@ import tempfile
 import time
 import traceback
 import xml.etree.ElementTree as ET
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
@@ -109,18 +109,12 @@ def _compared(case: Case, found: Calibration, truth: Truth, folder: Path) -> Fig
     """All figures but the times."""
     tree, seen = found.model.tree, found.observability
     held = _Held.against(case, found, truth, folder)
-    open_ = dict(zip(tree.su_names, seen.su_unobservable, strict=True))
-    verdicts = dict(zip(tree.su_names, seen.su_verdict, strict=True))
-    comparison, every = held.figures(open_)
-    # An SU that is hardly determined would turn the base of all others in the alignment.
-    firm = {n: d if verdicts[n] == "determined" else np.eye(6) for n, d in open_.items()}
-    determined = held.figures(firm)[1] if any(len(d) < 6 for d in firm.values()) else {}
+    comparison, sus = held.figures()
     types = load_urdf(held.true).joint_types
     found_types = dict(zip(tree.joint_names, tree.joint_types, strict=True))
-    differences = (*comparison.tree_differences, *_missing(found, truth))
     return Figures(
-        tree_right=not differences,
-        tree_differences=differences,
+        tree_right=comparison.tree_equal,
+        tree_differences=comparison.tree_differences,
         types_right=all(types.get(n) == kind for n, kind in found_types.items()),
         cost_per_dof=float(found.estimate.cost_per_dof),
         n_dofs=len(truth.joint_names),
@@ -128,9 +122,9 @@ def _compared(case: Case, found: Calibration, truth: Truth, folder: Path) -> Fig
         hypotheses=tuple(map(float, found.estimate.hypotheses)),
         axis_angle_deg=_rms(comparison.axis_angle, _DEG),
         axis_distance_mm=_rms(comparison.axis_distance, 1e3),
-        determined=Over.of(determined.values()),
-        every=Over.of(every.values()),
-        sus=tuple((every | determined).values()),
+        determined=Over.of(su for su in sus if su.verdict == "determined"),
+        every=Over.of(sus),
+        sus=sus,
         n_open=seen.n_open,
         joint_verdicts=dict(zip(tree.joint_names, seen.joint_verdict, strict=True)),
         seconds={},
@@ -143,7 +137,7 @@ _DEG = float(np.rad2deg(1.0))
 
 @dataclass(frozen=True, eq=False)
 class _Held:
-    """A calibration on disk beside its truth, ready to be compared in several ways.
+    """A calibration on disk beside its truth.
 
     Attributes:
         found: the calibration.
@@ -178,44 +172,46 @@ class _Held:
         floors = {su.name: _angle(Q[u]) for u, su in enumerate(truth.sus)}
         return cls(found, paths["estimate"], paths["truth"], paths["turned"], floors, case.seed)
 
-    def figures(self, unobservable: Mapping[str, F64]) -> tuple[Comparison, dict[str, SuFigures]]:
-        """Compare with the given directions left out.
-
-        Args:
-            unobservable: (k, 6) directions per SU.
+    def figures(self) -> tuple[Comparison, tuple[SuFigures, ...]]:
+        """Compare.
 
         Returns:
             The comparison with the truth, and the figures of the SUs that count in it.
         """
+        tree, seen = self.found.model.tree, self.found.observability
+        verdicts = dict(zip(tree.su_names, seen.su_verdict, strict=True))
         plain, beside = (
             compare(
-                self.est, path, unobservable=unobservable, n_configurations=CONFIGURATIONS,
+                self.est,
+                path,
+                unobservable=dict(zip(tree.su_names, seen.su_unobservable, strict=True)),
+                anchors=[name for name, verdict in verdicts.items() if verdict == "determined"],
+                sus=list(self.floors),
+                n_configurations=CONFIGURATIONS,
                 rng=np.random.default_rng(self.seed),
             )
             for path in (self.true, self.turned)
-        )  # fmt: skip
-        position, orientation = self._bounds(unobservable)
+        )
+        position, orientation = self._bounds()
         felt = {su.name: su for su in beside.sus}
-        tree, seen = self.found.model.tree, self.found.observability
-        verdicts = dict(zip(tree.su_names, seen.su_verdict, strict=True))
         rows = {name: u for u, name in enumerate(tree.su_names)}
-        figures = {
-            su.name: SuFigures(
+        figures = tuple(
+            SuFigures(
                 name=su.name,
                 verdict=verdicts[su.name],
                 n_unobservable=su.n_unobservable,
                 position_mm=_rms(su.position, 1e3),
-                position_bound_mm=float(position[rows[su.name]] * 1e3),
+                position_bound_mm=_number(position[rows[su.name]] * 1e3),
                 orientation_deg=_rms(su.orientation, _DEG),
-                orientation_bound_deg=float(orientation[rows[su.name]] * _DEG),
+                orientation_bound_deg=_number(orientation[rows[su.name]] * _DEG),
                 floor_deg=self.floors[su.name],
                 orientation_beside_floor_deg=_rms(felt[su.name].orientation, _DEG),
             )
             for su in plain.sus
-        }
+        )
         return plain, figures
 
-    def _bounds(self, unobservable: Mapping[str, F64]) -> tuple[F64, F64]:
+    def _bounds(self) -> tuple[F64, F64]:
         """Cramer-Rao bounds (U,) of position [m] and orientation [rad] in that comparison.
 
         The calibration states covariances that are never smaller than its weights say. A bound
@@ -223,14 +219,10 @@ class _Held:
         """
         estimate, seen = self.found.estimate, self.found.observability
         cost = estimate.cost_per_dof
-        names = self.found.model.tree.su_names
-        honest = replace(
-            seen,
-            covariance=seen.covariance * (cost / max(1.0, cost)),
-            su_unobservable=tuple(unobservable[name] for name in names),
-        )
-        q = _configurations(self.est, self.true, self.found.model.tree.joint_names, self.seed)
-        rows = max(20, BOUND_ROWS // max(1, len(names)))
+        honest = replace(seen, covariance=seen.covariance * (cost / max(1.0, cost)))
+        tree = self.found.model.tree
+        q = _configurations(self.est, self.true, tree.joint_names, self.seed)
+        rows = max(20, BOUND_ROWS // max(1, tree.n_sus))
         return aligned_deviations(estimate, honest, q[:rows])
 
 
@@ -275,17 +267,6 @@ def _configurations(est: Path, true: Path, names: Sequence[str], seed: int) -> F
     return q
 
 
-def _missing(found: Calibration, truth: Truth) -> tuple[str, ...]:
-    """What moves or carries in the truth and is not in the estimate, in words."""
-    tree = found.model.tree
-    joints = set(truth.joint_names) - set(tree.joint_names)
-    sus = {su.name for su in truth.sus} - set(tree.su_names)
-    return (
-        *(f"joint {name} is not in the estimate" for name in sorted(joints)),
-        *(f"SU {name} is not in the estimate" for name in sorted(sus)),
-    )
-
-
 def _angle(R: F64) -> float:
     """Angle of a rotation (3, 3) [deg], exact for small ones."""
     twice_sine = np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
@@ -295,3 +276,8 @@ def _angle(R: F64) -> float:
 def _rms(spread: Spread | None, scale: float) -> float | None:
     """Root mean square times ``scale``; None where there is nothing."""
     return None if spread is None or not np.isfinite(spread.rms) else float(spread.rms * scale)
+
+
+def _number(value: float) -> float | None:
+    """The value, None where it is not finite."""
+    return float(value) if np.isfinite(value) else None

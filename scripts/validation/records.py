@@ -15,7 +15,7 @@ from validation.cases import Case, Circumstance
 class SuFigures:
     """Errors of one SU next to their Cramer-Rao bounds; None where the log can not tell.
 
-    All are root mean squares over random configurations after alignment of the base, with the
+    All are root mean squares over random configurations after alignment of the limb, with the
     directions left out that are not observable.
 
     Attributes:

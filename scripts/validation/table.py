@@ -129,12 +129,12 @@ def _legend() -> str:
     )
     return (
         "Root mean squares over seeds, SUs and random configurations, of runs with the right tree; "
-        "base frames aligned,\nunobservable directions left out. Position and orientation are "
-        "over the SUs whose placement is determined, the others\nleft out of the alignment; in "
-        "the column beside, over all as far as observable. Over bound: rms error over rms\n"
-        "Cramer-Rao bound at the noise of the residuals, determined SUs. The floor is the rotation "
-        "inside a sensor's cross-axis\nerrors, which no log can tell: it counts in the bound of "
-        '"orient.", and is taken out of the error in "no floor".\nCost and time are medians; time '
+        "limbs aligned by their\ndetermined SUs, unobservable directions left out. Position and "
+        "orientation are over the SUs whose placement is\ndetermined, in the column beside over "
+        "all as far as observable. Over bound: rms error over rms Cramer-Rao bound\nat the noise "
+        "of the residuals, determined SUs. The floor is the rotation inside a sensor's cross-axis "
+        "errors, which\nno log can tell: it counts in the bound of "
+        '"orient.", and is taken out of the error in "no floor". Cost and time\nare medians; time '
         "is of the calibration alone. To be reached (base tilted, 17 bit):\n"
         f"{targets}.\nIn all: every tree right, cost per dof below {CONVERGED:g}, errors within "
         f"{RATIO:g} times their bound. ! marks what is not.\n"

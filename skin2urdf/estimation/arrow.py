@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from skin2urdf.arrays import F64, Bool
+from skin2urdf.arrays import F64, Bool, Int
 from skin2urdf.estimation.cost import NormalEquations
 from skin2urdf.estimation.state import Free, Step
 
@@ -33,12 +33,12 @@ class ArrowFactor:
     su_root: F64
     coupling: F64
     joint_root: F64
-    columns: F64
+    columns: Int
     free_joint: Bool
     free_su: Bool
 
     def unwhiten(self, z: Step) -> Step:
-        """x = T z."""
+        """X = T z."""
         n_joint = self.joint_root.shape[0]
         zj = np.concatenate([z.joints.ravel(), z.logs.ravel()])
         xj = np.linalg.solve(self.joint_root.T, zj) if n_joint else zj
@@ -101,10 +101,10 @@ def _restricted(
     damped = H + extra[..., None] * np.eye(n)
     for attempt in range(8):
         try:
-            return damped, np.linalg.cholesky(damped)
+            return damped, np.asarray(np.linalg.cholesky(damped))
         except np.linalg.LinAlgError:
             damped = damped + 10.0**attempt * extra[..., None] * np.eye(n)
     lam, V = np.linalg.eigh(damped)
     floor = 1e-12 * np.abs(lam).max(axis=-1, keepdims=True)
     damped = (V * np.maximum(lam, floor)[..., None, :]) @ np.swapaxes(V, -1, -2)
-    return damped, np.linalg.cholesky(damped)
+    return np.asarray(damped), np.asarray(np.linalg.cholesky(damped))

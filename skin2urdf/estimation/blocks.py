@@ -55,9 +55,7 @@ class FeatureBlocks:
         return replace(self, W=self.W * root, target=self.target * root)
 
 
-def _blurred(
-    info: F64, eta: F64, measured: F64, noise: F64, position_sd: F64
-) -> tuple[F64, F64]:
+def _blurred(info: F64, eta: F64, measured: F64, noise: F64, position_sd: F64) -> tuple[F64, F64]:
     """Information with f0 blurred by what is not known of the joints' positions at rest.
 
     A position that is off by a constant shifts f0 by ``s_d`` times that. Slopes that were not

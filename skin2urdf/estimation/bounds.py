@@ -48,9 +48,20 @@ class _Rows:
     def without(self, free: F64) -> _Rows:
         """The rows less what one displacement along free directions (k, 6) takes up."""
         P = free.T @ free
-        return _Rows(
-            self.index, self.E - P @ self.E.mean(axis=0), self.G - P @ self.G.mean(axis=0)
-        )
+        return _Rows(self.index, self.E - P @ self.E.mean(axis=0), self.G - P @ self.G.mean(axis=0))
+
+
+@dataclass(frozen=True, eq=False)
+class _Fit:
+    """The motion of the base frame that aligns a limb best.
+
+    Attributes:
+        across: (n, 6) its covariance with the n coordinates.
+        within: (6, 6) its covariance.
+    """
+
+    across: F64
+    within: F64
 
 
 def limbs_of(tree: KinematicTree) -> Int:
@@ -100,10 +111,8 @@ def expected_errors(
 
     groups = limbs if align == "limbs" else np.zeros_like(limbs)
     anchors = {int(g): _anchors(groups, trust, int(g)) for g in groups if g != ON_BASE}
-    fits = {g: _fit([rows[u] for u in on], len(covariance)) for g, on in anchors.items() if len(on)}
-    if not fits:
-        return np.full(len(rows), np.nan), np.full(len(rows), np.nan)
-    leading = max(fits, key=lambda g: len(anchors[g]))
+    fits = {g: _fit([rows[u] for u in on], covariance) for g, on in anchors.items() if len(on)}
+    leading = max(fits, key=lambda g: (len(anchors[g]), tree.joint_names[g]), default=ON_BASE)
 
     deviations = np.full((len(rows), 2), np.nan)
     for u, row in enumerate(rows):
@@ -150,24 +159,21 @@ def _anchors(groups: Int, trust: Int, group: int) -> Int:
     return np.flatnonzero((groups == group) & (trust == best) & (trust >= 0))
 
 
-def _fit(rows: Sequence[_Rows], n: int) -> F64:
-    """(6, n) motion of the base frame that aligns the given SUs best, per coordinate."""
-    N, M = np.zeros((6, 6)), np.zeros((6, n))
+def _fit(rows: Sequence[_Rows], covariance: F64) -> _Fit:
+    """The alignment by least squares over the given SUs."""
+    N, M = np.zeros((6, 6)), np.zeros((6, len(covariance)))
     for row in rows:
         N += np.einsum("cij,cik->jk", row.G, row.G)
         M[:, row.index] += np.einsum("cij,cik->jk", row.G, row.E)
-    return np.asarray(np.linalg.pinv(N, rcond=_RCOND, hermitian=True) @ M)
+    K = np.linalg.pinv(N, rcond=_RCOND, hermitian=True) @ M
+    across = covariance @ K.T
+    return _Fit(across, K @ across)
 
 
-def _deviations(row: _Rows, fit: F64, covariance: F64) -> tuple[float, float]:
+def _deviations(row: _Rows, fit: _Fit, covariance: F64) -> tuple[float, float]:
     """Root mean square of the linear and of the angular part of an SU's error."""
-    across = covariance @ fit.T
-    S = np.block(
-        [
-            [covariance[np.ix_(row.index, row.index)], across[row.index]],
-            [across[row.index].T, fit @ across],
-        ]
-    )
+    own, across = covariance[np.ix_(row.index, row.index)], fit.across[row.index]
+    S = np.block([[own, across], [across.T, fit.within]])
     F = np.concatenate([row.E, -row.G], axis=-1)
     variance = np.einsum("cij,cij->ci", F @ S, F).mean(axis=0).clip(min=0.0)
     return float(np.sqrt(variance[:3].sum())), float(np.sqrt(variance[3:].sum()))

@@ -130,9 +130,7 @@ class Cost:
         frames = (state.T_parent_joint[:, :3, :3], state.T_joint_su[:, :3, :3])
         zero = zero_frames(R, p, blocks.q, self.tree.prismatic)
         basis, turns = (joint_basis, su_basis), turn_basis(step.logs)
-        return Evaluation(
-            self, kin, zero, basis, turns, frames, Y, GT, residual, prior, offsets
-        )
+        return Evaluation(self, kin, zero, basis, turns, frames, Y, GT, residual, prior, offsets)
 
     def zero_step(self) -> Step:
         """A step of zeros, of this problem's shapes."""
@@ -172,7 +170,7 @@ class Evaluation:
 
     def chi2_by_block(self) -> F64:
         """(P, U) chi-squared of each pose and SU."""
-        return np.einsum("puij,puij->pu", self.residual, self.residual)
+        return np.asarray(np.einsum("puij,puij->pu", self.residual, self.residual))
 
     def gradient(self) -> Step:
         """Gradient of chi2 / 2 in the step's coordinates, in time linear in chain lengths."""
@@ -285,7 +283,7 @@ class Evaluation:
         """Gauss-Newton information and gradient of chi2 / 2."""
         cost = self.cost
         Jj, Js = self.jacobian()
-        U, N, C = Jj.shape
+        U, N, _ = Jj.shape
         r = np.swapaxes(self.residual, 0, 1).reshape(U, N)
         r_full = np.concatenate([r, self.prior, self.offsets[1]], axis=1)
         Jt = np.swapaxes(Jj, 1, 2)

@@ -8,10 +8,10 @@ from typing import Literal
 
 import numpy as np
 
-from skin2urdf.arrays import F64, frozen
+from skin2urdf.arrays import F64, Int, frozen
 from skin2urdf.errors import InsufficientDataError
 from skin2urdf.estimation.arrow import factor
-from skin2urdf.estimation.blocks import FeatureBlocks, feature_blocks
+from skin2urdf.estimation.blocks import feature_blocks
 from skin2urdf.estimation.cost import Cost, Priors
 from skin2urdf.estimation.gauss_newton import gauss_newton
 from skin2urdf.estimation.inward import inward_starts
@@ -66,7 +66,7 @@ class Estimate:
     state: State
     chi2: float
     chi2_by_block: F64
-    count: F64
+    count: Int
     weight: F64
     n_parameters: int
     cost: Cost
@@ -74,8 +74,9 @@ class Estimate:
     hypotheses: tuple[float, ...]
 
     def __post_init__(self) -> None:
-        for name in ("chi2_by_block", "count", "weight"):
+        for name in ("chi2_by_block", "weight"):
             object.__setattr__(self, name, frozen(getattr(self, name)))
+        object.__setattr__(self, "count", frozen(self.count, np.int64))
 
     @property
     def degrees_of_freedom(self) -> int:
@@ -129,11 +130,11 @@ def estimate(
     chi2_by_block = plain.at(state).chi2_by_block()
     return Estimate(
         tree, state, chi2, chi2_by_block, blocks.count, weight,
-        _n_parameters(cost, state, free), cost, free, hypotheses,
+        _n_parameters(cost, free), cost, free, hypotheses,
     )  # fmt: skip
 
 
-def robust_weights(chi2: F64, count: F64, tuning: float = 3.0) -> F64:
+def robust_weights(chi2: F64, count: Int, tuning: float = 3.0) -> F64:
     """(P, U) Cauchy-like weights of blocks from their chi-squared per measurement.
 
     A block is judged against the median block of its SU, so that a noise level that is misjudged
@@ -222,7 +223,7 @@ def with_positions(cost: Cost, state: State, free: Free) -> State:
     return moved(state, step)
 
 
-def _n_parameters(cost: Cost, state: State, free: Free) -> int:
+def _n_parameters(cost: Cost, free: Free) -> int:
     """Number of coordinates minus the directions the data leave open."""
     total = int(free.joints.sum() + free.logs.sum() + free.sus[:, :6].sum())
     on_rs = cost.tree.parent < 0

@@ -38,7 +38,7 @@ def inward_starts(
     tips = _tips(tree, blocks)
     combinations: list[list[tuple[F64, F64]]] = [[]]
     for su in tips:
-        options = list(_peel(tree, blocks, su, priors))
+        options = list(_peel(tree, blocks, su))
         combinations = [[*c, o] for c in combinations for o in options][:_MOST_HYPOTHESES]
     for combination in combinations:
         axes = np.full((tree.n_joints, 3), np.nan)
@@ -84,9 +84,7 @@ def _onto_base(known: F64, k: F64, up: F64, h: F64) -> F64:
     return R
 
 
-def _peel(
-    tree: KinematicTree, blocks: FeatureBlocks, su: int, priors: Priors
-) -> Iterator[tuple[F64, F64]]:
+def _peel(tree: KinematicTree, blocks: FeatureBlocks, su: int) -> Iterator[tuple[F64, F64]]:
     """Axes (n, 3) and up vectors (G, 3), both in the SU's frame at position zero."""
     chain = list(tree.chain(int(tree.su_joint[su])))
     ok = np.isfinite(blocks.noise[:, su]).all(axis=1)

@@ -12,9 +12,8 @@ from typing import Literal
 
 import numpy as np
 
-from skin2urdf.arrays import F64, frozen
+from skin2urdf.arrays import F64, Bool, frozen
 from skin2urdf.estimation.bounds import Align, expected_errors
-from skin2urdf.estimation.cost import NormalEquations
 from skin2urdf.estimation.estimate import Estimate
 from skin2urdf.estimation.state import N_JOINT, N_PLACEMENT
 
@@ -110,9 +109,7 @@ def observability(estimate: Estimate) -> Observability:
     joint_covariance = np.stack(
         [covariance[N_JOINT * j : N_JOINT * j + 4, N_JOINT * j : N_JOINT * j + 4] for j in range(D)]
     ).reshape(D, 4, 4)
-    su_verdict = tuple(
-        _verdict(su_covariance[u], len(directions[u])) for u in range(U)
-    )
+    su_verdict = tuple(_verdict(su_covariance[u], len(directions[u])) for u in range(U))
     joint_verdict = tuple(_verdict(joint_covariance[j], 0) for j in range(D))
     rank = int(free_joint.sum()) - n_null + int(free.sus.sum())
     rank -= sum(len(d) for d in directions)
@@ -122,7 +119,7 @@ def observability(estimate: Estimate) -> Observability:
     )  # fmt: skip
 
 
-def _su_inverse(H: F64, free: F64, scale: float) -> tuple[F64, F64]:
+def _su_inverse(H: F64, free: Bool, scale: float) -> tuple[F64, F64]:
     """Inverse information of an SU's coordinates given the joints, and its open directions.
 
     Returns:
@@ -132,7 +129,8 @@ def _su_inverse(H: F64, free: F64, scale: float) -> tuple[F64, F64]:
     index = np.flatnonzero(free)
     A = H[np.ix_(index, index)]
     placement = index < N_PLACEMENT
-    a, b, c = A[np.ix_(placement, placement)], A[np.ix_(placement, ~placement)], A[np.ix_(~placement, ~placement)]
+    a, b = A[np.ix_(placement, placement)], A[np.ix_(placement, ~placement)]
+    c = A[np.ix_(~placement, ~placement)]
     marginal = a - b @ np.linalg.solve(c, b.T) if len(c) else a
     lam, V = np.linalg.eigh(marginal)
     open_ = lam < scale / UNKNOWN**2
@@ -149,7 +147,7 @@ def _su_inverse(H: F64, free: F64, scale: float) -> tuple[F64, F64]:
     return out, np.linalg.qr(scaled.T)[0].T
 
 
-def _joint_inverse(H: F64, free: F64, scale: float) -> tuple[F64, int]:
+def _joint_inverse(H: F64, free: Bool, scale: float) -> tuple[F64, int]:
     """Inverse of the joints' information without its open directions, and their number."""
     index = np.flatnonzero(free)
     A = H[np.ix_(index, index)]

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from skin2urdf.arrays import F64
+from skin2urdf.arrays import F64, Bool
 from skin2urdf.estimation.blocks import FeatureBlocks, feature_blocks
 from skin2urdf.estimation.inward import constant_axis
 from skin2urdf.model.spatial import axis_rotation, skew
@@ -94,7 +94,7 @@ def _order(
     su = _nearest_su(tree, group[-1])
     columns = list(tree.chain(int(tree.su_joint[su])))
     outer = [j for j in columns if j not in group and group[-1] in tree.chain(j)]
-    ok = np.isfinite(blocks.noise[:, su]).all(axis=1)
+    ok: Bool = np.asarray(np.isfinite(blocks.noise[:, su]).all(axis=1))
     P = int(ok.sum())
     identity = np.broadcast_to(np.eye(3), (P, 3, 3))
     peeled = _Peeled(identity, (identity,))
@@ -103,7 +103,8 @@ def _order(
         joint = order[place]
         axis, _ = reading.fit(joint, peeled)
         peeled = peeled if tree.prismatic[joint] else peeled.beyond(axis, reading.q(joint))
-    left, found, margin = list(group), [], np.inf
+    left, margin = list(group), np.inf
+    found: list[int] = []
     while left:
         fits = {j: reading.fit(j, peeled) for j in left}
         ranked = sorted(left, key=lambda j: fits[j][1])
@@ -130,12 +131,12 @@ class _Reading:
     tree: KinematicTree
     blocks: FeatureBlocks
     su: int
-    ok: F64
+    ok: Bool
     columns: list[int]
 
     def q(self, joint: int) -> F64:
         """(P,) positions of a joint."""
-        return self.blocks.q[self.ok, joint]
+        return np.asarray(self.blocks.q[self.ok, joint])
 
     def fit(self, joint: int, peeled: _Peeled) -> tuple[F64, float]:
         """Constant axis of a joint in the current frame, and how badly it fits.

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from skin2urdf.arrays import F64
+from skin2urdf.arrays import F64, Bool
 from skin2urdf.estimation.blocks import FeatureBlocks
 from skin2urdf.estimation.cost import Priors
 from skin2urdf.estimation.state import State
@@ -40,30 +40,21 @@ class Orientations:
         world = placement(frame_with_z(self.axes), np.zeros((tree.n_joints, 3)))
         base = np.eye(4)
         T_parent_joint = np.array(
-            [
-                inverse(world[j] if j >= 0 else base) @ world[i]
-                for i, j in enumerate(tree.parent)
-            ]
+            [inverse(world[j] if j >= 0 else base) @ world[i] for i, j in enumerate(tree.parent)]
         ).reshape(-1, 4, 4)
         sus = placement(self.R_base_su, np.zeros((tree.n_sus, 3)))
         T_joint_su = np.array(
-            [inverse(world[j] if j >= 0 else base) @ T for T, j in zip(sus, tree.su_joint, strict=True)]
+            [
+                inverse(world[j] if j >= 0 else base) @ T
+                for T, j in zip(sus, tree.su_joint, strict=True)
+            ]
         ).reshape(-1, 4, 4)
         U = tree.n_sus
         return State(T_parent_joint, T_joint_su, self.up, np.zeros((U, 3)), np.zeros((U, 6)))
 
 
-def chain_rotation(axes: F64, q: F64, prismatic: F64) -> F64:
-    """(P, 3, 3) product of exponentials of a chain's axes (n, 3) at positions q (P, n)."""
-    R = np.broadcast_to(np.eye(3), (q.shape[0], 3, 3))
-    for k, angle, slides in zip(axes, q.T, prismatic, strict=True):
-        if not slides:
-            R = R @ axis_rotation(k, angle)
-    return R
-
-
 def su_orientation(
-    blocks: FeatureBlocks, su: int, axes: F64, prismatic: F64, up: F64, priors: Priors
+    blocks: FeatureBlocks, su: int, axes: F64, prismatic: Bool, up: F64, priors: Priors
 ) -> F64:
     """Orientation (3, 3) of one SU at position zero, given the axes of its chain.
 
@@ -79,7 +70,6 @@ def su_orientation(
     """
     n = len(axes)
     chain = blocks.chains.joint[su, :n]
-    L = blocks.chains.joint.shape[1]
     ok = np.isfinite(blocks.noise[:, su]).all(axis=1)
     q = blocks.q[ok][:, chain]
     variance = (blocks.noise[ok, su] ** 2).mean(axis=1)
@@ -103,7 +93,6 @@ def su_orientation(
         body.append(blocks.coefficients[ok, su, 1 + i])
         weights.append(1 / (variance * blocks.variance[ok, su, 1 + i] + ROUGH_BIAS**2))
     R_ref_body, _ = wahba(np.concatenate(body), np.concatenate(reference), np.concatenate(weights))
-    del L
     return R_ref_body
 
 

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from skin2urdf.arrays import F64
+from skin2urdf.arrays import F64, Int
 from skin2urdf.estimation.blocks import FeatureBlocks
 from skin2urdf.estimation.cost import Priors
 from skin2urdf.estimation.orientation import ROUGH_BIAS, Orientations, with_all_sus
@@ -63,7 +63,7 @@ def _extend(
     priors: Priors,
     before: _Hypothesis,
     joint: int,
-    sus: F64,
+    sus: Int,
 ) -> list[_Hypothesis]:
     """All hypotheses for the next axis that the readings on its segment allow."""
     su = int(sus[0])
@@ -210,8 +210,8 @@ class _NextAxis:
             g = (np.swapaxes(J, 1, 2) @ r[..., None])[..., 0]
             scale = np.einsum("kii->ki", H).max(axis=1)
             H += ((damping + 1e-12) * scale)[:, None, None] * np.eye(5)
-            step = -np.linalg.solve(H, g[..., None])[..., 0]
-            trial_k = k + (_tangent(k) @ step[:, :2, None])[..., 0]
+            step = np.asarray(-np.linalg.solve(H, g[..., None])[..., 0])
+            trial_k: F64 = np.asarray(k + (_tangent(k) @ step[:, :2, None])[..., 0])
             trial_k /= np.linalg.norm(trial_k, axis=1, keepdims=True)
             trial_R = R @ rotation_exp(step[:, 2:])
             trial_r, trial_J = self._linearised(trial_k, trial_R)

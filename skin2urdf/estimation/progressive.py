@@ -8,12 +8,13 @@ methods need about ten evaluations instead of hundreds.
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
 
-from skin2urdf.arrays import F64
-from skin2urdf.estimation.arrow import factor
+from skin2urdf.arrays import F64, Int
+from skin2urdf.estimation.arrow import ArrowFactor, factor
 from skin2urdf.estimation.blocks import FeatureBlocks
 from skin2urdf.estimation.cost import Cost
 from skin2urdf.estimation.state import Free, State, moved
@@ -21,7 +22,7 @@ from skin2urdf.model.prediction import Chains
 from skin2urdf.structure.records import KinematicTree
 
 _DAMPING = 1e-5
-"""Relative damping of the whitening: steps along gauge directions stay small enough to be linear."""
+"""Relative damping of the whitening; keeps steps along gauge directions small, hence linear."""
 
 
 def minimise(
@@ -50,24 +51,23 @@ def minimise(
 
     here = cost.at(state)
     best = here.chi2
+    shape = cost.zero_step()
     for _ in range(rounds):
         begin = best
         arrow = factor(here.normal_equations(), free, _DAMPING)
-        shape = cost.zero_step()
         base, best_z, promise = state, np.zeros(shape.flat().size), np.inf
 
         def objective(
             z: F64,
             gradient: F64,
             base: State = base,
-            arrow: object = arrow,  # bound now: each round has its own whitening
+            arrow: ArrowFactor = arrow,  # bound now: each round has its own whitening
         ) -> float:
             nonlocal best, best_z, promise
-            evaluation = cost.at(base, arrow.unwhiten(shape.like(z)))  # type: ignore[attr-defined]
+            evaluation = cost.at(base, arrow.unwhiten(shape.like(z)))
             chi2 = evaluation.chi2
             if gradient.size:
-                whitened = arrow.whiten_gradient(evaluation.gradient())  # type: ignore[attr-defined]
-                gradient[:] = whitened.flat()
+                gradient[:] = arrow.whiten_gradient(evaluation.gradient()).flat()
             if chi2 < best:
                 # In whitened coordinates a Newton step would gain the gradient's squared length.
                 best, best_z, promise = chi2, z.copy(), float(gradient @ gradient)
@@ -77,10 +77,9 @@ def minimise(
         optimiser.set_min_objective(objective)
         optimiser.set_ftol_abs(0.5 * tolerance)
         optimiser.set_maxeval(evaluations)
-        try:
+        # NLopt raises at the floor of rounding; the best point is kept.
+        with suppress(RuntimeError, nlopt.runtime_error):
             optimiser.optimize(np.zeros(best_z.size))
-        except (RuntimeError, nlopt.runtime_error):
-            pass  # at the floor of rounding; the best point is kept
         state = moved(base, arrow.unwhiten(shape.like(best_z)))
         if promise <= 4 * tolerance or begin - best <= max(tolerance, 1e-6 * best):
             break
@@ -99,7 +98,7 @@ def progressive(cost: Cost, state: State, free: Free) -> State:
     tree, blocks = cost.tree, cost.blocks
     done: set[int] = set()
     for joint in range(tree.n_joints):
-        sus = np.flatnonzero(tree.su_joint == joint)
+        sus: Int = np.flatnonzero(tree.su_joint == joint).astype(np.int64)
         if not len(sus):
             continue
         chain = tree.chain(joint)
@@ -131,14 +130,14 @@ def progressive(cost: Cost, state: State, free: Free) -> State:
     return state
 
 
-def _put(array: F64, index: F64, values: F64) -> F64:
+def _put(array: F64, index: Int, values: F64) -> F64:
     out = np.array(array)
     out[index] = values
     return out
 
 
 def _restricted(
-    tree: KinematicTree, blocks: FeatureBlocks, chain: tuple[int, ...], sus: F64
+    tree: KinematicTree, blocks: FeatureBlocks, chain: tuple[int, ...], sus: Int
 ) -> tuple[KinematicTree, FeatureBlocks]:
     """The serial part of a problem that ends at the segment carrying the given SUs."""
     n, L = len(chain), blocks.chains.joint.shape[1]

@@ -28,9 +28,7 @@ class PinocchioTree:
 
         self.tree = tree
         self.model = pin.Model()
-        for name, parent, kind in zip(
-            tree.joint_names, tree.parent, tree.joint_types, strict=True
-        ):
+        for name, parent, kind in zip(tree.joint_names, tree.parent, tree.joint_types, strict=True):
             joint = pin.JointModelPZ() if kind == "prismatic" else pin.JointModelRZ()
             self.model.addJoint(int(parent) + 1, joint, pin.SE3.Identity(), name)
         self.frame_ids = tuple(

@@ -146,9 +146,7 @@ def twist_maps(kin: SuKinematics) -> tuple[F64, F64]:
     return moved, turned
 
 
-def zero_frames(
-    R_base_joint: F64, p_base_joint: F64, q: F64, prismatic: Bool
-) -> tuple[F64, F64]:
+def zero_frames(R_base_joint: F64, p_base_joint: F64, q: F64, prismatic: Bool) -> tuple[F64, F64]:
     """Joint frames with each joint's own motion undone: where its placement puts it.
 
     Args:

@@ -11,9 +11,7 @@ from skin2urdf.model.records import KinematicModel
 from skin2urdf.model.spatial import cross
 
 
-def specific_forces(
-    model: KinematicModel, q: F64, qd: F64, qdd: F64, gravity_up: F64
-) -> F64:
+def specific_forces(model: KinematicModel, q: F64, qd: F64, qdd: F64, gravity_up: F64) -> F64:
     """Specific force of every SU along a trajectory (paper eq. 1 to 3).
 
     Args:
@@ -95,4 +93,4 @@ def beyond_first_order(
         n = int(chains.length[u])
         own = chains.joint[u, :n]
         linear[:, u] += dq[:, own] @ rows[u, 1 : 1 + n] + qdd[:, own] @ rows[u, 1 + L : 1 + L + n]
-    return specific_forces(model, q + dq, qd, qdd, gravity_up) - linear
+    return np.asarray(specific_forces(model, q + dq, qd, qdd, gravity_up) - linear)

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from skin2urdf.arrays import F64
+from skin2urdf.arrays import F64, Int
 from skin2urdf.calibration import Calibration
 from skin2urdf.model.dh import joint_placement, prismatic_placement
 from skin2urdf.report.findings import Findings, findings
@@ -156,7 +156,7 @@ def _fit(calibration: Calibration, found: Findings) -> dict[str, Any]:
     }
 
 
-def _per_count(chi2: F64, count: F64, axis: int) -> list[float]:
+def _per_count(chi2: F64, count: Int, axis: int) -> list[float]:
     """Chi-squared per measurement, summed over one axis; NaN where there are none."""
     total, number = chi2.sum(axis=axis), count.sum(axis=axis)
     ratio = np.divide(total, number, out=np.full(total.shape, np.nan), where=number > 0)

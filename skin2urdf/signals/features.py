@@ -9,7 +9,7 @@ import numpy as np
 
 from skin2urdf.arrays import F64, Bool
 from skin2urdf.errors import InsufficientDataError
-from skin2urdf.recording.records import Recording, SuStream
+from skin2urdf.recording.records import Recording
 from skin2urdf.signals.filters import (
     eroded,
     filtered,
@@ -96,21 +96,19 @@ def sample_recording(
         stream = streams[name]
         readings[:, u], ok = sample(stream.time, stream.specific_force, motion.grid)
         valid[:, u] = ok & motion.valid
-        factor = _unit(stream, readings[still & valid[:, u], u])
+        factor = _unit(readings[still & valid[:, u], u])
         if factor != 1.0:
             readings[:, u] *= factor
             notes.append(f"{name} reports g instead of m/s^2; its readings were converted")
-    return Sampled(
-        motion, rests, neighbourhoods, readings, valid, _cutoff(motion, neighbourhoods), tuple(notes)
-    )
+    cutoff = _cutoff(motion, neighbourhoods)
+    return Sampled(motion, rests, neighbourhoods, readings, valid, cutoff, tuple(notes))
 
 
-def _unit(stream: SuStream, static: F64) -> float:
+def _unit(static: F64) -> float:
     """Factor that makes a stream's static readings m/s^2."""
     if not len(static):
         return 1.0
     size = float(np.median(np.linalg.norm(static, axis=1)))
-    del stream
     return STANDARD_GRAVITY if _G_UNITS[0] < size < _G_UNITS[1] else 1.0
 
 
@@ -359,5 +357,5 @@ def _mean(s: Sampled, rest: Rest) -> F64:
     """(U, 3) mean readings over a rest, NaN where an SU has no valid sample."""
     trim = min(12, (rest.end - rest.begin) // 4)
     part = slice(rest.begin + trim, rest.end - trim)
-    whole = s.valid[part].all(axis=0)
+    whole = np.asarray(s.valid[part].all(axis=0))
     return np.where(whole[:, None], s.readings[part].mean(axis=0), np.nan)

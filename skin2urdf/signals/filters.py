@@ -11,15 +11,13 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.ndimage import convolve1d, minimum_filter1d
-from scipy.signal import firwin, upfirdn
+from scipy.signal import firwin, oaconvolve, upfirdn
 
 from skin2urdf.arrays import F64, Bool
 
 # Central differences of eighth order: at a tenth of the sampling rate still exact to 1e-5.
 _FIRST = np.array([1 / 280, -4 / 105, 1 / 5, -4 / 5, 0, 4 / 5, -1 / 5, 4 / 105, -1 / 280])
-_SECOND = np.array(
-    [-1 / 560, 8 / 315, -1 / 5, 8 / 5, -205 / 72, 8 / 5, -1 / 5, 8 / 315, -1 / 560]
-)
+_SECOND = np.array([-1 / 560, 8 / 315, -1 / 5, 8 / 5, -205 / 72, 8 / 5, -1 / 5, 8 / 315, -1 / 560])
 _LINEAR_RATE = 700.0
 """Streams faster than this [Hz] are interpolated linearly; slower ones by cubic splines."""
 _STOPBAND = 100.0
@@ -101,12 +99,11 @@ def sample(time: F64, values: F64, grid: Grid) -> tuple[F64, Bool]:
 def filtered(values: F64, taps: F64) -> F64:
     """Zero-phase FIR along the first axis, same length; ends repeat the outermost samples."""
     if len(values) >= len(taps):
-        from scipy.signal import oaconvolve
-
         half = len(taps) // 2
         pad = [(half, half)] + [(0, 0)] * (values.ndim - 1)
         shaped = taps.reshape((-1,) + (1,) * (values.ndim - 1))
-        return np.asarray(oaconvolve(np.pad(values, pad, mode="edge"), shaped, mode="valid", axes=0))
+        padded = np.pad(values, pad, mode="edge")
+        return np.asarray(oaconvolve(padded, shaped, mode="valid", axes=0))
     return np.asarray(convolve1d(values, taps, axis=0, mode="nearest"))
 
 

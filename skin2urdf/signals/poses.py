@@ -56,7 +56,8 @@ def find_rests(motion: Motion) -> tuple[Rest, ...]:
     speed = np.abs(first_derivative(filtered(motion.q, low_pass(6.0, rate)), rate))
     span = np.ptp(motion.q, axis=0)
     floor = motion.noise * np.sqrt(2 * 6.0 / motion.raw_rate) * 2 * np.pi * 6.0
-    limit = np.clip(np.maximum(0.012 * span, 6 * floor), 1e-4, np.maximum(_LARGEST_SPEED, 6 * floor))
+    largest = np.maximum(_LARGEST_SPEED, 6 * floor)
+    limit = np.clip(np.maximum(0.012 * span, 6 * floor), 1e-4, largest)
     still = (speed < limit).all(axis=1) & motion.valid
     edges = np.flatnonzero(np.diff(np.r_[False, still, False].astype(np.int8)))
     rests = []

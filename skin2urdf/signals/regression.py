@@ -2,9 +2,9 @@
 
 For one joint moving far the reading is exactly ``a + b cos(dq) + c sin(dq) + tau qdd + e qd^2``
 with constant vectors, so the regressors of a DoF are ``sin dq`` (coefficient s), ``qdd``
-(coefficient tau), and the nuisances ``1 - cos dq`` and ``qd^2``. What joints moving together add at second
-order (gravity turned by two of them, Coriolis terms) stays in the residual at first; with a model
-at hand the whole remainder beyond first order is predicted and subtracted (``curvature``).
+(coefficient tau), and the nuisances ``1 - cos dq`` and ``qd^2``. What joints moving together add at
+second order (gravity turned by two of them, Coriolis terms) stays in the residual at first; with a
+model at hand the whole remainder beyond first order is predicted and subtracted (``curvature``).
 """
 
 from __future__ import annotations
@@ -18,7 +18,6 @@ from skin2urdf.arrays import F64, Bool
 
 _SIGNAL_TO_NOISE = 30.0
 """Energy of a regressor over its encoder noise below which it counts as not excited."""
-
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,9 +107,7 @@ def fit(design: Design, y: F64, independence: float) -> Fit:
     )
 
 
-def noise_by_row(
-    X: F64, residual: F64, rate: float, cutoff: float, independence: float
-) -> F64:
+def noise_by_row(X: F64, residual: F64, rate: float, cutoff: float, independence: float) -> F64:
     """Noise power that each regressor meets, relative to the mean over all samples.
 
     Residuals are neither white nor steady: what the encoders' rounding adds grows with the fourth
@@ -217,9 +214,8 @@ def hidden_motion(dq: F64, qdd: F64, resolution: F64) -> F64:
     )
     amplitude2 = 0.04 * resolution**2 / np.maximum(steps, 0.5) / 2
     while_moving = (weight * energy).sum(axis=0)[:, None]
-    return np.divide(
-        amplitude2, while_moving, out=np.zeros_like(spread), where=while_moving > 1e-6
-    )
+    out = np.zeros_like(spread)
+    return np.asarray(np.divide(amplitude2, while_moving, out=out, where=while_moving > 1e-6))
 
 
 def enough(samples: Bool, rate: float) -> bool:

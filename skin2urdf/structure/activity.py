@@ -93,8 +93,8 @@ def activity(features: Features, threshold: float = STATIC_THRESHOLD) -> Activit
             size = np.linalg.norm(moves.change[mine], axis=-1)
             heard = np.isfinite(size).any(axis=0)
             static[heard, d] = np.nanmax(size[:, heard], axis=0) / threshold
-            doubt = _SMALLEST_STATIC + 3 * float(moves.doubt[mine].max()) / threshold
-            static_doubt[d] = min(1.0, doubt)
+            others = float(moves.doubt[mine].max()) / threshold
+            static_doubt[d] = min(1.0, _SMALLEST_STATIC + 3 * others)
     dynamic = np.zeros((U, D))
     excited = np.zeros(D, dtype=bool)
     finite = features.valid
@@ -120,5 +120,5 @@ def activity(features: Features, threshold: float = STATIC_THRESHOLD) -> Activit
         dynamic[:, d] = np.where(seen.any(axis=0), effect / doubt, 0.0)
     return Activity(
         features.su_names, features.dof_names, static, dynamic, static_doubt, excited,
-        finite.any(axis=0),
+        np.asarray(finite.any(axis=0)),
     )  # fmt: skip

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from skin2urdf.arrays import F64, Bool
+from skin2urdf.arrays import F64, Bool, Int
 from skin2urdf.errors import StructureError
 from skin2urdf.signals.records import Features
 from skin2urdf.structure.activity import Activity
@@ -34,9 +34,11 @@ def kinematic_tree(activity: Activity, features: Features) -> KinematicTree:
         StructureError: no DoF moves any SU, or the evidence contradicts every tree.
     """
     notes: list[str] = []
-    heard = np.flatnonzero(activity.heard)
-    for u in np.flatnonzero(~activity.heard):
-        notes.append(f"{activity.su_names[u]} has no usable readings and is left out")
+    heard: Int = np.flatnonzero(activity.heard).astype(np.int64)
+    notes += [
+        f"{activity.su_names[u]} has no usable readings and is left out"
+        for u in np.flatnonzero(~activity.heard)
+    ]
     evidence = activity.evidence[heard]
     bits, repairs = nested(evidence, [activity.su_names[u] for u in heard], activity.dof_names)
     notes += repairs
@@ -57,10 +59,10 @@ def kinematic_tree(activity: Activity, features: Features) -> KinematicTree:
     types = tuple(_joint_type(features, activity, heard[bits[:, d]], int(d)) for d in dofs)
     return KinematicTree(
         tuple(activity.dof_names[d] for d in dofs),
-        parent,
+        np.array(parent, dtype=np.int64),
         types,
         tuple(activity.su_names[u] for u in heard),
-        su_joint,
+        np.array(su_joint, dtype=np.int64),
         tuple(notes),
     )
 
@@ -156,7 +158,7 @@ def _carriers(bits: Bool, parent: Sequence[int]) -> list[int]:
     return out
 
 
-def _joint_type(features: Features, activity: Activity, sus: F64, dof: int) -> JointType:
+def _joint_type(features: Features, activity: Activity, sus: Int, dof: int) -> JointType:
     """A prismatic DoF turns nothing and pushes every SU beyond it by the same unit vector.
 
     With ``s = 0`` taken as given, the push ``tau`` must have length 1 in every SU and pose; no

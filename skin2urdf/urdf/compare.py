@@ -258,6 +258,6 @@ def _axes(
         kept.append(d)
         moved.append(axes_est[:, d] @ twists.adjoint(X).T)
         carried = [u for u, chain in enumerate(chains) if name in chain]
-        places.append(T_true_su[:, carried or slice(None), :3, 3].mean(axis=1))
+        places.append(T_true_su[..., :3, 3][:, carried or slice(None)].mean(axis=1))
     kinds = [(joints[d], est.joint_types[joints[d]]) for d in kept]
     return tuple(left_out), axis_errors(kinds, moved, [axes_true[:, d] for d in kept], places)

@@ -64,7 +64,8 @@ def align_robot(
     determined would else turn the frame in which all others are compared.
 
     An SU on the reference segment is laid onto the truth by the transform of the limb with the
-    most such SUs, the leading one. Its position and its yaw must be among its free directions.
+    most such SUs, the leading one (of equals the last by name). Its position and its yaw must be
+    among its free directions.
 
     Args:
         T_est_su: (N, U, 4, 4) SU poses in the estimate's base frame, z up.
@@ -78,23 +79,22 @@ def align_robot(
     whole = np.array([not len(rows) for rows in free])
     T_aligned = np.empty_like(T_est_su)
 
-    def fit(limb: str | None, sus: Sequence[int]) -> Alignment:
-        on = next(mask for mask in (preferred[rows], whole[rows], rows >= 0) if mask.any())
+    def fit(limb: str | None, rows: list[int]) -> Alignment:
+        on = next(m for m in (preferred[rows], whole[rows], np.ones(len(rows), bool)) if m.any())
         X, D = align(T_est_su[:, rows], T_true_su[:, rows], [free[u] for u in rows], on)
         T_aligned[:, rows] = X @ T_est_su[:, rows] @ D
-        return Alignment(limb, tuple(names[u] for u in rows), tuple(names[u] for u in rows[on]), X)
+        carried = [names[u] for u in rows]
+        anchors = tuple(name for name, holds in zip(carried, on, strict=True) if holds)
+        return Alignment(limb, tuple(carried), anchors, X)
 
     if how == "base":
-        return Aligned(T_aligned, (fit(None, np.arange(len(names))),))
-    found = tuple(
-        fit(limb, np.flatnonzero([each == limb for each in limbs]))
-        for limb in dict.fromkeys(limbs)
-        if limb != ON_BASE
-    )
-    leading = max(found, key=lambda alignment: len(alignment.anchors)).T_truth_estimate
-    rest = np.flatnonzero([limb == ON_BASE for limb in limbs])
-    if rest.size:
-        T = leading @ T_est_su[:, rest]
+        return Aligned(T_aligned, (fit(None, list(range(len(names)))),))
+    members = {limb: [u for u, each in enumerate(limbs) if each == limb] for limb in limbs}
+    rest = members.pop(ON_BASE, [])
+    found = tuple(fit(limb, rows) for limb, rows in members.items())
+    if rest:
+        leading = max(found, key=lambda each: (len(each.anchors), each.limb))
+        T = leading.T_truth_estimate @ T_est_su[:, rest]
         P = np.stack([projector(free[u]) for u in rest])
         T_aligned[:, rest] = T @ displace(T, T_true_su[:, rest], P)
     return Aligned(T_aligned, found)

@@ -32,6 +32,7 @@ def forked() -> Explored:
         dofs,
         static,
         np.zeros((4, 4)),
+        np.ones(4),
         np.array([True, True, False, True]),
         np.ones(4, dtype=bool),
     )

@@ -79,7 +79,10 @@ def explain_crossings(merged: Bool, weights: Int) -> tuple[Crossing, ...]:
 
 @dataclass(frozen=True, eq=False)
 class _Change:
-    """An explanation, the one column that would be different without it, and how many SUs err."""
+    """An explanation, the column that would be different without it, and the SUs it would change.
+
+    Of a closed loop the number of SUs is not counted.
+    """
 
     crossing: Crossing
     column: int
@@ -105,7 +108,7 @@ class _Option:
     change: _Change
 
     def effort(self) -> tuple[int, int]:
-        """What to keep small: crossings left, and SUs that are said to have missed a reaction."""
+        """What to keep small: crossings left, and SUs changed."""
         return self.left, self.change.weight
 
 
@@ -118,16 +121,23 @@ def _n_crossing(column: Bool, others: Bool) -> int:
 
 def _best(options: list[_Option], n_pairs: int) -> _Option:
     """The explanation that leaves the fewest crossings."""
-    missed = [o for o in options if o.change.crossing.cause == "missed reaction"]
-    others = [o for o in options if o.change.crossing.cause != "missed reaction"]
+    by_cause = {
+        cause: [o for o in options if o.change.crossing.cause == cause] for cause in _PREFERENCE
+    }
     # To take only what helps also ends the search: the other causes clear entries, none sets any.
     # Different pairs can ask for the same change.
-    distinct = {o.change.key: o for o in reversed(missed) if o.left < n_pairs}
-    helpful = sorted(distinct.values(), key=_Option.effort)
+    missed = {o.change.key: o for o in by_cause["missed reaction"][::-1] if o.left < n_pairs}
+    first = min(missed.values(), key=_Option.effort, default=None)
     # A missed reaction is only one where it is clear who missed what.
-    best = [o for o in helpful if o.effort() == helpful[0].effort()]
-    clear = best if len(best) == 1 else []
-    return min(others + clear, key=lambda o: (o.left, _PREFERENCE.index(o.change.crossing.cause)))
+    clear = [o for o in missed.values() if first and o.effort() == first.effort()]
+    # That a few SUs err is likelier than that many are dragged along.
+    coupled = [
+        o
+        for o in by_cause["coupled DoFs"]
+        if not first or first.left > o.left or 2 * first.change.weight > o.change.weight
+    ]
+    candidates = coupled + (clear if len(clear) == 1 else []) + by_cause["closed loop"]
+    return min(candidates, key=lambda o: (o.left, _PREFERENCE.index(o.change.crossing.cause)))
 
 
 def _explanations(M: Bool, weights: Int, a: int, b: int) -> Iterator[_Change]:
@@ -148,7 +158,7 @@ def _explanations(M: Bool, weights: Int, a: int, b: int) -> Iterator[_Change]:
             # Without what it drags along, d must not cross e any more: one side of it is left.
             if y not in (a, b) and (np.array_equal(dragged, both) or np.array_equal(dragged, only)):
                 crossing = Crossing("coupled DoFs", (d, y), _rows(dragged))
-                yield _Change(crossing, d, M[:, d] & ~dragged)
+                yield _Change(crossing, d, M[:, d] & ~dragged, int(weights[dragged].sum()))
 
 
 def _within(inner: Bool, outer: Bool) -> bool:

@@ -34,7 +34,7 @@ def crossing_violations(
             )
             remedy = (
                 "open the loop (or lock its joints) during calibration; if there is none, an SU "
-                "touches two segments"
+                "touches two segments, or one before these joints missed a move of the other"
             )
         elif c.cause == "coupled DoFs":
             words = (

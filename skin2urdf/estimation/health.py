@@ -1,0 +1,45 @@
+"""SUs and poses that the model explains worse than the rest, in words a user can act on."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from skin2urdf.estimation.estimate import Estimate
+
+_UNLIKE_THE_REST = 8.0
+"""Chi-squared per measurement, over the median, from which an SU or a pose is named."""
+_IMPLAUSIBLE_SHAPE = 0.2
+_IMPLAUSIBLE_BIAS = 4.0
+
+
+def health_notes(estimate: Estimate) -> tuple[str, ...]:
+    """Notes on SUs and poses that do not fit, and on implausible sensors."""
+    notes: list[str] = []
+    tree, state = estimate.tree, estimate.state
+    by_su = estimate.chi2_by_block.sum(axis=0) / np.maximum(estimate.count.sum(axis=0), 1)
+    typical = max(1.0, float(np.median(by_su)) if len(by_su) else 1.0)
+    notes += [
+        f"{tree.su_names[u]} fits {by_su[u] / typical:.0f} times worse than the other SUs and "
+        "should not be trusted: check that it is fixed rigidly and that its axes are right-handed"
+        for u in np.flatnonzero(by_su > _UNLIKE_THE_REST * typical)
+    ]
+    by_pose = estimate.chi2_by_block.sum(axis=1) / np.maximum(estimate.count.sum(axis=1), 1)
+    usual = max(1.0, float(np.median(by_pose)) if len(by_pose) else 1.0)
+    poses = np.flatnonzero(by_pose > _UNLIKE_THE_REST * usual)
+    if len(poses):
+        listed = ", ".join(str(p + 1) for p in poses[:6])
+        notes.append(
+            f"{len(poses)} of {len(by_pose)} poses fit badly and count little (number {listed} in "
+            "the order of the log): something touched or moved the robot there, or its base moved"
+        )
+    for i, name in enumerate(tree.su_names):
+        scale = float(np.abs(state.shape[i]).max())
+        if scale > _IMPLAUSIBLE_SHAPE:
+            notes.append(
+                f"{name} would need a scale or cross-axis error of {100 * scale:.0f} %: check its "
+                "unit and that its axes are right-handed"
+            )
+        elif float(np.abs(state.bias[i]).max()) > _IMPLAUSIBLE_BIAS:
+            bias = float(np.abs(state.bias[i]).max())
+            notes.append(f"{name} would need a bias of {bias:.1f} m/s^2: check that sensor")
+    return tuple(notes)

@@ -106,6 +106,7 @@ def _calibration_settings(options: argparse.Namespace) -> CalibrationSettings:
     from skin2urdf.estimation.estimate import EstimationSettings
 
     return CalibrationSettings(
+        method=options.method,
         estimation=EstimationSettings(
             priors=replace(Priors(), **given),
             intrinsics=not options.no_intrinsics,

@@ -149,6 +149,13 @@ def _calibrate(command: _Parser) -> None:
     command.add_argument("--name", help="the robot's name in the URDF (that of the file)")
     command.add_argument("--no-visuals", action="store_true", help="leave out the simple shapes")
     command.add_argument(
+        "--method",
+        choices=("default", "paper"),
+        default="default",
+        help="paper: the estimator of Mittendorfer and Cheng, for comparison; it stops far above "
+        "the noise (%(default)s)",
+    )
+    command.add_argument(
         "--refine",
         choices=("casadi", "none"),
         default="none",

@@ -77,7 +77,7 @@ def calibrate(
         velocity=span[:, 2],
         sources=tuple(Source(r.source, r.digest, r.duration) for r in recordings),
         settings=settings,
-        notes=(*features.notes, *tree.notes, *health_notes(found)),
+        notes=tuple(dict.fromkeys((*features.notes, *tree.notes, *health_notes(found)))),
         seconds=clock.seconds,
     )
 

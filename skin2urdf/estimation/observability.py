@@ -46,6 +46,8 @@ class Observability:
         n_open: directions of all joints together that the log leaves open beyond the gauge
             freedoms of the base.
         rank: number of determined coordinates.
+        hidden_rotation: standard deviation per axis of the rotation of an SU's frame that
+            cross-axis errors hide [rad]; part of ``su_covariance`` and ``covariance``.
         covariance: (n, n) covariance of all coordinates, joints first, then logs and SUs.
     """
 
@@ -56,6 +58,7 @@ class Observability:
     joint_verdict: tuple[Verdict, ...]
     n_open: int
     rank: int
+    hidden_rotation: float
     covariance: F64
 
     def __post_init__(self) -> None:
@@ -103,6 +106,10 @@ def observability(estimate: Estimate) -> Observability:
         at = slice(J + 15 * u, J + 15 * u + 15)
         covariance[at, at] += inverse[u]
     covariance *= scale
+    hidden = hidden_rotation(estimate, covariance)
+    for u in range(U):
+        at = np.arange(J + 15 * u + 3, J + 15 * u + 6)
+        covariance[at, at] += hidden**2
     su_covariance = np.stack(
         [covariance[J + 15 * u : J + 15 * u + 6, J + 15 * u : J + 15 * u + 6] for u in range(U)]
     ).reshape(U, 6, 6)
@@ -115,8 +122,32 @@ def observability(estimate: Estimate) -> Observability:
     rank -= sum(len(d) for d in directions)
     return Observability(
         su_covariance, tuple(directions), su_verdict, joint_covariance, joint_verdict,
-        max(0, n_null - gauge), rank, covariance,
+        max(0, n_null - gauge), rank, hidden, covariance,
     )  # fmt: skip
+
+
+def hidden_rotation(estimate: Estimate, covariance: F64) -> float:
+    """Standard deviation per axis of the rotations that cross-axis errors hide [rad].
+
+    The antisymmetric part of a sensor's cross-axis error is a rotation of its frame and can not
+    be seen. It is as large as the symmetric part, of which all SUs together are a sample.
+
+    Args:
+        estimate: the estimate.
+        covariance: (n, n) of all coordinates, as in :class:`Observability`.
+    """
+    U = estimate.tree.n_sus
+    J = covariance.shape[0] - 15 * U
+    first = J + 15 * np.arange(U)[:, None] + np.arange(12, 15)
+    variance = covariance[first, first]
+    prior = estimate.cost.priors.cross
+    if prior <= 0 or not estimate.free.sus[:, 12:].any():
+        return prior
+    known = variance < (0.3 * prior) ** 2
+    if known.sum() < 3:
+        return prior
+    size2 = float(np.mean(estimate.state.shape[:, 3:][known] ** 2 - variance[known]))
+    return float(np.sqrt(max(size2, 0.0)))
 
 
 def _su_inverse(H: F64, free: Bool, scale: float) -> tuple[F64, F64]:

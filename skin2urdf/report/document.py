@@ -58,6 +58,7 @@ def as_document(calibration: Calibration) -> dict[str, Any]:
         "gravity_up": calibration.estimate.state.up,
         "observability": {
             "open_joint_directions": found.open_joints,
+            "hidden_rotation_rad": calibration.observability.hidden_rotation,
             "sus": {
                 name: {
                     "unobservable": calibration.observability.su_unobservable[u],

@@ -11,10 +11,6 @@ from skin2urdf.report.tables import bullets, number, span, table
 _MM = 1e3
 _DEG = float(np.rad2deg(1.0))
 _MG = 1e3 / 9.81
-_AXES = (
-    "(Orientations are those of a sensor's measuring axes, which a cross-axis error of 1 %\n"
-    "can turn by 0.6 deg against its housing.)"
-)
 
 
 def as_text(calibration: Calibration) -> str:
@@ -34,7 +30,7 @@ def as_text(calibration: Calibration) -> str:
         *_joints(calibration, found),
         "",
         *_sus(calibration, found),
-        _AXES,
+        *_hidden(calibration),
         *bullets("Not observable from this log", _not_known(found)),
         *bullets("Notes", calibration.notes),
     ]
@@ -49,6 +45,18 @@ def _expectation(found: Findings) -> str:
         f"error to expect of an SU that is determined: {number(found.expected_position * _MM)} mm, "
         f"{number(found.expected_orientation * _DEG, 3)} deg rms"
     )
+
+
+def _hidden(calibration: Calibration) -> list[str]:
+    """What part of the orientations' uncertainty no log can take away."""
+    hidden = calibration.observability.hidden_rotation * float(np.sqrt(3.0)) * _DEG
+    if hidden < 0.02:
+        return []
+    return [
+        f"(Orientations: these sensors have cross-axis errors, which hide turns of about "
+        f"{number(hidden)} deg",
+        "of the measuring axes against the housing; the figures above include them.)",
+    ]
 
 
 def _joints(calibration: Calibration, found: Findings) -> list[str]:

@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from skin2urdf.report.comparison import as_text
-from skin2urdf.urdf.records import Comparison, JointError, Spread, SuError
+from skin2urdf.urdf.records import Alignment, Comparison, JointError, Spread, SuError
 
 NOTHING = Spread.of(np.zeros(0))
+ALIGNMENT = Alignment("shoulder", ("su_7f3a",), ("su_7f3a",), np.eye(4))
 
 
 def example(**changes: object) -> Comparison:
@@ -24,10 +25,11 @@ def example(**changes: object) -> Comparison:
         "orientation": Spread(0.001, 0.002),
         "axis_angle": Spread(0.001, 0.002),
         "axis_distance": Spread(0.0012, 0.0024),
-        "T_truth_estimate": np.eye(4),
+        "alignments": (ALIGNMENT,),
         "tree_equal": True,
         "tree_differences": (),
         "not_observable": (),
+        "joints_left_out": (),
         "unmatched": (),
         "held_joints": (),
         "n_configurations": 200,
@@ -61,12 +63,14 @@ def test_what_is_wrong_or_left_out_is_said() -> None:
             tree_equal=False,
             tree_differences=("SU a hangs on b; in the truth on c",),
             not_observable=("x", "y"),
+            joints_left_out=("toe",),
             unmatched=("ghost",),
             held_joints=("finger",),
         )
     )
     assert "Tree: WRONG\n  - SU a hangs on b; in the truth on c\n" in text
     assert "left out: x, y." in text
+    assert "left out: toe." in text
     assert "does not have: ghost." in text
     assert "held still: finger." in text
 
@@ -75,3 +79,14 @@ def test_a_robot_of_nothing_comparable_is_shown_with_dashes() -> None:
     text = as_text(example(joints=(), axis_angle=NOTHING, axis_distance=NOTHING))
     assert "all joints" in text
     assert "nan" not in text
+
+
+def test_the_alignment_is_said_in_one_line() -> None:
+    assert "limits, base frames aligned." in as_text(example())
+    turned = np.eye(4)
+    turned[1:3, 1:3] = [[np.cos(1e-3), -np.sin(1e-3)], [np.sin(1e-3), np.cos(1e-3)]]
+    other = Alignment("hip", ("su_1",), ("su_1",), turned)
+    text = as_text(example(alignments=(ALIGNMENT, other)))
+    line = next(line for line in text.splitlines() if "configurations" in line)
+    assert "2 limbs aligned one by one (from shoulder, hip on)" in line
+    assert "gravity within 0.057 deg" in line

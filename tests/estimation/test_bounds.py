@@ -1,0 +1,103 @@
+"""The bound is what the comparison of URDFs measures, over many draws of the errors."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from skin2urdf.estimation.bounds import Align, expected_errors, limbs_of
+from skin2urdf.estimation.state import N_JOINT, N_SU, State, Step, moved
+from skin2urdf.structure.records import KinematicTree
+from skin2urdf.urdf.compare import compare, random_positions
+from skin2urdf.urdf.emit import emit
+from skin2urdf.urdf.loading import load_robot
+
+ARM = 0.1
+TREE = KinematicTree(
+    joint_names=tuple("abcdef"),
+    parent=np.array([-1, 0, 1, -1, 3, -1]),
+    joint_types=("revolute", "revolute", "revolute", "revolute", "prismatic", "revolute"),
+    su_names=tuple(f"su_{u}" for u in range(7)),
+    su_joint=np.array([0, 1, 2, 4, 3, 5, -1]),
+)
+TRUST = np.array([0, 2, 2, 2, 1, 0, 2])
+LIMITS = np.tile([-1.5, 1.5], (TREE.n_joints, 1))
+CONFIGURATIONS = 15
+
+
+def transforms(rng: np.random.Generator, n: int) -> np.ndarray:
+    T = np.tile(np.eye(4), (n, 1, 1))
+    T[:, :3, :3] = Rotation.random(n, random_state=rng).as_matrix()
+    T[:, :3, 3] = rng.uniform(-0.4, 0.4, (n, 3))
+    return T
+
+
+def random_state(rng: np.random.Generator) -> State:
+    D, U = TREE.n_joints, TREE.n_sus
+    up = np.array([[0.0, 0.0, 1.0]])
+    return State(transforms(rng, D), transforms(rng, U), up, np.zeros((U, 3)), np.zeros((U, 6)))
+
+
+def text(state: State) -> str:
+    return emit(state.model(TREE), name="r", limits=LIMITS, visuals=False)
+
+
+def test_limbs_are_named_by_their_first_joint() -> None:
+    assert limbs_of(TREE).tolist() == [0, 0, 0, 3, 3, 5, -1]
+
+
+@pytest.mark.parametrize("align", ["limbs", "base"])
+def test_errors_are_as_large_as_the_bound_says(tmp_path: Path, align: Align) -> None:
+    rng = np.random.default_rng(0)
+    true = random_state(rng)
+    D, U = TREE.n_joints, TREE.n_sus
+    n = N_JOINT * D + N_SU * U
+    root = 3e-5 * rng.standard_normal((n, n)) / np.sqrt(10)
+    free = [np.zeros((0, 6)) for _ in range(U)]
+    free[0] = np.array([[0.0, 0.6, 0.8, 0.0, 0.0, 0.0]])
+    free[5] = np.eye(6)[[1]]
+    paths = tmp_path / "est.urdf", tmp_path / "true.urdf"
+    paths[1].write_text(text(true))
+    squares = []
+    for _ in range(60):
+        flat = root @ rng.standard_normal(n)
+        for u in (0, 5):  # what is free may be far off
+            at = N_JOINT * D + N_SU * u
+            flat[at : at + 6] += 0.02 * rng.standard_normal() * free[u][0]
+        zero = Step(np.zeros((D, N_JOINT)), np.zeros((0, 2)), np.zeros((U, N_SU)))
+        paths[0].write_text(text(moved(true, zero.like(flat))))
+        c = compare(
+            *paths, unobservable=dict(zip(TREE.su_names, free, strict=True)),
+            anchors=[name for name, t in zip(TREE.su_names, TRUST, strict=True) if t == 2],
+            align=align, n_configurations=CONFIGURATIONS, rng=np.random.default_rng(1),
+        )  # fmt: skip
+        by_name = {su.name: su for su in c.sus}
+        rows = [by_name[name] for name in TREE.su_names]
+        squares.append(
+            [[s.rms**2 if s else np.nan for s in (su.position, su.orientation)] for su in rows]
+        )
+    q = random_positions(
+        *map(load_robot, paths), TREE.joint_names, CONFIGURATIONS, np.random.default_rng(1)
+    )
+    bound = expected_errors(
+        TREE, true, root @ root.T, q, free=free, trust=TRUST, arm=ARM, align=align
+    )
+    ratio = np.sqrt(np.mean(squares, axis=0)) / np.where(np.array(bound) > 0, bound, 1.0).T
+    assert np.isnan(ratio[6, 0])  # the position of an SU on the RS
+    np.testing.assert_allclose(np.delete(ratio.ravel(), 12), 1.0, atol=0.3)
+
+
+def test_nothing_aligned_is_nothing_to_expect() -> None:
+    state = random_state(np.random.default_rng(2))
+    n = N_JOINT * TREE.n_joints + N_SU * TREE.n_sus
+    trust = np.where(limbs_of(TREE) == 3, 1, -1)
+    position, orientation = expected_errors(
+        TREE, state, 1e-6 * np.eye(n), np.zeros((2, TREE.n_joints)),
+        free=[np.zeros((0, 6))] * TREE.n_sus, trust=trust, arm=ARM,
+    )  # fmt: skip
+    assert np.isfinite(position).tolist() == [False, False, False, True, True, False, True]
+    assert position[6] == 0.0
+    assert orientation[6] > 0.0

@@ -1,9 +1,9 @@
 """From a ROS 2 bag of joint states and accelerometers to the URDF of the robot that carried them.
 
-    from skin2urdf import calibrate, save
+from skin2urdf import calibrate, save
 
-    calibration = calibrate("log.mcap")
-    save(calibration, "robot.urdf")
+calibration = calibrate("log.mcap")
+save(calibration, "robot.urdf")
 """
 
 from __future__ import annotations

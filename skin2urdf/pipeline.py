@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TypeVar
 
@@ -13,7 +14,7 @@ from skin2urdf.arrays import F64
 from skin2urdf.calibration import BAD_FIT, GOOD_FIT, Calibration, CalibrationSettings, Source
 from skin2urdf.errors import BadFitError, InsufficientDataError
 from skin2urdf.estimation.estimate import Estimate, estimate
-from skin2urdf.estimation.health import health_notes
+from skin2urdf.estimation.health import health_notes, mirrored_sus
 from skin2urdf.estimation.observability import observability
 from skin2urdf.estimation.order import ordered
 from skin2urdf.model.dh import canonical
@@ -60,10 +61,16 @@ def calibrate(
     features = clock.run("features", lambda _: extract_features(sampled, su_names))
     seen = activity(features, settings.static_threshold)
     tree = ordered(kinematic_tree(seen, features), features)
+    mirrored: list[str] = []
     if settings.method == "paper":
         found = clock.run("estimation", lambda _: _by_the_paper(features, tree, settings))
     else:
         found, features = _relinearised(clock, sampled, su_names, tree, features, settings)
+        mirrored = [tree.su_names[u] for u in mirrored_sus(found)]
+        if mirrored:
+            sampled = [_negated(s, [su_names.index(n) for n in mirrored]) for s in sampled]
+            features = clock.run("features", lambda _: extract_features(sampled, su_names))
+            found, features = _relinearised(clock, sampled, su_names, tree, features, settings)
         if not found.cost_per_dof <= BAD_FIT:
             raise BadFitError(*_why_bad(found), cost_per_dof=found.cost_per_dof)
     span = np.array([_range(sampled, name) for name in tree.joint_names]).reshape(-1, 3)
@@ -77,7 +84,11 @@ def calibrate(
         velocity=span[:, 2],
         sources=tuple(Source(r.source, r.digest, r.duration) for r in recordings),
         settings=settings,
-        notes=tuple(dict.fromkeys((*features.notes, *tree.notes, *health_notes(found)))),
+        notes=tuple(
+            dict.fromkeys(
+                (*features.notes, *tree.notes, *_mirror_notes(mirrored), *health_notes(found))
+            )
+        ),
         seconds=clock.seconds,
     )
 
@@ -110,6 +121,21 @@ def _relinearised(
         if _moved(previous, found) < 1e-4 or (settled and found.cost_per_dof < GOOD_FIT):
             break
     return found, features
+
+
+def _negated(sampled: Sampled, sus: Sequence[int]) -> Sampled:
+    """A log with the readings of some SUs negated."""
+    readings = np.array(sampled.readings)
+    readings[:, list(sus)] *= -1
+    return replace(sampled, readings=readings)
+
+
+def _mirror_notes(names: Sequence[str]) -> list[str]:
+    return [
+        f"{name} reports negated readings or a left-handed frame, unlike the other SUs; it was "
+        "calibrated on the negated readings: mind that when you use its frame"
+        for name in names
+    ]
 
 
 def _by_the_paper(

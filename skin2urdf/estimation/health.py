@@ -12,6 +12,18 @@ _IMPLAUSIBLE_SHAPE = 0.2
 _IMPLAUSIBLE_BIAS = 4.0
 
 
+def mirrored_sus(estimate: Estimate) -> tuple[int, ...]:
+    """SUs whose readings are negated or in a left-handed frame, against the majority's.
+
+    To the estimation both look like a sensor matrix with negative determinant: a reflection is a
+    rotation times -1. That all of them are mirrored can not be told from accelerometers.
+    """
+    mirrored = np.linalg.det(estimate.state.sensor_matrix()) < 0
+    on_robot = np.asarray(estimate.tree.su_joint >= 0)
+    odd = mirrored if (mirrored & on_robot).sum() * 2 <= on_robot.sum() else ~mirrored & on_robot
+    return tuple(int(u) for u in np.flatnonzero(odd)) if mirrored.any() else ()
+
+
 def health_notes(estimate: Estimate) -> tuple[str, ...]:
     """Notes on SUs and poses that do not fit, and on implausible sensors."""
     notes: list[str] = []

@@ -108,8 +108,8 @@ def observability(estimate: Estimate) -> Observability:
     covariance *= scale
     hidden = hidden_rotation(estimate, covariance)
     for u in range(U):
-        at = np.arange(J + 15 * u + 3, J + 15 * u + 6)
-        covariance[at, at] += hidden**2
+        turns = np.arange(J + 15 * u + 3, J + 15 * u + 6)
+        covariance[turns, turns] += hidden**2
     su_covariance = np.stack(
         [covariance[J + 15 * u : J + 15 * u + 6, J + 15 * u : J + 15 * u + 6] for u in range(U)]
     ).reshape(U, 6, 6)

@@ -19,6 +19,7 @@ from skin2urdf.signals.filters import (
     sample,
     shifted,
 )
+from skin2urdf.signals.health import frozen, saturated, unusable
 from skin2urdf.signals.motion import Motion, joint_motion
 from skin2urdf.signals.poses import Neighbourhood, Rest, find_neighbourhoods, find_rests
 from skin2urdf.signals.records import Features, StaticMoves
@@ -87,6 +88,8 @@ def sample_recording(
     readings = np.zeros((motion.grid.size, len(su_names), 3))
     valid = np.zeros((motion.grid.size, len(su_names)), dtype=bool)
     notes = list(recording.notes)
+    frozen_ones = frozen([s.specific_force for s in recording.sus])
+    stuck = {s.name for s, f in zip(recording.sus, frozen_ones, strict=True) if f}
     still = np.zeros(motion.grid.size, dtype=bool)
     for r in rests:
         still[r.begin : r.end] = True
@@ -100,6 +103,17 @@ def sample_recording(
         if factor != 1.0:
             readings[:, u] *= factor
             notes.append(f"{name} reports g instead of m/s^2; its readings were converted")
+        why = unusable(readings[:, u], still, valid[:, u], STANDARD_GRAVITY)
+        if name in stuck:
+            why = "repeats one value all the time: it is frozen"
+        if why:
+            valid[:, u] = False
+            notes.append(f"{name} {why}; it is left out")
+        elif share := saturated(stream.specific_force):
+            notes.append(
+                f"{name} is at the end of its range in {100 * share:.1f} % of its samples: use a "
+                "larger range or weaker patterns"
+            )
     cutoff = _cutoff(motion, neighbourhoods)
     return Sampled(motion, rests, neighbourhoods, readings, valid, cutoff, tuple(notes))
 

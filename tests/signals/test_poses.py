@@ -8,9 +8,9 @@ from joint_paths import JointPath
 
 from skin2urdf.arrays import F64
 from skin2urdf.errors import InsufficientDataError
-from skin2urdf.recording.records import SuStream
+from skin2urdf.recording.records import JointStream, Recording, SuStream
 from skin2urdf.signals.features import sample_recording
-from skin2urdf.signals.motion import Motion
+from skin2urdf.signals.motion import Motion, joint_motion
 from skin2urdf.signals.poses import Neighbourhood, find_neighbourhoods, find_rests
 
 POSES = ([0.2, -0.5, 1.0], [1.1, 0.4, -0.3], [-0.7, 0.9, 0.1])
@@ -122,9 +122,6 @@ def test_rests_stay_clear_of_gaps() -> None:
     recording = visit().recording()
     joint = recording.joints[0]
     keep = (joint.time < 2.7) | (joint.time > 3.0)
-    from skin2urdf.recording.records import JointStream, Recording
-    from skin2urdf.signals.motion import joint_motion
-
     torn = JointStream(joint.name, joint.time[keep], joint.position[keep])
     motion = joint_motion(Recording((torn, *recording.joints[1:]), ()))
     for rest in find_rests(motion):

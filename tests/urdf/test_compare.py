@@ -13,12 +13,12 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from skin2urdf.errors import InsufficientDataError, UnreadableInputError, UsageError
+from skin2urdf.errors import InsufficientDataError, UsageError
 from skin2urdf.model.dh import canonical, inverse, screw
 from skin2urdf.model.records import KinematicModel
 from skin2urdf.urdf import twists
 from skin2urdf.urdf.alignment import ARM
-from skin2urdf.urdf.compare import compare, load_unobservable, random_positions
+from skin2urdf.urdf.compare import compare, random_positions
 from skin2urdf.urdf.emit import emit
 from skin2urdf.urdf.loading import load_robot
 from skin2urdf.urdf.records import Comparison
@@ -343,37 +343,6 @@ def test_the_dictionary_is_json_in_mm_and_deg(
     assert content["overall"]["axis_angle_deg"]["max"] == pytest.approx(c.axis_angle.max / DEG)
     assert {*content["sus"]} == {*model.tree.su_names}
     assert content["joints"]["joint_2"]["axis_distance_mm"] is None
-
-
-def test_unobservable_directions_are_read_from_json(tmp_path: Path) -> None:
-    path = tmp_path / "robot.json"
-    assert load_unobservable(path) is None
-    for empty in ({}, [], {"observability": None}, {"observability": {"joints": {}}}):
-        path.write_text(json.dumps(empty))
-        assert load_unobservable(path) is None
-    sus = {
-        "a": {"unobservable": [[0, 0, 2, 0, 0, 0], [0, 0, 1, 0, 0, 0]]},
-        "b": {"unobservable": []},
-        "c": {"unobservable": None},
-        "d": {"verdict": "determined"},
-    }
-    path.write_text(json.dumps({"observability": {"sus": sus}}))
-    read = load_unobservable(path)
-    assert read is not None
-    assert {name: rows.shape for name, rows in read.items()} == {
-        "a": (1, 6),
-        "b": (0, 6),
-        "c": (6, 6),
-    }
-    np.testing.assert_allclose(np.abs(read["a"]), [[0, 0, 1, 0, 0, 0]])
-
-
-@pytest.mark.parametrize("bad", ["", "{", '{"observability": {"sus": {"a": {"unobservable": 3}}}}'])
-def test_a_json_that_is_none_is_named(tmp_path: Path, bad: str) -> None:
-    path = tmp_path / "robot.json"
-    path.write_text(bad)
-    with pytest.raises(UnreadableInputError, match=r"robot\.json"):
-        load_unobservable(path)
 
 
 def test_configurations_stay_inside_both_limits(tmp_path: Path) -> None:

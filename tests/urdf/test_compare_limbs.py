@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -13,11 +12,11 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from skin2urdf.errors import InsufficientDataError, UnreadableInputError, UsageError
+from skin2urdf.errors import InsufficientDataError, UsageError
 from skin2urdf.model.dh import inverse, screw
 from skin2urdf.model.records import KinematicModel
 from skin2urdf.urdf import twists
-from skin2urdf.urdf.compare import compare, load_determined
+from skin2urdf.urdf.compare import compare
 from skin2urdf.urdf.emit import emit
 from skin2urdf.urdf.records import Comparison
 
@@ -273,17 +272,3 @@ def test_an_expected_su_that_is_missing_is_a_difference(
     )
     with pytest.raises(UsageError, match="'ghost' is no link of"):
         against(robot, robot, sus=["ghost"])
-
-
-def test_determined_sus_are_read_from_json(tmp_path: Path) -> None:
-    path = tmp_path / "robot.json"
-    assert load_determined(path) is None
-    for empty in ({}, [], {"sus": None}, {"sus": {"a": {}}}):
-        path.write_text(json.dumps(empty))
-        assert load_determined(path) is None
-    verdicts = {"a": "determined", "b": "weak", "c": "not observable", "d": "determined"}
-    path.write_text(json.dumps({"sus": {name: {"verdict": v} for name, v in verdicts.items()}}))
-    assert load_determined(path) == {"a", "d"}
-    path.write_text("{")
-    with pytest.raises(UnreadableInputError, match=r"robot\.json"):
-        load_determined(path)

@@ -1,0 +1,183 @@
+"""What can not be known is said to be unknown, and nothing else is."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from synthetic import GRAVITY, random_features, random_state, serial_tree
+
+from skin2urdf.arrays import F64
+from skin2urdf.estimation.cost import Priors
+from skin2urdf.estimation.estimate import Estimate, EstimationSettings, estimate
+from skin2urdf.estimation.observability import ARM, Observability, aligned_deviations, observability
+from skin2urdf.estimation.state import State
+from skin2urdf.model.dh import canonical
+from skin2urdf.structure.records import KinematicTree
+from skin2urdf.urdf.compare import compare
+from skin2urdf.urdf.emit import emit
+
+PLAIN = EstimationSettings(
+    priors=Priors(bias=0.0, scale=0.0, cross=0.0, gravity=GRAVITY), intrinsics=False
+)
+SENSORS = EstimationSettings(priors=Priors(bias=0.05, scale=0.01, cross=0.0, gravity=GRAVITY))
+NOISE = 0.02
+
+
+def tree_with_base(n: int) -> KinematicTree:
+    """A chain with an SU on every segment and one on the base."""
+    tree = serial_tree(n)
+    return replace(
+        tree, su_names=("base", *tree.su_names), su_joint=np.concatenate([[-1], tree.su_joint])
+    )
+
+
+TREE = tree_with_base(5)
+
+
+def robot(seed: int, tilt: float, tree: KinematicTree = TREE) -> State:
+    """A random arm whose first axis is tilted by so much against gravity."""
+    state = random_state(np.random.default_rng(seed), tree, intrinsics=0.0)
+    joints = state.T_parent_joint.copy()
+    c, s = np.cos(tilt), np.sin(tilt)
+    joints[0] = np.eye(4)
+    joints[0, :3, :3] = [[1, 0, 0], [0, c, -s], [0, s, c]]
+    return replace(state, T_parent_joint=joints)
+
+
+def found(
+    state: State,
+    seed: int = 0,
+    setting: EstimationSettings = PLAIN,
+    tree: KinematicTree = TREE,
+    n_poses: int = 12,
+) -> tuple[Estimate, Observability]:
+    rng = np.random.default_rng(1000 + seed)
+    features = random_features(rng, tree, state, n_poses, noise=NOISE, shuffle=False)
+    estimated = estimate(features, tree, setting)
+    return estimated, observability(estimated)
+
+
+def along_axis_1(estimated: Estimate, su: int) -> tuple[F64, F64]:
+    """Unit directions (6,) of a slide along axis 1 and of a turn about it, of SU on link 1."""
+    T = estimated.state.T_joint_su[su]
+    z = T[2, :3]
+    slide = np.concatenate([z, np.zeros(3)])
+    turn = np.concatenate([np.cross(z, T[:3, :3].T @ -T[:3, 3]) * -1, ARM * z])
+    return slide, turn / np.linalg.norm(turn)
+
+
+@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("setting", [PLAIN, SENSORS], ids=["placements", "sensors"])
+def test_the_first_segment_of_a_tilted_arm_may_slide_along_its_axis(
+    seed: int, setting: EstimationSettings
+) -> None:
+    estimated, seen = found(robot(seed, 0.6), seed, setting)
+    slide, _ = along_axis_1(estimated, 1)
+    directions = seen.su_unobservable[1]
+    assert directions.shape == (1, 6)
+    assert abs(directions[0] @ slide) == pytest.approx(1.0, abs=1e-3)
+    assert seen.su_verdict[1] == "not observable"
+    for u in range(2, TREE.n_sus):
+        assert seen.su_unobservable[u].shape == (0, 6)
+        assert seen.su_verdict[u] == "determined"
+    assert seen.joint_verdict == ("determined",) * 5
+    assert seen.n_open == 0
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_upright_its_yaw_is_open_as_well(seed: int) -> None:
+    estimated, seen = found(robot(seed, 0.0), seed)
+    directions = seen.su_unobservable[1]
+    assert directions.shape == (2, 6)
+    slide, turn = along_axis_1(estimated, 1)
+    for direction in (slide, turn):
+        assert np.linalg.norm(directions @ direction) == pytest.approx(1.0, abs=0.02)
+    np.testing.assert_allclose(directions @ directions.T, np.eye(2), atol=1e-9)
+    assert all(v == "determined" for v in seen.su_verdict[2:])
+
+
+@pytest.mark.parametrize(("setting", "n_open"), [(PLAIN, 4), (SENSORS, 4)])
+def test_an_su_on_the_base_shows_gravity_and_no_more(
+    setting: EstimationSettings, n_open: int
+) -> None:
+    estimated, seen = found(robot(0, 0.6), 0, setting)
+    assert seen.su_verdict[0] == "not observable"
+    assert seen.su_unobservable[0].shape == (n_open, 6)
+    # Its tilt is known.
+    up = estimated.state.T_joint_su[0, :3, :3].T @ [0.0, 0.0, 1.0]
+    turns = np.concatenate([np.zeros((2, 3)), np.linalg.svd(up[None])[2][1:]], axis=1)
+    assert np.linalg.norm(seen.su_unobservable[0] @ turns.T) < 1e-6
+
+
+def test_an_sus_offset_along_axis_1_takes_the_shortest_way() -> None:
+    estimated, _ = found(robot(1, 0.6), 1)
+    assert abs(estimated.state.T_joint_su[1, 2, 3]) < 2e-3
+
+
+def test_little_data_is_weak_or_unknown_and_said_so() -> None:
+    state = robot(2, 0.6)
+    rng = np.random.default_rng(0)
+    features = random_features(rng, TREE, state, 12, noise=1.0, shuffle=False)
+    seen = observability(estimate(features, TREE, PLAIN))
+    assert "weak" in (*seen.su_verdict, *seen.joint_verdict)
+    assert "determined" not in seen.su_verdict
+    sharp = found(state, 0)[1]
+    grown = np.sqrt(np.diag(seen.covariance)[4:20] / np.diag(sharp.covariance)[4:20])
+    assert np.median(grown) == pytest.approx(1.0 / NOISE, rel=0.2)
+
+
+def test_a_bad_fit_widens_the_covariance() -> None:
+    state = robot(3, 0.6)
+    rng = np.random.default_rng(0)
+    features = random_features(rng, TREE, state, 12, noise=NOISE, shuffle=False)
+    estimated = estimate(features, TREE, PLAIN)
+    optimistic = replace(features, noise=features.noise / 3)
+    surprised = estimate(optimistic, TREE, PLAIN)
+    assert surprised.cost_per_dof == pytest.approx(9 * estimated.cost_per_dof, rel=0.05)
+    np.testing.assert_allclose(
+        np.diag(observability(surprised).su_covariance[3]),
+        np.diag(observability(estimated).su_covariance[3]),
+        rtol=0.15,
+    )
+
+
+def test_covariances_are_symmetric_and_never_negative() -> None:
+    _, seen = found(robot(4, 0.6), 4, SENSORS)
+    np.testing.assert_allclose(seen.covariance, seen.covariance.T, atol=1e-15)
+    size = np.abs(seen.covariance).max()
+    assert np.linalg.eigvalsh(seen.covariance).min() > -1e-9 * size
+    for u, directions in enumerate(seen.su_unobservable):
+        n = len(directions)
+        values = np.linalg.eigvalsh(seen.su_covariance[u])
+        assert (values > -1e-9 * size).all(), (u, n)
+
+
+@pytest.mark.parametrize("tilt", [0.6, 0.0], ids=["tilted", "upright"])
+def test_bounds_agree_with_the_errors_of_many_runs(tmp_path: Path, tilt: float) -> None:
+    """The stated deviations against what the comparison with the truth measures."""
+    state, runs = robot(5, tilt), 40
+    limits = np.tile([-1.5, 1.5], (TREE.n_joints, 1))
+    truth = tmp_path / "truth.urdf"
+    truth.write_text(emit(canonical(state.model(TREE)), name="truth", limits=limits))
+    q = np.random.default_rng(0).uniform(-1.5, 1.5, (60, TREE.n_joints))
+    square = {name: np.zeros(2) for name in TREE.su_names[1:]}
+    stated = np.zeros((2, TREE.n_sus))
+    for seed in range(runs):
+        estimated, seen = found(state, seed)
+        stated += np.array(aligned_deviations(estimated, seen, q)) ** 2 / runs
+        path = tmp_path / "estimate.urdf"
+        path.write_text(emit(canonical(estimated.state.model(TREE)), name="e", limits=limits))
+        open_ = dict(zip(TREE.su_names, seen.su_unobservable, strict=True))
+        rng = np.random.default_rng(seed)
+        c = compare(path, truth, unobservable=open_, n_configurations=60, rng=rng)
+        for su in c.sus:
+            if su.name in square and su.position and su.orientation:
+                square[su.name] += np.array([su.position.rms, su.orientation.rms]) ** 2 / runs
+    measured = np.sqrt([square[n] for n in TREE.su_names[1:]])
+    expected = np.sqrt(stated[:, 1:].T)
+    overall = np.sqrt((measured**2).mean(axis=0)) / np.sqrt((expected**2).mean(axis=0))
+    np.testing.assert_allclose(overall, 1.0, atol=0.2)
+    np.testing.assert_allclose(measured / expected, 1.0, atol=0.35)

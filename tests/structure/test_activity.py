@@ -1,0 +1,159 @@
+"""Evidence of activity, from features made by Pinocchio's Jacobians and from recordings."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from simulated import changed_sus, features_of, simulation
+from synthetic import random_features, random_state, random_tree, serial_tree
+
+from skin2urdf.arrays import Bool
+from skin2urdf.recording.records import SuStream
+from skin2urdf.signals.records import Features, StaticMoves
+from skin2urdf.simulation import Simulation
+from skin2urdf.structure.activity import STATIC_THRESHOLD, activity
+
+
+def true_activity(sim: Simulation, features: Features) -> Bool:
+    """(U, D) activity of a serial robot of the simulation."""
+    joint = {su.name: su.joint for su in sim.truth.sus}
+    position = [sim.truth.joint_names.index(n) for n in features.dof_names]
+    return np.array([[d <= joint[name] for d in position] for name in features.su_names])
+
+
+@pytest.mark.parametrize(
+    ("robot", "options"),
+    [
+        ("panda", {}),
+        ("panda", {"upright": True, "excite": "all"}),
+        ("ur5", {"upright": True}),
+        ("so101", {"excite": "all", "grade": "bma150"}),
+        ("kinova", {"grade": "bma150", "upright": True}),
+    ],
+)
+def test_every_bit_is_right(robot: str, options: dict[str, Any]) -> None:
+    sim = simulation(robot, **options)
+    features = features_of(sim.recording)
+    seen = activity(features)
+    np.testing.assert_array_equal(seen.matrix, true_activity(sim, features))
+    assert seen.excited.all()
+    assert seen.heard.all()
+    assert np.isfinite(seen.evidence).all()
+
+
+def test_a_vertical_axis_is_seen_by_its_pattern_only() -> None:
+    """Gravity can not see axis 1 of an upright arm (design, structure)."""
+    sim = simulation("ur5", upright=True)
+    features = features_of(sim.recording)
+    seen = activity(features)
+    first = features.dof_names.index(sim.truth.joint_names[0])
+    moving = [u for u, n in enumerate(features.su_names) if _joint(sim, n) >= 0]
+    assert np.nanmax(seen.static[:, first]) < 1.0
+    assert (seen.dynamic[moving, first] > 1.0).all()
+
+
+def _joint(sim: Simulation, name: str) -> int:
+    return next(su.joint for su in sim.truth.sus if su.name == name)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_trees_of_any_shape_show_their_activity_in_features_alone(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    tree = random_tree(rng, 7, 9, prismatic=0.2)
+    features = random_features(rng, tree, random_state(rng, tree, intrinsics=0.2), 6, noise=0.02)
+    seen = activity(features)
+    su = [seen.su_names.index(n) for n in tree.su_names]
+    dof = [seen.dof_names.index(n) for n in tree.joint_names]
+    np.testing.assert_array_equal(seen.matrix[np.ix_(su, dof)], tree.activity())
+    assert np.isnan(seen.static).all()
+
+
+def still(features: Features) -> Features:
+    """Features in which no pattern was felt."""
+    coefficients = features.coefficients.copy()
+    coefficients[:, :, 1:] = 0.0
+    return replace(features, coefficients=coefficients)
+
+
+def with_moves(
+    features: Features, dof: int, changes: list[float], doubt: float = 1.0
+) -> Features:
+    """Features with one static move of a DoF, which changes the reading of each SU so much.
+
+    Other joints moved along a little, which can have changed readings by ``doubt`` [m/s^2].
+    """
+    change = np.array(changes)[None, :, None] * np.array([0.0, 0.6, 0.8])
+    moves = StaticMoves(np.array([dof]), np.array([0.8]), change, np.array([doubt]))
+    return replace(features, moves=moves)
+
+
+@pytest.fixture
+def quiet() -> Features:
+    rng = np.random.default_rng(0)
+    tree = serial_tree(3)
+    plain = random_features(rng, tree, random_state(rng, tree), 4, noise=0.02, shuffle=False)
+    return still(plain)
+
+
+def test_the_static_threshold_is_that_of_the_paper(quiet: Features) -> None:
+    above, below = 1.05 * STATIC_THRESHOLD, 0.95 * STATIC_THRESHOLD
+    assert pytest.approx(0.05 * 9.81) == STATIC_THRESHOLD
+    seen = activity(with_moves(quiet, 1, [0.0, above, above]))
+    np.testing.assert_array_equal(seen.matrix[:, 1], [False, True, True])
+    seen = activity(with_moves(quiet, 1, [0.0, below, below]))
+    assert not seen.matrix[:, 1].any()
+    seen = activity(with_moves(quiet, 1, [0.0, below, below]), threshold=0.8 * below)
+    np.testing.assert_array_equal(seen.matrix[:, 1], [False, True, True])
+
+
+def test_a_move_of_one_joint_alone_counts_below_the_threshold(quiet: Features) -> None:
+    """Axis 1 of an arm that stands almost upright turns gravity by little, and nothing else does."""
+    little = 0.3 * STATIC_THRESHOLD
+    seen = activity(with_moves(quiet, 1, [0.0, little, little], doubt=0.0))
+    np.testing.assert_array_equal(seen.matrix[:, 1], [False, True, True])
+    seen = activity(with_moves(quiet, 1, [0.0, little, little], doubt=0.15))
+    assert not seen.matrix[:, 1].any()
+
+
+def test_sag_of_other_joints_is_not_taken_for_activity(quiet: Features) -> None:
+    """A DoF turns gravity by the same angle in all SUs beyond it; sag turns it by far less."""
+    g = 9.81
+    seen = activity(with_moves(quiet, 2, [0.06 * g, 0.07 * g, 0.7 * g]))
+    np.testing.assert_array_equal(seen.matrix[:, 2], [False, False, True])
+
+
+def test_an_su_without_a_reading_of_a_move_is_undecided_by_it(quiet: Features) -> None:
+    seen = activity(with_moves(quiet, 0, [np.nan, 4.0, 4.0]))
+    assert np.isnan(seen.static[0, 0])
+    assert not seen.matrix[0, 0]
+    np.testing.assert_array_equal(seen.matrix[1:, 0], [True, True])
+
+
+def test_a_dof_that_never_moved_is_not_excited(quiet: Features) -> None:
+    information = quiet.information.copy()
+    for row in (2, 5):
+        information[:, :, row] = information[:, :, :, row] = 0.0
+    seen = activity(replace(quiet, information=information))
+    np.testing.assert_array_equal(seen.excited, [True, False, True])
+    assert not seen.matrix[:, 1].any()
+
+
+def test_a_silent_su_is_not_heard() -> None:
+    sim = simulation("panda")
+    odd = sim.recording.sus[4].name
+
+    def silenced(su: SuStream) -> SuStream:
+        if su.name != odd:
+            return su
+        return replace(su, time=su.time[:3], specific_force=su.specific_force[:3])
+
+    features = features_of(changed_sus(sim.recording, silenced))
+    seen = activity(features)
+    u = features.su_names.index(odd)
+    assert not seen.heard[u]
+    assert seen.heard.sum() == features.n_sus - 1
+    others = [i for i in range(features.n_sus) if i != u]
+    np.testing.assert_array_equal(seen.matrix[others], true_activity(sim, features)[others])

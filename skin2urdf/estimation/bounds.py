@@ -65,9 +65,17 @@ class _Fit:
 
 
 def limbs_of(tree: KinematicTree) -> Int:
-    """(U,) first joint before each SU, which names its limb; :data:`ON_BASE` on the RS."""
-    chains = [tree.chain(int(joint)) for joint in tree.su_joint]
-    return np.array([chain[0] if chain else ON_BASE for chain in chains], dtype=np.int64)
+    """(U,) joint that names each SU's limb; :data:`ON_BASE` on the RS.
+
+    It is the first revolute joint before the SU: sliding parts keep their orientation, so limbs
+    on a slide are as unconnected as limbs on the RS.
+    """
+    limbs = []
+    for joint in tree.su_joint:
+        chain = tree.chain(int(joint))
+        turning = [j for j in chain if not tree.prismatic[j]]
+        limbs.append((turning or chain or (ON_BASE,))[0])
+    return np.array(limbs, dtype=np.int64)
 
 
 def expected_errors(

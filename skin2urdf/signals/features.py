@@ -277,7 +277,7 @@ def _regress(
     Z: F64,
     y: F64,
     ok: Bool,
-    noise: F64,
+    noise: tuple[F64, F64],
     unseen: tuple[F64, F64],
     sampling: tuple[float, float, float],
 ) -> _Pose:
@@ -295,9 +295,9 @@ def _regress(
         use = ok[:, members[0]]
         if not enough(use, rate):
             continue
-        Xe = excited(X[use], noise)
+        Xe = excited(X[use], noise[0])
         Ze = Z[use]
-        result = fit(Design(Xe, Ze, noise), y[use][:, members], independence)
+        result = fit(Design(Xe, Ze, *noise), y[use][:, members], independence)
         coefficients[members] = result.coefficients
         factor = noise_by_row(Xe, result.residual, rate, cutoff, independence)
         root = np.sqrt(factor)
@@ -325,12 +325,14 @@ def _latency_step(poses: Sequence[_Pose]) -> tuple[F64, F64]:
     numerator = np.sum([p.lag_numerator for p in poses], axis=0)
     denominator = np.sum([p.lag_denominator for p in poses], axis=0)
     sd = np.where(denominator > 0, 1 / np.sqrt(np.maximum(denominator, 1e-300)), np.inf)
-    step = np.divide(numerator, denominator, out=np.zeros_like(sd), where=sd < 3e-4)
-    return np.clip(step, -0.03, 0.03), sd
+    step = np.divide(numerator, denominator, out=np.zeros_like(sd), where=denominator > 0)
+    # A large lag leaves large residuals, hence a large sd: a step of many sd is real all the same.
+    known = (sd < 3e-4) | (np.abs(step) > 5 * sd)
+    return np.where(known, np.clip(step, -0.03, 0.03), 0.0), np.where(known, sd, np.inf)
 
 
-def _regressor_noise(motion: Motion, cutoff: float) -> F64:
-    """(1 + 2 D,) variance of encoder noise in the filtered regressors."""
+def _regressor_noise(motion: Motion, cutoff: float) -> tuple[F64, F64]:
+    """Variances (1 + 2 D,) of encoder noise in the filtered regressors, covariances (D,)."""
     f = np.linspace(0.0, 2 * cutoff, 400)
     taps = low_pass(cutoff, motion.grid.rate)
     k = np.arange(len(taps))
@@ -338,7 +340,8 @@ def _regressor_noise(motion: Motion, cutoff: float) -> F64:
     density = 2 * motion.noise**2 / motion.raw_rate
     position = np.trapezoid(gain, f) * density
     acceleration = np.trapezoid(gain * (2 * np.pi * f) ** 4, f) * density
-    return np.concatenate([[0.0], position, acceleration])
+    both = -np.trapezoid(gain * (2 * np.pi * f) ** 2, f) * density
+    return np.concatenate([[0.0], position, acceleration]), both
 
 
 def static_moves(sampled: Sequence[Sampled]) -> StaticMoves:

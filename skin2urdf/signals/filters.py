@@ -18,7 +18,7 @@ from skin2urdf.arrays import F64, Bool
 # Central differences of eighth order: at a tenth of the sampling rate still exact to 1e-5.
 _FIRST = np.array([1 / 280, -4 / 105, 1 / 5, -4 / 5, 0, 4 / 5, -1 / 5, 4 / 105, -1 / 280])
 _SECOND = np.array([-1 / 560, 8 / 315, -1 / 5, 8 / 5, -205 / 72, 8 / 5, -1 / 5, 8 / 315, -1 / 560])
-_LINEAR_RATE = 700.0
+_LINEAR_RATE = 1300.0
 """Streams faster than this [Hz] are interpolated linearly; slower ones by cubic splines."""
 _STOPBAND = 100.0
 

@@ -28,11 +28,13 @@ class Design:
         X: (N, n) regressors of the features, n = 1 + 2 D; columns that are not excited are zero.
         nuisance: (N, k) further regressors, to be projected out.
         noise: (n,) variance of the encoder noise in each column.
+        noise_cross: (D,) covariance of the encoder noise in dq and qdd of each DoF.
     """
 
     X: F64
     nuisance: F64
     noise: F64
+    noise_cross: F64
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,6 +60,8 @@ def excited(X: F64, noise: F64) -> F64:
     n_dofs = (X.shape[1] - 1) // 2
     smallest = np.r_[0.0, np.full(n_dofs, 1e-10), np.full(n_dofs, 1e-6)]
     quiet = energy <= np.maximum(_SIGNAL_TO_NOISE * noise, smallest)
+    # Without its acceleration, a DoF's position would stand for both.
+    quiet[1 : 1 + n_dofs] |= quiet[1 + n_dofs :]
     quiet[0] = False
     return np.asarray(np.where(quiet, 0.0, X))
 
@@ -84,6 +88,11 @@ def fit(design: Design, y: F64, independence: float) -> Fit:
     Zs = Z * inverse
     products = Zs.T @ Zs
     corrected = products - np.diag(noise * inverse**2)
+    D = len(design.noise_cross)
+    slope, lever = 1 + np.arange(D), 1 + D + np.arange(D)
+    shared = design.noise_cross * N * inverse[slope] * inverse[lever]
+    corrected[slope, lever] -= shared
+    corrected[lever, slope] -= shared
     lam, V = np.linalg.eigh(corrected)
     keep = lam > 1e-8
     solve = (V[:, keep] / lam[keep]) @ V[:, keep].T

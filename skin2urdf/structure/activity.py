@@ -14,12 +14,12 @@ STATIC_THRESHOLD = 0.05 * 9.81
 
 _SMALLEST_STATIC = 0.1
 """Static evidence that noise alone may make, in thresholds."""
-_SMALLEST_EFFECT = 5e-3
+_SMALLEST_EFFECT = 2e-3
 """Effect of a pattern [m/s^2 rms] that is never taken for activity on its own."""
 _SHARE = 0.3
 """Share of a DoF's largest static effect from which an SU counts as beyond it."""
-_NOISE_FACTOR = 0.8
-_UNMODELLED_FACTOR = 6.0
+_NOISE_FACTOR = 0.32
+_UNMODELLED_FACTOR = 2.4
 
 
 @dataclass(frozen=True, eq=False)

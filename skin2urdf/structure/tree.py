@@ -17,6 +17,8 @@ _CERTAIN = np.log(4.0)
 
 _PUSH_ERROR = 0.05
 """Deviation of a prismatic DoF's push from unit length that scale errors may cause."""
+_TURNING = 30.0
+"""Chi-squared per measurement of the slopes from which a DoF turns gravity."""
 
 
 def kinematic_tree(activity: Activity, features: Features) -> KinematicTree:
@@ -51,7 +53,7 @@ def kinematic_tree(activity: Activity, features: Features) -> KinematicTree:
             "no SU is moved by any DoF: every row of the activity matrix is empty",
             "check that the joints moved during the log, and that the SUs sit on moving segments",
         )
-    if bits.all(axis=1).all() and not (~bits).all(axis=1).any():
+    if bits.any(axis=1).all():
         notes.append("no SU sits on the reference segment")
     dofs = sorted(np.flatnonzero(felt), key=lambda d: (-int(bits[:, d].sum()), int(d)))
     parent = _parents(bits[:, dofs])
@@ -176,6 +178,11 @@ def _joint_type(features: Features, activity: Activity, sus: Int, dof: int) -> J
     ratio = information[:, 0, 1] / information[:, 1, 1]
     push = features.tau[:, sus, dof][seen] + ratio[:, None] * features.s[:, sus, dof][seen]
     length = np.linalg.norm(push, axis=-1)
+    variance = (features.noise[:, sus][seen] ** 2).mean(axis=-1)
+    slope_information = information[:, 0, 0] - information[:, 0, 1] ** 2 / information[:, 1, 1]
+    turning = (features.s[:, sus, dof][seen] ** 2).sum(axis=-1) * slope_information / variance
+    if turning.sum() > _TURNING * 3 * len(turning):
+        return "revolute"
     noise = np.sqrt(3 * (features.noise[:, sus][seen] ** 2).mean(axis=-1) / information[:, 1, 1])
     known = noise < 0.2
     if not known.any():

@@ -103,7 +103,7 @@ def compare(
     seen = np.array([len(rows) < 6 for rows in free])
     names = [name for name, counts in zip(shared, seen, strict=True) if counts]
     free = [rows for rows, counts in zip(free, seen, strict=True) if counts]
-    limbs = [_limb(est.chain(name)) for name in names]
+    limbs = [_limb(est, est.chain(name)) for name in names]
     if all(limb == ON_BASE for limb in limbs):
         raise InsufficientDataError(
             "nothing to compare: no SU of the estimate that a joint moves is observable",
@@ -154,9 +154,13 @@ def _recognised(
     return shared, tuple(name for name in expected if name not in est.links)
 
 
-def _limb(chain: Sequence[str]) -> str:
-    """The first joint of a chain, which names the limb."""
-    return chain[0] if chain else ON_BASE
+def _limb(robot: Robot, chain: Sequence[str]) -> str:
+    """The first revolute joint of a chain, which names the limb.
+
+    What slides keeps its orientation, so limbs on a slide are as unconnected as limbs on the RS.
+    """
+    turning = [name for name in chain if robot.joint_types[name] == "revolute"]
+    return (turning or list(chain) or [ON_BASE])[0]
 
 
 def random_positions(
@@ -251,7 +255,7 @@ def _axes(
     for d, name in enumerate(joints):
         if est.joint_types[name] != true.joint_types[name]:
             continue
-        X = aligned.transform(est.chain_of_joint(name)[0])
+        X = aligned.transform(_limb(est, est.chain_of_joint(name)))
         if X is None:
             left_out.append(name)
             continue

@@ -1,0 +1,262 @@
+"""Recordings of torque-driven arms from MuJoCo, and their geometry as a URDF.
+
+An independent witness: geometry is written down here, dynamics and accelerometers are MuJoCo's.
+Joints are driven by springs and dampers (position control with finite gains), so they sag under
+gravity, lag, stick, and pull each other along; what the encoders say is what they really did.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import mujoco
+import numpy as np
+from joint_paths import JointPath
+from mujoco import rollout
+from scipy.spatial.transform import Rotation
+
+from skin2urdf.arrays import F64
+from skin2urdf.recording.records import JointStream, Recording, SuStream
+
+STEP = 1e-3
+"""Time step of the physics [s]; semi-implicit Euler, so that q's second difference is qdd."""
+G = 9.81
+
+Vector = tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class ArmJoint:
+    """A revolute joint and the segment it carries.
+
+    Attributes:
+        xyz: origin in the parent segment [m].
+        rpy: orientation there [rad].
+        axis: axis in the joint's own frame.
+        su_xyz: place of the SU on the segment [m].
+        su_rpy: its orientation [rad].
+        mass: of the segment [kg].
+    """
+
+    xyz: Vector
+    rpy: Vector
+    axis: Vector
+    su_xyz: Vector
+    su_rpy: Vector
+    mass: float
+
+
+@dataclass(frozen=True)
+class Arm:
+    """An arm on a tilted base.
+
+    Attributes:
+        joints: D joints from the base outwards.
+        base_su: place and orientation of an SU on the base.
+        base_rpy: tilt of the base in the world [rad].
+        stiffness: of the joints' drives [N m / rad].
+        friction: dry friction of every joint [N m].
+    """
+
+    joints: tuple[ArmJoint, ...]
+    base_su: tuple[Vector, Vector]
+    base_rpy: Vector
+    stiffness: float = 3000.0
+    friction: float = 0.4
+
+    @property
+    def n_joints(self) -> int:
+        """Number of DoFs D."""
+        return len(self.joints)
+
+    @property
+    def gravity_base(self) -> F64:
+        """(3,) gravity in the base frame [m/s^2]."""
+        R_world_base = Rotation.from_euler("xyz", self.base_rpy).as_matrix()
+        return np.asarray(R_world_base.T @ np.array([0.0, 0.0, -G]))
+
+
+def random_arm(seed: int, n_joints: int) -> Arm:
+    """An arm of about a metre with neighbouring axes about square to each other, no DH in sight."""
+    rng = np.random.default_rng(seed)
+    joints = []
+    for d in range(n_joints):
+        # A quarter turn to the last axis, give or take; any direction along the segment.
+        turn = (np.pi / 2 * rng.choice([-1, 1]) + 0.2 * rng.standard_normal(), 0.3, 0.5)
+        rpy = tuple(np.array(turn) + 0.2 * rng.standard_normal(3)) if d else (0.05, -0.03, 0.4)
+        joints.append(
+            ArmJoint(
+                xyz=tuple(rng.uniform([-0.05, -0.05, 0.1], [0.05, 0.05, 0.25])),
+                rpy=rpy,
+                axis=((0.0, 0.0, 1.0), (0.6, 0.0, 0.8), (0.0, 1.0, 0.0))[int(rng.integers(3))],
+                su_xyz=tuple(rng.uniform(-0.08, 0.08, 3) + [0.0, 0.0, 0.08]),
+                su_rpy=tuple(rng.uniform(-3.0, 3.0, 3) * [1.0, 0.5, 1.0]),
+                mass=float(4.0 * 0.7**d),
+            )
+        )
+    return Arm(tuple(joints), ((0.1, 0.05, 0.02), (0.3, -1.0, 2.0)), (0.44, 0.26, 0.0))
+
+
+def truth_urdf(arm: Arm, su_names: Sequence[str], joint_names: Sequence[str]) -> str:
+    """The arm as a URDF; the SU on the base comes first."""
+    parts = ['<robot name="arm"><link name="base"/>']
+    places = [("base", *arm.base_su)]
+    for d, (joint, name) in enumerate(zip(arm.joints, joint_names, strict=True)):
+        parent = f"link{d - 1}" if d else "base"
+        parts.append(
+            f'<link name="link{d}"/><joint name="{name}" type="revolute">'
+            f'<parent link="{parent}"/><child link="link{d}"/>{_origin(joint.xyz, joint.rpy)}'
+            f'<axis xyz="{_text(joint.axis)}"/>'
+            '<limit lower="-3" upper="3" effort="100" velocity="5"/></joint>'
+        )
+        places.append((f"link{d}", joint.su_xyz, joint.su_rpy))
+    for su, (link, xyz, rpy) in zip(su_names, places, strict=True):
+        parts.append(
+            f'<link name="{su}"/><joint name="{su}_mount" type="fixed"><parent link="{link}"/>'
+            f'<child link="{su}"/>{_origin(xyz, rpy)}</joint>'
+        )
+    return "".join([*parts, "</robot>"])
+
+
+def excitation(
+    arm: Arm, n_poses: int, at_once: bool, rng: np.random.Generator
+) -> JointPath:
+    """Structural moves of one joint at a time, then rests in random poses and patterns there."""
+    D = arm.n_joints
+    path = JointPath([0.0] * D).rest(1.0)
+    for joint in range(D):
+        away = np.zeros(D)
+        away[joint] = 0.8
+        path.move(away, 1.6).rest(0.7).move(np.zeros(D), 1.6).rest(0.7)
+    for pose in rng.uniform(-1.4, 1.4, (n_poses, D)):
+        path.move(pose, 2.5).rest(1.2)
+        if at_once:
+            size = dict(zip(range(D), rng.choice([-1, 1], D) * 0.12, strict=True))
+            path.swing(dict.fromkeys(range(D), 0.0) | size, seconds=14.0, hertz=1.1).rest(0.8)
+        else:
+            for joint in range(D):
+                path.swing({joint: 0.12 * rng.choice([-1, 1])}, seconds=2.2).rest(0.6)
+    return path
+
+
+def record(
+    arm: Arm,
+    path: JointPath,
+    su_names: Sequence[str],
+    joint_names: Sequence[str],
+    rng: np.random.Generator,
+    noise: float = 1e-3 * G,
+    bias: float = 5e-3 * G,
+    bits: int = 17,
+    lag: float = 0.01,
+) -> Recording:
+    """Drive the arm along a path and record it.
+
+    Args:
+        arm: the arm.
+        path: what its drives are told.
+        su_names: D + 1 names, the SU on the base first.
+        joint_names: D names.
+        rng: source of noise, biases, jitter and lags.
+        noise: standard deviation of a reading [m/s^2].
+        bias: biases are drawn within +- this [m/s^2].
+        bits: resolution of the encoders [bits per revolution].
+        lag: clock lags of the SUs are drawn from 0 to this [s].
+    """
+    model = mujoco.MjModel.from_xml_string(_mjcf(arm))
+    data = mujoco.MjData(model)
+    command = path.at(np.arange(0.0, path.time[-1], STEP))
+    data.qpos[:] = command[0]
+    start = np.empty(mujoco.mj_stateSize(model, mujoco.mjtState.mjSTATE_FULLPHYSICS))
+    mujoco.mj_getState(model, data, start, mujoco.mjtState.mjSTATE_FULLPHYSICS)
+    states, sensors = rollout.rollout(model, data, start[None], command[None])
+    # A step returns the state it leads to and the readings of the state it came from.
+    time, D = states[0, :-1, 0], arm.n_joints
+    q, readings = states[0, :-1, 1 : 1 + D], sensors[0, 1:]
+    settled = time > 0.5
+
+    joint_at = np.flatnonzero(settled)[::4]
+    step = 2 * np.pi / 2**bits
+    stamps = _stamps(time[joint_at], 0.0, rng)
+    joints = [
+        JointStream(name, stamps, np.round(q[joint_at, d] / step) * step)
+        for d, name in enumerate(joint_names)
+    ]
+    sus = []
+    for u, name in enumerate(su_names):
+        at = np.flatnonzero(settled)[int(rng.integers(2)) :: 2]
+        clean = readings[at, 3 * u : 3 * u + 3]
+        felt = clean + rng.uniform(-bias, bias, 3) + noise * rng.standard_normal(clean.shape)
+        sus.append(SuStream(name, _stamps(time[at], rng.uniform(0, lag), rng), felt, f"/{name}"))
+    return Recording(
+        tuple(sorted(joints, key=lambda j: j.name)), tuple(sorted(sus, key=lambda s: s.name)),
+        source="MuJoCo",
+    )  # fmt: skip
+
+
+def tracking_errors(arm: Arm, recording: Recording, path: JointPath, names: Sequence[str]) -> F64:
+    """(D,) rms distance between what the drives were told and what the encoders say [rad]."""
+    del arm
+    by_name = {j.name: j for j in recording.joints}
+    return np.array(
+        [
+            np.sqrt(np.mean((by_name[n].position - path.at(by_name[n].time)[:, d]) ** 2))
+            for d, n in enumerate(names)
+        ]
+    )
+
+
+def upright(arm: Arm) -> Arm:
+    """The same arm with its base level."""
+    return replace(arm, base_rpy=(0.0, 0.0, 0.0))
+
+
+def _stamps(time: F64, lag: float, rng: np.random.Generator) -> F64:
+    """Stamps with 0.1 ms of jitter, strictly increasing."""
+    jitter = np.clip(1e-4 * rng.standard_normal(time.size), -4e-4, 4e-4)
+    return np.asarray(time + lag + jitter)
+
+
+def _mjcf(arm: Arm) -> str:
+    """The arm in MuJoCo's language."""
+    body, close, actuators, sensors = [], [], [], ['<accelerometer site="su0"/>']
+    for d, joint in enumerate(arm.joints):
+        length = np.linalg.norm(arm.joints[d + 1].xyz) if d + 1 < arm.n_joints else 0.12
+        tip = arm.joints[d + 1].xyz if d + 1 < arm.n_joints else (0.0, 0.0, 0.12)
+        inertia = max(0.05, joint.mass * length**2)
+        damping = 1.6 * np.sqrt(arm.stiffness * inertia)
+        body.append(
+            f'<body pos="{_text(joint.xyz)}" quat="{_quat(joint.rpy)}">'
+            f'<joint name="j{d}" axis="{_text(joint.axis)}" armature="0.08" damping="0"'
+            f' frictionloss="{arm.friction}"/>'
+            f'<geom type="capsule" size="0.04" fromto="0 0 0 {_text(tip)}" mass="{joint.mass}"'
+            ' contype="0" conaffinity="0"/>'
+            f'<site name="su{d + 1}" pos="{_text(joint.su_xyz)}" quat="{_quat(joint.su_rpy)}"/>'
+        )
+        close.append("</body>")
+        actuators.append(
+            f'<general joint="j{d}" gainprm="{arm.stiffness}" biastype="affine"'
+            f' biasprm="0 {-arm.stiffness} {-damping}"/>'
+        )
+        sensors.append(f'<accelerometer site="su{d + 1}"/>')
+    (xyz, rpy) = arm.base_su
+    base = f'<site name="su0" pos="{_text(xyz)}" quat="{_quat(rpy)}"/>'
+    return (
+        f'<mujoco><option timestep="{STEP}" gravity="{_text(arm.gravity_base)}"'
+        ' integrator="Euler"><flag eulerdamp="disable"/></option>'
+        f"<worldbody>{base}{''.join(body)}{''.join(close)}</worldbody>"
+        f"<actuator>{''.join(actuators)}</actuator><sensor>{''.join(sensors)}</sensor></mujoco>"
+    )
+
+
+def _quat(rpy: Sequence[float]) -> str:
+    return _text(np.roll(Rotation.from_euler("xyz", rpy).as_quat(), 1))
+
+
+def _origin(xyz: Sequence[float], rpy: Sequence[float]) -> str:
+    return f'<origin xyz="{_text(xyz)}" rpy="{_text(rpy)}"/>'
+
+
+def _text(values: Sequence[float] | F64) -> str:
+    return " ".join(repr(float(v)) for v in values)

@@ -18,7 +18,8 @@ _SMALLEST_EFFECT = 2e-3
 """Effect of a pattern [m/s^2 rms] that is never taken for activity on its own."""
 _SHARE = 0.3
 """Share of a DoF's largest static effect from which an SU counts as beyond it."""
-_NOISE_FACTOR = 0.32
+_SIGNIFICANT = 8.0
+"""Chi-squared per degree of freedom from which a pattern's effect is no chance."""
 _UNMODELLED_FACTOR = 2.4
 
 
@@ -31,8 +32,8 @@ class Activity:
         dof_names: D DoF names.
         static: (U, D) largest change of a static reading when only that DoF moved, over the
             threshold; NaN where no such move was recorded.
-        dynamic: (U, D) what the reading owes to a DoF's pattern, over what the regression leaves
-            unexplained.
+        dynamic: (U, D) what the reading owes to a DoF's pattern, over what chance and the
+            second-order effects of other patterns can make.
         static_doubt: (D,) largest static evidence that noise and the small motions of other joints
             can have made.
         excited: (D,) False for DoFs that never moved.
@@ -105,20 +106,38 @@ def activity(features: Features, threshold: float = STATIC_THRESHOLD) -> Activit
     floor2 = np.where(finite, noise2.mean(axis=-1), np.inf).min(axis=0)
     floor2 = np.where(np.isfinite(floor2), floor2, 0.0)
     # Noise averages out; second-order effects of other DoFs' patterns do not.
-    doubt = _NOISE_FACTOR * np.sqrt(floor2) + _SMALLEST_EFFECT
-    doubt += _UNMODELLED_FACTOR * np.sqrt(np.maximum(residual2 - 1.1 * floor2, 0.0))
+    unmodelled = _UNMODELLED_FACTOR * np.sqrt(np.maximum(residual2 - 1.3 * floor2, 0.0))
+    own = own_information(features)
     for d in range(D):
-        rows = np.array([1 + d, 1 + D + d])
-        c = features.coefficients[:, :, rows]
-        info = features.information[:, :, rows[:, None], rows]
+        c = features.coefficients[:, :, [1 + d, 1 + D + d]]
+        info = own[:, :, d]
         seen = (np.einsum("puii->pu", info) > 0) & finite
         excited[d] = bool(seen.any()) or bool((moves.dof == d).any())
         explained = np.einsum("puia,puij,puja->pu", c, info, c) * seen
-        chance = 3 * 2 * noise2.mean(axis=-1) * seen
+        variance = noise2.mean(axis=-1) * seen
+        chance = 6 * variance.sum(axis=0)
+        significance = explained.sum(axis=0) / np.maximum(chance, 1e-300) / _SIGNIFICANT
         weight = np.maximum((samples * seen).sum(axis=0), 1.0)
-        effect = np.sqrt(np.maximum((explained - chance).sum(axis=0), 0.0) / weight)
-        dynamic[:, d] = np.where(seen.any(axis=0), effect / doubt, 0.0)
+        effect = np.sqrt(np.maximum(explained.sum(axis=0) - chance, 0.0) / weight)
+        strength = np.minimum(significance, effect / (_SMALLEST_EFFECT + unmodelled))
+        dynamic[:, d] = np.where(seen.any(axis=0), strength, 0.0)
     return Activity(
         features.su_names, features.dof_names, static, dynamic, static_doubt, excited,
         np.asarray(finite.any(axis=0)),
     )  # fmt: skip
+
+
+def own_information(features: Features) -> F64:
+    """(P, U, D, 2, 2) information on s_d and tau_d of each DoF, all other coefficients unknown."""
+    D = features.n_dofs
+    info = features.information
+    scale = np.sqrt(np.maximum(np.einsum("puii->pui", info), 0.0))
+    inverse_scale = np.divide(1.0, scale, out=np.zeros_like(scale), where=scale > 0)
+    unit = info * inverse_scale[..., :, None] * inverse_scale[..., None, :]
+    n = unit.shape[-1]
+    unit = unit + np.eye(n) * np.where(scale > 0, 1e-9, 1.0)[..., None]
+    covariance = np.linalg.inv(unit)
+    rows = np.stack([1 + np.arange(D), 1 + D + np.arange(D)], axis=1)
+    block = covariance[:, :, rows[:, :, None], rows[:, None, :]]
+    root = scale[:, :, rows]
+    return np.asarray(np.linalg.inv(block) * root[..., :, None] * root[..., None, :])

@@ -34,7 +34,9 @@ class JointPath:
         step = x**4 * (35 - 84 * x + 70 * x**2 - 20 * x**3)
         return self._add(self._here + step * (np.array(goal) - self._here))
 
-    def swing(self, offsets: dict[int, float], seconds: float = 2.0, hertz: float = 2.0) -> JointPath:
+    def swing(
+        self, offsets: dict[int, float], seconds: float = 2.0, hertz: float = 2.0
+    ) -> JointPath:
         """Swing some joints out by up to an offset [rad or m] and back, under a smooth window.
 
         Several joints swing at different frequencies.

@@ -119,9 +119,7 @@ def truth_urdf(arm: Arm, su_names: Sequence[str], joint_names: Sequence[str]) ->
     return "".join([*parts, "</robot>"])
 
 
-def excitation(
-    arm: Arm, n_poses: int, at_once: bool, rng: np.random.Generator
-) -> JointPath:
+def excitation(arm: Arm, n_poses: int, at_once: bool, rng: np.random.Generator) -> JointPath:
     """Structural moves of one joint at a time, then rests in random poses and patterns there."""
     D = arm.n_joints
     path = JointPath([0.0] * D).rest(1.0)

@@ -56,9 +56,7 @@ def tree_of(features: Features) -> KinematicTree:
     return kinematic_tree(activity(features), features)
 
 
-def changed_sus(
-    recording: Recording, change: Callable[[SuStream], SuStream | None]
-) -> Recording:
+def changed_sus(recording: Recording, change: Callable[[SuStream], SuStream | None]) -> Recording:
     """The recording with every SU stream changed, or dropped where the change gives None."""
     kept = (change(s) for s in recording.sus)
     return replace(recording, sus=tuple(s for s in kept if s is not None))

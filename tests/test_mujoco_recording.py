@@ -41,9 +41,7 @@ CASES = {
 
 
 @pytest.fixture(scope="module", params=CASES, ids=str)
-def witness(
-    request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
-) -> Witness:
+def witness(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Witness:
     arm, at_once, bits = CASES[request.param]
     rng = np.random.default_rng(11)
     path = excitation(arm, 5, at_once, rng)

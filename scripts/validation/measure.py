@@ -21,6 +21,7 @@ from skin2urdf.estimation.estimate import EstimationSettings
 from skin2urdf.estimation.observability import aligned_deviations
 from skin2urdf.pipeline import calibrate
 from skin2urdf.recording.records import Recording
+from skin2urdf.recording.retiming import retimed
 from skin2urdf.recording.writing import write
 from skin2urdf.simulation import Simulation, SimulationSettings, Truth, load_robot, simulate
 from skin2urdf.urdf.compare import compare, random_positions
@@ -97,9 +98,9 @@ def _figures(case: Case) -> Figures:
 
 
 def _log(simulation: Simulation, folder: Path, through_mcap: bool) -> Recording | Path:
-    """The recording, in a file where asked for."""
+    """The recording with its times as read from a file, or in a file where asked for."""
     if not through_mcap:
-        return simulation.recording
+        return retimed(simulation.recording)
     path = folder / "log.mcap"
     write(simulation.recording, path, joint_order=simulation.joint_order)
     return path

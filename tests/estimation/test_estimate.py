@@ -73,9 +73,7 @@ def poses(tree: KinematicTree, state: State, q: F64) -> F64:
     return np.array(out)
 
 
-def relative(
-    tree: KinematicTree, state: State, q: F64, pairs: Sequence[tuple[int, int]]
-) -> F64:
+def relative(tree: KinematicTree, state: State, q: F64, pairs: Sequence[tuple[int, int]]) -> F64:
     """(C n, 4, 4) pose of one SU seen from another, which no choice of frames changes."""
     T = poses(tree, state, q)
     return np.concatenate([np.linalg.inv(T[:, a]) @ T[:, b] for a, b in pairs])
@@ -202,9 +200,7 @@ def test_one_bad_block_does_little_harm() -> None:
     assert found.chi2_by_block[5, 2] / found.count[5, 2] > 20
 
 
-@given(
-    st.integers(0, 10_000), st.floats(0.1, 1000.0)
-)
+@given(st.integers(0, 10_000), st.floats(0.1, 1000.0))
 @settings(max_examples=50, deadline=None)
 def test_weights_do_not_depend_on_the_noise_level(seed: int, scale: float) -> None:
     rng = np.random.default_rng(seed)
@@ -254,9 +250,7 @@ def test_the_tilt_of_a_second_log_is_found() -> None:
     found = estimate(features, TREE, PLAIN)
     assert found.cost_per_dof == pytest.approx(1.0, abs=0.2)
     # The base's yaw is a matter of choice; angles between the up vectors are not.
-    np.testing.assert_allclose(
-        found.state.up @ found.state.up.T, truth.up @ truth.up.T, atol=5e-3
-    )
+    np.testing.assert_allclose(found.state.up @ found.state.up.T, truth.up @ truth.up.T, atol=5e-3)
 
 
 def test_an_earlier_estimate_is_as_good_as_a_start() -> None:

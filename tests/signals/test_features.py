@@ -201,7 +201,9 @@ def test_an_su_that_dies_keeps_what_it_said() -> None:
     assert 0 < valid.sum() < plain.n_poses
     assert np.isinf(features.noise[~valid, u]).all()
     assert not features.information[~valid, u].any()
-    whole = valid & np.isclose(features.information[:, u, 0, 0], plain.information[:, u, 0, 0], 1e-3)
+    whole = valid & np.isclose(
+        features.information[:, u, 0, 0], plain.information[:, u, 0, 0], 1e-3
+    )
     assert whole.sum() >= valid.sum() - 1
     np.testing.assert_allclose(features.f0[whole, u], plain.f0[whole, u], atol=1e-4)
 

@@ -114,7 +114,7 @@ def test_poses_of_a_joint_with_a_small_range_are_told_apart() -> None:
 def test_a_slow_drift_is_a_move_and_no_rest() -> None:
     path = JointPath([0.0]).rest(1.0).move([1.5], 12.0).rest(1.0)
     rests = find_rests(path.motion())
-    between = [r for r in rests if 2.5 < r.begin / 125.0 and r.end / 125.0 < 11.5]
+    between = [r for r in rests if r.begin / 125.0 > 2.5 and r.end / 125.0 < 11.5]
     assert between == []
 
 

@@ -52,7 +52,7 @@ def test_exact_readings_give_exact_coefficients(linear: bool, seed: int) -> None
 
 
 def test_the_exact_form_of_one_dof_needs_no_small_angle() -> None:
-    """a + b cos + c sin + tau qdd + e qd^2 holds for swings of any size."""
+    """A + b cos + c sin + tau qdd + e qd^2 holds for swings of any size."""
     n = 1200
     t = np.arange(n) / RATE
     w = 2 * np.pi * 0.8

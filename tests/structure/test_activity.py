@@ -78,9 +78,7 @@ def still(features: Features) -> Features:
     return replace(features, coefficients=coefficients)
 
 
-def with_moves(
-    features: Features, dof: int, changes: list[float], doubt: float = 1.0
-) -> Features:
+def with_moves(features: Features, dof: int, changes: list[float], doubt: float = 1.0) -> Features:
     """Features with one static move of a DoF, which changes the reading of each SU so much.
 
     Other joints moved along a little, which can have changed readings by ``doubt`` [m/s^2].

@@ -1,0 +1,44 @@
+"""Times of a recording made in memory, decided as the reader decides them for a file."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from skin2urdf.arrays import F64, Int
+from skin2urdf.recording.records import JointStream, Recording
+from skin2urdf.recording.timing import NS_PER_S, sample_times
+
+
+def retimed(recording: Recording) -> Recording:
+    """A recording whose times are taken as stamps, and made regular where the signal says so.
+
+    Args:
+        recording: streams whose times are stamps, noisy as a driver's.
+
+    Returns:
+        The recording as it would be read back from a file.
+    """
+    sus = []
+    for su in recording.sus:
+        time, kept = _times(su.time, su.specific_force)
+        sus.append(replace(su, time=time, specific_force=su.specific_force[kept]))
+    together: dict[bytes, list[JointStream]] = {}
+    for joint in recording.joints:
+        together.setdefault(joint.time.tobytes(), []).append(joint)
+    joints = {}
+    for members in together.values():
+        signal = np.stack([j.position for j in members], axis=1)
+        time, kept = _times(members[0].time, signal)
+        joints.update({j.name: replace(j, time=time, position=j.position[kept]) for j in members})
+    return replace(
+        recording, joints=tuple(joints[j.name] for j in recording.joints), sus=tuple(sus)
+    )
+
+
+def _times(stamps: F64, signal: F64) -> tuple[F64, Int]:
+    """Times (M,) [s] and the numbers (M,) of the samples they belong to."""
+    ns = np.rint((stamps + 1.0) * NS_PER_S).astype(np.int64)
+    found = sample_times(ns, ns, signal)
+    return found.time / NS_PER_S - 1.0, found.kept

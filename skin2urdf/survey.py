@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
+
+import numpy as np
 
 from skin2urdf.arrays import F64, Bool, frozen
 from skin2urdf.errors import (
@@ -23,7 +26,7 @@ from skin2urdf.structure.activity import STATIC_THRESHOLD, Activity, activity
 from skin2urdf.structure.exploration import Exploration
 from skin2urdf.structure.exploration import explore as run_algorithm_1
 from skin2urdf.structure.records import KinematicTree
-from skin2urdf.structure.tree import kinematic_tree
+from skin2urdf.structure.tree import kinematic_tree, nested
 
 Progress = Callable[[str, float], None]
 """Called with the name of a stage and the share of it that is done, in [0, 1]."""
@@ -103,13 +106,24 @@ def explore(
     tell("features", 1.0)
     seen = activity(features, threshold)
     steps = run_algorithm_1(
-        seen.matrix, seen.su_names, seen.dof_names, excited=seen.excited, heard=seen.heard
+        _mended(seen), seen.su_names, seen.dof_names, excited=seen.excited, heard=seen.heard
     )
     try:
         tree = ordered(kinematic_tree(seen, features), features)
     except StructureError as error:
         return Explored(seen, steps, None, error, features.notes)
     return Explored(seen, steps, tree, None, (*features.notes, *tree.notes))
+
+
+def _mended(seen: Activity) -> Bool:
+    """The activity matrix with its undecided bits as a tree asks for; as it is, without a tree."""
+    bits = np.array(seen.matrix)
+    heard = np.flatnonzero(seen.heard)
+    with suppress(StructureError):
+        bits[heard], _ = nested(
+            seen.evidence[heard], [seen.su_names[u] for u in heard], seen.dof_names
+        )
+    return bits
 
 
 def sampled_together(recordings: Sequence[Recording]) -> tuple[list[Sampled], tuple[str, ...]]:

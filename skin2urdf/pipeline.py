@@ -117,8 +117,10 @@ def _relinearised(
                 f, tree, settings.estimation, start=e.state
             ),
         )
-        settled = found.cost_per_dof > 0.98 * previous.cost_per_dof
-        if _moved(previous, found) < 1e-4 or (settled and found.cost_per_dof < GOOD_FIT):
+        gain = previous.cost_per_dof / max(found.cost_per_dof, 1e-12)
+        settled = gain < 1.02 and found.cost_per_dof < GOOD_FIT
+        hopeless = gain < 2.0 and found.cost_per_dof > BAD_FIT
+        if _moved(previous, found) < 1e-4 or settled or hopeless:
             break
     return found, features
 
@@ -194,6 +196,12 @@ def _sampled(recordings: Sequence[Recording]) -> tuple[list[Sampled], tuple[str,
     """All logs on their grids, with the names of every DoF and SU that occurs in any of them."""
     dof_names = tuple(sorted({j.name for r in recordings for j in r.joints}))
     su_names = tuple(sorted({s.name for r in recordings for s in r.sus}))
+    if not su_names or not dof_names:
+        what = "accelerometer readings" if dof_names else "joint positions"
+        raise InsufficientDataError(
+            f"{', '.join(r.source or 'the recording' for r in recordings)}: no {what}",
+            "record the joint states and the SUs' topics together in one log",
+        )
     return [sample_recording(r, dof_names, su_names) for r in recordings], su_names
 
 

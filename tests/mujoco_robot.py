@@ -90,7 +90,7 @@ def random_arm(seed: int, n_joints: int) -> Arm:
                 xyz=tuple(rng.uniform([-0.05, -0.05, 0.1], [0.05, 0.05, 0.25])),
                 rpy=rpy,
                 axis=((0.0, 0.0, 1.0), (0.6, 0.0, 0.8), (0.0, 1.0, 0.0))[int(rng.integers(3))],
-                su_xyz=tuple(rng.uniform(-0.08, 0.08, 3) + [0.0, 0.0, 0.08]),
+                su_xyz=tuple(rng.uniform([-0.08, -0.08, 0.0], [0.08, 0.08, 0.16])),
                 su_rpy=tuple(rng.uniform(-3.0, 3.0, 3) * [1.0, 0.5, 1.0]),
                 mass=float(4.0 * 0.7**d),
             )

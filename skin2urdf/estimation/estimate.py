@@ -104,12 +104,13 @@ def estimate(
         start: an earlier estimate of the same tree, followed besides the closed-form starts.
 
     Raises:
-        InsufficientDataError: no start can be computed from these features.
+        InsufficientDataError: no start can be computed from these features, or they are too few.
     """
     settings = settings or EstimationSettings()
     blocks = feature_blocks(features, tree)
     cost = Cost(tree, blocks, settings.priors)
     free = _free(cost, settings)
+    _check_amount(cost, free)
     state, hypotheses = _followed_starts(cost, free, start)
     weight = np.ones(blocks.count.shape)
     state, chi2 = minimise(cost, state, free)
@@ -132,6 +133,29 @@ def estimate(
         tree, state, chi2, chi2_by_block, blocks.count, weight,
         _n_parameters(cost, free), cost, free, hypotheses,
     )  # fmt: skip
+
+
+def _check_amount(cost: Cost, free: Free) -> None:
+    """Raise where there are too few measurements, or hardly a joint's acceleration was felt."""
+    tree, blocks = cost.tree, cost.blocks
+    unknown = _n_parameters(cost, free)
+    remedy = "record more poses, with a pattern of every DoF around each of them"
+    if cost.n_data < 1.5 * unknown:
+        raise InsufficientDataError(
+            f"{cost.n_data} independent measurements for {unknown} unknowns of {tree.n_joints} "
+            f"joints and {tree.n_sus} SUs",
+            remedy,
+        )
+    L = blocks.chains.joint.shape[1]
+    felt = np.isfinite(blocks.variance[:, :, 1 + L :]).any(axis=0) & blocks.chains.present
+    excited = np.unique(blocks.chains.joint[felt])
+    if len(excited) < 0.5 * tree.n_joints:
+        quiet = [n for j, n in enumerate(tree.joint_names) if j not in excited]
+        raise InsufficientDataError(
+            f"no pattern around any pose moves {', '.join(quiet[:6])}"
+            + (" and others" if len(quiet) > 6 else ""),
+            remedy,
+        )
 
 
 def robust_weights(chi2: F64, count: Int, tuning: float = 3.0) -> F64:

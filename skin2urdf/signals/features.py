@@ -235,7 +235,7 @@ def _poses(s: Sampled, lag: F64, curvature: Curvature | None, log: int) -> list[
         if curvature is not None:
             y = y - curvature(pose.q, dq, qd, qdd, log)
         still = (np.abs(qd) < _STILL * motion.resolution).mean(axis=0)
-        hidden = hidden_motion(dq, qdd, motion.resolution)
+        hidden = hidden_motion(qd, qdd, motion.resolution)
         inner, usable, at = [], [], 0
         for (a, b), (lo, hi) in zip(pose.windows, pieces, strict=True):
             inner.append(np.arange(at + a - lo, at + b - lo))

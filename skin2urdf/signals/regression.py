@@ -197,7 +197,7 @@ def regressors(dq: F64, qd: F64, qdd: F64, linear: bool) -> tuple[F64, F64]:
     return X, np.concatenate([1 - np.cos(dq), qd**2], axis=1)
 
 
-def hidden_motion(dq: F64, qdd: F64, resolution: F64) -> F64:
+def hidden_motion(qd: F64, qdd: F64, resolution: F64) -> F64:
     """Motion that encoders round away in step with a DoF's pattern, relative to the pattern.
 
     While DoF d moves, others move along a little (coupling, sag). An encoder that sees such a
@@ -205,7 +205,7 @@ def hidden_motion(dq: F64, qdd: F64, resolution: F64) -> F64:
     every cycle, so that it does not average out.
 
     Args:
-        dq: (N, D) positions relative to the pose [rad or m].
+        qd: (N, D) velocities [rad/s or m/s].
         qdd: (N, D) accelerations.
         resolution: (D,) encoder steps [rad or m].
 
@@ -216,13 +216,15 @@ def hidden_motion(dq: F64, qdd: F64, resolution: F64) -> F64:
     energy = qdd**2
     total = energy.sum(axis=0)
     weight = np.divide(energy, total, out=np.zeros_like(energy), where=total > 0)
-    mean = weight.T @ dq
-    spread = np.sqrt(np.maximum(weight.T @ dq**2 - mean**2, 0.0))
+    # At the pattern's frequency an amplitude is that of the velocity over omega.
+    speed = np.sqrt(weight.T @ qd**2)
+    while_moving = (weight * energy).sum(axis=0)[:, None]
+    omega = np.sqrt(while_moving / np.maximum(np.diag(speed)[:, None] ** 2, 1e-12))
+    spread = speed / np.maximum(omega, 1e-3)
     steps = np.divide(
         np.sqrt(2.0) * spread, resolution, out=np.ones_like(spread), where=resolution > 0
     )
-    amplitude2 = 0.04 * resolution**2 / np.maximum(steps, 0.5) / 2
-    while_moving = (weight * energy).sum(axis=0)[:, None]
+    amplitude2 = 0.1 * resolution**2 / np.maximum(steps, 0.5) / 2
     out = np.zeros_like(spread)
     return np.asarray(np.divide(amplitude2, while_moving, out=out, where=while_moving > 1e-6))
 

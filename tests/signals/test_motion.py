@@ -157,6 +157,6 @@ def test_no_samples_are_an_error_in_words(n: int) -> None:
 def test_streams_that_do_not_overlap_are_an_error_in_words() -> None:
     a, b = np.arange(1000) / 100.0, 9.0 + np.arange(1000) / 100.0
     streams = (JointStream("a", a, np.sin(a)), JointStream("b", b, np.sin(b)))
-    with pytest.raises(InsufficientDataError, match="overlap for 1.0 s") as caught:
+    with pytest.raises(InsufficientDataError, match=r"overlap for 1\.0 s") as caught:
         joint_motion(Recording(streams, ()))
     assert caught.value.remedy

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from joint_paths import JointPath
@@ -83,12 +85,23 @@ def test_coming_back_to_a_pose_joins_what_was_there() -> None:
     assert all(16.0 < seconds(p) < 19.0 for p in poses[1:])
 
 
+def test_a_wide_trip_without_a_stop_is_not_taken_for_a_pattern() -> None:
+    """Out and back by more than a pattern does: the small-motion model would not hold there."""
+    path = JointPath([0.0, 0.0]).rest(1.0).move([0.5, 0.5]).rest(1.0)
+    path.move([1.7, 0.5]).move([0.5, 0.5]).rest(1.0).swing({1: 0.1}).rest(1.0)
+    motion = path.motion()
+    pose = found(motion)[-1]
+    assert len(pose.windows) == 2
+    for begin, end in pose.windows:
+        assert abs(motion.q[begin:end] - pose.q).max() < 0.15
+
+
 def test_windows_never_overlap_and_lie_inside_the_grid() -> None:
     motion = visit((POSES[0], POSES[1], POSES[0])).motion()
     windows = sorted(w for pose in found(motion) for w in pose.windows)
     assert windows[0][0] >= 0
     assert windows[-1][1] <= motion.grid.size
-    assert all(a[1] <= b[0] for a, b in zip(windows[:-1], windows[1:], strict=True))
+    assert all(a[1] <= b[0] for a, b in pairwise(windows))
 
 
 def test_a_sag_of_a_few_milliradian_between_rests_does_not_part_them() -> None:

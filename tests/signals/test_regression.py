@@ -8,7 +8,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from skin2urdf.arrays import F64
-from skin2urdf.signals.filters import filtered, low_pass, noise_bandwidth
+from skin2urdf.signals.filters import (
+    filtered,
+    low_pass,
+    noise_bandwidth,
+    second_derivative,
+)
 from skin2urdf.signals.regression import Design, Fit, enough, excited, fit, noise_by_row, regressors
 
 RATE, CUTOFF = 125.0, 10.0
@@ -32,9 +37,10 @@ def swings(n: int, size: float = 0.08, n_dofs: int = 3) -> tuple[F64, F64, F64]:
     return parts[0], parts[1], parts[2]
 
 
-def fitted(X: F64, Z: F64, y: F64, noise: F64 | None = None) -> Fit:
+def fitted(X: F64, Z: F64, y: F64, noise: F64 | None = None, noise_cross: F64 | None = None) -> Fit:
     noise = np.zeros(X.shape[1]) if noise is None else noise
-    return fit(Design(X, Z, noise), y, INDEPENDENCE)
+    noise_cross = np.zeros((X.shape[1] - 1) // 2) if noise_cross is None else noise_cross
+    return fit(Design(X, Z, noise, noise_cross), y, INDEPENDENCE)
 
 
 @given(linear=st.booleans(), seed=st.integers(0, 999))
@@ -112,6 +118,35 @@ def test_noise_in_the_regressors_is_allowed_for() -> None:
     assert abs(error[2, 0]) < 0.2 * abs(shrunk[2, 0] - c[2, 0])
 
 
+def test_noise_that_position_and_acceleration_share_is_allowed_for() -> None:
+    """One encoder makes both regressors; a swing of one frequency keeps them almost collinear."""
+    n, pad, runs, sd = 600, 200, 200, 2e-3
+    t = (np.arange(n + 2 * pad) - pad) / RATE
+    q = 0.1 * np.sin(2 * np.pi * 2.0 * t) * (1 + 0.5 * np.sin(2 * np.pi * 0.35 * t))
+    inside = slice(pad, -pad)
+
+    def seen(position: F64) -> F64:
+        p = filtered(position[:, None], TAPS)
+        columns = [np.ones_like(p), p, second_derivative(p, RATE)]
+        return np.concatenate(columns, axis=1)[inside]
+
+    c = np.array([[9.0, 1.0, 3.0], [2.0, -9.0, 1.0], [0.4, 0.1, -0.3]])
+    y = (seen(q) @ c)[:, None]
+    rng = np.random.default_rng(11)
+    noise = seen(sd * rng.standard_normal(200_000)) - [1.0, 0.0, 0.0]
+    covariance = noise.T @ noise / len(noise)
+    diagonal, cross = np.diag(covariance), covariance[1:2, 2]
+    assert cross[0] < -0.6 * np.sqrt(diagonal[1] * diagonal[2])
+    error = {True: np.zeros((3, 3)), False: np.zeros((3, 3))}
+    for _ in range(runs):
+        X = seen(q + sd * rng.standard_normal(q.size))
+        for shared in error:
+            known = cross if shared else None
+            found = fitted(X, np.zeros((n, 0)), y, diagonal, known).coefficients[0]
+            error[shared] += (found - c) / runs
+    assert abs(error[True][2]).max() < 0.35 * abs(error[False][2]).max()
+
+
 @pytest.mark.parametrize("quiet", [0, 1, 2])
 def test_a_dof_that_keeps_still_carries_no_information(quiet: int) -> None:
     dq, qd, qdd = swings(700)
@@ -131,6 +166,17 @@ def test_a_dof_that_keeps_still_carries_no_information(quiet: int) -> None:
     others = [i for i in range(7) if i not in silent]
     assert (np.diag(result.information)[others] > 0).all()
     np.testing.assert_allclose(result.coefficients[0, others], c[0, others], rtol=0.02, atol=0.02)
+
+
+def test_an_acceleration_lost_in_noise_takes_its_position_along() -> None:
+    """A position left on its own would stand for both, and be wrong by lever times omega^2."""
+    X, _ = regressors(*swings(700), linear=True)
+    noise = np.zeros(7)
+    noise[5] = X[:, 5].var()
+    kept = excited(X, noise)
+    assert not kept[:, [2, 5]].any()
+    others = [0, 1, 3, 4, 6]
+    np.testing.assert_array_equal(kept[:, others], X[:, others])
 
 
 def test_the_constant_is_never_taken_for_quiet() -> None:

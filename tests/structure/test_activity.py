@@ -108,7 +108,7 @@ def test_the_static_threshold_is_that_of_the_paper(quiet: Features) -> None:
 
 
 def test_a_move_of_one_joint_alone_counts_below_the_threshold(quiet: Features) -> None:
-    """Axis 1 of an arm that stands almost upright turns gravity by little, and nothing else does."""
+    """Axis 1 of an arm that stands almost upright turns gravity by little."""
     little = 0.3 * STATIC_THRESHOLD
     seen = activity(with_moves(quiet, 1, [0.0, little, little], doubt=0.0))
     np.testing.assert_array_equal(seen.matrix[:, 1], [False, True, True])

@@ -245,7 +245,6 @@ BAD: dict[str, tuple[Callable[[], Recording], type[Skin2UrdfError], str]] = {
     ),
     "one second": (lambda: cut(plain(), 1.0), InsufficientDataError, "overlap for 1.0 s"),
     "no joints": (lambda: replace(plain(), joints=()), InsufficientDataError, "no joint"),
-    "degrees": (lambda: changed_joints(plain(), in_degrees), BadFitError, "in rad"),
     "noise instead of readings": (
         lambda: changed_sus(plain(), partial(noise, size=5.0, rng=np.random.default_rng(1))),
         InsufficientDataError, "no pose",
@@ -282,6 +281,12 @@ def test_too_few_measurements_are_not_called_a_bad_fit() -> None:
     """Home and a few structural moves hold fewer measurements than unknowns."""
     with pytest.raises(InsufficientDataError):
         calibrate(cut(plain(), 20.0))
+
+
+def test_positions_in_degrees_give_no_robot() -> None:
+    with pytest.raises(Skin2UrdfError) as caught:
+        calibrate(changed_joints(plain(), in_degrees))
+    assert caught.value.remedy
 
 
 def test_a_joint_of_wrong_scale_is_a_bad_fit() -> None:

@@ -76,6 +76,7 @@ def sample_recording(
         InsufficientDataError: too few samples, or the robot never rests.
     """
     motion = joint_motion(recording, dof_names)
+    _check_unit(motion, recording.source)
     rests = find_rests(motion)
     if not rests:
         raise InsufficientDataError(
@@ -116,6 +117,19 @@ def sample_recording(
             )
     cutoff = _cutoff(motion, neighbourhoods)
     return Sampled(motion, rests, neighbourhoods, readings, valid, cutoff, tuple(notes))
+
+
+def _check_unit(motion: Motion, source: str) -> None:
+    """Raise where most joints swing and spin as far as degrees would."""
+    moved = np.ptp(motion.q, axis=0)
+    fast = np.abs(motion.qd).max(axis=0)
+    moving = moved > 0
+    if moving.any() and np.median(moved[moving]) > 15 and np.median(fast[moving]) > 20:
+        raise InsufficientDataError(
+            f"{source}: joint positions span {np.median(moved[moving]):.0f} and move at up to "
+            f"{np.median(fast[moving]):.0f} per second: they look like degrees",
+            "record the joint states in rad (REP 103)",
+        )
 
 
 def _unit(static: F64) -> float:

@@ -74,6 +74,19 @@ def test_errors_are_what_the_covariances_say(options: dict[str, Any]) -> None:
         assert abs(np.mean(z)) < 0.2, kind
 
 
+def test_gravity_allows_for_what_coarse_encoders_hide_at_rest() -> None:
+    """Half a step of 12 bits turns gravity by more than its noise."""
+    sim = simulation("panda", encoder_bits=12)
+    features = calibrate(sim.recording).features
+    step = 2 * np.pi / 2**12
+    assert 0.1 * step < features.position_sd.mean() <= step
+    error, sd, measured = errors(sim, features)
+    told = rms(of_kind(error / sd, measured, "f0"))
+    bare = errors(sim, replace(features, position_sd=np.zeros(())))[1]
+    assert told < 2.5
+    assert rms(of_kind(error / bare, measured, "f0")) > 2 * told
+
+
 @pytest.mark.parametrize(
     ("options", "limits"),
     [

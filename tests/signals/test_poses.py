@@ -87,8 +87,8 @@ def test_coming_back_to_a_pose_joins_what_was_there() -> None:
 
 def test_a_wide_trip_without_a_stop_is_not_taken_for_a_pattern() -> None:
     """Out and back by more than a pattern does: the small-motion model would not hold there."""
-    path = JointPath([0.0, 0.0]).rest(1.0).move([0.5, 0.5]).rest(1.0)
-    path.move([1.7, 0.5]).move([0.5, 0.5]).rest(1.0).swing({1: 0.1}).rest(1.0)
+    path = JointPath([-1.5, 0.0]).rest(1.0).move([0.5, 0.5]).rest(1.0)
+    path.move([1.5, 0.5]).move([0.5, 0.5]).rest(1.0).swing({1: 0.1}).rest(1.0)
     motion = path.motion()
     pose = found(motion)[-1]
     assert len(pose.windows) == 2

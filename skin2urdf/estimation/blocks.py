@@ -97,7 +97,7 @@ def _leaked(info: F64, eta: F64, measured: F64, noise: F64, hidden: F64) -> tupl
     """
     n = hidden.shape[-1]
     diagonal = np.einsum("puii->pui", info)
-    levers, slopes = diagonal[..., 1 + n :], diagonal[..., 1 : 1 + n]
+    levers, slopes = np.maximum(diagonal[..., 1 + n :], 0.0), diagonal[..., 1 : 1 + n]
     omega2 = np.sqrt(np.divide(levers, slopes, out=np.zeros_like(levers), where=slopes > 0))
     s, tau = measured[:, :, 1 : 1 + n], measured[:, :, 1 + n :]
     effect = s[:, :, None] - omega2[..., None, None] * tau[:, :, None]

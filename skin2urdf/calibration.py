@@ -7,6 +7,7 @@ from typing import Literal
 
 from skin2urdf.arrays import F64, frozen
 from skin2urdf.estimation.estimate import Estimate, EstimationSettings
+from skin2urdf.estimation.health import unlike_the_rest
 from skin2urdf.estimation.observability import Observability
 from skin2urdf.model.records import KinematicModel
 from skin2urdf.signals.records import Features
@@ -91,8 +92,8 @@ class Calibration:
 
     @property
     def quality(self) -> Quality:
-        """How well the model explains the features."""
+        """How well the model explains the features, and whether all SUs fit alike."""
         cost = self.estimate.cost_per_dof
         if not cost <= BAD_FIT:
             return "bad"
-        return "good" if cost <= GOOD_FIT else "fair"
+        return "good" if cost <= GOOD_FIT and not unlike_the_rest(self.estimate) else "fair"

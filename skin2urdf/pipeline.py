@@ -12,9 +12,9 @@ import numpy as np
 
 from skin2urdf.arrays import F64
 from skin2urdf.calibration import BAD_FIT, GOOD_FIT, Calibration, CalibrationSettings, Source
-from skin2urdf.errors import BadFitError, InsufficientDataError
+from skin2urdf.errors import BadFitError, InsufficientDataError, StructureError
 from skin2urdf.estimation.estimate import Estimate, estimate
-from skin2urdf.estimation.health import health_notes, mirrored_sus
+from skin2urdf.estimation.health import health_notes, mirrored_sus, unlike_the_rest
 from skin2urdf.estimation.observability import observability
 from skin2urdf.estimation.order import ordered
 from skin2urdf.model.dh import canonical
@@ -65,7 +65,7 @@ def calibrate(
     if settings.method == "paper":
         found = clock.run("estimation", lambda _: _by_the_paper(features, tree, settings))
     else:
-        found, features = _relinearised(clock, sampled, su_names, tree, features, settings)
+        found, features, tree = _settled(clock, sampled, su_names, tree, features, settings)
         mirrored = [tree.su_names[u] for u in mirrored_sus(found)]
         if mirrored:
             sampled = [_negated(s, [su_names.index(n) for n in mirrored]) for s in sampled]
@@ -91,6 +91,52 @@ def calibrate(
         ),
         seconds=clock.seconds,
     )
+
+
+def _settled(
+    clock: _Clock,
+    sampled: Sequence[Sampled],
+    su_names: Sequence[str],
+    tree: KinematicTree,
+    features: Features,
+    settings: CalibrationSettings,
+) -> tuple[Estimate, Features, KinematicTree]:
+    """Estimate, and look at the structure again where the model does not explain the data.
+
+    Features that were taken with a model's prediction are free of most second-order effects, so
+    that they show the activity of DoFs that moved together more clearly than the first ones.
+    """
+    best, refined = _relinearised(clock, sampled, su_names, tree, features, settings)
+    latest, shown, tried = best, refined, [tree]
+    for _ in range(2):
+        felt = set(latest.tree.joint_names)
+        seen = activity(shown, settings.static_threshold)
+        deaf = [n for n, e in zip(seen.dof_names, seen.excited, strict=True) if e and n not in felt]
+        if latest.cost_per_dof <= GOOD_FIT and not deaf and not unlike_the_rest(latest):
+            break
+        try:
+            again = ordered(kinematic_tree(seen.felt_somewhere(deaf), shown), shown)
+        except StructureError:
+            break
+        if any(_alike(again, other) for other in tried):
+            break
+        tried.append(again)
+        latest, shown = _relinearised(clock, sampled, su_names, again, features, settings)
+        if latest.cost_per_dof < 0.8 * best.cost_per_dof:
+            best, refined = latest, shown
+    return best, refined, best.tree
+
+
+def _alike(a: KinematicTree, b: KinematicTree) -> bool:
+    """Whether two trees have the same joints before the same SUs, in the same order."""
+
+    def chains(tree: KinematicTree) -> dict[str, list[str]]:
+        return {
+            name: [tree.joint_names[j] for j in tree.chain(int(joint))]
+            for name, joint in zip(tree.su_names, tree.su_joint, strict=True)
+        }
+
+    return chains(a) == chains(b)
 
 
 def _relinearised(

@@ -135,6 +135,10 @@ def estimate(
     )  # fmt: skip
 
 
+_WORST_SU = 8.0
+"""Misfit of an SU, over the median SU's, up to which its noise may just have been misjudged."""
+
+
 def _check_amount(cost: Cost, free: Free) -> None:
     """Raise where there are too few measurements, or hardly a joint's acceleration was felt."""
     tree, blocks = cost.tree, cost.blocks
@@ -162,11 +166,17 @@ def robust_weights(chi2: F64, count: Int, tuning: float = 3.0) -> F64:
     """(P, U) Cauchy-like weights of blocks from their chi-squared per measurement.
 
     A block is judged against the median block of its SU, so that a noise level that is misjudged
-    as a whole costs no weight; blocks within ``tuning`` times the median keep weight 1.
+    as a whole costs no weight; blocks within ``tuning`` times the median keep weight 1. An SU that
+    is as a whole far worse than the others loses weight all the same.
     """
     per = np.divide(chi2, count, out=np.full(chi2.shape, np.nan), where=count > 0)
-    typical = np.nanmedian(per, axis=0) if per.size else per
-    reference = np.maximum(typical, np.nanmedian(typical)) * tuning
+    if not np.isfinite(per).any():
+        return np.ones(chi2.shape)
+    heard = np.isfinite(per).any(axis=0)
+    typical = np.full(per.shape[1], np.nan)
+    typical[heard] = np.nanmedian(per[:, heard], axis=0)
+    middle = np.nanmedian(typical)
+    reference = np.clip(np.where(heard, typical, middle), middle, _WORST_SU * middle) * tuning
     ratio = per / np.maximum(reference, 1e-12)
     return np.where(ratio > 1, 1 / np.maximum(ratio, 1.0), 1.0)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from skin2urdf.arrays import F64
 from skin2urdf.estimation.estimate import Estimate
 
 _UNLIKE_THE_REST = 8.0
@@ -24,16 +25,28 @@ def mirrored_sus(estimate: Estimate) -> tuple[int, ...]:
     return tuple(int(u) for u in np.flatnonzero(odd)) if mirrored.any() else ()
 
 
+def unlike_the_rest(estimate: Estimate) -> tuple[int, ...]:
+    """SUs that fit far worse than the median SU."""
+    ratio = _misfit(estimate)
+    return tuple(int(u) for u in np.flatnonzero(ratio > _UNLIKE_THE_REST))
+
+
+def _misfit(estimate: Estimate) -> F64:
+    """(U,) chi-squared per measurement of each SU over the median SU's, or over 1."""
+    by_su = estimate.chi2_by_block.sum(axis=0) / np.maximum(estimate.count.sum(axis=0), 1)
+    typical = max(1.0, float(np.median(by_su)) if len(by_su) else 1.0)
+    return np.asarray(by_su / typical)
+
+
 def health_notes(estimate: Estimate) -> tuple[str, ...]:
     """Notes on SUs and poses that do not fit, and on implausible sensors."""
     notes: list[str] = []
     tree, state = estimate.tree, estimate.state
-    by_su = estimate.chi2_by_block.sum(axis=0) / np.maximum(estimate.count.sum(axis=0), 1)
-    typical = max(1.0, float(np.median(by_su)) if len(by_su) else 1.0)
+    misfit = _misfit(estimate)
     notes += [
-        f"{tree.su_names[u]} fits {by_su[u] / typical:.0f} times worse than the other SUs and "
+        f"{tree.su_names[u]} fits {misfit[u]:.0f} times worse than the other SUs and "
         "should not be trusted: check that it is fixed rigidly and that its axes are right-handed"
-        for u in np.flatnonzero(by_su > _UNLIKE_THE_REST * typical)
+        for u in unlike_the_rest(estimate)
     ]
     by_pose = estimate.chi2_by_block.sum(axis=1) / np.maximum(estimate.count.sum(axis=1), 1)
     usual = max(1.0, float(np.median(by_pose)) if len(by_pose) else 1.0)

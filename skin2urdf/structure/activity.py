@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -18,6 +19,8 @@ _SMALLEST_EFFECT = 2e-3
 """Effect of a pattern [m/s^2 rms] that is never taken for activity on its own."""
 _SHARE = 0.3
 """Share of a DoF's largest static effect from which an SU counts as beyond it."""
+_ALIKE = 0.75
+"""Smallest static effect of the SUs beyond a DoF, over the largest."""
 _SIGNIFICANT = 8.0
 """Chi-squared per degree of freedom from which a pattern's effect is no chance."""
 _UNMODELLED_FACTOR = 2.4
@@ -65,7 +68,10 @@ class Activity:
         static = np.nan_to_num(self.static, nan=0.0)
         largest = static.max(axis=0, initial=0.0)
         relative = static / np.maximum(_SHARE * largest, 1e-12)
-        known = np.isfinite(self.static) & (largest >= self.static_doubt)
+        # All that lies beyond a DoF is turned alike: figures in between come from something else.
+        beyond = np.where(relative >= 1.0, relative * _SHARE, np.inf)
+        alike = beyond.min(axis=0, initial=np.inf) > _ALIKE
+        known = np.isfinite(self.static) & (largest >= self.static_doubt) & alike
         strongest = np.where(known, relative, np.maximum(static, self.dynamic))
         return np.asarray(np.log(np.maximum(strongest, 1e-3)))
 
@@ -73,6 +79,21 @@ class Activity:
     def matrix(self) -> Bool:
         """(U, D) activity matrix."""
         return np.asarray(self.evidence > 0)
+
+    def felt_somewhere(self, dofs: Sequence[str]) -> Activity:
+        """The same evidence, with given DoFs felt at least by the SU that shows most of them.
+
+        A DoF that moved is felt by something, unless no SU sits beyond it.
+
+        Args:
+            dofs: names of DoFs.
+        """
+        dynamic = np.array(self.dynamic)
+        for name in dofs:
+            d = self.dof_names.index(name)
+            u = int(np.argmax(self.evidence[:, d]))
+            dynamic[u, d] = max(dynamic[u, d], 1.01)
+        return replace(self, dynamic=dynamic)
 
 
 def activity(features: Features, threshold: float = STATIC_THRESHOLD) -> Activity:

@@ -21,8 +21,8 @@ _SHARE = 0.3
 """Share of a DoF's largest static effect from which an SU counts as beyond it."""
 _ALIKE = 0.75
 """Smallest static effect of the SUs beyond a DoF, over the largest."""
-_SIGNIFICANT = 8.0
-"""Chi-squared per degree of freedom from which a pattern's effect is no chance."""
+_SIGNIFICANT = 4.0
+"""Standard deviations of chi-squared from which a pattern's effect is no chance."""
 _UNMODELLED_FACTOR = 2.4
 
 
@@ -137,10 +137,13 @@ def activity(features: Features, threshold: float = STATIC_THRESHOLD) -> Activit
         explained = np.einsum("puia,puij,puja->pu", c, info, c) * seen
         variance = noise2.mean(axis=-1) * seen
         chance = 6 * variance.sum(axis=0)
-        significance = explained.sum(axis=0) / np.maximum(chance, 1e-300) / _SIGNIFICANT
+        freedom = np.maximum(6.0 * seen.sum(axis=0), 1.0)
+        ratio = explained.sum(axis=0) / np.maximum(chance, 1e-300)
+        significance = (ratio - 1) * np.sqrt(freedom / 2) / _SIGNIFICANT
         weight = np.maximum((samples * seen).sum(axis=0), 1.0)
         effect = np.sqrt(np.maximum(explained.sum(axis=0) - chance, 0.0) / weight)
         strength = np.minimum(significance, effect / (_SMALLEST_EFFECT + unmodelled))
+        strength = np.maximum(strength, 0.0)
         dynamic[:, d] = np.where(seen.any(axis=0), strength, 0.0)
     return Activity(
         features.su_names, features.dof_names, static, dynamic, static_doubt, excited,

@@ -23,7 +23,8 @@ import numpy as np
 
 from skin2urdf.arrays import Bool
 from skin2urdf.report.figures import draw_exploration
-from skin2urdf.signals.features import Sampled, extract_features, sample_recording, static_moves
+from skin2urdf.signals.features import extract_features
+from skin2urdf.signals.sampling import Sampled, sample_recording, static_moves
 from skin2urdf.simulation import SimulationSettings, load_robot, simulate
 from skin2urdf.simulation.mechanism import load_mechanism
 from skin2urdf.structure.activity import activity

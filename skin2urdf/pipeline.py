@@ -2,33 +2,22 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from pathlib import Path
-from typing import TypeVar
 
 import numpy as np
 
-from skin2urdf.arrays import F64
-from skin2urdf.calibration import BAD_FIT, GOOD_FIT, Calibration, CalibrationSettings, Source
-from skin2urdf.errors import BadFitError, InsufficientDataError, StructureError
-from skin2urdf.estimation.estimate import Estimate, estimate
-from skin2urdf.estimation.health import health_notes, mirrored_sus, unlike_the_rest
+from skin2urdf.calibration import BAD_FIT, Calibration, CalibrationSettings, Source
+from skin2urdf.errors import BadFitError, InsufficientDataError
+from skin2urdf.estimation.estimate import Estimate
+from skin2urdf.estimation.health import health_notes, why_bad
 from skin2urdf.estimation.observability import observability
-from skin2urdf.estimation.order import ordered
 from skin2urdf.model.dh import canonical
-from skin2urdf.model.specific_force import beyond_first_order
 from skin2urdf.recording.records import Recording
-from skin2urdf.signals.features import Curvature, Sampled, extract_features, sample_recording
+from skin2urdf.rounds import Clock, Progress, Rounds, mirror_notes
 from skin2urdf.signals.records import Features
-from skin2urdf.structure.activity import activity
+from skin2urdf.signals.sampling import Sampled, sampled_together
 from skin2urdf.structure.records import KinematicTree
-from skin2urdf.structure.tree import kinematic_tree
-
-T = TypeVar("T")
-Progress = Callable[[str, float], None]
-"""Called with the name of a stage and the share of it that is done, in [0, 1]."""
 
 
 def calibrate(
@@ -55,24 +44,23 @@ def calibrate(
         BadFitError: no model explains the readings.
     """
     settings = settings or CalibrationSettings()
-    clock = _Clock(progress or (lambda _stage, _share: None))
+    clock = Clock(progress or (lambda _stage, _share: None))
     recordings = clock.run("reading", lambda tell: _recordings(logs, tell))
-    sampled, su_names = clock.run("sampling", lambda _: _sampled(recordings))
-    features = clock.run("features", lambda _: extract_features(sampled, su_names))
-    seen = activity(features, settings.static_threshold)
-    tree = ordered(kinematic_tree(seen, features), features)
-    mirrored: list[str] = []
+    sampled, su_names = clock.run("sampling", lambda _: sampled_together(recordings))
+    rounds = Rounds(sampled, su_names, settings, clock)
+    features = rounds.features()
+    seen, tree = rounds.structure(features)
+    mirrored: tuple[str, ...] = ()
     if settings.method == "paper":
         found = clock.run("estimation", lambda _: _by_the_paper(features, tree, settings))
     else:
-        found, features, tree = _settled(clock, sampled, su_names, tree, features, settings)
-        mirrored = [tree.su_names[u] for u in mirrored_sus(found)]
+        found, features = rounds.settled(tree, features)
+        rounds, mirrored = rounds.with_mirrored_negated(found)
         if mirrored:
-            sampled = [_negated(s, [su_names.index(n) for n in mirrored]) for s in sampled]
-            features = clock.run("features", lambda _: extract_features(sampled, su_names))
-            found, features = _relinearised(clock, sampled, su_names, tree, features, settings)
+            found, features = rounds.relinearised(found.tree, rounds.features())
         if not found.cost_per_dof <= BAD_FIT:
-            raise BadFitError(*_why_bad(found), cost_per_dof=found.cost_per_dof)
+            raise BadFitError(*why_bad(found, BAD_FIT), cost_per_dof=found.cost_per_dof)
+    tree = found.tree
     span = np.array([_range(sampled, name) for name in tree.joint_names]).reshape(-1, 3)
     return Calibration(
         model=canonical(found.state.model(tree)),
@@ -86,104 +74,11 @@ def calibrate(
         settings=settings,
         notes=tuple(
             dict.fromkeys(
-                (*features.notes, *tree.notes, *_mirror_notes(mirrored), *health_notes(found))
+                (*features.notes, *tree.notes, *mirror_notes(mirrored), *health_notes(found))
             )
         ),
         seconds=clock.seconds,
     )
-
-
-def _settled(
-    clock: _Clock,
-    sampled: Sequence[Sampled],
-    su_names: Sequence[str],
-    tree: KinematicTree,
-    features: Features,
-    settings: CalibrationSettings,
-) -> tuple[Estimate, Features, KinematicTree]:
-    """Estimate, and look at the structure again where the model does not explain the data.
-
-    Features that were taken with a model's prediction are free of most second-order effects, so
-    that they show the activity of DoFs that moved together more clearly than the first ones.
-    """
-    best, refined = _relinearised(clock, sampled, su_names, tree, features, settings)
-    latest, shown, tried = best, refined, [tree]
-    for _ in range(2):
-        felt = set(latest.tree.joint_names)
-        seen = activity(shown, settings.static_threshold)
-        deaf = [n for n, e in zip(seen.dof_names, seen.excited, strict=True) if e and n not in felt]
-        if latest.cost_per_dof <= GOOD_FIT and not deaf and not unlike_the_rest(latest):
-            break
-        try:
-            again = ordered(kinematic_tree(seen.felt_somewhere(deaf), shown), shown)
-        except StructureError:
-            break
-        if any(_alike(again, other) for other in tried):
-            break
-        tried.append(again)
-        latest, shown = _relinearised(clock, sampled, su_names, again, features, settings)
-        if latest.cost_per_dof < 0.8 * best.cost_per_dof:
-            best, refined = latest, shown
-    return best, refined, best.tree
-
-
-def _alike(a: KinematicTree, b: KinematicTree) -> bool:
-    """Whether two trees have the same joints before the same SUs, in the same order."""
-
-    def chains(tree: KinematicTree) -> dict[str, list[str]]:
-        return {
-            name: [tree.joint_names[j] for j in tree.chain(int(joint))]
-            for name, joint in zip(tree.su_names, tree.su_joint, strict=True)
-        }
-
-    return chains(a) == chains(b)
-
-
-def _relinearised(
-    clock: _Clock,
-    sampled: Sequence[Sampled],
-    su_names: Sequence[str],
-    tree: KinematicTree,
-    features: Features,
-    settings: CalibrationSettings,
-) -> tuple[Estimate, Features]:
-    """Estimate, take the features again with what the estimate predicts, until it settles."""
-    found = clock.run("estimation", lambda _: estimate(features, tree, settings.estimation))
-    for _ in range(settings.relinearisations):
-        previous, predicted, latency = found, _curvature(found, features), features.latency
-        features = clock.run(
-            "features",
-            lambda _, c=predicted, t=latency: extract_features(  # type: ignore[misc]
-                sampled, su_names, curvature=c, latency=t
-            ),
-        )
-        found = clock.run(
-            "estimation",
-            lambda _, f=features, e=previous: estimate(  # type: ignore[misc]
-                f, tree, settings.estimation, start=e.state
-            ),
-        )
-        gain = previous.cost_per_dof / max(found.cost_per_dof, 1e-12)
-        settled = gain < 1.02 and found.cost_per_dof < GOOD_FIT
-        hopeless = gain < 2.0 and found.cost_per_dof > BAD_FIT
-        if _moved(previous, found) < 1e-4 or settled or hopeless:
-            break
-    return found, features
-
-
-def _negated(sampled: Sampled, sus: Sequence[int]) -> Sampled:
-    """A log with the readings of some SUs negated."""
-    readings = np.array(sampled.readings)
-    readings[:, list(sus)] *= -1
-    return replace(sampled, readings=readings)
-
-
-def _mirror_notes(names: Sequence[str]) -> list[str]:
-    return [
-        f"{name} reports negated readings or a left-handed frame, unlike the other SUs; it was "
-        "calibrated on the negated readings: mind that when you use its frame"
-        for name in names
-    ]
 
 
 def _by_the_paper(
@@ -201,23 +96,6 @@ def _by_the_paper(
             "calibrate with the default method, or record more poses",
         )
     return as_estimate(result, features, gravity)
-
-
-class _Clock:
-    """Runs stages, tells progress and keeps their times."""
-
-    def __init__(self, progress: Progress) -> None:
-        self._progress = progress
-        self.seconds: dict[str, float] = {}
-
-    def run(self, stage: str, work: Callable[[Callable[[float], None]], T]) -> T:
-        """Run one stage; its time is added to earlier runs of the same name."""
-        begin = time.perf_counter()
-        self._progress(stage, 0.0)
-        result = work(lambda share: self._progress(stage, share))
-        self._progress(stage, 1.0)
-        self.seconds[stage] = self.seconds.get(stage, 0.0) + time.perf_counter() - begin
-        return result
 
 
 def _recordings(
@@ -238,44 +116,6 @@ def _recordings(
     return out
 
 
-def _sampled(recordings: Sequence[Recording]) -> tuple[list[Sampled], tuple[str, ...]]:
-    """All logs on their grids, with the names of every DoF and SU that occurs in any of them."""
-    dof_names = tuple(sorted({j.name for r in recordings for j in r.joints}))
-    su_names = tuple(sorted({s.name for r in recordings for s in r.sus}))
-    if not su_names or not dof_names:
-        what = "accelerometer readings" if dof_names else "joint positions"
-        raise InsufficientDataError(
-            f"{', '.join(r.source or 'the recording' for r in recordings)}: no {what}",
-            "record the joint states and the SUs' topics together in one log",
-        )
-    return [sample_recording(r, dof_names, su_names) for r in recordings], su_names
-
-
-def _curvature(found: Estimate, features: Features) -> Curvature:
-    """Predicts, from an estimate, what readings hold beyond first order around a pose."""
-    tree, state = found.tree, found.state
-    dof = [features.dof_names.index(n) for n in tree.joint_names]
-    su = [features.su_names.index(n) for n in tree.su_names]
-    model, M = state.model(tree), state.sensor_matrix()
-    gravity = found.cost.priors.gravity
-
-    def predict(q: F64, dq: F64, qd: F64, qdd: F64, log: int) -> F64:
-        beyond = beyond_first_order(
-            model, q[dof], dq[:, dof], qd[:, dof], qdd[:, dof], state.up[log] * gravity
-        )
-        out = np.zeros((len(dq), features.n_sus, 3))
-        out[:, su] = np.einsum("nui,uji->nuj", beyond, M)
-        return out
-
-    return predict
-
-
-def _moved(a: Estimate, b: Estimate) -> float:
-    """Largest change of any placement between two estimates [m, and entries of rotations]."""
-    joints = np.abs(a.state.T_parent_joint - b.state.T_parent_joint).max(initial=0.0)
-    return float(max(joints, np.abs(a.state.T_joint_su - b.state.T_joint_su).max(initial=0.0)))
-
-
 def _range(sampled: Sequence[Sampled], name: str) -> tuple[float, float, float]:
     """Lowest and highest position and highest speed of a joint over all logs."""
     columns = [s.motion.dof_names.index(name) for s in sampled]
@@ -283,22 +123,3 @@ def _range(sampled: Sequence[Sampled], name: str) -> tuple[float, float, float]:
     speeds = [np.abs(s.motion.qd[:, d]).max() for s, d in zip(sampled, columns, strict=True)]
     speed = float(max(speeds))
     return float(q.min()), float(q.max()), speed
-
-
-def _why_bad(found: Estimate) -> tuple[str, str]:
-    """What a bad fit looks like, by SU and pose, and what to do about it."""
-    per = found.chi2_by_block.sum(axis=0) / np.maximum(found.count.sum(axis=0), 1)
-    worst = np.argsort(-per)[:3]
-    named = ", ".join(f"{found.tree.su_names[u]} ({per[u]:.0f})" for u in worst)
-    what = (
-        f"no robot of {found.tree.n_joints} joints explains the readings: cost per degree of "
-        f"freedom {found.cost_per_dof:.0f} where 1 is expected; worst SUs (theirs): {named}"
-    )
-    if all(per[u] > BAD_FIT for u in range(len(per)) if found.tree.su_joint[u] >= 0):
-        where = (
-            "all SUs are affected: check that the base stands still and that the joint states are "
-            "the measured ones, in rad"
-        )
-    else:
-        where = "check that these SUs are fixed rigidly and report m/s^2 in a right-handed frame"
-    return what, f"{where}; `skin2urdf explore` shows the structure that was found"

@@ -20,8 +20,9 @@ from skin2urdf.estimation.order import ordered
 from skin2urdf.recording.inventory import LogInventory
 from skin2urdf.recording.reading import inventory, read
 from skin2urdf.recording.records import Recording
-from skin2urdf.signals.features import Sampled, extract_features, sample_recording
+from skin2urdf.signals.features import extract_features
 from skin2urdf.signals.records import Features
+from skin2urdf.signals.sampling import Sampled, sampled_together
 from skin2urdf.structure.activity import STATIC_THRESHOLD, Activity, activity
 from skin2urdf.structure.exploration import Exploration
 from skin2urdf.structure.exploration import explore as run_algorithm_1
@@ -124,13 +125,6 @@ def _mended(seen: Activity) -> Bool:
             seen.evidence[heard], [seen.su_names[u] for u in heard], seen.dof_names
         )
     return bits
-
-
-def sampled_together(recordings: Sequence[Recording]) -> tuple[list[Sampled], tuple[str, ...]]:
-    """All logs on their grids, and the SU names of all; DoFs are those of any log."""
-    dofs = tuple(sorted({joint.name for r in recordings for joint in r.joints}))
-    sus = tuple(sorted({su.name for r in recordings for su in r.sus}))
-    return [sample_recording(r, dofs, sus) for r in recordings], sus
 
 
 def survey(log: str | Path, *, progress: Progress | None = None) -> Surveyed:

@@ -18,8 +18,9 @@ import pinocchio as pin
 from skin2urdf.arrays import F64
 from skin2urdf.calibration import Calibration
 from skin2urdf.recording.records import JointStream, Recording, SuStream
-from skin2urdf.signals.features import Sampled, extract_features, sample_recording
+from skin2urdf.signals.features import extract_features
 from skin2urdf.signals.records import Features
+from skin2urdf.signals.sampling import Sampled, sample_recording
 from skin2urdf.simulation import RobotSpec, Simulation, SimulationSettings, load_robot, simulate
 from skin2urdf.structure.activity import activity
 from skin2urdf.structure.records import KinematicTree

@@ -49,8 +49,10 @@ LAYERS: dict[str, tuple[str, ...]] = {
         "survey",
     ),
     "output": (*BASE, "urdf", "calibration", "report"),
+    "rounds": (*BASE, "signals", "structure", "model", "estimation", "calibration"),
     "pipeline": (
         *BASE,
+        "rounds",
         "recording",
         "signals",
         "structure",

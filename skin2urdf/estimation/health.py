@@ -68,3 +68,27 @@ def health_notes(estimate: Estimate) -> tuple[str, ...]:
             bias = float(np.abs(state.bias[i]).max())
             notes.append(f"{name} would need a bias of {bias:.1f} m/s^2: check that sensor")
     return tuple(notes)
+
+
+def why_bad(found: Estimate, limit: float) -> tuple[str, str]:
+    """What a bad fit looks like, SU by SU, and what to do about it.
+
+    Args:
+        found: the best estimate.
+        limit: cost beyond which an SU counts as affected.
+    """
+    per = found.chi2_by_block.sum(axis=0) / np.maximum(found.count.sum(axis=0), 1)
+    worst = np.argsort(-per)[:3]
+    named = ", ".join(f"{found.tree.su_names[u]} ({per[u]:.0f})" for u in worst)
+    what = (
+        f"no robot of {found.tree.n_joints} joints explains the readings: cost per degree of "
+        f"freedom {found.cost_per_dof:.0f} where 1 is expected; worst SUs (theirs): {named}"
+    )
+    if all(per[u] > limit for u in range(len(per)) if found.tree.su_joint[u] >= 0):
+        where = (
+            "all SUs are affected: check that the base stands still and that the joint states are "
+            "the measured ones, in rad"
+        )
+    else:
+        where = "check that these SUs are fixed rigidly and report m/s^2 in a right-handed frame"
+    return what, f"{where}; `skin2urdf explore` shows the structure that was found"

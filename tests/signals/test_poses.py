@@ -11,9 +11,9 @@ from joint_paths import JointPath
 from skin2urdf.arrays import F64
 from skin2urdf.errors import InsufficientDataError
 from skin2urdf.recording.records import JointStream, Recording, SuStream
-from skin2urdf.signals.features import sample_recording
 from skin2urdf.signals.motion import Motion, joint_motion
 from skin2urdf.signals.poses import Neighbourhood, find_neighbourhoods, find_rests
+from skin2urdf.signals.sampling import sample_recording
 
 POSES = ([0.2, -0.5, 1.0], [1.1, 0.4, -0.3], [-0.7, 0.9, 0.1])
 

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from skin2urdf.arrays import Bool
-from skin2urdf.signals.features import extract_features, sample_recording, static_moves
+from skin2urdf.signals.features import extract_features
+from skin2urdf.signals.sampling import sample_recording, static_moves
 from skin2urdf.simulation import SimulationSettings, load_robot, simulate
 from skin2urdf.simulation.mechanism import load_mechanism
 from skin2urdf.structure.activity import activity

@@ -1,0 +1,191 @@
+"""The rounds of a calibration: features, structure and estimate improve each other.
+
+The first features hold second-order effects of other joints' motion. An estimate predicts them, so
+that features taken again are exact, and show the structure more clearly where it was in doubt.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import TypeVar
+
+import numpy as np
+
+from skin2urdf.arrays import F64
+from skin2urdf.calibration import BAD_FIT, GOOD_FIT, CalibrationSettings
+from skin2urdf.errors import StructureError
+from skin2urdf.estimation.estimate import Estimate, estimate
+from skin2urdf.estimation.health import mirrored_sus, unlike_the_rest
+from skin2urdf.estimation.order import ordered
+from skin2urdf.estimation.state import State
+from skin2urdf.model.specific_force import beyond_first_order
+from skin2urdf.signals.features import Curvature, extract_features
+from skin2urdf.signals.records import Features
+from skin2urdf.signals.sampling import Sampled
+from skin2urdf.structure.activity import Activity, activity
+from skin2urdf.structure.records import KinematicTree
+from skin2urdf.structure.tree import kinematic_tree
+
+T = TypeVar("T")
+Progress = Callable[[str, float], None]
+"""Called with the name of a stage and the share of it that is done, in [0, 1]."""
+
+
+class Clock:
+    """Runs stages, tells progress and keeps their times."""
+
+    def __init__(self, progress: Progress) -> None:
+        self._progress = progress
+        self.seconds: dict[str, float] = {}
+
+    def run(self, stage: str, work: Callable[[Callable[[float], None]], T]) -> T:
+        """Run one stage; its time is added to earlier runs of the same name."""
+        begin = time.perf_counter()
+        self._progress(stage, 0.0)
+        result = work(lambda share: self._progress(stage, share))
+        self._progress(stage, 1.0)
+        self.seconds[stage] = self.seconds.get(stage, 0.0) + time.perf_counter() - begin
+        return result
+
+
+@dataclass(frozen=True, eq=False)
+class Rounds:
+    """What all rounds share.
+
+    Attributes:
+        sampled: the logs on their grids.
+        su_names: U SU names.
+        settings: choices.
+        clock: runs the stages.
+    """
+
+    sampled: Sequence[Sampled]
+    su_names: tuple[str, ...]
+    settings: CalibrationSettings
+    clock: Clock
+
+    def features(self, curvature: Curvature | None = None, latency: F64 | None = None) -> Features:
+        """Features of all logs, given a prediction of what lies beyond first order if any."""
+        return self.clock.run(
+            "features",
+            lambda _: extract_features(
+                self.sampled, self.su_names, curvature=curvature, latency=latency
+            ),
+        )
+
+    def structure(self, features: Features) -> tuple[Activity, KinematicTree]:
+        """Activity and tree that features show."""
+        seen = activity(features, self.settings.static_threshold)
+        return seen, ordered(kinematic_tree(seen, features), features)
+
+    def settled(self, tree: KinematicTree, features: Features) -> tuple[Estimate, Features]:
+        """Relinearise, and look at the structure again where the model does not explain the data.
+
+        Args:
+            tree: the structure as the first features show it.
+            features: the first features.
+        """
+        best, refined = self.relinearised(tree, features)
+        latest, shown, tried = best, refined, [tree]
+        for _ in range(2):
+            felt = set(latest.tree.joint_names)
+            seen = activity(shown, self.settings.static_threshold)
+            moved = zip(seen.dof_names, seen.excited, strict=True)
+            deaf = [name for name, excited in moved if excited and name not in felt]
+            if latest.cost_per_dof <= GOOD_FIT and not deaf and not unlike_the_rest(latest):
+                break
+            try:
+                again = ordered(kinematic_tree(seen.felt_somewhere(deaf), shown), shown)
+            except StructureError:
+                break
+            if any(_alike(again, other) for other in tried):
+                break
+            tried.append(again)
+            latest, shown = self.relinearised(again, features)
+            if latest.cost_per_dof < _CLEARLY_BETTER * best.cost_per_dof:
+                best, refined = latest, shown
+        return best, refined
+
+    def relinearised(self, tree: KinematicTree, features: Features) -> tuple[Estimate, Features]:
+        """Estimate, take the features again with what the estimate predicts, until it settles."""
+        found = self._estimate(tree, features, None)
+        for _ in range(self.settings.relinearisations):
+            previous = found
+            features = self.features(_curvature(found, features), features.latency)
+            found = self._estimate(tree, features, previous.state)
+            gain = previous.cost_per_dof / max(found.cost_per_dof, 1e-12)
+            settled = gain < 1.02 and found.cost_per_dof < GOOD_FIT
+            hopeless = gain < 2.0 and found.cost_per_dof > BAD_FIT
+            if _moved(previous, found) < 1e-4 or settled or hopeless:
+                break
+        return found, features
+
+    def _estimate(self, tree: KinematicTree, features: Features, start: State | None) -> Estimate:
+        return self.clock.run(
+            "estimation", lambda _: estimate(features, tree, self.settings.estimation, start)
+        )
+
+    def with_mirrored_negated(self, found: Estimate) -> tuple[Rounds, tuple[str, ...]]:
+        """The same rounds on logs in which mirrored SUs are negated, and the names of those SUs."""
+        names = tuple(found.tree.su_names[u] for u in mirrored_sus(found))
+        columns = [self.su_names.index(name) for name in names]
+        return replace(self, sampled=[_negated(s, columns) for s in self.sampled]), names
+
+
+_CLEARLY_BETTER = 0.8
+"""Cost of another structure, over the first one's, from which it is preferred."""
+
+
+def _negated(sampled: Sampled, sus: Sequence[int]) -> Sampled:
+    """A log with the readings of some SUs negated."""
+    readings = np.array(sampled.readings)
+    readings[:, list(sus)] *= -1
+    return replace(sampled, readings=readings)
+
+
+def mirror_notes(names: Sequence[str]) -> list[str]:
+    """Words about SUs that were negated."""
+    return [
+        f"{name} reports negated readings or a left-handed frame, unlike the other SUs; it was "
+        "calibrated on the negated readings: mind that when you use its frame"
+        for name in names
+    ]
+
+
+def _alike(a: KinematicTree, b: KinematicTree) -> bool:
+    """Whether two trees have the same joints before the same SUs, in the same order."""
+
+    def chains(tree: KinematicTree) -> dict[str, list[str]]:
+        return {
+            name: [tree.joint_names[j] for j in tree.chain(int(joint))]
+            for name, joint in zip(tree.su_names, tree.su_joint, strict=True)
+        }
+
+    return chains(a) == chains(b)
+
+
+def _curvature(found: Estimate, features: Features) -> Curvature:
+    """Predicts, from an estimate, what readings hold beyond first order around a pose."""
+    tree, state = found.tree, found.state
+    dof = [features.dof_names.index(n) for n in tree.joint_names]
+    su = [features.su_names.index(n) for n in tree.su_names]
+    model, M = state.model(tree), state.sensor_matrix()
+    gravity = found.cost.priors.gravity
+
+    def predict(q: F64, dq: F64, qd: F64, qdd: F64, log: int) -> F64:
+        beyond = beyond_first_order(
+            model, q[dof], dq[:, dof], qd[:, dof], qdd[:, dof], state.up[log] * gravity
+        )
+        out = np.zeros((len(dq), features.n_sus, 3))
+        out[:, su] = np.einsum("nui,uji->nuj", beyond, M)
+        return out
+
+    return predict
+
+
+def _moved(a: Estimate, b: Estimate) -> float:
+    """Largest change of any placement between two estimates [m, and entries of rotations]."""
+    joints = np.abs(a.state.T_parent_joint - b.state.T_parent_joint).max(initial=0.0)
+    return float(max(joints, np.abs(a.state.T_joint_su - b.state.T_joint_su).max(initial=0.0)))

@@ -1,0 +1,194 @@
+"""Recordings -> samples on a grid: one clock for joints and SUs, rests, poses, usable SUs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from skin2urdf.arrays import F64, Bool
+from skin2urdf.errors import InsufficientDataError
+from skin2urdf.recording.records import Recording
+from skin2urdf.signals.filters import sample
+from skin2urdf.signals.health import frozen, saturated, unusable
+from skin2urdf.signals.motion import Motion, joint_motion
+from skin2urdf.signals.poses import Neighbourhood, Rest, find_neighbourhoods, find_rests
+from skin2urdf.signals.records import StaticMoves
+
+STANDARD_GRAVITY = 9.81
+_G_UNITS = (0.5, 2.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Sampled:
+    """One log on its grid, and what was found in it.
+
+    Attributes:
+        motion: joint motion.
+        rests: where nothing moves.
+        neighbourhoods: poses with their windows.
+        readings: (N, U, 3) SU readings on the grid [m/s^2].
+        valid: (N, U) where they are whole.
+        cutoff: low-pass cutoff that suits the patterns [Hz].
+        notes: words for the user.
+    """
+
+    motion: Motion
+    rests: tuple[Rest, ...]
+    neighbourhoods: tuple[Neighbourhood, ...]
+    readings: F64
+    valid: Bool
+    cutoff: float
+    notes: tuple[str, ...]
+
+
+def sample_recording(
+    recording: Recording, dof_names: Sequence[str], su_names: Sequence[str]
+) -> Sampled:
+    """Put a recording on one grid and find its poses.
+
+    Raises:
+        InsufficientDataError: too few samples, or the robot never rests.
+    """
+    motion = joint_motion(recording, dof_names)
+    _check_unit(motion, recording.source)
+    rests = find_rests(motion)
+    if not rests:
+        raise InsufficientDataError(
+            f"{recording.source}: the robot never rests: no quarter of a second in which all "
+            "joints keep still",
+            "let the robot rest for about a second in every pose, before and after each pattern",
+        )
+    neighbourhoods = find_neighbourhoods(motion, rests)
+    streams = {s.name: s for s in recording.sus}
+    readings = np.zeros((motion.grid.size, len(su_names), 3))
+    valid = np.zeros((motion.grid.size, len(su_names)), dtype=bool)
+    notes = list(recording.notes)
+    frozen_ones = frozen([s.specific_force for s in recording.sus])
+    stuck = {s.name for s, f in zip(recording.sus, frozen_ones, strict=True) if f}
+    still = np.zeros(motion.grid.size, dtype=bool)
+    for r in rests:
+        still[r.begin : r.end] = True
+    for u, name in enumerate(su_names):
+        if name not in streams:
+            continue
+        stream = streams[name]
+        readings[:, u], ok = sample(stream.time, stream.specific_force, motion.grid)
+        valid[:, u] = ok & motion.valid
+        factor = _unit(readings[still & valid[:, u], u])
+        if factor != 1.0:
+            readings[:, u] *= factor
+            notes.append(f"{name} reports g instead of m/s^2; its readings were converted")
+        why = unusable(readings[:, u], still, valid[:, u], STANDARD_GRAVITY)
+        if name in stuck:
+            why = "repeats one value all the time: it is frozen"
+        if why:
+            valid[:, u] = False
+            notes.append(f"{name} {why}; it is left out")
+        elif share := saturated(stream.specific_force):
+            notes.append(
+                f"{name} is at the end of its range in {100 * share:.1f} % of its samples: use a "
+                "larger range or weaker patterns"
+            )
+    cutoff = _cutoff(motion, neighbourhoods)
+    return Sampled(motion, rests, neighbourhoods, readings, valid, cutoff, tuple(notes))
+
+
+def _check_unit(motion: Motion, source: str) -> None:
+    """Raise where most joints swing and spin as far as degrees would."""
+    moved = np.ptp(motion.q, axis=0)
+    fast = np.abs(motion.qd).max(axis=0)
+    moving = moved > 0
+    if moving.any() and np.median(moved[moving]) > 15 and np.median(fast[moving]) > 20:
+        raise InsufficientDataError(
+            f"{source}: joint positions span {np.median(moved[moving]):.0f} and move at up to "
+            f"{np.median(fast[moving]):.0f} per second: they look like degrees",
+            "record the joint states in rad (REP 103)",
+        )
+
+
+def _unit(static: F64) -> float:
+    """Factor that makes a stream's static readings m/s^2."""
+    if not len(static):
+        return 1.0
+    size = float(np.median(np.linalg.norm(static, axis=1)))
+    return STANDARD_GRAVITY if _G_UNITS[0] < size < _G_UNITS[1] else 1.0
+
+
+def _cutoff(motion: Motion, neighbourhoods: Sequence[Neighbourhood]) -> float:
+    """Low-pass cutoff [Hz] that keeps the patterns' accelerations and their second harmonics.
+
+    The encoder's rounding, seen through two differentiations, grows with the cutoff to the power
+    of 2.5; the patterns' own content sets how low it can be.
+    """
+    rate = motion.grid.rate
+    energy = np.zeros(257)
+    for pose in neighbourhoods:
+        for begin, end in pose.windows:
+            if end - begin < 64:
+                continue
+            window = np.hanning(end - begin)[:, None]
+            spectrum = np.abs(np.fft.rfft(motion.qd[begin:end] * window, axis=0)) ** 2
+            f = np.fft.rfftfreq(end - begin, 1 / rate)
+            total = spectrum / np.maximum(motion.noise * 100, 1e-4) ** 2
+            index = np.minimum((f * 8).astype(int), 256)
+            np.add.at(energy, index, total.sum(axis=1))
+    if energy.sum() <= 0:
+        return 10.0
+    share = np.cumsum(energy) / energy.sum()
+    highest = float(np.searchsorted(share, 0.98) / 8)
+    return float(np.clip(2.2 * highest + 1.0, 5.0, 20.0))
+
+
+def sampled_together(
+    recordings: Sequence[Recording],
+) -> tuple[list[Sampled], tuple[str, ...]]:
+    """All logs of one robot on their grids, and the names of the SUs that occur in any of them.
+
+    Raises:
+        InsufficientDataError: there are no joints or no SUs at all, or a log can not be used.
+    """
+    dofs = tuple(sorted({joint.name for r in recordings for joint in r.joints}))
+    sus = tuple(sorted({su.name for r in recordings for su in r.sus}))
+    if not dofs or not sus:
+        what = "accelerometer readings" if dofs else "joint positions"
+        raise InsufficientDataError(
+            f"{', '.join(r.source or 'the recording' for r in recordings)}: no {what}",
+            "record the joint states and the SUs' topics together in one log",
+        )
+    return [sample_recording(r, dofs, sus) for r in recordings], sus
+
+
+def static_moves(sampled: Sequence[Sampled]) -> StaticMoves:
+    """Readings at rest before and after a single DoF moved (paper II-B.1)."""
+    dofs, distances, changes, doubts = [], [], [], []
+    for s in sampled:
+        span = np.ptp(s.motion.q, axis=0)
+        small = np.minimum(0.03, np.maximum(0.03 * span, 1e-4))
+        for a, b in zip(s.rests[:-1], s.rests[1:], strict=True):
+            step = b.q - a.q
+            moved = np.flatnonzero(np.abs(step) > small)
+            if len(moved) != 1 or abs(step[moved[0]]) < 3 * small[moved[0]]:
+                continue
+            before, after = _mean(s, a), _mean(s, b)
+            dofs.append(int(moved[0]))
+            distances.append(float(step[moved[0]]))
+            changes.append(after - before)
+            others = np.abs(step).sum() - abs(step[moved[0]])
+            doubts.append(STANDARD_GRAVITY * float(others))
+    U = sampled[0].readings.shape[1]
+    return StaticMoves(
+        np.array(dofs, dtype=np.int64),
+        np.array(distances),
+        np.array(changes).reshape(-1, U, 3),
+        np.array(doubts),
+    )
+
+
+def _mean(s: Sampled, rest: Rest) -> F64:
+    """(U, 3) mean readings over a rest, NaN where an SU has no valid sample."""
+    trim = min(12, (rest.end - rest.begin) // 4)
+    part = slice(rest.begin + trim, rest.end - trim)
+    whole = np.asarray(s.valid[part].all(axis=0))
+    return np.where(whole[:, None], s.readings[part].mean(axis=0), np.nan)

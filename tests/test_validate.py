@@ -268,25 +268,18 @@ def test_the_plot_is_an_image(runs: Path, tmp_path: Path) -> None:
 
 
 def test_a_worker_that_dies_takes_no_other_run_with_it() -> None:
+    from dying_worker import work_or_die
     from validation.cases import Case, Circumstance
     from validation.records import Failure
     from validation.workers import pool
 
     cases = [Case(name, 0, Circumstance()) for name in ("a", "die", "b", "c")]
-    runs = {run.case.robot: run for run in pool(2)(_work_or_die, cases)}
+    runs = {run.case.robot: run for run in pool(2)(work_or_die, cases)}
     assert sorted(runs) == ["a", "b", "c", "die"]
     died = runs.pop("die").outcome
     assert isinstance(died, Failure)
     assert died.kind == "WorkerDied"
     assert all(getattr(run.outcome, "kind", "") == "Done" for run in runs.values())
-
-
-def _work_or_die(case: Any) -> Any:
-    from validation.records import Failure, Run
-
-    if case.robot == "die":
-        os._exit(3)
-    return Run(case, Failure("Done", ""))
 
 
 def test_a_dask_cluster_does_the_same_work(tmp_path: Path) -> None:

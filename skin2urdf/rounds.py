@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from typing import TypeVar
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from skin2urdf.arrays import F64
 from skin2urdf.calibration import BAD_FIT, GOOD_FIT, CalibrationSettings
@@ -44,7 +45,9 @@ class Clock:
         """Run one stage; its time is added to earlier runs of the same name."""
         begin = time.perf_counter()
         self._progress(stage, 0.0)
-        result = work(lambda share: self._progress(stage, share))
+        # The matrices are many and small: threads of linear algebra would only wait for each other.
+        with threadpool_limits(1):
+            result = work(lambda share: self._progress(stage, share))
         self._progress(stage, 1.0)
         self.seconds[stage] = self.seconds.get(stage, 0.0) + time.perf_counter() - begin
         return result

@@ -9,6 +9,8 @@ from skin2urdf.estimation.estimate import Estimate
 
 _UNLIKE_THE_REST = 8.0
 """Chi-squared per measurement, over the median, from which an SU or a pose is named."""
+_VERTICAL = 0.05
+"""Sine of the angle to gravity up to which an axis counts as vertical."""
 _IMPLAUSIBLE_SHAPE = 0.2
 _IMPLAUSIBLE_BIAS = 4.0
 
@@ -57,6 +59,7 @@ def health_notes(estimate: Estimate) -> tuple[str, ...]:
             f"{len(poses)} of {len(by_pose)} poses fit badly and count little (number {listed} in "
             "the order of the log): something touched or moved the robot there, or its base moved"
         )
+    notes += _on_a_vertical_axis(estimate)
     for i, name in enumerate(tree.su_names):
         scale = float(np.abs(state.shape[i]).max())
         if scale > _IMPLAUSIBLE_SHAPE:
@@ -68,6 +71,27 @@ def health_notes(estimate: Estimate) -> tuple[str, ...]:
             bias = float(np.abs(state.bias[i]).max())
             notes.append(f"{name} would need a bias of {bias:.1f} m/s^2: check that sensor")
     return tuple(notes)
+
+
+def _on_a_vertical_axis(estimate: Estimate) -> list[str]:
+    """SUs that may sit on the first axis instead of the base: gravity and lever arms say nothing."""
+    tree, state = estimate.tree, estimate.state
+    on_base = [n for n, j in zip(tree.su_names, tree.su_joint, strict=True) if j < 0]
+    if len(on_base) < 2:
+        return []
+    sines = {
+        name: float(
+            np.linalg.norm(np.cross(state.up, state.T_parent_joint[j, :3, 2]), axis=1).max()
+        )
+        for j, name in enumerate(tree.joint_names)
+        if tree.parent[j] < 0 and not tree.prismatic[j]
+    }
+    return [
+        f"{' and '.join(on_base)} are taken to sit on the base, but {name} is vertical: an SU within "
+        "a millimetre of its axis would look the same; record a second log with the base tilted"
+        for name, sine in sines.items()
+        if sine < _VERTICAL
+    ]
 
 
 def why_bad(found: Estimate, limit: float) -> tuple[str, str]:

@@ -24,6 +24,8 @@ _ALIKE = 0.75
 _SIGNIFICANT = 4.0
 """Standard deviations of chi-squared from which a pattern's effect is no chance."""
 _UNMODELLED_FACTOR = 2.4
+_SECOND_ORDER = 0.3
+"""Largest second-order effect of a pattern, over its first-order effect."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,7 +119,7 @@ def activity(features: Features, threshold: float = STATIC_THRESHOLD) -> Activit
             static[heard, d] = np.nanmax(size[:, heard], axis=0) / threshold
             others = float(moves.doubt[mine].max()) / threshold
             static_doubt[d] = min(1.0, _SMALLEST_STATIC + 3 * others)
-    dynamic = np.zeros((U, D))
+    significance, effect = np.zeros((U, D)), np.zeros((U, D))
     excited = np.zeros(D, dtype=bool)
     finite = features.valid
     noise2 = np.where(finite[..., None], features.noise, 0.0) ** 2
@@ -139,16 +141,25 @@ def activity(features: Features, threshold: float = STATIC_THRESHOLD) -> Activit
         chance = 6 * variance.sum(axis=0)
         freedom = np.maximum(6.0 * seen.sum(axis=0), 1.0)
         ratio = explained.sum(axis=0) / np.maximum(chance, 1e-300)
-        significance = (ratio - 1) * np.sqrt(freedom / 2) / _SIGNIFICANT
+        felt = (ratio - 1) * np.sqrt(freedom / 2) / _SIGNIFICANT
+        significance[:, d] = np.where(seen.any(axis=0), np.maximum(felt, 0.0), 0.0)
         weight = np.maximum((samples * seen).sum(axis=0), 1.0)
-        effect = np.sqrt(np.maximum(explained.sum(axis=0) - chance, 0.0) / weight)
-        strength = np.minimum(significance, effect / (_SMALLEST_EFFECT + unmodelled))
-        strength = np.maximum(strength, 0.0)
-        dynamic[:, d] = np.where(seen.any(axis=0), strength, 0.0)
+        effect[:, d] = np.sqrt(np.maximum(explained.sum(axis=0) - chance, 0.0) / weight)
+    doubt = np.minimum(unmodelled[:, None], _SECOND_ORDER * _largest_other(effect))
+    dynamic = np.minimum(significance, effect / (_SMALLEST_EFFECT + doubt))
     return Activity(
         features.su_names, features.dof_names, static, dynamic, static_doubt, excited,
         np.asarray(finite.any(axis=0)),
     )  # fmt: skip
+
+
+def _largest_other(effect: F64) -> F64:
+    """(U, D) largest effect on each SU of all DoFs but one."""
+    if effect.shape[1] < 2:
+        return np.zeros_like(effect)
+    largest = np.sort(effect, axis=1)
+    is_largest = np.arange(effect.shape[1]) == effect.argmax(axis=1)[:, None]
+    return np.where(is_largest, largest[:, -2:-1], largest[:, -1:])
 
 
 def own_information(features: Features) -> F64:

@@ -74,7 +74,7 @@ def health_notes(estimate: Estimate) -> tuple[str, ...]:
 
 
 def _on_a_vertical_axis(estimate: Estimate) -> list[str]:
-    """SUs that may sit on the first axis instead of the base: gravity and lever arms say nothing."""
+    """SUs that may sit on a vertical first axis instead of the base."""
     tree, state = estimate.tree, estimate.state
     on_base = [n for n, j in zip(tree.su_names, tree.su_joint, strict=True) if j < 0]
     if len(on_base) < 2:
@@ -87,8 +87,8 @@ def _on_a_vertical_axis(estimate: Estimate) -> list[str]:
         if tree.parent[j] < 0 and not tree.prismatic[j]
     }
     return [
-        f"{' and '.join(on_base)} are taken to sit on the base, but {name} is vertical: an SU within "
-        "a millimetre of its axis would look the same; record a second log with the base tilted"
+        f"{' and '.join(on_base)} are taken to sit on the base, but {name} is vertical: an SU "
+        "within a millimetre of its axis would look the same; record a log with the base tilted"
         for name, sine in sines.items()
         if sine < _VERTICAL
     ]

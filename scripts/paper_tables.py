@@ -233,7 +233,8 @@ def statistics_table(found: Statistics) -> Table:
         unit = "mm" if parameter.length else "deg"
         rows.append(
             (
-                f"{parameter.name} [{unit}]", f"{scanned:+.2f}", f"{ours:.3f}", f"{default:.3f}",
+                f"{parameter.name} [{unit}]", f"{scanned:+.2f}",
+                f"{ours:.3f}" if np.isfinite(ours) else "-", f"{default:.3f}",
                 f"{bound:.3f}", f"{default / bound:.2f}", f"{unknown:.3f}",
             )
         )  # fmt: skip

@@ -194,9 +194,10 @@ def _followed_starts(
 ) -> tuple[State, tuple[float, ...]]:
     """The most promising start, followed to the neighbourhood of its optimum.
 
-    Peeling inwards comes first where slopes were measured. The search outwards follows where they
-    were not, or where no peeled start explains the data (slopes and accelerations are hard to
-    tell apart in a short pattern of one frequency).
+    An earlier estimate that explains the data needs no other start. Otherwise peeling inwards
+    comes first where slopes were measured. The search outwards follows where they were not, or
+    where no peeled start explains the data (slopes and accelerations are hard to tell apart in
+    a short pattern of one frequency).
     """
     # Placements first: from far away, a sensor matrix would rather turn itself inside out.
     placements = Free(free.joints, free.logs, free.sus & (np.arange(N_SU) < N_PLACEMENT))
@@ -210,6 +211,8 @@ def _followed_starts(
 
     if earlier is not None:
         followed.append(gauss_newton(cost, earlier, free, iterations=8))
+        if followed[0][1] < _EXPLAINED * cost.n_data:
+            return followed[0][0], (followed[0][1],)
     inward = _slopes_measured(cost)
     if inward:
         follow(inward_starts(cost.tree, cost.blocks, cost.priors))

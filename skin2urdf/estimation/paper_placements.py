@@ -17,9 +17,9 @@ from skin2urdf.estimation.cost import Priors
 from skin2urdf.estimation.orientation import su_orientation
 from skin2urdf.estimation.paper_model import link_transform, su_transform
 from skin2urdf.estimation.state import State
-from skin2urdf.model.dh import canonical, dh_of_placement, inverse, screw
+from skin2urdf.model.dh import canonical, dh_of_placement, screw
 from skin2urdf.model.records import KinematicModel
-from skin2urdf.model.spatial import frame_with_z, placement
+from skin2urdf.model.spatial import frame_with_z, inverse, placement
 from skin2urdf.structure.records import KinematicTree
 
 _DETERMINED_SINE = 1e-6

@@ -20,6 +20,7 @@ from numpy.typing import ArrayLike
 
 from skin2urdf.arrays import F64, Bool, frozen
 from skin2urdf.model.records import KinematicModel
+from skin2urdf.model.spatial import inverse
 
 PARALLEL_SINE = 0.05
 """Below this sine of the angle between two z axes (about 3 deg) they count as nearly parallel.
@@ -90,15 +91,6 @@ def screw(axis: str, angle: ArrayLike, shift: ArrayLike) -> F64:
     T[..., i, j] = -T[..., j, i]
     T[..., k, 3] = shift
     return T
-
-
-def inverse(T_a_b: F64) -> F64:
-    """Inverse (..., 4, 4) of rigid transforms: T_b_a of T_a_b."""
-    T_b_a = np.zeros_like(T_a_b)
-    T_b_a[..., :3, :3] = np.swapaxes(T_a_b[..., :3, :3], -1, -2)
-    T_b_a[..., :3, 3] = -np.einsum("...ji,...j->...i", T_a_b[..., :3, :3], T_a_b[..., :3, 3])
-    T_b_a[..., 3, 3] = 1.0
-    return T_b_a
 
 
 def dh_of_placement(T_parent_child: F64, parallel_sine: float = PARALLEL_SINE) -> ExtendedDh:

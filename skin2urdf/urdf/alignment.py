@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from skin2urdf.arrays import F64, Bool
-from skin2urdf.model.dh import inverse
+from skin2urdf.model.spatial import inverse
 from skin2urdf.urdf import twists
 
 ARM = 0.1

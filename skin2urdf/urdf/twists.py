@@ -9,15 +9,9 @@ from __future__ import annotations
 import numpy as np
 
 from skin2urdf.arrays import F64
+from skin2urdf.model.spatial import skew
 
 _SMALL = 1e-4  # [rad]; below, series are more accurate than the quotients
-
-
-def skew(v: F64) -> F64:
-    """(..., 3, 3) matrices W with ``W x = v x x`` of vectors (..., 3)."""
-    W = np.zeros((*v.shape, 3))
-    W[..., 2, 1], W[..., 0, 2], W[..., 1, 0] = v[..., 0], v[..., 1], v[..., 2]
-    return np.asarray(W - np.swapaxes(W, -1, -2))
 
 
 def exp(twist: F64) -> F64:

@@ -18,12 +18,18 @@ from skin2urdf.recording.streams import Collector
 __all__ = ["inventory", "read"]
 
 
-def read(path: str | Path, progress: Callable[[float], None] | None = None) -> Recording:
+def read(
+    path: str | Path,
+    progress: Callable[[float], None] | None = None,
+    *,
+    with_digest: bool = True,
+) -> Recording:
     """Read joint positions and accelerations out of a log.
 
     Args:
         path: an MCAP file, or a rosbag2 directory, whose MCAP files are read as one log.
         progress: called now and then with the part of the log that is read, up to 1.
+        with_digest: take the digest as well, a third of the time of an uncompressed log.
 
     Returns:
         The recording. Its digest is over the bytes of all files in their order.
@@ -32,7 +38,9 @@ def read(path: str | Path, progress: Callable[[float], None] | None = None) -> R
         UnreadableInputError: the log can not be read, or holds no joint or no SU.
     """
     source = Path(path)
-    log = _Log(source, lambda channel: role_of(channel.ros_type) != "ignored", progress)
+    log = _Log(
+        source, lambda channel: role_of(channel.ros_type) != "ignored", progress, with_digest
+    )
     collector = Collector()
     for block in log.blocks():
         collector.add(block)
@@ -58,7 +66,7 @@ def inventory(path: str | Path) -> LogInventory:
         UnreadableInputError: the log can not be read.
     """
     source = Path(path)
-    log = _Log(source, lambda _: True, None)
+    log = _Log(source, lambda _: True, None, with_digest=False)
     tally = Tally()
     for block in log.blocks():
         tally.add(block)
@@ -79,7 +87,8 @@ class _Log:
         notes: what was damaged or missing, in words for the user.
         profile: MCAP profile of the files.
         compressions: chunk compressions met.
-        digest: SHA-256 over the bytes of all files (hex), once all blocks are read.
+        digest: SHA-256 over the bytes of all files (hex), once all blocks are read; empty where it
+            is not asked for.
     """
 
     def __init__(
@@ -87,6 +96,7 @@ class _Log:
         path: Path,
         wanted: Callable[[Channel], bool],
         progress: Callable[[float], None] | None,
+        with_digest: bool,
     ) -> None:
         self.channels: set[Channel] = set()
         self.notes: list[str] = []
@@ -96,6 +106,7 @@ class _Log:
         self._files = log_files(path)
         self._wanted = wanted
         self._progress = progress or (lambda _: None)
+        self._with_digest = with_digest
 
     def blocks(self) -> Iterator[Block]:
         """Hand out the messages of all files."""
@@ -104,7 +115,8 @@ class _Log:
         total = sum(data.size for _, data in opened)
         before = 0
         for path, data in opened:
-            digest.update(data.data)
+            if self._with_digest:
+                digest.update(data.data)
             mcap = McapFile(data, self._wanted)
             for block in mcap.blocks():
                 yield block
@@ -115,7 +127,7 @@ class _Log:
             self.channels |= set(mcap.channels.values())
             prefix = f"{path.name}: " if len(opened) > 1 else ""
             self.notes.extend(prefix + note for note in mcap.notes)
-        self.digest = digest.hexdigest()
+        self.digest = digest.hexdigest() if self._with_digest else ""
         self._progress(1.0)
 
 

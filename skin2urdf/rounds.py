@@ -105,6 +105,7 @@ class Rounds:
                 break
             if any(_alike(again, other) for other in tried):
                 break
+            again = replace(again, notes=(*again.notes, _SECOND_LOOK))
             tried.append(again)
             latest, shown = self.relinearised(again, features)
             if latest.cost_per_dof < _CLEARLY_BETTER * best.cost_per_dof:
@@ -137,6 +138,11 @@ class Rounds:
         return replace(self, sampled=[_negated(s, columns) for s in self.sampled]), names
 
 
+_SECOND_LOOK = (
+    "the first look at the structure did not explain the readings; the tree is the one that the "
+    "readings show once the joints' common motion is predicted: record structural moves of one "
+    "DoF at a time to make it certain"
+)
 _CLEARLY_BETTER = 0.8
 """Cost of another structure, over the first one's, from which it is preferred."""
 

@@ -12,7 +12,9 @@ _UNLIKE_THE_REST = 8.0
 _VERTICAL = 0.05
 """Sine of the angle to gravity up to which an axis counts as vertical."""
 _IMPLAUSIBLE_SHAPE = 0.2
+"""Scale or cross-axis error [1] that no working sensor has."""
 _IMPLAUSIBLE_BIAS = 4.0
+"""Bias [m/s^2] that no working sensor has."""
 
 
 def mirrored_sus(estimate: Estimate) -> tuple[int, ...]:

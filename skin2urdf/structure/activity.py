@@ -24,6 +24,7 @@ _ALIKE = 0.75
 _SIGNIFICANT = 4.0
 """Standard deviations of chi-squared from which a pattern's effect is no chance."""
 _UNMODELLED_FACTOR = 2.4
+"""Doubt about an SU's effects, over what its regression leaves beyond noise."""
 _SECOND_ORDER = 0.3
 """Largest second-order effect of a pattern, over its first-order effect."""
 
@@ -63,9 +64,9 @@ class Activity:
     def evidence(self) -> F64:
         """(U, D) logarithm of the evidence: positive active, near zero undecided.
 
-        A DoF that turns gravity turns it by the same angle in every SU beyond it: where one SU
-        passes the static threshold, the others are judged by how close they come to it. Dynamic
-        evidence decides for the DoFs that turn no gravity in this log.
+        A DoF that turns gravity turns it by the same angle in every SU beyond it: where the largest
+        static effect stands out from doubt, all SUs are judged by how close they come to it.
+        Dynamic evidence decides for the DoFs that turn no gravity in this log.
         """
         static = np.nan_to_num(self.static, nan=0.0)
         largest = static.max(axis=0, initial=0.0)

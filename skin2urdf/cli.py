@@ -89,7 +89,8 @@ def _calibrate(options: argparse.Namespace) -> int:
     elif not options.quiet:
         print(as_text(calibration))
         print(f"wrote {_shown(urdf)} and {_shown(beside)} in {time.perf_counter() - begin:.1f} s")
-    return 0
+    # Only the paper's method gets here with a bad fit: it was asked for, but is not to be trusted.
+    return 1 if calibration.quality == "bad" else 0
 
 
 def _calibration_settings(options: argparse.Namespace) -> CalibrationSettings:

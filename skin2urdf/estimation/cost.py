@@ -263,6 +263,31 @@ class Evaluation:
         prior_rows[:, 9:, :3] = self._offset_rows()[1]
         return J[..., :C], np.concatenate([J[..., C:], prior_rows], axis=1)
 
+    def encoder_jacobian(self) -> F64:
+        """Derivatives of the whitened residuals in what the encoders say.
+
+        Returns:
+            (P, U, 3 m, 2 L): first in the position of each joint of the SU's chain, then in the
+            logarithm of its coefficients ``s_d`` and ``tau_d``.
+        """
+        cost = self.cost
+        moved, turned = twist_maps(self.kin)
+        P, U, m = moved.shape[:3]
+        L = self.kin.w.shape[2]
+        about_z = np.zeros((cost.tree.n_joints, 6, 1))
+        about_z[np.arange(cost.tree.n_joints), np.where(cost.tree.prismatic, 5, 2)] = 1.0
+        twists = joint_twists(cost.blocks.chains, self.kin, *self._zero, about_z)
+        X = np.swapaxes(twists[..., 0], 2, 3)[:, :, None]
+        before = self._row_before(m)[..., 0]
+        rows = np.where(before, moved @ X, turned @ X)
+        own = np.zeros((P, U, m, 3, L))
+        for i in range(L):
+            for row in (1 + i, 1 + L + i):
+                own[:, :, row, :, i] = self._Y[:, :, row]
+        G = np.swapaxes(self._GT, -1, -2)[:, :, None]
+        both = (G @ np.concatenate([rows, own], axis=-1)).reshape(P, U, m, 3 * 2 * L)
+        return np.asarray((cost.blocks.W @ both).reshape(P, U, 3 * m, 2 * L))
+
     def _row_before(self, m: int) -> F64:
         """(1, U, m, 1, L, 1) True where a row's joint lies before the column's placement."""
         before = self.cost._before

@@ -83,6 +83,7 @@ def extract_features(
         noise=np.array([p.noise for p in poses]),
         position_sd=np.array([p.offset for p in poses]),
         hidden=np.array([p.hidden for p in poses]),
+        span=np.array([p.span for p in poses]),
         latency=lag,
         latency_sd=lag_sd,
         moves=static_moves(sampled),
@@ -99,6 +100,7 @@ class _Pose:
     noise: F64
     offset: F64
     hidden: F64
+    span: tuple[float, float]
     lag_numerator: F64
     lag_denominator: F64
 
@@ -135,12 +137,13 @@ def _poses(s: Sampled, lag: F64, curvature: Curvature | None, log: int) -> list[
             X[part], y[part] = filtered(X[part], taps), filtered(y[part], taps)
             Z[part] = filtered(Z[part], taps) if Z.shape[1] else Z[part]
             at += hi - lo
+        span = (motion.grid.time[pose.windows[0][0]], motion.grid.time[pose.windows[-1][1] - 1])
         use = np.concatenate(inner)
         ok = np.concatenate(usable)
         out.append(
             _regress(
-                pose.q, log, X[use], Z[use], y[use], ok, noise, (still * motion.noise, hidden),
-                (independence, rate, s.cutoff),
+                pose.q, log, X[use], Z[use], y[use], ok, noise,
+                (still * motion.noise, hidden, span), (independence, rate, s.cutoff),
             )
         )  # fmt: skip
     return [p for p in out if np.isfinite(p.noise).any()]
@@ -166,7 +169,7 @@ def _regress(
     y: F64,
     ok: Bool,
     noise: tuple[F64, F64],
-    unseen: tuple[F64, F64],
+    unseen: tuple[F64, F64, tuple[float, float]],
     sampling: tuple[float, float, float],
 ) -> _Pose:
     """Fit all SUs around one pose; SUs with the same valid samples share one factorisation."""

@@ -60,6 +60,8 @@ class Features:
             by a constant up to half a step [rad or m].
         hidden: (P, D, D) mean square motion of joint e that its encoder rounds away in step with
             the pattern of DoF d, per mean square acceleration of d, at [d, e].
+        span: (P, 2) begin of the first and end of the last interval around each pose, on the clock
+            of its log [s].
         latency: (U,) time by which each SU's stamps lag the joints' [s].
         latency_sd: (U,) its standard deviation [s]; infinite where nothing moved the SU.
         moves: static evidence from larger single-DoF moves.
@@ -78,6 +80,7 @@ class Features:
     moves: StaticMoves
     position_sd: F64 = field(default_factory=lambda: np.zeros(()))
     hidden: F64 = field(default_factory=lambda: np.zeros(()))
+    span: F64 = field(default_factory=lambda: np.zeros(()))
     notes: tuple[str, ...] = field(default=())
 
     def __post_init__(self) -> None:
@@ -89,6 +92,8 @@ class Features:
         P, D = self.q.shape
         hidden = np.broadcast_to(np.asarray(self.hidden, dtype=np.float64), (P, D, D))
         object.__setattr__(self, "hidden", frozen(hidden))
+        span = np.broadcast_to(np.asarray(self.span, dtype=np.float64), (P, 2))
+        object.__setattr__(self, "span", frozen(span))
 
     @property
     def n_poses(self) -> int:

@@ -9,6 +9,7 @@ from skin2urdf.arrays import F64, frozen
 from skin2urdf.estimation.estimate import Estimate, EstimationSettings
 from skin2urdf.estimation.health import unlike_the_rest
 from skin2urdf.estimation.observability import Observability
+from skin2urdf.faults import Fault
 from skin2urdf.model.records import KinematicModel
 from skin2urdf.signals.records import Features
 from skin2urdf.structure.activity import STATIC_THRESHOLD, Activity
@@ -70,7 +71,8 @@ class Calibration:
         velocity: (D,) largest speed of each joint seen [rad/s or m/s].
         sources: the input logs.
         settings: the choices made.
-        notes: what was found, mended or left out, in words.
+        faults: what is wrong with SUs, encoders or the recording, and was mended or left out.
+        notes: what else was found, in words.
         seconds: time each stage took [s].
     """
 
@@ -83,6 +85,7 @@ class Calibration:
     velocity: F64
     sources: tuple[Source, ...]
     settings: CalibrationSettings
+    faults: tuple[Fault, ...]
     notes: tuple[str, ...]
     seconds: dict[str, float]
 
@@ -92,8 +95,9 @@ class Calibration:
 
     @property
     def quality(self) -> Quality:
-        """How well the model explains the features, and whether all SUs fit alike."""
+        """How well the model explains the features, and whether all is in order."""
         cost = self.estimate.cost_per_dof
         if not cost <= BAD_FIT:
             return "bad"
-        return "good" if cost <= GOOD_FIT and not unlike_the_rest(self.estimate) else "fair"
+        sound = not self.faults and not unlike_the_rest(self.estimate)
+        return "good" if cost <= GOOD_FIT and sound else "fair"

@@ -12,9 +12,10 @@ from skin2urdf.errors import BadFitError, InsufficientDataError
 from skin2urdf.estimation.estimate import Estimate
 from skin2urdf.estimation.health import health_notes, why_bad
 from skin2urdf.estimation.observability import observability
+from skin2urdf.faults import distinct
 from skin2urdf.model.dh import canonical
 from skin2urdf.recording.records import Recording
-from skin2urdf.rounds import Clock, Progress, Rounds, mirror_notes
+from skin2urdf.rounds import Clock, Progress, Rounds, mirror_faults
 from skin2urdf.signals.records import Features
 from skin2urdf.signals.sampling import Sampled, sampled_together
 from skin2urdf.structure.records import KinematicTree
@@ -72,11 +73,8 @@ def calibrate(
         velocity=span[:, 2],
         sources=tuple(Source(r.source, r.digest, r.duration) for r in recordings),
         settings=settings,
-        notes=tuple(
-            dict.fromkeys(
-                (*features.notes, *tree.notes, *mirror_notes(mirrored), *health_notes(found))
-            )
-        ),
+        faults=distinct((*features.faults, *mirror_faults(mirrored))),
+        notes=tuple(dict.fromkeys((*features.notes, *tree.notes, *health_notes(found)))),
         seconds=clock.seconds,
     )
 

@@ -21,6 +21,7 @@ from skin2urdf.estimation.estimate import Estimate, estimate
 from skin2urdf.estimation.health import mirrored_sus, unlike_the_rest
 from skin2urdf.estimation.order import ordered
 from skin2urdf.estimation.state import State
+from skin2urdf.faults import Fault
 from skin2urdf.model.specific_force import beyond_first_order
 from skin2urdf.signals.features import Curvature, extract_features
 from skin2urdf.signals.records import Features
@@ -154,11 +155,16 @@ def _negated(sampled: Sampled, sus: Sequence[int]) -> Sampled:
     return replace(sampled, readings=readings)
 
 
-def mirror_notes(names: Sequence[str]) -> list[str]:
+def mirror_faults(names: Sequence[str]) -> list[Fault]:
     """Words about SUs that were negated."""
     return [
-        f"{name} reports negated readings or a left-handed frame, unlike the other SUs; it was "
-        "calibrated on the negated readings: mind that when you use its frame"
+        Fault(
+            "mirrored",
+            name,
+            f"{name} reports negated readings or a left-handed frame, unlike the other SUs; it was "
+            "calibrated on the negated readings",
+            "mind that when you use its frame",
+        )
         for name in names
     ]
 

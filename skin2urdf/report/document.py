@@ -72,6 +72,7 @@ def as_document(calibration: Calibration) -> dict[str, Any]:
             "sus": [n for n in calibration.features.su_names if n not in tree.su_names],
             "joints": [n for n in calibration.features.dof_names if n not in tree.joint_names],
         },
+        "faults": [asdict(fault) for fault in calibration.faults],
         "notes": calibration.notes,
         "seconds": calibration.seconds,
     }

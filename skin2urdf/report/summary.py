@@ -14,7 +14,7 @@ _MG = 1e3 / 9.81
 
 
 def as_text(calibration: Calibration) -> str:
-    """A calibration as plain text: verdict, joints, SUs, what is not known, notes.
+    """A calibration as plain text: verdict, joints, SUs, what is not known, faults, notes.
 
     Args:
         calibration: a finished calibration.
@@ -32,6 +32,7 @@ def as_text(calibration: Calibration) -> str:
         *_sus(calibration, found),
         *_hidden(calibration),
         *bullets("Not observable from this log", _not_known(found)),
+        *bullets("Faults", [str(fault) for fault in calibration.faults]),
         *bullets("Notes", calibration.notes),
     ]
     return "\n".join(lines) + "\n"

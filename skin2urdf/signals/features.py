@@ -9,6 +9,7 @@ import numpy as np
 
 from skin2urdf.arrays import F64, Bool
 from skin2urdf.errors import InsufficientDataError
+from skin2urdf.faults import distinct
 from skin2urdf.signals.filters import (
     eroded,
     filtered,
@@ -88,6 +89,7 @@ def extract_features(
         latency_sd=lag_sd,
         moves=static_moves(sampled),
         notes=notes,
+        faults=distinct(f for s in sampled for f in s.faults),
     )
 
 

@@ -5,6 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from skin2urdf.arrays import F64, Bool
+from skin2urdf.faults import Fault
+
+CHECK_SENSOR = "check its cable and its driver"
 
 _PLAUSIBLE = (0.6, 1.4)
 """Static readings of a working sensor, in g."""
@@ -12,25 +15,30 @@ _SATURATED = 0.002
 """Share of samples at the ends of the range from which an SU counts as saturated."""
 
 
-def unusable(readings: F64, still: Bool, valid: Bool, gravity: float) -> str | None:
-    """Why an SU can not be used, in words; None where nothing speaks against it.
+def unusable(name: str, readings: F64, still: Bool, valid: Bool, gravity: float) -> Fault | None:
+    """Why an SU can not be used; None where nothing speaks against it.
 
     Args:
+        name: the SU.
         readings: (N, 3) readings on the grid [m/s^2].
         still: (N,) True where the robot rests.
         valid: (N,) True where the stream is whole.
         gravity: magnitude of gravity [m/s^2].
     """
     if not valid.any():
-        return "has no samples while the joints were recorded"
+        words = f"{name} has no samples while the joints were recorded, and is left out"
+        return Fault("dead", name, words, CHECK_SENSOR)
     static = readings[still & valid]
     if not len(static):
-        return "has no samples while the robot rests"
+        words = f"{name} has no samples while the robot rests, and is left out"
+        return Fault("dead", name, words, CHECK_SENSOR)
     size = float(np.median(np.linalg.norm(static, axis=1))) / gravity
     if size < 1e-3:
-        return "reads zero all the time: it is dead or not connected"
+        words = f"{name} reads zero all the time and is left out"
+        return Fault("dead", name, words, CHECK_SENSOR)
     if not _PLAUSIBLE[0] < size < _PLAUSIBLE[1]:
-        return f"reads {size:.2g} g at rest: its unit or its scale is wrong"
+        words = f"{name} reads {size:.2g} g at rest and is left out"
+        return Fault("wrong unit", name, words, "check its unit and its scale")
     return None
 
 

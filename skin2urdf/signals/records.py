@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from skin2urdf.arrays import F64, Bool, Int, frozen
+from skin2urdf.faults import Fault
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,6 +67,7 @@ class Features:
         latency_sd: (U,) its standard deviation [s]; infinite where nothing moved the SU.
         moves: static evidence from larger single-DoF moves.
         notes: what was found and mended, in words for the user.
+        faults: what is wrong with the streams.
     """
 
     su_names: tuple[str, ...]
@@ -82,6 +84,7 @@ class Features:
     hidden: F64 = field(default_factory=lambda: np.zeros(()))
     span: F64 = field(default_factory=lambda: np.zeros(()))
     notes: tuple[str, ...] = field(default=())
+    faults: tuple[Fault, ...] = field(default=())
 
     def __post_init__(self) -> None:
         for name in ("q", "coefficients", "information", "noise", "latency", "latency_sd"):

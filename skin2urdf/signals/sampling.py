@@ -9,9 +9,10 @@ import numpy as np
 
 from skin2urdf.arrays import F64, Bool
 from skin2urdf.errors import InsufficientDataError
+from skin2urdf.faults import Fault
 from skin2urdf.recording.records import Recording
 from skin2urdf.signals.filters import sample
-from skin2urdf.signals.health import frozen, saturated, unusable
+from skin2urdf.signals.health import CHECK_SENSOR, frozen, saturated, unusable
 from skin2urdf.signals.motion import Motion, joint_motion
 from skin2urdf.signals.poses import Neighbourhood, Rest, find_neighbourhoods, find_rests
 from skin2urdf.signals.records import StaticMoves
@@ -32,6 +33,7 @@ class Sampled:
         valid: (N, U) where they are whole.
         cutoff: low-pass cutoff that suits the patterns [Hz].
         notes: words for the user.
+        faults: what is wrong with the SUs' streams.
     """
 
     motion: Motion
@@ -41,6 +43,7 @@ class Sampled:
     valid: Bool
     cutoff: float
     notes: tuple[str, ...]
+    faults: tuple[Fault, ...] = ()
 
 
 def sample_recording(
@@ -65,6 +68,7 @@ def sample_recording(
     readings = np.zeros((motion.grid.size, len(su_names), 3))
     valid = np.zeros((motion.grid.size, len(su_names)), dtype=bool)
     notes = list(recording.notes)
+    faults: list[Fault] = []
     frozen_ones = frozen([s.specific_force for s in recording.sus])
     stuck = {s.name for s, f in zip(recording.sus, frozen_ones, strict=True) if f}
     still = np.zeros(motion.grid.size, dtype=bool)
@@ -80,19 +84,20 @@ def sample_recording(
         if factor != 1.0:
             readings[:, u] *= factor
             notes.append(f"{name} reports g instead of m/s^2; its readings were converted")
-        why = unusable(readings[:, u], still, valid[:, u], STANDARD_GRAVITY)
-        if name in stuck:
-            why = "repeats one value all the time: it is frozen"
-        if why:
+        fault = unusable(name, readings[:, u], still, valid[:, u], STANDARD_GRAVITY)
+        if fault is None and name in stuck:
+            words = f"{name} repeats one value all the time and is left out"
+            fault = Fault("frozen", name, words, CHECK_SENSOR)
+        if fault is not None:
             valid[:, u] = False
-            notes.append(f"{name} {why}; it is left out")
+            faults.append(fault)
         elif share := saturated(stream.specific_force):
-            notes.append(
-                f"{name} is at the end of its range in {100 * share:.1f} % of its samples: use a "
-                "larger range or weaker patterns"
-            )
+            words = f"{name} is at the end of its range in {100 * share:.1f} % of its samples"
+            faults.append(Fault("saturated", name, words, "use a larger range or weaker patterns"))
     cutoff = _cutoff(motion, neighbourhoods)
-    return Sampled(motion, rests, neighbourhoods, readings, valid, cutoff, tuple(notes))
+    return Sampled(
+        motion, rests, neighbourhoods, readings, valid, cutoff, tuple(notes), tuple(faults)
+    )
 
 
 def _check_unit(motion: Motion, source: str) -> None:

@@ -89,7 +89,7 @@ def simulate(robot: RobotSpec, settings: SimulationSettings) -> Simulation:
         UsageError: the settings do not fit the robot.
     """
     draw = Draw(settings.seed)
-    mechanism = load_mechanism(robot, _base_rpy(robot, settings))
+    mechanism = load_mechanism(robot, base_rpy(robot, settings))
     sus = place_skin(mechanism, _layout(robot, settings), draw("skin"))
     reference = plan_reference(
         mechanism,
@@ -129,7 +129,8 @@ def simulate(robot: RobotSpec, settings: SimulationSettings) -> Simulation:
     return Simulation(recording, truth, tuple(mechanism.joint_names[d] for d in order))
 
 
-def _base_rpy(robot: RobotSpec, settings: SimulationSettings) -> Vector3:
+def base_rpy(robot: RobotSpec, settings: SimulationSettings) -> Vector3:
+    """Roll, pitch, yaw of the base in the world [rad]."""
     if settings.upright:
         return (0.0, 0.0, 0.0)
     return robot.base_rpy if settings.base_rpy is None else settings.base_rpy

@@ -220,7 +220,7 @@ class _Held:
         """
         estimate, seen = self.found.estimate, self.found.observability
         cost = estimate.cost_per_dof
-        honest = replace(seen, covariance=seen.covariance * (cost / max(1.0, cost)))
+        honest = replace(seen, covariance=seen.covariance.scaled(cost / max(1.0, cost)))
         tree = self.found.model.tree
         q = _configurations(self.est, self.true, tree.joint_names, self.seed)
         rows = max(20, BOUND_ROWS // max(1, tree.n_sus))

@@ -7,14 +7,15 @@ its unobservable directions takes up. Their covariance follows from that of the 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 
 from skin2urdf.arrays import F64, Int
-from skin2urdf.estimation.state import N_JOINT, N_PLACEMENT, N_SU, State
+from skin2urdf.estimation.covariance import ArrowCovariance
+from skin2urdf.estimation.state import N_JOINT, N_PLACEMENT, State
 from skin2urdf.model.kinematics import PinocchioTree
 from skin2urdf.model.prediction import Chains, joint_twists, su_kinematics, zero_frames
 from skin2urdf.model.spatial import skew
@@ -35,20 +36,25 @@ _RCOND = 1e-9
 class _Rows:
     """Error of one SU's pose in its own frame, linear part first, angular part times an arm.
 
+    It depends on the joint coordinates that the SU's chain has and on the SU's placement for known
+    joints, which are independent of each other.
+
     Attributes:
-        index: (m,) the coordinates that move the SU.
-        E: (C, 6, m) error per coordinate at C configurations.
+        columns: (m,) the joint coordinates.
+        E: (C, 6, m + 6) error per coordinate at C configurations, those of the placement last.
         G: (C, 6, 6) error per motion of the whole base frame.
+        own: (6, 6) covariance of the placement for known joints.
     """
 
-    index: Int
+    columns: Int
     E: F64
     G: F64
+    own: F64
 
     def without(self, free: F64) -> _Rows:
         """The rows less what one displacement along free directions (k, 6) takes up."""
         P = free.T @ free
-        return _Rows(self.index, self.E - P @ self.E.mean(axis=0), self.G - P @ self.G.mean(axis=0))
+        return replace(self, E=self.E - P @ self.E.mean(axis=0), G=self.G - P @ self.G.mean(axis=0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,10 +62,13 @@ class _Fit:
     """The motion of the base frame that aligns a limb best.
 
     Attributes:
-        across: (n, 6) its covariance with the n coordinates.
+        by_placement: (6, 6) its change per coordinate of an SU's placement, for the SUs that it is
+            fitted to.
+        across: (J, 6) its covariance with the joint coordinates.
         within: (6, 6) its covariance.
     """
 
+    by_placement: dict[int, F64]
     across: F64
     within: F64
 
@@ -81,7 +90,7 @@ def limbs_of(tree: KinematicTree) -> Int:
 def expected_errors(
     tree: KinematicTree,
     state: State,
-    covariance: F64,
+    covariance: ArrowCovariance,
     q: F64,
     *,
     free: Sequence[F64],
@@ -94,7 +103,7 @@ def expected_errors(
     Args:
         tree: the kinematic tree.
         state: the estimate.
-        covariance: (n, n) of its coordinates: joints, logs, SUs.
+        covariance: of its coordinates.
         q: (C, D) configurations [rad or m].
         free: per SU (k, 6) orthonormal directions that do not count (linear [m], angular [rad]
             times ``arm``).
@@ -108,7 +117,7 @@ def expected_errors(
         SU on the RS the position is 0, for it never counts.
     """
     limbs = limbs_of(tree)
-    rows = _error_rows(tree, state, q, len(covariance), arm)
+    rows = _error_rows(tree, state, q, covariance, arm)
     up = np.array([0.0, 0.0, 1.0])
     for u, row in enumerate(rows):
         directions = free[u]
@@ -119,19 +128,25 @@ def expected_errors(
 
     groups = limbs if align == "limbs" else np.zeros_like(limbs)
     anchors = {int(g): _anchors(groups, trust, int(g)) for g in groups if g != ON_BASE}
-    fits = {g: _fit([rows[u] for u in on], covariance) for g, on in anchors.items() if len(on)}
+    fits = {
+        g: _fit({int(u): rows[u] for u in on}, covariance.joint)
+        for g, on in anchors.items()
+        if len(on)
+    }
     leading = max(fits, key=lambda g: (len(anchors[g]), tree.joint_names[g]), default=ON_BASE)
 
     deviations = np.full((len(rows), 2), np.nan)
     for u, row in enumerate(rows):
         fit = fits.get(leading if groups[u] == ON_BASE else int(groups[u]))
         if fit is not None:
-            deviations[u] = _deviations(row, fit, covariance)
+            deviations[u] = _deviations(row, u, fit, covariance.chain(u))
     return deviations[:, 0], deviations[:, 1] / arm
 
 
-def _error_rows(tree: KinematicTree, state: State, q: F64, n: int, arm: float) -> list[_Rows]:
-    """Errors of all SUs per coordinate, of which there are n."""
+def _error_rows(
+    tree: KinematicTree, state: State, q: F64, covariance: ArrowCovariance, arm: float
+) -> list[_Rows]:
+    """Errors of all SUs."""
     chains = Chains.of(tree)
     pinocchio = PinocchioTree(tree)
     pinocchio.write_joints(state.T_parent_joint)
@@ -142,22 +157,19 @@ def _error_rows(tree: KinematicTree, state: State, q: F64, n: int, arm: float) -
     twists = joint_twists(chains, kin, *zero_frames(R, p, q, tree.prismatic), basis)
     twists = np.roll(twists, 3, axis=-2)  # linear part first
     scale = np.repeat([1.0, arm], 3)[:, None]
-    first_su = n - N_SU * tree.n_sus
     result = []
     for u in range(tree.n_sus):
-        joints = chains.joint[u, : chains.length[u]]
-        own = first_su + N_SU * u + np.arange(N_PLACEMENT)
-        index = np.concatenate([(N_JOINT * joints[:, None] + np.arange(N_JOINT)).ravel(), own])
-        E = np.zeros((len(q), 6, len(index)))
-        E[..., :-N_PLACEMENT] = np.swapaxes(twists[:, u, : len(joints)], 1, 2).reshape(
-            len(q), 6, -1
-        )
-        E[..., -N_PLACEMENT:] = np.eye(6)
+        columns = covariance.columns[u]
+        E = np.zeros((len(q), 6, len(columns) + N_PLACEMENT))
+        E[..., : twists.shape[2] * N_JOINT] = np.swapaxes(twists[:, u], 1, 2).reshape(len(q), 6, -1)
+        E[..., : len(columns)] += covariance.lean[u, :N_PLACEMENT]
+        E[..., len(columns) :] = np.eye(N_PLACEMENT)
         Rt = np.swapaxes(kin.R[:, u], 1, 2)
         G = np.zeros((len(q), 6, 6))
         G[:, :3, :3] = G[:, 3:, 3:] = Rt
         G[:, :3, 3:] = -Rt @ skew(kin.p[:, u])
-        result.append(_Rows(index, E * scale, G * scale))
+        own = covariance.own[u, :N_PLACEMENT, :N_PLACEMENT]
+        result.append(_Rows(columns, E * scale, G * scale, own))
     return result
 
 
@@ -167,21 +179,41 @@ def _anchors(groups: Int, trust: Int, group: int) -> Int:
     return np.flatnonzero((groups == group) & (trust == best) & (trust >= 0))
 
 
-def _fit(rows: Sequence[_Rows], covariance: F64) -> _Fit:
+def _fit(rows: Mapping[int, _Rows], joint: F64) -> _Fit:
     """The alignment by least squares over the given SUs."""
-    N, M = np.zeros((6, 6)), np.zeros((6, len(covariance)))
-    for row in rows:
+    N, M = np.zeros((6, 6)), np.zeros((6, len(joint)))
+    by_placement = {}
+    for u, row in rows.items():
         N += np.einsum("cij,cik->jk", row.G, row.G)
-        M[:, row.index] += np.einsum("cij,cik->jk", row.G, row.E)
-    K = np.linalg.pinv(N, rcond=_RCOND, hermitian=True) @ M
-    across = covariance @ K.T
-    return _Fit(across, K @ across)
+        both = np.einsum("cij,cik->jk", row.G, row.E)
+        np.add.at(M.T, row.columns, both[:, :-N_PLACEMENT].T)
+        by_placement[u] = both[:, -N_PLACEMENT:]
+    solve = np.linalg.pinv(N, rcond=_RCOND, hermitian=True)
+    by_joints = solve @ M
+    by_placement = {u: solve @ block for u, block in by_placement.items()}
+    across = joint @ by_joints.T
+    within = by_joints @ across
+    for u, block in by_placement.items():
+        within += block @ rows[u].own @ block.T
+    return _Fit(by_placement, across, within)
 
 
-def _deviations(row: _Rows, fit: _Fit, covariance: F64) -> tuple[float, float]:
-    """Root mean square of the linear and of the angular part of an SU's error."""
-    own, across = covariance[np.ix_(row.index, row.index)], fit.across[row.index]
-    S = np.block([[own, across], [across.T, fit.within]])
+def _deviations(row: _Rows, u: int, fit: _Fit, chain: F64) -> tuple[float, float]:
+    """Root mean square of the linear and of the angular part of the error of SU u.
+
+    Args:
+        row: its error.
+        u: the SU.
+        fit: the alignment of its limb.
+        chain: (m, m) covariance of the joint coordinates that it depends on.
+    """
+    m, k = len(chain), len(fit.within)
+    S = np.zeros((m + N_PLACEMENT + k, m + N_PLACEMENT + k))
+    S[:m, :m], S[m:-k, m:-k], S[-k:, -k:] = chain, row.own, fit.within
+    S[:m, -k:] = fit.across[row.columns]
+    if u in fit.by_placement:
+        S[m:-k, -k:] = row.own @ fit.by_placement[u].T
+    S[-k:, :-k] = S[:-k, -k:].T
     F = np.concatenate([row.E, -row.G], axis=-1)
     variance = np.einsum("cij,cij->ci", F @ S, F).mean(axis=0).clip(min=0.0)
     return float(np.sqrt(variance[:3].sum())), float(np.sqrt(variance[3:].sum()))

@@ -7,15 +7,16 @@ uncertain by more than :data:`UNKNOWN`.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 
 from skin2urdf.arrays import F64, Bool, frozen
 from skin2urdf.estimation.bounds import Align, expected_errors
+from skin2urdf.estimation.covariance import ArrowCovariance
 from skin2urdf.estimation.estimate import Estimate
-from skin2urdf.estimation.state import N_JOINT, N_PLACEMENT
+from skin2urdf.estimation.state import N_JOINT, N_PLACEMENT, N_SU
 
 Verdict = Literal["determined", "weak", "not observable"]
 
@@ -48,7 +49,7 @@ class Observability:
         rank: number of determined coordinates.
         hidden_rotation: standard deviation per axis of the rotation of an SU's frame that
             cross-axis errors hide [rad]; part of ``su_covariance`` and ``covariance``.
-        covariance: (n, n) covariance of all coordinates, joints first, then logs and SUs.
+        covariance: covariance of all coordinates.
     """
 
     su_covariance: F64
@@ -59,10 +60,10 @@ class Observability:
     n_open: int
     rank: int
     hidden_rotation: float
-    covariance: F64
+    covariance: ArrowCovariance
 
     def __post_init__(self) -> None:
-        for name in ("su_covariance", "joint_covariance", "covariance"):
+        for name in ("su_covariance", "joint_covariance"):
             object.__setattr__(self, name, frozen(getattr(self, name)))
 
 
@@ -76,46 +77,28 @@ def observability(estimate: Estimate) -> Observability:
     equations = estimate.cost.at(estimate.state).normal_equations()
     scale = max(1.0, estimate.cost_per_dof)
     D, U = tree.n_joints, tree.n_sus
-    J = equations.joint.shape[0]
     free_joint = np.concatenate([free.joints.ravel(), free.logs.ravel()])
-    inverse = np.zeros((U, 15, 15))
+    inverse = np.zeros((U, N_SU, N_SU))
     directions = []
     for u in range(U):
         inverse[u], open_ = _su_inverse(equations.su[u], free.sus[u], scale)
         directions.append(open_)
-    coupling = inverse @ equations.mixed
-    H = equations.joint * free_joint[:, None] * free_joint
     columns = equations.columns
     mixed = equations.mixed * free_joint[columns][:, None]
-    schur = np.swapaxes(mixed, 1, 2) @ inverse @ mixed
-    np.subtract.at(H, (columns[:, :, None], columns[:, None, :]), schur)
+    lean = -inverse @ mixed
+    H = equations.joint * free_joint[:, None] * free_joint
+    np.add.at(H, (columns[:, :, None], columns[:, None, :]), np.swapaxes(mixed, 1, 2) @ lean)
     joint_inverse, n_null = _joint_inverse(H, free_joint, scale)
     gauge = 2 * int((tree.parent < 0).sum())
 
-    n = J + 15 * U
-    covariance = np.zeros((n, n))
-    covariance[:J, :J] = joint_inverse
-    T = np.zeros((U * 15, J))
-    for u in range(U):
-        np.add.at(T[u * 15 : u * 15 + 15].T, columns[u], -coupling[u].T)
-    T *= free_joint
-    covariance[J:, :J] = T @ joint_inverse
-    covariance[:J, J:] = covariance[J:, :J].T
-    covariance[J:, J:] = T @ joint_inverse @ T.T
-    for u in range(U):
-        at = slice(J + 15 * u, J + 15 * u + 15)
-        covariance[at, at] += inverse[u]
-    covariance *= scale
-    hidden = hidden_rotation(estimate, covariance)
-    for u in range(U):
-        turns = np.arange(J + 15 * u + 3, J + 15 * u + 6)
-        covariance[turns, turns] += hidden**2
-    su_covariance = np.stack(
-        [covariance[J + 15 * u : J + 15 * u + 6, J + 15 * u : J + 15 * u + 6] for u in range(U)]
-    ).reshape(U, 6, 6)
-    joint_covariance = np.stack(
-        [covariance[N_JOINT * j : N_JOINT * j + 4, N_JOINT * j : N_JOINT * j + 4] for j in range(D)]
-    ).reshape(D, 4, 4)
+    bare = ArrowCovariance(scale * joint_inverse, columns, lean, scale * inverse)
+    hidden = hidden_rotation(estimate, bare.su())
+    turns = np.zeros(N_SU)
+    turns[3:N_PLACEMENT] = hidden**2
+    covariance = replace(bare, own=bare.own + np.diag(turns))
+    su_covariance = covariance.su()[:, :N_PLACEMENT, :N_PLACEMENT]
+    blocks = covariance.joint[: N_JOINT * D, : N_JOINT * D].reshape(D, N_JOINT, D, N_JOINT)
+    joint_covariance = np.einsum("dadb->dab", blocks)
     su_verdict = tuple(_verdict(su_covariance[u], len(directions[u])) for u in range(U))
     joint_verdict = tuple(_verdict(joint_covariance[j], 0) for j in range(D))
     rank = int(free_joint.sum()) - n_null + int(free.sus.sum())
@@ -126,7 +109,7 @@ def observability(estimate: Estimate) -> Observability:
     )  # fmt: skip
 
 
-def hidden_rotation(estimate: Estimate, covariance: F64) -> float:
+def hidden_rotation(estimate: Estimate, su_covariance: F64) -> float:
     """Standard deviation per axis of the rotations that cross-axis errors hide [rad].
 
     The antisymmetric part of a sensor's cross-axis error is a rotation of its frame and can not
@@ -134,14 +117,12 @@ def hidden_rotation(estimate: Estimate, covariance: F64) -> float:
 
     Args:
         estimate: the estimate.
-        covariance: (n, n) of all coordinates, as in :class:`Observability`.
+        su_covariance: (U, 15, 15) of each SU's coordinates.
     """
-    U = estimate.tree.n_sus
-    J = covariance.shape[0] - 15 * U
-    first = J + 15 * np.arange(U)[:, None] + np.arange(12, 15)
-    variance = covariance[first, first]
+    cross = slice(12, N_SU)
+    variance = np.einsum("uii->ui", su_covariance)[:, cross]
     prior = estimate.cost.priors.cross
-    if prior <= 0 or not estimate.free.sus[:, 12:].any():
+    if prior <= 0 or not estimate.free.sus[:, cross].any():
         return prior
     known = variance < (0.3 * prior) ** 2
     if known.sum() < 3:
@@ -172,7 +153,7 @@ def _su_inverse(H: F64, free: Bool, scale: float) -> tuple[F64, F64]:
     full[np.ix_(placement, np.arange(known.shape[1]))] = known
     full[np.ix_(~placement, np.arange(known.shape[1], full.shape[1]))] = np.eye(len(c))
     inner = np.linalg.inv(full.T @ A @ full) if full.shape[1] else np.zeros((0, 0))
-    out = np.zeros((15, 15))
+    out = np.zeros((N_SU, N_SU))
     out[np.ix_(index, index)] = full @ inner @ full.T
     scaled = np.concatenate([fixed, basis]) * np.r_[1, 1, 1, ARM, ARM, ARM]
     return out, np.linalg.qr(scaled.T)[0].T

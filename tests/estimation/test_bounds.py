@@ -9,7 +9,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from skin2urdf.estimation.bounds import Align, expected_errors, limbs_of
+from skin2urdf.estimation.covariance import ArrowCovariance
 from skin2urdf.estimation.state import N_JOINT, N_SU, State, Step, moved
+from skin2urdf.model.prediction import Chains
 from skin2urdf.structure.records import KinematicTree
 from skin2urdf.urdf.compare import compare, random_positions
 from skin2urdf.urdf.emit import emit
@@ -41,6 +43,20 @@ def random_state(rng: np.random.Generator) -> State:
     return State(transforms(rng, D), transforms(rng, U), up, np.zeros((U, 3)), np.zeros((U, 6)))
 
 
+def random_covariance(rng: np.random.Generator, size: float = 3e-5) -> ArrowCovariance:
+    """Every SU leans on all joints of its chain."""
+
+    def square(n: int, *shape: int) -> np.ndarray:
+        root = size * rng.standard_normal((*shape, n, n)) / np.sqrt(5)
+        return np.asarray(root @ np.swapaxes(root, -1, -2) + 0.01 * size**2 * np.eye(n))
+
+    chains, U = Chains.of(TREE), TREE.n_sus
+    columns = (N_JOINT * chains.joint[..., None] + np.arange(N_JOINT)).reshape(U, -1)
+    lean = rng.standard_normal((U, N_SU, columns.shape[1]))
+    lean *= np.repeat(chains.present, N_JOINT, axis=1)[:, None]
+    return ArrowCovariance(square(N_JOINT * TREE.n_joints), columns, lean, square(N_SU, U))
+
+
 def text(state: State) -> str:
     return emit(state.model(TREE), name="r", limits=LIMITS, visuals=False)
 
@@ -55,7 +71,8 @@ def test_errors_are_as_large_as_the_bound_says(tmp_path: Path, align: Align) -> 
     true = random_state(rng)
     D, U = TREE.n_joints, TREE.n_sus
     n = N_JOINT * D + N_SU * U
-    root = 3e-5 * rng.standard_normal((n, n)) / np.sqrt(10)
+    covariance = random_covariance(rng)
+    root = np.linalg.cholesky(covariance.dense())
     free = [np.zeros((0, 6)) for _ in range(U)]
     free[0] = np.array([[0.0, 0.6, 0.8, 0.0, 0.0, 0.0]])
     free[5] = np.eye(6)[[1]]
@@ -82,9 +99,7 @@ def test_errors_are_as_large_as_the_bound_says(tmp_path: Path, align: Align) -> 
     q = random_positions(
         *map(load_robot, paths), TREE.joint_names, CONFIGURATIONS, np.random.default_rng(1)
     )
-    bound = expected_errors(
-        TREE, true, root @ root.T, q, free=free, trust=TRUST, arm=ARM, align=align
-    )
+    bound = expected_errors(TREE, true, covariance, q, free=free, trust=TRUST, arm=ARM, align=align)
     ratio = np.sqrt(np.mean(squares, axis=0)) / np.where(np.array(bound) > 0, bound, 1.0).T
     assert np.isnan(ratio[6, 0])  # the position of an SU on the RS
     np.testing.assert_allclose(np.delete(ratio.ravel(), 12), 1.0, atol=0.3)
@@ -92,10 +107,9 @@ def test_errors_are_as_large_as_the_bound_says(tmp_path: Path, align: Align) -> 
 
 def test_nothing_aligned_is_nothing_to_expect() -> None:
     state = random_state(np.random.default_rng(2))
-    n = N_JOINT * TREE.n_joints + N_SU * TREE.n_sus
     trust = np.where(limbs_of(TREE) == 3, 1, -1)
     position, orientation = expected_errors(
-        TREE, state, 1e-6 * np.eye(n), np.zeros((2, TREE.n_joints)),
+        TREE, state, random_covariance(np.random.default_rng(3)), np.zeros((2, TREE.n_joints)),
         free=[np.zeros((0, 6))] * TREE.n_sus, trust=trust, arm=ARM,
     )  # fmt: skip
     assert np.isfinite(position).tolist() == [False, False, False, True, True, False, True]

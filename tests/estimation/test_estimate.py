@@ -90,7 +90,7 @@ def squared_error(
     found: Estimate, truth: State, q: F64, pairs: Sequence[tuple[int, int]]
 ) -> tuple[float, int]:
     """Normalised squared error of relative SU poses and the number of their degrees of freedom."""
-    covariance = observability(found).covariance
+    covariance = observability(found).covariance.dense()
     zero = found.cost.zero_step()
     at = relative(found.tree, found.state, q, pairs)
     n = zero.flat().size

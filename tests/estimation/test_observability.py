@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from synthetic import GRAVITY, random_features, random_state, serial_tree
+from synthetic import GRAVITY, random_features, random_state, random_tree, serial_tree
 
 from skin2urdf.arrays import F64
 from skin2urdf.estimation.cost import Priors
@@ -126,7 +126,8 @@ def test_little_data_is_weak_or_unknown_and_said_so() -> None:
     assert "weak" in (*seen.su_verdict, *seen.joint_verdict)
     assert seen.su_verdict.count("determined") <= 2
     sharp = found(state, 0)[1]
-    grown = np.sqrt(np.diag(seen.covariance)[4:20] / np.diag(sharp.covariance)[4:20])
+    wide, narrow = (np.diag(each.covariance.joint)[4:20] for each in (seen, sharp))
+    grown = np.sqrt(wide / narrow)
     assert np.median(grown) == pytest.approx(1.0 / NOISE, rel=0.2)
 
 
@@ -147,13 +148,38 @@ def test_a_bad_fit_widens_the_covariance() -> None:
 
 def test_covariances_are_symmetric_and_never_negative() -> None:
     _, seen = found(robot(4, 0.6), 4, SENSORS)
-    np.testing.assert_allclose(seen.covariance, seen.covariance.T, atol=1e-15)
-    size = np.abs(seen.covariance).max()
-    assert np.linalg.eigvalsh(seen.covariance).min() > -1e-9 * size
+    covariance = seen.covariance.dense()
+    np.testing.assert_allclose(covariance, covariance.T, atol=1e-15)
+    size = np.abs(covariance).max()
+    assert np.linalg.eigvalsh(covariance).min() > -1e-9 * size
     for u, directions in enumerate(seen.su_unobservable):
         n = len(directions)
         values = np.linalg.eigvalsh(seen.su_covariance[u])
         assert (values > -1e-9 * size).all(), (u, n)
+
+
+def test_the_arrow_form_is_the_inverse_of_the_whole_information() -> None:
+    """Every SU on its own, and yet ``H C H = H`` for all coordinates together."""
+    rng = np.random.default_rng(0)
+    tree = random_tree(rng, 6, 9)
+    features = random_features(rng, tree, random_state(rng, tree, 2, 0.0), 12, noise=NOISE)
+    estimated = estimate(features, tree, PLAIN)
+    equations = estimated.cost.at(estimated.state).normal_equations()
+    J, n = len(equations.joint), len(equations.joint) + 15 * tree.n_sus
+    H = np.zeros((n, n))
+    H[:J, :J] = equations.joint
+    for u in range(tree.n_sus):
+        at = slice(J + 15 * u, J + 15 * u + 15)
+        H[at, at] = equations.su[u]
+        np.add.at(H[at, :J].T, equations.columns[u], equations.mixed[u].T)
+        H[:J, at] = H[at, :J].T
+    free = np.concatenate([v.ravel() for v in (estimated.free.joints, estimated.free.logs)])
+    free = np.concatenate([free, estimated.free.sus.ravel()])
+    H *= free[:, None] * free
+    C = observability(estimated).covariance.dense() / max(1.0, estimated.cost_per_dof)
+    # Directions that count as open have no covariance: up to 1 / UNKNOWN^2 of information is lost.
+    size = np.sqrt(np.maximum(np.diag(H), 1.0))
+    np.testing.assert_allclose((H @ C @ H - H) / size[:, None] / size, 0.0, atol=0.01)
 
 
 @pytest.mark.parametrize("tilt", [0.6, 0.0], ids=["tilted", "upright"])

@@ -2,17 +2,42 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
+from typing import Protocol, TypeVar
 
 from skin2urdf.errors import UnreadableInputError
 from validation.records import Run
 
 
-def load(path: Path) -> tuple[dict[str, Run], int]:
+class Keyed(Protocol):
+    """A case; equal cases have equal keys."""
+
+    @property
+    def key(self) -> str:
+        """Names it."""
+
+
+class Line(Protocol):
+    """What becomes a line: a run of some case."""
+
+    @property
+    def case(self) -> Keyed:
+        """What was run."""
+
+    def to_json(self) -> str:
+        """The line."""
+
+
+L = TypeVar("L", bound=Line)
+
+
+def load(path: Path, parse: Callable[[str], L] = Run.from_json) -> tuple[dict[str, L], int]:
     """Runs of a file by key; of several with one key the last counts.
 
     Args:
         path: the file; it need not exist.
+        parse: makes a run of a line, or raises ValueError.
 
     Returns:
         The runs, and the number of lines that are no run (a line half-written when the batch was
@@ -27,11 +52,11 @@ def load(path: Path) -> tuple[dict[str, Run], int]:
         return {}, 0
     except OSError as error:
         raise UnreadableInputError(str(path), f"can not be read: {error.strerror}") from error
-    runs: dict[str, Run] = {}
+    runs: dict[str, L] = {}
     broken = 0
     for line in filter(str.strip, lines):
         try:
-            run = Run.from_json(line)
+            run = parse(line)
         except ValueError:
             broken += 1
             continue
@@ -52,7 +77,7 @@ class Store:
         if path.exists() and (content := path.read_bytes()) and not content.endswith(b"\n"):
             self._write("\n")
 
-    def append(self, run: Run) -> None:
+    def append(self, run: Line) -> None:
         """Add a run."""
         self._write(run.to_json() + "\n")
 

@@ -1,0 +1,256 @@
+"""One trial: put a fault into a recording, calibrate, and see what was found and what it cost."""
+
+from __future__ import annotations
+
+import json
+import math
+import tempfile
+import traceback
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from validation.measure import code_digest, sensor_rotations, truth_as_felt
+
+from skin2urdf.calibration import Calibration
+from skin2urdf.pipeline import calibrate
+from skin2urdf.recording.records import Recording
+from skin2urdf.recording.retiming import retimed
+from skin2urdf.simulation import SimulationSettings, Truth, load_robot, simulate
+from skin2urdf.simulation.faults import FAULTS, Sound, in_two
+from skin2urdf.urdf.compare import compare
+from skin2urdf.urdf.emit import emit
+
+CLEAN, CLEAN_TWO = "clean", "clean in two logs"
+"""Recordings without a fault: as they are, and cut into two logs."""
+IN_TWO = ("swapped",)
+"""Faults that take two logs, and are held against the same recording in two logs."""
+CONFIGURATIONS = 60
+
+
+@dataclass(frozen=True)
+class Setting:
+    """What the recordings of a batch have in common.
+
+    Attributes:
+        robot: name in robots/.
+        grade: sensor grade.
+        excite: one DoF after the other, or all at once.
+        poses: number of poses.
+        encoder_bits: resolution of the encoders.
+    """
+
+    robot: str = "panda"
+    grade: str = "mems"
+    excite: str = "all"
+    poses: int = 6
+    encoder_bits: int = 17
+
+    @property
+    def words(self) -> str:
+        """For tables and keys."""
+        return f"{self.robot} {self.grade} {self.excite} {self.poses}poses {self.encoder_bits}bit"
+
+
+@dataclass(frozen=True)
+class Case:
+    """A trial to do.
+
+    Attributes:
+        setting: the recording's circumstances.
+        kind: name of the fault, or ``clean``.
+        seed: of the recording and of the fault.
+    """
+
+    setting: Setting
+    kind: str
+    seed: int
+
+    @property
+    def key(self) -> str:
+        """Names the case."""
+        return f"{self.setting.words} {self.kind} seed{self.seed}"
+
+
+@dataclass(frozen=True)
+class Trial:
+    """What came of it; None where there is no figure.
+
+    Attributes:
+        case: the case.
+        expected: kind of fault that should be named.
+        subjects: who has it.
+        injected: what was done to them.
+        faults: (kind, subject, words) of what was named.
+        quality: verdict of the calibration; empty where it gave none.
+        cost_per_dof: of the calibration.
+        tree_right: whether the tree of the SUs without a fault is right.
+        position_mm: rms position error of the SUs without a fault [mm].
+        position_clean_mm: the same of the same SUs where there is no fault in the recording.
+        orientation_deg: rms orientation error, beside what cross-axis errors hide [deg].
+        orientation_clean_deg: likewise.
+        notes: of the calibration.
+        problem: the exception, where there is no calibration.
+        code: digest of the package that ran.
+    """
+
+    case: Case
+    expected: str = ""
+    subjects: tuple[str, ...] = ()
+    injected: str = ""
+    faults: tuple[tuple[str, str, str], ...] = ()
+    quality: str = ""
+    cost_per_dof: float | None = None
+    tree_right: bool = False
+    position_mm: float | None = None
+    position_clean_mm: float | None = None
+    orientation_deg: float | None = None
+    orientation_clean_deg: float | None = None
+    notes: tuple[str, ...] = ()
+    problem: str = ""
+    code: str = ""
+
+    @property
+    def found(self) -> bool:
+        """Whether the fault was named: the right kind, of all who have it."""
+        named = {(kind, subject) for kind, subject, _ in self.faults}
+        return bool(self.subjects) and all((self.expected, s) in named for s in self.subjects)
+
+    @property
+    def false_alarms(self) -> tuple[str, ...]:
+        """What was named although it is not there."""
+        return tuple(
+            words
+            for kind, subject, words in self.faults
+            if kind != self.expected or subject not in self.subjects
+        )
+
+    def to_json(self) -> str:
+        """One line of JSON."""
+        content = {"key": self.case.key, **asdict(self)}
+        return json.dumps({k: _finite(v) for k, v in content.items()}, allow_nan=False)
+
+    @classmethod
+    def from_json(cls, line: str) -> Trial:
+        """A trial from its line.
+
+        Raises:
+            ValueError: the line is not a whole trial.
+        """
+        try:
+            content = json.loads(line)
+            content.pop("key")
+            case = content.pop("case")
+            content["case"] = Case(Setting(**case.pop("setting")), **case)
+            content["faults"] = tuple(tuple(f) for f in content["faults"])
+            content["subjects"], content["notes"] = (
+                tuple(content["subjects"]),
+                tuple(content["notes"]),
+            )
+            return cls(**content)
+        except (KeyError, TypeError, AttributeError) as error:
+            raise ValueError(f"not a trial: {error}") from error
+
+
+def _finite(value: Any) -> Any:
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def perform(case: Case) -> Trial:
+    """Do a trial; whatever goes wrong becomes part of it."""
+    warnings.simplefilter("ignore")
+    blank = Trial(case, code=code_digest())
+    try:
+        sound = _sound(case.setting, case.seed)
+        truth = sound.simulation.truth
+        if case.kind in (CLEAN, CLEAN_TWO):
+            found = _clean(case.setting, case.seed, case.kind == CLEAN_TWO)
+            return _judged(blank, found, truth, ())
+        rng = np.random.default_rng([case.seed, *case.kind.encode()])
+        faulty = FAULTS[case.kind](sound, rng)
+        blank = replace(
+            blank, expected=faulty.kind, subjects=faulty.subjects, injected=faulty.words
+        )
+        trial = _judged(blank, _calibrated(faulty.recordings), truth, faulty.subjects)
+        clean = _clean(case.setting, case.seed, case.kind in IN_TWO)
+        reference = _judged(blank, clean, truth, faulty.subjects)
+    except Exception as error:
+        place = traceback.extract_tb(error.__traceback__)[-1]
+        where = f"{Path(place.filename).name}:{place.lineno}"
+        return replace(blank, problem=f"{type(error).__name__} at {where}: {error}")
+    return replace(
+        trial,
+        position_clean_mm=reference.position_mm,
+        orientation_clean_deg=reference.orientation_deg,
+    )
+
+
+@lru_cache(maxsize=2)
+def _sound(setting: Setting, seed: int) -> Sound:
+    settings = SimulationSettings(
+        n_poses=setting.poses, excite=setting.excite, seed=seed, grade=setting.grade,
+        encoder_bits=setting.encoder_bits,
+    )  # fmt: skip
+    robot = load_robot(setting.robot)
+    return Sound(robot, settings, simulate(robot, settings))
+
+
+@lru_cache(maxsize=4)
+def _clean(setting: Setting, seed: int, two: bool) -> Calibration:
+    sound = _sound(setting, seed)
+    return _calibrated(in_two(sound) if two else (sound.recording,))
+
+
+def _calibrated(recordings: Sequence[Recording]) -> Calibration:
+    return calibrate([retimed(recording) for recording in recordings])
+
+
+def _judged(trial: Trial, found: Calibration, truth: Truth, without: Sequence[str]) -> Trial:
+    """The trial with what a calibration says, and its errors over all SUs but some."""
+    position, orientation, tree_right = errors(found, truth, without)
+    return replace(
+        trial,
+        faults=tuple((fault.kind, fault.subject, str(fault)) for fault in found.faults),
+        quality=found.quality,
+        cost_per_dof=found.estimate.cost_per_dof,
+        tree_right=tree_right,
+        position_mm=position,
+        orientation_deg=orientation,
+        notes=found.notes,
+    )
+
+
+def errors(found: Calibration, truth: Truth, without: Sequence[str]) -> tuple[float, float, bool]:
+    """Errors of a calibration over all SUs but some, which do not align it either.
+
+    Returns:
+        rms position [mm] and orientation [deg] beside what cross-axis errors hide, and whether
+        the tree is right.
+    """
+    tree, seen = found.model.tree, found.observability
+    names = [su.name for su in truth.sus if su.name not in without]
+    free: Mapping[str, Any] = dict(zip(tree.su_names, seen.su_unobservable, strict=True))
+    anchors = [
+        name
+        for name, verdict in zip(tree.su_names, seen.su_verdict, strict=True)
+        if verdict == "determined" and name in names
+    ]
+    text = emit(found.model, name="estimate", limits=found.limits, velocity=found.velocity)
+    with tempfile.TemporaryDirectory() as folder:
+        estimate, true = Path(folder) / "estimate.urdf", Path(folder) / "truth.urdf"
+        estimate.write_text(text, encoding="utf-8")
+        felt = truth_as_felt(truth, sensor_rotations(truth.sensor_matrix))
+        true.write_text(felt, encoding="utf-8")
+        comparison = compare(
+            estimate, true, unobservable=free, anchors=anchors, sus=names,
+            n_configurations=CONFIGURATIONS, rng=np.random.default_rng(0),
+        )  # fmt: skip
+    return (
+        float(comparison.position.rms * 1e3),
+        float(np.rad2deg(comparison.orientation.rms)),
+        comparison.tree_equal,
+    )

@@ -9,7 +9,7 @@ import numpy as np
 from skin2urdf.arrays import F64, Bool, Int
 from skin2urdf.errors import StructureError
 from skin2urdf.signals.records import Features
-from skin2urdf.structure.activity import Activity
+from skin2urdf.structure.activity import Activity, own_information
 from skin2urdf.structure.records import JointType, KinematicTree
 
 _CERTAIN = np.log(4.0)
@@ -58,7 +58,10 @@ def kinematic_tree(activity: Activity, features: Features) -> KinematicTree:
     dofs = sorted(np.flatnonzero(felt), key=lambda d: (-int(bits[:, d].sum()), int(d)))
     parent = _parents(bits[:, dofs])
     su_joint = _carriers(bits[:, dofs], parent)
-    types = tuple(_joint_type(features, activity, heard[bits[:, d]], int(d)) for d in dofs)
+    own = own_information(features)
+    types = tuple(
+        _joint_type(features, own[:, :, d], activity, heard[bits[:, d]], int(d)) for d in dofs
+    )
     return KinematicTree(
         tuple(activity.dof_names[d] for d in dofs),
         np.array(parent, dtype=np.int64),
@@ -160,17 +163,22 @@ def _carriers(bits: Bool, parent: Sequence[int]) -> list[int]:
     return out
 
 
-def _joint_type(features: Features, activity: Activity, sus: Int, dof: int) -> JointType:
+def _joint_type(features: Features, own: F64, activity: Activity, sus: Int, dof: int) -> JointType:
     """A prismatic DoF turns nothing and pushes every SU beyond it by the same unit vector.
 
     With ``s = 0`` taken as given, the push ``tau`` must have length 1 in every SU and pose; no
     lever arm of a revolute DoF does that.
+
+    Args:
+        features: the measurements.
+        own: (P, U, 2, 2) information on the DoF's s and tau, all else unknown.
+        activity: static evidence.
+        sus: the SUs beyond the DoF.
+        dof: the DoF.
     """
     if np.nanmax(activity.static[sus, dof], initial=0.0) >= 1.0:
         return "revolute"
-    D = features.n_dofs
-    rows = np.array([1 + dof, 1 + D + dof])
-    information = features.information[:, sus][:, :, rows[:, None], rows]
+    information = own[:, sus]
     seen = features.valid[:, sus] & (information[:, :, 1, 1] > 0)
     if not seen.any():
         return "revolute"

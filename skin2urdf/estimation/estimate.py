@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -10,22 +9,15 @@ import numpy as np
 
 from skin2urdf.arrays import F64, Int, frozen
 from skin2urdf.errors import InsufficientDataError
-from skin2urdf.estimation.arrow import factor
 from skin2urdf.estimation.blocks import feature_blocks
 from skin2urdf.estimation.cost import Cost, Priors
-from skin2urdf.estimation.gauss_newton import gauss_newton
-from skin2urdf.estimation.inward import inward_starts
-from skin2urdf.estimation.orientation import Orientations
-from skin2urdf.estimation.outward import outward_starts
-from skin2urdf.estimation.progressive import minimise, progressive
-from skin2urdf.estimation.state import N_PLACEMENT, N_SU, Free, State, identifiable, moved
+from skin2urdf.estimation.progressive import minimise
+from skin2urdf.estimation.starts import followed_starts
+from skin2urdf.estimation.state import Free, State, identifiable
 from skin2urdf.signals.records import Features
 from skin2urdf.structure.records import KinematicTree
 
 Refinement = Literal["casadi", "none"]
-
-_EXPLAINED = 10.0
-"""Chi-squared per measurement up to which a followed start counts as an explanation."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,7 +103,7 @@ def estimate(
     cost = Cost(tree, blocks, settings.priors)
     free = _free(cost, settings)
     _check_amount(cost, free)
-    state, hypotheses = _followed_starts(cost, free, start)
+    state, hypotheses = followed_starts(cost, free, start)
     weight = np.ones(blocks.count.shape)
     state, chi2 = minimise(cost, state, free)
     plain = cost
@@ -187,77 +179,6 @@ def _free(cost: Cost, settings: EstimationSettings) -> Free:
     sus = free.sus.copy()
     sus[:, 6:] &= ~fixed
     return Free(free.joints, free.logs, sus)
-
-
-def _followed_starts(
-    cost: Cost, free: Free, earlier: State | None
-) -> tuple[State, tuple[float, ...]]:
-    """The most promising start, followed to the neighbourhood of its optimum.
-
-    An earlier estimate that explains the data needs no other start. Otherwise peeling inwards
-    comes first where slopes were measured. The search outwards follows where they were not, or
-    where no peeled start explains the data (slopes and accelerations are hard to tell apart in
-    a short pattern of one frequency).
-    """
-    # Placements first: from far away, a sensor matrix would rather turn itself inside out.
-    placements = Free(free.joints, free.logs, free.sus & (np.arange(N_SU) < N_PLACEMENT))
-    followed: list[tuple[State, float]] = []
-
-    def follow(starts: Iterator[Orientations]) -> None:
-        for start in starts:
-            state = with_positions(cost, start.state(cost.tree), free)
-            state, _ = gauss_newton(cost, state, placements, iterations=8)
-            followed.append(gauss_newton(cost, state, free, iterations=8))
-
-    if earlier is not None:
-        followed.append(gauss_newton(cost, earlier, free, iterations=8))
-        if followed[0][1] < _EXPLAINED * cost.n_data:
-            return followed[0][0], (followed[0][1],)
-    inward = _slopes_measured(cost)
-    if inward:
-        follow(inward_starts(cost.tree, cost.blocks, cost.priors))
-    explained = any(chi2 < _EXPLAINED * cost.n_data for _, chi2 in followed)
-    if not inward and not followed:
-        starts = list(outward_starts(cost.tree, cost.blocks, cost.priors))
-        if len(starts) == 1:
-            state = with_positions(cost, starts[0].state(cost.tree), free)
-            state = progressive(cost, state, placements)
-            return state, (cost.at(state).chi2,)
-        follow(iter(starts))
-    elif not explained and earlier is None:
-        follow(outward_starts(cost.tree, cost.blocks, cost.priors))
-    if not followed:
-        raise InsufficientDataError(
-            "no start for the estimation: the gravity slopes of the DoFs were not measured, and a "
-            "segment carries no SU",
-            "record patterns that move every DoF by 0.05 rad or more around each pose",
-        )
-    best = min(range(len(followed)), key=lambda i: followed[i][1])
-    return progressive(cost, followed[best][0], free), tuple(c for _, c in followed)
-
-
-def _slopes_measured(cost: Cost) -> bool:
-    """Whether most DoFs' slopes s were measured in most poses where the DoF moved the SU."""
-    L = cost.blocks.chains.joint.shape[1]
-    slopes = cost.blocks.variance[:, :, 1 : 1 + L][:, cost.blocks.chains.present]
-    levers = cost.blocks.variance[:, :, 1 + L :][:, cost.blocks.chains.present]
-    return bool(np.isfinite(slopes).sum() > 0.5 * max(1, int(np.isfinite(levers).sum())))
-
-
-def with_positions(cost: Cost, state: State, free: Free) -> State:
-    """Positions for known orientations: one linear least-squares problem (tau = w x r).
-
-    Args:
-        cost: the cost.
-        state: orientations, with every origin in its parent's.
-        free: which coordinates may move.
-    """
-    joints, sus = free.joints.copy(), free.sus.copy()
-    joints[:, 2:], sus[:, 3:] = False, False
-    only = Free(joints, np.zeros_like(free.logs), sus)
-    here = cost.at(state)
-    step = factor(here.normal_equations(), only).newton_step(here.gradient())
-    return moved(state, step)
 
 
 def _n_parameters(cost: Cost, free: Free) -> int:

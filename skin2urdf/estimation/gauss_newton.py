@@ -8,7 +8,12 @@ from skin2urdf.estimation.state import Free, State, moved
 
 
 def gauss_newton(
-    cost: Cost, state: State, free: Free, iterations: int = 20, tolerance: float = 1e-6
+    cost: Cost,
+    state: State,
+    free: Free,
+    iterations: int = 20,
+    tolerance: float = 1e-6,
+    damping: float = 1e-6,
 ) -> tuple[State, float]:
     """Minimise chi-squared over the free coordinates.
 
@@ -18,12 +23,12 @@ def gauss_newton(
         free: which coordinates may move.
         iterations: at most that many linearisations.
         tolerance: stop when chi-squared falls by less than this fraction.
+        damping: at the start, relative to each coordinate's own information.
 
     Returns:
         The best state found and its chi-squared.
     """
     here = cost.at(state)
-    damping = 1e-6
     for _ in range(iterations):
         equations, gradient = here.normal_equations(), here.gradient()
         while True:

@@ -14,7 +14,15 @@ from skin2urdf.arrays import F64, Bool
 from skin2urdf.estimation.blocks import FeatureBlocks
 from skin2urdf.estimation.cost import Priors
 from skin2urdf.estimation.state import State
-from skin2urdf.model.spatial import axis_rotation, cross, frame_with_z, inverse, placement, wahba
+from skin2urdf.model.spatial import (
+    axis_rotation,
+    cross,
+    frame_with_z,
+    inverse,
+    placement,
+    skew,
+    wahba,
+)
 from skin2urdf.structure.records import KinematicTree
 
 ROUGH_BIAS = 0.3
@@ -29,11 +37,13 @@ class Orientations:
         axes: (D, 3) unit joint axes.
         R_base_su: (U, 3, 3) SU orientations.
         up: (G, 3) unit vectors opposite to gravity, per log; the first is z.
+        information: (U, 3, 3) on the turns of each SU about the base axes, per pose [1/rad^2].
     """
 
     axes: F64
     R_base_su: F64
     up: F64
+    information: F64
 
     def state(self, tree: KinematicTree) -> State:
         """A state with these orientations and every origin in the base's origin."""
@@ -55,10 +65,11 @@ class Orientations:
 
 def su_orientation(
     blocks: FeatureBlocks, su: int, axes: F64, prismatic: Bool, up: F64, priors: Priors
-) -> F64:
-    """Orientation (3, 3) of one SU at position zero, given the axes of its chain.
+) -> tuple[F64, F64]:
+    """Orientation of one SU at position zero, given the axes of its chain.
 
-    Wahba's problem over all poses: static gravity and its change with every DoF.
+    Wahba's problem over all poses: static gravity, its change with every revolute DoF, and the
+    push of every prismatic one.
 
     Args:
         blocks: the features.
@@ -67,8 +78,12 @@ def su_orientation(
         prismatic: (n,) True for prismatic joints.
         up: (G, 3) up vectors per log.
         priors: gravity's magnitude.
+
+    Returns:
+        R_base_su (3, 3), and the information (3, 3) on its turns about the base axes [1/rad^2],
+        per pose.
     """
-    n = len(axes)
+    n, L = len(axes), blocks.chains.joint.shape[1]
     chain = blocks.chains.joint[su, :n]
     ok = np.isfinite(blocks.noise[:, su]).all(axis=1)
     q = blocks.q[ok][:, chain]
@@ -86,14 +101,17 @@ def su_orientation(
     reference = [f0]
     weights = [1 / (variance * blocks.variance[ok, su, 0] + ROUGH_BIAS**2)]
     for i in range(n):
-        if prismatic[i]:
-            continue
         w = (Rt @ turned_axes[i][..., None])[..., 0]
-        reference.append(cross(f0, w))
-        body.append(blocks.coefficients[ok, su, 1 + i])
-        weights.append(1 / (variance * blocks.variance[ok, su, 1 + i] + ROUGH_BIAS**2))
-    R_ref_body, _ = wahba(np.concatenate(body), np.concatenate(reference), np.concatenate(weights))
-    return R_ref_body
+        row = 1 + L + i if prismatic[i] else 1 + i
+        rough = ROUGH_BIAS / priors.gravity if prismatic[i] else ROUGH_BIAS
+        reference.append(w if prismatic[i] else cross(f0, w))
+        body.append(blocks.coefficients[ok, su, row])
+        weights.append(1 / (variance * blocks.variance[ok, su, row] + rough**2))
+    known, weight = np.concatenate(reference), np.concatenate(weights)
+    R_ref_body, _ = wahba(np.concatenate(body), known, weight)
+    S = skew(known)
+    information = np.einsum("n,nji,njk->ik", weight, S, S) / max(1, len(q))
+    return R_ref_body, information
 
 
 def with_all_sus(
@@ -101,8 +119,9 @@ def with_all_sus(
 ) -> Orientations:
     """Orientations of all SUs for given joint axes (D, 3)."""
     prismatic = tree.prismatic
-    R = [
+    found = [
         su_orientation(blocks, u, axes[list(c)], prismatic[list(c)], up, priors)
         for u, c in enumerate(tree.chain(int(j)) for j in tree.su_joint)
     ]
-    return Orientations(axes, np.array(R).reshape(-1, 3, 3), up)
+    R = np.array([R for R, _ in found]).reshape(-1, 3, 3)
+    return Orientations(axes, R, up, np.array([i for _, i in found]).reshape(-1, 3, 3))

@@ -182,12 +182,15 @@ class Free:
 def identifiable(tree: KinematicTree, n_logs: int, intrinsics: bool = True) -> Free:
     """Coordinates that accelerometers can see in principle (paper II-C.5).
 
-    Left out are positions of axes and SUs relative to the RS, the position of a prismatic
-    joint's axis, and, where ``intrinsics`` is False, bias and shape of the SUs.
+    Left out are positions of axes and SUs relative to the RS or to what only slides on it, the
+    position of a prismatic joint's axis, and, where ``intrinsics`` is False, bias and shape of
+    the SUs.
     """
+    slides = tree.prismatic
+    turns = np.array([not slides[list(tree.chain(j))].all() for j in range(-1, tree.n_joints)])
     joints = np.ones((tree.n_joints, N_JOINT), dtype=bool)
-    joints[(tree.parent < 0) | tree.prismatic, :2] = False
+    joints[~turns[tree.parent + 1] | slides, :2] = False
     sus = np.ones((tree.n_sus, N_SU), dtype=bool)
-    sus[tree.su_joint < 0, :3] = False
+    sus[~turns[tree.su_joint + 1], :3] = False
     sus[:, N_PLACEMENT:] = intrinsics
     return Free(joints, np.ones((max(0, n_logs - 1), 2), dtype=bool), sus)

@@ -13,11 +13,12 @@ from skin2urdf.arrays import F64
 from skin2urdf.errors import InsufficientDataError
 from skin2urdf.estimation.blocks import FeatureBlocks, feature_blocks
 from skin2urdf.estimation.cost import Cost, Priors
-from skin2urdf.estimation.estimate import EstimationSettings, estimate, with_positions
+from skin2urdf.estimation.estimate import EstimationSettings, estimate
 from skin2urdf.estimation.gauss_newton import gauss_newton
 from skin2urdf.estimation.inward import inward_starts
 from skin2urdf.estimation.orientation import Orientations
 from skin2urdf.estimation.outward import fibonacci_sphere, outward_starts
+from skin2urdf.estimation.starts import placed
 from skin2urdf.estimation.state import State, identifiable
 from skin2urdf.signals.records import Features, StaticMoves
 from skin2urdf.simulation.paper_case import TRUE_LINKS, TRUE_SUS, acc_matrix, dh_matrix
@@ -82,7 +83,7 @@ def best_after(starts: Starts, features: Features, tree: KinematicTree) -> float
     free = identifiable(tree, 1, intrinsics=False)
     reached = []
     for start in starts(tree, cost.blocks, PRIORS):
-        state = with_positions(cost, start.state(tree), free)
+        state = placed(cost, start, free)
         reached.append(gauss_newton(cost, state, free, iterations=15)[1])
     return min(reached) / cost.n_data
 

@@ -194,7 +194,7 @@ def _curvature(found: Estimate, features: Features) -> Curvature:
             model, q[dof], dq[:, dof], qd[:, dof], qdd[:, dof], state.up[log] * gravity
         )
         out = np.zeros((len(dq), features.n_sus, 3))
-        out[:, su] = np.einsum("nui,uji->nuj", beyond, M)
+        out[:, su] = (beyond.swapaxes(0, 1) @ M.swapaxes(1, 2)).swapaxes(0, 1)
         return out
 
     return predict

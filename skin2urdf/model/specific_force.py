@@ -8,7 +8,7 @@ from skin2urdf.arrays import F64
 from skin2urdf.model.kinematics import PinocchioTree
 from skin2urdf.model.prediction import Chains, su_kinematics
 from skin2urdf.model.records import KinematicModel
-from skin2urdf.model.spatial import cross
+from skin2urdf.model.spatial import skew
 
 
 def specific_forces(model: KinematicModel, q: F64, qd: F64, qdd: F64, gravity_up: F64) -> F64:
@@ -25,42 +25,65 @@ def specific_forces(model: KinematicModel, q: F64, qd: F64, qdd: F64, gravity_up
         (N, U, 3) in the SUs' frames [m/s^2].
     """
     tree = model.tree
-    N, D = q.shape
-    w = np.zeros((N, D, 3))
-    wd = np.zeros((N, D, 3))
-    a = np.zeros((N, D, 3))
-    R = np.zeros((N, D, 3, 3))
-    for j in range(D):
-        p = int(tree.parent[j])
-        R_p = R[:, p] if p >= 0 else np.broadcast_to(np.eye(3), (N, 3, 3))
-        w_p, wd_p, a_p = (x[:, p] if p >= 0 else np.zeros((N, 3)) for x in (w, wd, a))
-        R_j = R_p @ model.T_parent_joint[j, :3, :3]
-        z = R_j[..., 2]
-        arm = R_p @ model.T_parent_joint[j, :3, 3]
-        rate, acceleration = qd[:, j, None], qdd[:, j, None]
-        if tree.joint_types[j] == "prismatic":
-            arm = arm + q[:, j, None] * z
-            R[:, j], w[:, j], wd[:, j] = R_j, w_p, wd_p
-            coriolis = 2 * cross(w_p, z * rate)
-            a[:, j] = a_p + cross(wd_p, arm) + cross(w_p, cross(w_p, arm)) + coriolis
-            a[:, j] += z * acceleration
-            continue
-        c, s = np.cos(q[:, j])[:, None], np.sin(q[:, j])[:, None]
-        R[:, j, :, 0] = c * R_j[..., 0] + s * R_j[..., 1]
-        R[:, j, :, 1] = c * R_j[..., 1] - s * R_j[..., 0]
-        R[:, j, :, 2] = z
-        a[:, j] = a_p + cross(wd_p, arm) + cross(w_p, cross(w_p, arm))
-        w[:, j] = w_p + z * rate
-        wd[:, j] = wd_p + z * acceleration + cross(w_p, z * rate)
-    out = np.empty((N, tree.n_sus, 3))
-    for u, j in enumerate(tree.su_joint):
-        T = model.T_joint_su[u]
-        if j < 0:
-            out[:, u] = gravity_up @ T[:3, :3]
-            continue
-        arm = R[:, j] @ T[:3, 3]
-        total = a[:, j] + cross(wd[:, j], arm) + cross(w[:, j], cross(w[:, j], arm)) + gravity_up
-        out[:, u] = (total[:, None] @ R[:, j] @ T[:3, :3])[:, 0]
+    q, qd, qdd = (np.ascontiguousarray(x.T) for x in (q, qd, qdd))
+    base = np.zeros((3, 3, q.shape[1]))
+    base[2] = gravity_up[:, None]
+    motion: list[F64] = []
+    out = np.empty((tree.n_sus, 3, q.shape[1]))
+    for j in range(-1, tree.n_joints):
+        if j >= 0:
+            p = int(tree.parent[j])
+            T, slides = model.T_parent_joint[j], bool(tree.prismatic[j])
+            parent = motion[p] if p >= 0 else base
+            motion.append(_beyond_joint(parent, T, slides, q[j], qd[j], qdd[j]))
+        for u in np.flatnonzero(tree.su_joint == j):
+            T = model.T_joint_su[u]
+            out[u] = T[:3, :3].T @ _at(motion[j] if j >= 0 else base, T[:3, 3])
+    return np.ascontiguousarray(np.moveaxis(out, 2, 0))
+
+
+def _at(motion: F64, arm: F64) -> F64:
+    """(3, N) specific force at a point that is fixed in a moving frame.
+
+    Args:
+        motion: (3, 3, N) the frame's angular velocity and acceleration, and the specific force at
+            its origin, all in that frame; samples last, where NumPy is fastest.
+        arm: (3,) the point [m].
+    """
+    w, wd, force = motion
+    # wd x r + w x (w x r), where w x (w x r) = w (w . r) - r |w|^2.
+    centripetal = w * (arm @ w) - np.multiply.outer(arm, (w * w).sum(axis=0))
+    return np.asarray(force - skew(arm) @ wd + centripetal)
+
+
+def _beyond_joint(motion: F64, T: F64, slides: bool, q: F64, qd: F64, qdd: F64) -> F64:
+    """Motion (3, 3, N) of a joint's frame from that of its parent, each in its own frame.
+
+    Args:
+        motion: as in :func:`_at`.
+        T: (4, 4) the joint's placement.
+        slides: True for a prismatic joint.
+        q: (N,) position, and
+        qd: (N,) velocity, and
+        qdd: (N,) acceleration along or about the joint's z axis.
+    """
+    (wx, wy, wz), (ax, ay, az), (fx, fy, fz) = (
+        T[:3, :3].T @ part for part in (motion[0], motion[1], _at(motion, T[:3, 3]))
+    )
+    out = np.empty_like(motion)
+    if slides:
+        out[0], out[1] = (wx, wy, wz), (ax, ay, az)
+        out[2, 0] = fx + (ay + wx * wz) * q + 2 * wy * qd
+        out[2, 1] = fy + (wy * wz - ax) * q - 2 * wx * qd
+        out[2, 2] = fz - (wx * wx + wy * wy) * q + qdd
+        return out
+    c, s = np.cos(q), np.sin(q)
+    for turned, (x, y, z) in zip(out, ((wx, wy, wz), (ax, ay, az), (fx, fy, fz)), strict=True):
+        turned[0], turned[1], turned[2] = c * x + s * y, c * y - s * x, z
+    out[1, 0] += out[0, 1] * qd
+    out[1, 1] -= out[0, 0] * qd
+    out[1, 2] += qdd
+    out[0, 2] += qd
     return out
 
 
@@ -88,9 +111,9 @@ def beyond_first_order(
     kin = su_kinematics(chains, tree.su_joint, R, p, model.T_joint_su, gravity_up[None])
     rows = kin.features()[0]
     L = chains.joint.shape[1]
-    linear = np.broadcast_to(rows[:, 0], (len(dq), tree.n_sus, 3)).copy()
-    for u in range(tree.n_sus):
-        n = int(chains.length[u])
-        own = chains.joint[u, :n]
-        linear[:, u] += dq[:, own] @ rows[u, 1 : 1 + n] + qdd[:, own] @ rows[u, 1 + L : 1 + L + n]
+    slopes, levers = np.zeros((2, tree.n_joints, tree.n_sus, 3))
+    u, k = np.nonzero(chains.present)
+    slopes[chains.joint[u, k], u] = rows[u, 1 + k]
+    levers[chains.joint[u, k], u] = rows[u, 1 + L + k]
+    linear = np.tensordot(dq, slopes, 1) + np.tensordot(qdd, levers, 1) + rows[:, 0]
     return np.asarray(specific_forces(model, q + dq, qd, qdd, gravity_up) - linear)

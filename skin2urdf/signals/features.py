@@ -27,6 +27,7 @@ from skin2urdf.signals.regression import (
     fit,
     hidden_motion,
     noise_by_row,
+    orthonormal,
     regressors,
 )
 from skin2urdf.signals.sampling import Sampled, static_moves
@@ -36,6 +37,8 @@ Curvature = Callable[[F64, F64, F64, F64, int], F64]
 
 _MODEL_NOISE = 3e-4
 """Error of interpolating and differentiating sampled signals [m/s^2]; a floor for the noise."""
+_RATE_OVER_CUTOFF = 3.0
+"""Samples kept per second over the low-pass' cutoff [Hz]; aliases appear below 2.8."""
 _STILL = 20.0
 """Encoder steps per second below which rounding does not average out [1/s]."""
 
@@ -112,10 +115,12 @@ def _poses(s: Sampled, lag: F64, curvature: Curvature | None, log: int) -> list[
     motion, rate = s.motion, s.motion.grid.rate
     taps = low_pass(s.cutoff, rate)
     half = len(taps) // 2
-    independence = min(1.0, 2 * noise_bandwidth(taps, rate) / rate)
-    readings = np.stack([shifted(s.readings[:, u], rate, lag[u]) for u in range(len(lag))], axis=1)
+    readings = _aligned(s.readings, rate, lag)
     reach = int(np.ceil(np.max(np.abs(lag), initial=0.0) * rate))
     noise = _regressor_noise(motion, s.cutoff)
+    # What the low-pass leaves needs few samples: beyond 1.4 times the cutoff there is nothing.
+    every = max(1, int(rate / (_RATE_OVER_CUTOFF * s.cutoff)))
+    independence = min(1.0, 2 * noise_bandwidth(taps, rate) * every / rate)
     out = []
     for pose in s.neighbourhoods:
         pieces = [_span(motion, a, b, half) for a, b in pose.windows]
@@ -128,27 +133,35 @@ def _poses(s: Sampled, lag: F64, curvature: Curvature | None, log: int) -> list[
             y = y - curvature(pose.q, dq, qd, qdd, log)
         still = (np.abs(qd) < _STILL * motion.resolution).mean(axis=0)
         hidden = hidden_motion(qd, qdd, motion.resolution)
-        inner, usable, at = [], [], 0
+        columns = np.concatenate([X, Z, y.reshape(len(y), -1)], axis=1)
+        kept, usable, at = [], [], 0
         for (a, b), (lo, hi) in zip(pose.windows, pieces, strict=True):
-            inner.append(np.arange(at + a - lo, at + b - lo))
+            inside = slice(a - lo, b - lo, every)
+            kept.append(filtered(columns[at : at + hi - lo], taps)[inside])
             trim = min(half, max(0, (b - a) // 4))
             ok = np.zeros((hi - lo, len(lag)), dtype=bool)
             ok[a - lo + trim : b - lo - trim] = True
-            usable.append((ok & eroded_columns(s.valid[lo:hi], half + reach))[a - lo : b - lo])
-            part = slice(at, at + hi - lo)
-            X[part], y[part] = filtered(X[part], taps), filtered(y[part], taps)
-            Z[part] = filtered(Z[part], taps) if Z.shape[1] else Z[part]
+            usable.append((ok & eroded_columns(s.valid[lo:hi], half + reach))[inside])
             at += hi - lo
         span = (motion.grid.time[pose.windows[0][0]], motion.grid.time[pose.windows[-1][1] - 1])
-        use = np.concatenate(inner)
-        ok = np.concatenate(usable)
+        X, Z, y = np.split(np.concatenate(kept), [X.shape[1], X.shape[1] + Z.shape[1]], axis=1)
         out.append(
             _regress(
-                pose.q, log, X[use], Z[use], y[use], ok, noise,
-                (still * motion.noise, hidden, span), (independence, rate, s.cutoff),
+                pose.q, log, X, Z, y.reshape(len(y), -1, 3), np.concatenate(usable), noise,
+                (still * motion.noise, hidden, span), (independence, rate / every, s.cutoff),
             )
         )  # fmt: skip
     return [p for p in out if np.isfinite(p.noise).any()]
+
+
+def _aligned(readings: F64, rate: float, lag: F64) -> F64:
+    """Readings (N, U, 3) with every SU's lag (U,) [s] undone."""
+    if not lag.any():
+        return readings
+    out = readings.copy()
+    for u in np.flatnonzero(lag):
+        out[:, u] = shifted(readings[:, u], rate, lag[u])
+    return out
 
 
 def _span(motion: Motion, begin: int, end: int, margin: int) -> tuple[int, int]:
@@ -189,10 +202,13 @@ def _regress(
         if not enough(use, rate):
             continue
         Xe = excited(X[use], noise[0])
-        Ze = Z[use]
+        # A DoF that keeps still adds nothing at second order: its nuisances would only fit noise.
+        moves = np.asarray(Xe[:, (n + 1) // 2 :].any(axis=0))
+        Ze = Z[use] * np.tile(moves, Z.shape[1] // max(1, len(moves)))
         result = fit(Design(Xe, Ze, *noise), y[use][:, members], independence)
         coefficients[members] = result.coefficients
-        factor = noise_by_row(Xe, result.residual, rate, cutoff, independence)
+        basis = orthonormal(np.concatenate([Xe, Ze], axis=1))
+        factor = noise_by_row(Xe, basis, result.residual, rate, cutoff, independence)
         root = np.sqrt(factor)
         information[members] = result.information / (root[:, :, None] * root[:, None, :])
         deviation[members] = np.hypot(result.deviation, _MODEL_NOISE)
@@ -200,7 +216,6 @@ def _regress(
         fitted[use] = y[use][:, members] - result.residual
         slope = first_derivative(fitted, rate)
         slope = slope[use] * eroded(use, 5)[use, None, None]
-        basis, _ = np.linalg.qr(np.concatenate([Xe, Ze], axis=1))
         flat = slope.reshape(len(slope), -1)
         across = (flat - basis @ (basis.T @ flat)).reshape(slope.shape)
         weight = 1 / deviation[members] ** 2

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.interpolate import CubicSpline
-from scipy.ndimage import convolve1d, minimum_filter1d
+from scipy.ndimage import convolve1d, map_coordinates, minimum_filter1d
 from scipy.signal import firwin, oaconvolve, upfirdn
 
 from skin2urdf.arrays import F64, Bool
@@ -19,7 +19,9 @@ from skin2urdf.arrays import F64, Bool
 _FIRST = np.array([1 / 280, -4 / 105, 1 / 5, -4 / 5, 0, 4 / 5, -1 / 5, 4 / 105, -1 / 280])
 _SECOND = np.array([-1 / 560, 8 / 315, -1 / 5, 8 / 5, -205 / 72, 8 / 5, -1 / 5, 8 / 315, -1 / 560])
 _LINEAR_RATE = 1300.0
-"""Streams faster than this [Hz] are interpolated linearly; slower ones by cubic splines."""
+"""Uneven streams faster than this [Hz] are interpolated linearly; slower ones by cubic splines."""
+_UNEVEN = 1e-4
+"""Relative change from one period to the next up to which a stream is regular."""
 _STOPBAND = 100.0
 
 
@@ -72,6 +74,43 @@ def sample(time: F64, values: F64, grid: Grid) -> tuple[F64, Bool]:
     steps = np.diff(time)
     typical = float(np.median(steps))
     factor = max(1, round(1 / (typical * grid.rate)))
+    if np.abs(np.diff(steps)).max() < _UNEVEN * typical:
+        out, reach = _sample_regular(time, values, grid, factor, typical)
+    else:
+        out, reach = _sample_irregular(time, values, grid, factor, typical)
+    gap = steps > max(4.5 * typical, 0.03)
+    bad = np.zeros(grid.size, dtype=bool)
+    t = grid.time
+    for a, b in zip(time[:-1][gap], time[1:][gap], strict=True):
+        bad |= (t > a - reach) & (t < b + reach)
+    bad |= (t < time[0] + reach) | (t > time[-1] - reach)
+    return out, ~bad
+
+
+def _sample_regular(
+    time: F64, values: F64, grid: Grid, factor: int, period: float
+) -> tuple[F64, float]:
+    """Decimate on the stream's own clock, then interpolate what is left by quintic splines.
+
+    Returns:
+        (N, C) values, and for how long what is missing beyond the stream's ends is felt [s].
+    """
+    taps = low_pass(0.36 * grid.rate, 1 / period) if factor > 1 else np.ones(1)
+    half = len(taps) // 2
+    # Of the full convolution, the first complete output belongs to the first sample.
+    lead = half + -2 * half % factor
+    padded = np.pad(values, ((lead, half), (0, 0)), mode="edge")
+    kept = time[::factor]
+    first = (lead + half) // factor
+    coarse = upfirdn(taps, padded, down=factor, axis=0)[first : first + len(kept)]
+    index = np.interp(grid.time, kept, np.arange(len(kept)))
+    return _interpolated(coarse, index), half * period
+
+
+def _sample_irregular(
+    time: F64, values: F64, grid: Grid, factor: int, typical: float
+) -> tuple[F64, float]:
+    """Interpolate at a multiple of the grid's rate, then decimate; returns as above."""
     fine_rate = grid.rate * factor
     taps = low_pass(0.36 * grid.rate, fine_rate) if factor > 1 else np.ones(1)
     half = len(taps) // 2
@@ -85,15 +124,17 @@ def sample(time: F64, values: F64, grid: Grid) -> tuple[F64, Bool]:
     lead = np.zeros(((-2 * half) % factor, values.shape[1]))
     out = upfirdn(taps, np.concatenate([lead, dense]), up=1, down=factor, axis=0)
     first = (len(lead) + 2 * half) // factor
-    out = out[first : first + grid.size]
-    gap = steps > max(4.5 * typical, 0.03)
-    bad = np.zeros(grid.size, dtype=bool)
-    reach = half / fine_rate
-    t = grid.time
-    for a, b in zip(time[:-1][gap], time[1:][gap], strict=True):
-        bad |= (t > a - reach) & (t < b + reach)
-    bad |= (t < time[0] + reach) | (t > time[-1] - reach)
-    return np.ascontiguousarray(out), ~bad
+    return np.ascontiguousarray(out[first : first + grid.size]), half / fine_rate
+
+
+def _interpolated(values: F64, index: F64) -> F64:
+    """Values (M, C) at fractional positions (N,) in [0, M - 1], by quintic splines."""
+    # Reflected in its end points a signal goes on smoothly; a spline feels no more than this.
+    margin = 24
+    ends = ((margin, margin), (0, 0))
+    padded = np.pad(values, ends, mode="reflect", reflect_type="odd")
+    at = index[None] + margin
+    return np.stack([map_coordinates(c, at, order=5, mode="mirror") for c in padded.T], axis=1)
 
 
 def filtered(values: F64, taps: F64) -> F64:
@@ -123,8 +164,8 @@ def eroded(mask: Bool, reach: int) -> Bool:
 
 
 def shifted(values: F64, rate: float, delay: float) -> F64:
-    """Values (N, C) of a stream taken ``delay`` [s] later, by cubic splines."""
+    """Values (N, C) of a stream taken ``delay`` [s] later, by quintic splines."""
     if delay == 0.0:
         return values
-    t = np.arange(len(values)) / rate
-    return np.asarray(CubicSpline(t, values)(np.clip(t + delay, t[0], t[-1])))
+    last = len(values) - 1
+    return _interpolated(values, np.clip(np.arange(last + 1) + delay * rate, 0, last))

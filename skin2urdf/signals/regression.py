@@ -116,7 +116,15 @@ def fit(design: Design, y: F64, independence: float) -> Fit:
     )
 
 
-def noise_by_row(X: F64, residual: F64, rate: float, cutoff: float, independence: float) -> F64:
+def orthonormal(Z: F64) -> F64:
+    """(N, r) orthonormal basis of what the columns of Z (N, k) that are not zero span."""
+    basis, _ = np.linalg.qr(Z[:, np.einsum("ni,ni->i", Z, Z) > 0])
+    return np.asarray(basis)
+
+
+def noise_by_row(
+    X: F64, basis: F64, residual: F64, rate: float, cutoff: float, independence: float
+) -> F64:
     """Noise power that each regressor meets, relative to the mean over all samples.
 
     Residuals are neither white nor steady: what the encoders' rounding adds grows with the fourth
@@ -126,6 +134,7 @@ def noise_by_row(X: F64, residual: F64, rate: float, cutoff: float, independence
 
     Args:
         X: (N, n) filtered regressors; zero columns get 1.
+        basis: (N, r) orthonormal basis of all regressors, nuisances included.
         residual: (N, U, 3) residuals.
         rate: samples per second [Hz].
         cutoff: of the low-pass [Hz].
@@ -135,11 +144,10 @@ def noise_by_row(X: F64, residual: F64, rate: float, cutoff: float, independence
         (U, n) factors.
     """
     N, U, _ = residual.shape
-    f = np.fft.rfftfreq(N, 1 / rate)
+    f = np.asarray(np.fft.rfftfreq(N, 1 / rate), dtype=np.float64)
     band = (f > 0.25) & (f < 0.9 * cutoff)
     power = (np.abs(np.fft.rfft(residual, axis=0)) ** 2).mean(axis=2)[band]
-    basis = np.stack([np.ones(int(band.sum())), (f[band] / cutoff) ** 4], axis=1)
-    level = np.array([_spectrum(basis, p) for p in power.T])
+    level = _spectra((f[band] / cutoff) ** 4, power.T)
     X_power = np.abs(np.fft.rfft(X, axis=0)) ** 2
     inside = f < 0.9 * cutoff
     shape = np.stack([np.ones(int(inside.sum())), (f[inside] / cutoff) ** 4], axis=1)
@@ -148,9 +156,7 @@ def noise_by_row(X: F64, residual: F64, rate: float, cutoff: float, independence
     by_frequency = np.divide(level @ share.T, total, out=np.ones((U, len(total))), where=total > 0)
     by_frequency /= np.maximum(power.mean(axis=0), 1e-300)[:, None]
 
-    used = X[:, np.einsum("ni,ni->i", X, X) > 0]
-    q, _ = np.linalg.qr(used)
-    leverage = np.clip(np.einsum("ni,ni->n", q, q) / independence, 0.0, 0.8)
+    leverage = np.clip(np.einsum("ni,ni->n", basis, basis) / independence, 0.0, 0.8)
     squared = (residual**2).mean(axis=2) / (1 - leverage)[:, None]
     span = max(1, int(0.5 * rate))
     steady = uniform_filter1d(squared, span, axis=0, mode="nearest")
@@ -161,24 +167,29 @@ def noise_by_row(X: F64, residual: F64, rate: float, cutoff: float, independence
     return np.asarray(np.clip(by_frequency * by_time, 1e-3, 1e3))
 
 
-def _spectrum(basis: F64, power: F64) -> F64:
-    """Non-negative levels (2,) of a spectrum ``a + b (f / cutoff)^4``, by iterated weighting."""
-    model = np.full(len(power), max(float(power.mean()), 1e-300))
-    level = np.array([model[0], 0.0])
+def _spectra(shape: F64, power: F64) -> F64:
+    """Non-negative levels (U, 2) of spectra ``a + b shape``, by iterated weighting.
+
+    Args:
+        shape: (F,) what the second level multiplies.
+        power: (U, F) periodograms; their scatter is proportional to the spectrum.
+    """
+    average = np.maximum(power.mean(axis=1, keepdims=True), 1e-300)
+    power = power / average
+    model = np.ones_like(power)
     for _ in range(4):
-        A = basis / model[:, None]
-        y = power / model
-        candidates = []
-        both, *_ = np.linalg.lstsq(A, y, rcond=None)
-        candidates.append(both)
-        for i in (0, 1):
-            only = np.zeros(2)
-            only[i] = (A[:, i] @ y) / (A[:, i] @ A[:, i])
-            candidates.append(only)
-        feasible = [c for c in candidates if (c >= 0).all()]
-        level = min(feasible, key=lambda c: float(np.sum((A @ c - y) ** 2)))
-        model = np.maximum(basis @ level, 1e-3 * float(power.mean()) + 1e-300)
-    return np.asarray(level)
+        w = 1 / model**2
+        aa, ab, bb = w.sum(axis=1), w @ shape, w @ shape**2
+        ay, by = (w * power).sum(axis=1), (w * power) @ shape
+        determinant = np.maximum(aa * bb - ab * ab, 1e-300)
+        a, b = (bb * ay - ab * by) / determinant, (aa * by - ab * ay) / determinant
+        # Where one level would be negative, the other stands alone: the one that gains more.
+        flat = ay**2 * bb >= by**2 * aa
+        alone = (a < 0) | (b < 0)
+        a = np.where(alone, np.where(flat, ay / aa, 0.0), a)
+        b = np.where(alone, np.where(flat, 0.0, by / bb), b)
+        model = np.maximum(a[:, None] + b[:, None] * shape, 1e-3)
+    return np.asarray(np.stack([a, b], axis=1) * average)
 
 
 def regressors(dq: F64, qd: F64, qdd: F64, linear: bool) -> tuple[F64, F64]:

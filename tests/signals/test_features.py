@@ -114,6 +114,15 @@ def test_without_a_model_coefficients_are_good_enough_to_start(
         assert size < limit, kind
 
 
+def test_a_pose_in_which_nothing_moves_says_all_about_gravity() -> None:
+    """Second-order regressors of joints that keep still would take its few samples for noise."""
+    features = features_of(simulation("panda", excite="all").recording)
+    sharp = np.einsum("puii->pui", features.information)
+    quiet = ~(sharp[:, :, 1:] > 0).any(axis=(1, 2))
+    assert quiet.sum() >= features.n_dofs
+    assert sharp[quiet, :, 0].min() > 1.0
+
+
 def test_poses_are_where_the_robot_really_rested() -> None:
     sim = simulation("panda")
     features = first_features()

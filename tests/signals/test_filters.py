@@ -76,6 +76,16 @@ def test_every_rate_has_the_same_gain(rate: float) -> None:
     np.testing.assert_allclose(gain(values, GRID.time), 1.0, atol=1.2e-5)
 
 
+@pytest.mark.parametrize("rate", [100.0, 250.0, 480.0, 1000.0])
+def test_even_and_uneven_streams_come_out_alike(rate: float) -> None:
+    """They take different ways; a drift of the clock keeps a stream even."""
+    t = np.arange(0.0, 12.5, 1 / rate)
+    even = t + 1e-4 * np.sin(0.5 * t)
+    uneven = stamps(rate, 0.01, np.random.default_rng(2))
+    one, other = (sample(time, tones(time), GRID)[0] for time in (even, uneven))
+    np.testing.assert_allclose(one, other, atol=3e-5)
+
+
 def test_what_a_grid_can_not_hold_is_filtered_out() -> None:
     time = stamps(500.0, 0.0, np.random.default_rng(0))
     alias = np.array([90.0, 118.0, 150.0, 220.0])

@@ -14,7 +14,16 @@ from skin2urdf.signals.filters import (
     noise_bandwidth,
     second_derivative,
 )
-from skin2urdf.signals.regression import Design, Fit, enough, excited, fit, noise_by_row, regressors
+from skin2urdf.signals.regression import (
+    Design,
+    Fit,
+    enough,
+    excited,
+    fit,
+    noise_by_row,
+    orthonormal,
+    regressors,
+)
 
 RATE, CUTOFF = 125.0, 10.0
 TAPS = low_pass(CUTOFF, RATE)
@@ -229,7 +238,8 @@ def z_scores(kind: str, runs: int, seed: int, linear: bool, by_row: bool = True)
             noise = 0.1 * noise + 1.5 * bent * busy
         y = filtered(noise, TAPS)[inside]
         result = fitted(Xi, Zi, y)
-        factor = noise_by_row(Xi, result.residual, RATE, CUTOFF, INDEPENDENCE)
+        basis = orthonormal(np.concatenate([Xi, Zi], axis=1))
+        factor = noise_by_row(Xi, basis, result.residual, RATE, CUTOFF, INDEPENDENCE)
         root = np.sqrt(factor[0]) if by_row else np.ones(X.shape[1])
         covariance = np.linalg.inv(result.information / (root[:, None] * root))
         sd = np.sqrt(np.diag(covariance))[:, None] * result.deviation[0]
@@ -266,7 +276,7 @@ def test_noise_by_row_is_one_for_noise_without_shape() -> None:
     X, _ = regressors(*swings(3000), linear=True)
     X = filtered(X, TAPS)
     residual = filtered(rng.standard_normal((3000, 2, 3)), TAPS)
-    factor = noise_by_row(X, residual, RATE, CUTOFF, INDEPENDENCE)
+    factor = noise_by_row(X, orthonormal(X), residual, RATE, CUTOFF, INDEPENDENCE)
     assert factor.shape == (2, 7)
     # The pass band holds a little more than its share of the noise: the filter's skirt takes some.
     np.testing.assert_allclose(factor, 1.0, atol=0.25)

@@ -15,8 +15,10 @@ from typing import Any
 
 import numpy as np
 from validation.measure import code_digest, sensor_rotations, truth_as_felt
+from validation.records import rms
 
 from skin2urdf.calibration import Calibration
+from skin2urdf.errors import InsufficientDataError
 from skin2urdf.pipeline import calibrate
 from skin2urdf.recording.records import Recording
 from skin2urdf.recording.retiming import retimed
@@ -249,8 +251,9 @@ def errors(found: Calibration, truth: Truth, without: Sequence[str]) -> tuple[fl
             estimate, true, unobservable=free, anchors=anchors, sus=names,
             n_configurations=CONFIGURATIONS, rng=np.random.default_rng(0),
         )  # fmt: skip
-    return (
-        float(comparison.position.rms * 1e3),
-        float(np.rad2deg(comparison.orientation.rms)),
-        comparison.tree_equal,
-    )
+    sus = [su for su in comparison.sus if su.name in names]
+    position = rms(su.position.rms for su in sus if su.position)
+    orientation = rms(su.orientation.rms for su in sus if su.orientation)
+    if position is None or orientation is None:
+        raise InsufficientDataError("nothing is observable of the SUs without a fault", "")
+    return position * 1e3, float(np.rad2deg(orientation)), comparison.tree_equal

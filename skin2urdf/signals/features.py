@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -134,7 +134,7 @@ def _poses(s: Sampled, lag: F64, curvature: Curvature | None, log: int) -> list[
         still = (np.abs(qd) < _STILL * motion.resolution).mean(axis=0)
         hidden = hidden_motion(qd, qdd, motion.resolution)
         columns = np.concatenate([X, Z, y.reshape(len(y), -1)], axis=1)
-        kept, usable, at = [], [], 0
+        kept, usable, lost, at = [], [], [], 0
         for (a, b), (lo, hi) in zip(pose.windows, pieces, strict=True):
             inside = slice(a - lo, b - lo, every)
             kept.append(filtered(columns[at : at + hi - lo], taps)[inside])
@@ -142,16 +142,27 @@ def _poses(s: Sampled, lag: F64, curvature: Curvature | None, log: int) -> list[
             ok = np.zeros((hi - lo, len(lag)), dtype=bool)
             ok[a - lo + trim : b - lo - trim] = True
             usable.append((ok & eroded_columns(s.valid[lo:hi], half + reach))[inside])
+            lost.append(s.computed[a:b:every])
             at += hi - lo
         span = (motion.grid.time[pose.windows[0][0]], motion.grid.time[pose.windows[-1][1] - 1])
         X, Z, y = np.split(np.concatenate(kept), [X.shape[1], X.shape[1] + Z.shape[1]], axis=1)
-        out.append(
-            _regress(
-                pose.q, log, X, Z, y.reshape(len(y), -1, 3), np.concatenate(usable), noise,
-                (still * motion.noise, hidden, span), (independence, rate / every, s.cutoff),
-            )
+        ok = np.concatenate(usable)
+        found = _regress(
+            pose.q, log, X, Z, y.reshape(len(y), -1, 3), ok, noise,
+            (still * motion.noise, hidden, span), (independence, rate / every, s.cutoff),
         )  # fmt: skip
+        out.append(replace(found, noise=found.noise / _measured(ok, np.concatenate(lost))))
     return [p for p in out if np.isfinite(p.noise).any()]
+
+
+def _measured(used: Bool, computed: Bool) -> F64:
+    """(U, 1) share of measured samples among those used (N, U).
+
+    Computed ones have no residual, which makes the noise look smaller by the root of that share,
+    and bring no information, of which the share is left.
+    """
+    n = np.maximum(used.sum(axis=0), 1)
+    return np.asarray(np.maximum(1 - (used & computed).sum(axis=0) / n, 0.1))[:, None]
 
 
 def _aligned(readings: F64, rate: float, lag: F64) -> F64:

@@ -137,6 +137,22 @@ def _interpolated(values: F64, index: F64) -> F64:
     return np.stack([map_coordinates(c, at, order=5, mode="mirror") for c in padded.T], axis=1)
 
 
+def spread(time: F64, samples: Bool, grid: Grid) -> Bool:
+    """(N,) True where one of the marked samples (M,) enters what :func:`sample` gives.
+
+    Args:
+        time: (M,) strictly increasing sample times [s].
+        samples: (M,) the marked ones.
+        grid: where to.
+    """
+    if not samples.any():
+        return np.zeros(grid.size, dtype=bool)
+    reach = 4 / grid.rate  # the low-pass has little weight beyond
+    marked = time[samples]
+    after = np.searchsorted(marked, grid.time - reach)
+    return np.asarray(after < np.searchsorted(marked, grid.time + reach))
+
+
 def filtered(values: F64, taps: F64) -> F64:
     """Zero-phase FIR along the first axis, same length; ends repeat the outermost samples."""
     if len(values) >= len(taps):

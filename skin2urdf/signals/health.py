@@ -1,18 +1,84 @@
-"""SUs whose readings can not be used at all: dead, frozen, out of range."""
+"""What is wrong with an SU's stream as it stands in the log, before any robot is known."""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from skin2urdf.arrays import F64, Bool
 from skin2urdf.faults import Fault
+from skin2urdf.recording.records import SuStream
 
 CHECK_SENSOR = "check its cable and its driver"
-
 _PLAUSIBLE = (0.6, 1.4)
 """Static readings of a working sensor, in g."""
 _SATURATED = 0.002
 """Share of samples at the ends of the range from which an SU counts as saturated."""
+_FALSE_ALARM = 1e-9
+"""Probability that chance alone makes an SU of a log count as frozen."""
+_SHORTEST_FREEZE = 0.25
+"""Shortest repetition of one value [s] that is a fault."""
+_LOST = 0.05
+"""Share of lost samples from which an SU counts as intermittent."""
+_UNTOLD = 0.3
+"""Shortest steps over the mean step below which stamps come in bursts and tell of no loss."""
+_SILENT = 3.0
+"""Time at an end of the log without a sample [s] from which an SU counts as dead there."""
+_NOISY = 5.0
+"""Noise over the median SU's from which an SU is named. Units of one sort differ by some tens of
+per cent, and the estimate of a noise from thousands of samples by a few."""
+_LEAST_NOISE = 1e-3
+"""Noise [m/s^2] that no accelerometer's falls below: what is less is not held against others."""
+
+
+@dataclass(frozen=True, eq=False)
+class Checked:
+    """An SU's stream and what is wrong with it.
+
+    Attributes:
+        stream: the samples that say something.
+        clipped: (M,) True for those at the end of the sensor's range.
+        faults: what was found.
+    """
+
+    stream: SuStream
+    clipped: Bool
+    faults: tuple[Fault, ...]
+
+
+def checked(
+    sus: Sequence[SuStream], rests: Sequence[tuple[float, float]], span: tuple[float, float]
+) -> list[Checked]:
+    """Look through all streams of a log.
+
+    Args:
+        sus: the streams.
+        rests: begin and end of the times at which the robot rests [s].
+        span: begin and end of the joints' streams [s].
+    """
+    still = [_within(su.time, rests) for su in sus]
+    at_rest = np.array([_repeated(su.specific_force[s]) for su, s in zip(sus, still, strict=True)])
+    noise = np.array([rest_noise(su.specific_force, s) for su, s in zip(sus, still, strict=True)])
+    out = []
+    for u, su in enumerate(sus):
+        others = np.delete(at_rest, u)
+        chance = float(np.median(others)) if len(others) else 0.0
+        kept, faults = _thawed(su, chance)
+        whole = SuStream(su.name, su.time[kept], su.specific_force[kept], su.topic)
+        if not faults:
+            faults = [*_silences(su, span), *_losses(su), *_noisiness(su.name, u, noise)]
+        clipped = clipping(whole.specific_force, still[u][kept])
+        if share := float(clipped.mean()) if len(clipped) else 0.0:
+            words = (
+                f"{su.name} is at the end of its range in {100 * share:.1f} % of its samples; "
+                "they were left out"
+            )
+            remedy = "use a larger range or weaker patterns"
+            faults = [*faults, Fault("saturated", su.name, words, remedy)]
+        out.append(Checked(whole, clipped, tuple(faults)))
+    return out
 
 
 def unusable(name: str, readings: F64, still: Bool, valid: Bool, gravity: float) -> Fault | None:
@@ -33,48 +99,137 @@ def unusable(name: str, readings: F64, still: Bool, valid: Bool, gravity: float)
         words = f"{name} has no samples while the robot rests, and is left out"
         return Fault("dead", name, words, CHECK_SENSOR)
     size = float(np.median(np.linalg.norm(static, axis=1))) / gravity
-    if size < 1e-3:
-        words = f"{name} reads zero all the time and is left out"
-        return Fault("dead", name, words, CHECK_SENSOR)
     if not _PLAUSIBLE[0] < size < _PLAUSIBLE[1]:
         words = f"{name} reads {size:.2g} g at rest and is left out"
         return Fault("wrong unit", name, words, "check its unit and its scale")
     return None
 
 
-def frozen(raw: list[F64]) -> Bool:
-    """(U,) True for SUs that repeat one value all the time, while others show noise.
+def _within(time: F64, rests: Sequence[tuple[float, float]]) -> Bool:
+    """(M,) True for times inside one of the intervals."""
+    inside = np.zeros(len(time), dtype=bool)
+    for begin, end in rests:
+        a, b = np.searchsorted(time, [begin, end])
+        inside[a:b] = True
+    return inside
+
+
+def _repeated(samples: F64) -> float:
+    """Share of samples (M, 3) that are exactly like the one before."""
+    return float((np.diff(samples, axis=0) == 0).all(axis=1).mean()) if len(samples) > 1 else 0.0
+
+
+def rest_noise(samples: F64, still: Bool) -> float:
+    """Standard deviation of white noise [m/s^2] from the steps between samples (M, 3) at rest."""
+    steps = np.diff(samples, axis=0)[still[1:] & still[:-1]]
+    return float(np.sqrt(np.median(steps**2, axis=0).mean() / 2) / 0.6745) if len(steps) else 0.0
+
+
+def _thawed(su: SuStream, chance: float) -> tuple[Bool, list[Fault]]:
+    """Samples (M,) that are no repetitions of a frozen value, and the fault if there are any.
+
+    A run of n repetitions is no chance where ``p^n`` is small for every place it could stand at.
+    p is the share of repetitions outside of the run, but at least that of the other SUs at rest:
+    sensors without noise repeat themselves while the robot rests.
 
     Args:
-        raw: U arrays (M, 3) of raw samples.
+        su: the stream.
+        chance: share of repetitions of the other SUs at rest.
     """
-    constant = np.array([len(x) > 0 and bool((x == x[:1]).all()) for x in raw], dtype=bool)
-    return constant if not constant.all() and _noisy(raw, constant) else np.zeros_like(constant)
+    kept = np.ones(len(su.time), dtype=bool)
+    same = np.r_[False, (np.diff(su.specific_force, axis=0) == 0).all(axis=1), False]
+    edges = np.flatnonzero(np.diff(same.astype(np.int8)))
+    runs = edges.reshape(-1, 2)
+    repeated, total = int(same.sum()), max(1, len(su.time) - 1)
+    stretches = []
+    for begin, end in sorted(runs.tolist(), key=lambda run: run[0] - run[1]):
+        n = end - begin
+        if su.time[end] - su.time[begin] < _SHORTEST_FREEZE:
+            break
+        own = (repeated - n + 1) / (total - n + 2)
+        if n * np.log(max(own, chance)) > np.log(_FALSE_ALARM / total):
+            break
+        kept[begin + 1 : end + 1] = False
+        stretches.append((float(su.time[begin]), float(su.time[end])))
+        repeated, total = repeated - n, max(1, total - n)
+    if not stretches:
+        return kept, []
+    if kept.sum() < 0.02 * len(kept):
+        zero = bool((su.specific_force[~kept] == 0).all())
+        what = "reads zero" if zero else "repeats one value"
+        words = f"{su.name} {what} all the time and is left out"
+        fault = Fault("dead" if zero else "frozen", su.name, words, CHECK_SENSOR)
+        return np.zeros_like(kept), [fault]
+    places = " and ".join(f"from {a:.1f} to {b:.1f} s" for a, b in sorted(stretches)[:3])
+    more = " and at other times" if len(stretches) > 3 else ""
+    words = f"{su.name} repeats one value {places}{more}; these samples were left out"
+    return kept, [Fault("frozen", su.name, words, CHECK_SENSOR)]
 
 
-def _noisy(raw: list[F64], constant: Bool) -> bool:
-    """Whether every other SU's samples differ from one to the next most of the time."""
-    shares = [
-        float((np.diff(x, axis=0) != 0).any(axis=1).mean())
-        for x, c in zip(raw, constant, strict=True)
-        if not c and len(x) > 1
-    ]
-    return bool(shares) and min(shares) > 0.5
+def _silences(su: SuStream, span: tuple[float, float]) -> list[Fault]:
+    """The fault of sending nothing at the end or at the beginning of the log."""
+    if not len(su.time):
+        return []
+    begin, end = float(su.time[0]), float(su.time[-1])
+    where = []
+    if begin - span[0] > _SILENT:
+        where.append(f"until {begin:.1f} s")
+    if span[1] - end > _SILENT:
+        where.append(f"from {end:.1f} s on")
+    if not where:
+        return []
+    words = f"{su.name} sends nothing {' and '.join(where)}; the rest of its readings was used"
+    return [Fault("dead", su.name, words, CHECK_SENSOR)]
 
 
-def saturated(raw: F64) -> float:
-    """Share of samples (M, 3) at the ends of the sensor's range, 0 where none stands out.
+def _losses(su: SuStream) -> list[Fault]:
+    """The fault of losing samples again and again."""
+    steps = np.diff(su.time)
+    if len(steps) < 8:
+        return []
+    period = float(np.quantile(steps, 0.25))
+    if period < _UNTOLD * float(steps.mean()):
+        return []
+    missing = np.maximum(np.round(steps / period) - 1, 0)
+    share = float(missing.sum() / (missing.sum() + len(su.time)))
+    if share < _LOST:
+        return []
+    words = (
+        f"{su.name} lost {100 * share:.0f} % of its samples (longest gap {steps.max():.2f} s); "
+        "what is there was used"
+    )
+    return [Fault("intermittent", su.name, words, CHECK_SENSOR)]
 
-    A clipped signal stays at its extreme for several samples in a row, again and again.
+
+def _noisiness(name: str, u: int, noise: F64) -> list[Fault]:
+    """The fault of being far noisier than the other SUs."""
+    if len(noise) < 3:
+        return []
+    usual = max(float(np.median(np.delete(noise, u))), _LEAST_NOISE)
+    if noise[u] < _NOISY * usual:
+        return []
+    words = (
+        f"{name} has {noise[u] / usual:.0f} times the noise of the other SUs ({noise[u]:.2g} "
+        "m/s^2) and counts accordingly less"
+    )
+    return [Fault("noisy", name, words, "check its fixing, its supply and its filter")]
+
+
+def clipping(raw: F64, still: Bool) -> Bool:
+    """(M,) True for samples (M, 3) at the ends of the sensor's range; all False if it is not met.
+
+    A clipped signal stays at its extreme for several samples in a row, again and again. That is
+    judged while the robot moves: a sensor without noise may rest at its extreme.
     """
-    if len(raw) < 100:
-        return 0.0
-    share = 0.0
-    for column in raw.T:
+    clipped = np.zeros(len(raw), dtype=bool)
+    moving = raw[~still]
+    if len(moving) < 100:
+        return clipped
+    for column, motion in zip(raw.T, moving.T, strict=True):
+        varied = len(np.unique(motion[:: max(1, len(motion) // 2000)])) > 50
         for end in (column.min(), column.max()):
-            at = column == end
+            at = motion == end
             runs = at[1:] & at[:-1]
-            varied = len(np.unique(column[:: max(1, len(column) // 2000)])) > 50
-            if varied and runs.sum() > 0.5 * at.sum():
-                share = max(share, float(at.mean()))
-    return share if share > _SATURATED else 0.0
+            if varied and runs.sum() > 0.5 * at.sum() and at.mean() > _SATURATED:
+                clipped |= column == end
+    return clipped

@@ -11,8 +11,9 @@ from skin2urdf.arrays import F64, Bool
 from skin2urdf.errors import InsufficientDataError
 from skin2urdf.faults import Fault
 from skin2urdf.recording.records import Recording
-from skin2urdf.signals.filters import sample
-from skin2urdf.signals.health import CHECK_SENSOR, frozen, saturated, unusable
+from skin2urdf.signals.filters import sample, spread
+from skin2urdf.signals.health import checked, unusable
+from skin2urdf.signals.mending import computed
 from skin2urdf.signals.motion import Motion, joint_motion
 from skin2urdf.signals.poses import Neighbourhood, Rest, find_neighbourhoods, find_rests
 from skin2urdf.signals.records import StaticMoves
@@ -33,6 +34,7 @@ class Sampled:
         valid: (N, U) where they are whole.
         cutoff: low-pass cutoff that suits the patterns [Hz].
         notes: words for the user.
+        computed: (N, U) where they were missing, and were computed from the rest of the window.
         faults: what is wrong with the SUs' streams.
     """
 
@@ -43,6 +45,7 @@ class Sampled:
     valid: Bool
     cutoff: float
     notes: tuple[str, ...]
+    computed: Bool
     faults: tuple[Fault, ...] = ()
 
 
@@ -64,40 +67,40 @@ def sample_recording(
             "let the robot rest for about a second in every pose, before and after each pattern",
         )
     neighbourhoods = find_neighbourhoods(motion, rests)
-    streams = {s.name: s for s in recording.sus}
-    readings = np.zeros((motion.grid.size, len(su_names), 3))
-    valid = np.zeros((motion.grid.size, len(su_names)), dtype=bool)
+    grid = motion.grid
+    at_rest = [(grid.start + r.begin / grid.rate, grid.start + r.end / grid.rate) for r in rests]
+    span = (grid.start, grid.start + grid.size / grid.rate)
+    streams = {c.stream.name: c for c in checked(recording.sus, at_rest, span)}
+    readings = np.zeros((grid.size, len(su_names), 3))
+    valid = np.zeros((grid.size, len(su_names)), dtype=bool)
     notes = list(recording.notes)
     faults: list[Fault] = []
-    frozen_ones = frozen([s.specific_force for s in recording.sus])
-    stuck = {s.name for s, f in zip(recording.sus, frozen_ones, strict=True) if f}
-    still = np.zeros(motion.grid.size, dtype=bool)
+    still = np.zeros(grid.size, dtype=bool)
     for r in rests:
         still[r.begin : r.end] = True
     for u, name in enumerate(su_names):
         if name not in streams:
             continue
-        stream = streams[name]
-        readings[:, u], ok = sample(stream.time, stream.specific_force, motion.grid)
-        valid[:, u] = ok & motion.valid
+        found = streams[name]
+        stream = found.stream
+        readings[:, u], ok = sample(stream.time, stream.specific_force, grid)
+        valid[:, u] = ok & motion.valid & ~spread(stream.time, found.clipped, grid)
         factor = _unit(readings[still & valid[:, u], u])
         if factor != 1.0:
             readings[:, u] *= factor
             notes.append(f"{name} reports g instead of m/s^2; its readings were converted")
         fault = unusable(name, readings[:, u], still, valid[:, u], STANDARD_GRAVITY)
-        if fault is None and name in stuck:
-            words = f"{name} repeats one value all the time and is left out"
-            fault = Fault("frozen", name, words, CHECK_SENSOR)
+        faults += found.faults
         if fault is not None:
             valid[:, u] = False
-            faults.append(fault)
-        elif share := saturated(stream.specific_force):
-            words = f"{name} is at the end of its range in {100 * share:.1f} % of its samples"
-            faults.append(Fault("saturated", name, words, "use a larger range or weaker patterns"))
+            if not found.faults:
+                faults.append(fault)
     cutoff = _cutoff(motion, neighbourhoods)
+    readings, filled = computed(motion, neighbourhoods, cutoff, readings, valid)
     return Sampled(
-        motion, rests, neighbourhoods, readings, valid, cutoff, tuple(notes), tuple(faults)
-    )
+        motion, rests, neighbourhoods, readings, valid | filled, cutoff, tuple(notes), filled,
+        tuple(faults),
+    )  # fmt: skip
 
 
 def _check_unit(motion: Motion, source: str) -> None:

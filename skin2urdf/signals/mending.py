@@ -1,0 +1,111 @@
+"""Samples that a stream lost inside a pose's window, from what the rest of the window says.
+
+All features rest on low-passed signals, so a sample that is missing would take its neighbours
+within the filter's reach along. Around a pose the reading is a short series in the motion of the
+joints, whose coefficients the samples that are there determine: what is missing is computed from
+them (the E-step of an EM algorithm, whose fixed point is the fit to the samples that are there).
+Computed samples bring no information; the features' noise allows for their share.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from skin2urdf.arrays import F64, Bool
+from skin2urdf.signals.filters import (
+    filtered,
+    first_derivative,
+    low_pass,
+    second_derivative,
+)
+from skin2urdf.signals.motion import Motion
+from skin2urdf.signals.poses import Neighbourhood
+
+_LEAST = 0.5
+"""Share of a window's samples that must be there."""
+_SAMPLES_PER_COLUMN = 5
+_LEVERAGE = 0.5
+"""Variance of a computed sample, over that of a measured one, from which it stays missing."""
+_STILL = 1e-6
+"""Excursion of a joint [rad or m] that is none."""
+
+
+def computed(
+    motion: Motion,
+    neighbourhoods: Sequence[Neighbourhood],
+    cutoff: float,
+    readings: F64,
+    valid: Bool,
+) -> tuple[F64, Bool]:
+    """Readings with missing samples computed where that is possible.
+
+    Args:
+        motion: joint motion, N samples.
+        neighbourhoods: the poses.
+        cutoff: low-pass cutoff that suits the patterns [Hz].
+        readings: (N, U, 3) readings [m/s^2].
+        valid: (N, U) False where they are missing.
+
+    Returns:
+        (N, U, 3) readings, and (N, U) True where they were computed.
+    """
+    new, done = readings, np.zeros_like(valid)
+    windows = [w for pose in neighbourhoods for w in pose.windows]
+    torn = [(a, b, _torn(valid[a:b])) for a, b in windows]
+    if not any(len(sus) for _, _, sus in torn):
+        return new, done
+    new = np.array(readings)
+    rate = motion.grid.rate
+    q = filtered(motion.q, low_pass(cutoff, rate))
+    qd, qdd = first_derivative(q, rate), second_derivative(q, rate)
+    excursion = np.maximum(_STILL, 3 * motion.resolution)
+    for a, b, sus in torn:
+        part = slice(a, b)
+        moving = np.ptp(q[part], axis=0) > excursion
+        for u in sus:
+            ok = valid[part, u]
+            X = _series(q[part, moving], qd[part, moving], qdd[part, moving], int(ok.sum()))
+            if X is None:
+                continue
+            prediction, leverage = _fitted(X, readings[part, u], ok)
+            here = ~ok & (leverage < _LEVERAGE)
+            new[part, u][here] = prediction[here]
+            done[part, u] = here
+    return new, done
+
+
+def _torn(valid: Bool) -> list[int]:
+    """SUs with some samples of a window (N, U) missing, but not most of them."""
+    share = valid.mean(axis=0) if len(valid) else np.ones(valid.shape[1])
+    return [int(u) for u in np.flatnonzero((share >= _LEAST) & (share < 1.0))]
+
+
+def _series(q: F64, qd: F64, qdd: F64, samples: int) -> F64 | None:
+    """Regressors to second order, None where the samples are too few for them.
+
+    All pairs of joints have their products where that leaves samples enough, else each joint alone.
+    """
+    dq = q - q.mean(axis=0, keepdims=True)
+    first = [np.ones((len(q), 1)), dq, qdd]
+    i, j = np.triu_indices(q.shape[1])
+    X = np.concatenate([*first, dq[:, i] * dq[:, j], qd[:, i] * qd[:, j]], axis=1)
+    if samples < _SAMPLES_PER_COLUMN * X.shape[1]:
+        X = np.concatenate([*first, dq**2, qd**2], axis=1)
+    return X if samples >= _SAMPLES_PER_COLUMN * X.shape[1] else None
+
+
+def _fitted(X: F64, y: F64, ok: Bool) -> tuple[F64, F64]:
+    """Prediction (N, 3) of all samples from those that are there, and its leverage (N,)."""
+    scale = np.sqrt((X[ok] ** 2).mean(axis=0))
+    known = scale > 1e-9
+    Z = X[:, known] / scale[known]
+    products = Z[ok].T @ Z[ok]
+    # What the missing samples alone would tell must show in the leverage, not be projected away.
+    ridge = 1e-6 * int(ok.sum()) * np.eye(Z.shape[1])
+    inverse = np.linalg.inv(products + ridge)
+    prediction = Z @ (inverse @ (Z[ok].T @ y[ok]))
+    leverage = np.einsum("ni,ij,nj->n", Z, inverse, Z)
+    beyond = np.abs(X[:, ~known]).max(axis=1, initial=0.0) > 1e-6
+    return prediction, np.where(beyond, np.inf, leverage)

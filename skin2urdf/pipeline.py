@@ -9,16 +9,16 @@ import numpy as np
 
 from skin2urdf.calibration import BAD_FIT, Calibration, CalibrationSettings, Source
 from skin2urdf.errors import BadFitError, InsufficientDataError
-from skin2urdf.estimation.estimate import Estimate
 from skin2urdf.estimation.health import health_notes, why_bad
 from skin2urdf.estimation.observability import observability
 from skin2urdf.faults import distinct
+from skin2urdf.mending.encoders import solved_with_encoders_corrected
+from skin2urdf.mending.mirrored import with_mirrored_negated
+from skin2urdf.mending.solution import Solution, first_look
 from skin2urdf.model.dh import canonical
 from skin2urdf.recording.records import Recording
-from skin2urdf.rounds import Clock, Progress, Rounds, mirror_faults
-from skin2urdf.signals.records import Features
-from skin2urdf.signals.sampling import Sampled, sampled_together
-from skin2urdf.structure.records import KinematicTree
+from skin2urdf.rounds import Clock, Progress
+from skin2urdf.signals.sampling import Sampled
 
 
 def calibrate(
@@ -47,20 +47,15 @@ def calibrate(
     settings = settings or CalibrationSettings()
     clock = Clock(progress or (lambda _stage, _share: None))
     recordings = clock.run("reading", lambda tell: _recordings(logs, tell))
-    sampled, su_names = clock.run("sampling", lambda _: sampled_together(recordings))
-    rounds = Rounds(sampled, su_names, settings, clock)
-    features = rounds.features()
-    seen, tree = rounds.structure(features)
-    mirrored: tuple[str, ...] = ()
     if settings.method == "paper":
-        found = clock.run("estimation", lambda _: _by_the_paper(features, tree, settings))
+        solution = _by_the_paper(recordings, settings, clock)
     else:
-        found, features = rounds.settled(tree, features)
-        rounds, mirrored = rounds.with_mirrored_negated(found)
-        if mirrored:
-            found, features = rounds.relinearised(found.tree, rounds.features())
-        if not found.cost_per_dof <= BAD_FIT:
-            raise BadFitError(*why_bad(found, BAD_FIT), cost_per_dof=found.cost_per_dof)
+        solution = solved_with_encoders_corrected(recordings, settings, clock)
+        solution = with_mirrored_negated(solution)
+        cost = solution.found.cost_per_dof
+        if not cost <= BAD_FIT:
+            raise BadFitError(*why_bad(solution.found, BAD_FIT), cost_per_dof=cost)
+    found, features, sampled = solution.found, solution.features, solution.rounds.sampled
     tree = found.tree
     span = np.array([_range(sampled, name) for name in tree.joint_names]).reshape(-1, 3)
     return Calibration(
@@ -68,32 +63,35 @@ def calibrate(
         estimate=found,
         observability=clock.run("observability", lambda _: observability(found)),
         features=features,
-        activity=seen,
+        activity=solution.seen,
         limits=span[:, :2],
         velocity=span[:, 2],
         sources=tuple(Source(r.source, r.digest, r.duration) for r in recordings),
         settings=settings,
-        faults=distinct((*features.faults, *mirror_faults(mirrored))),
+        faults=distinct((*features.faults, *solution.faults)),
         notes=tuple(dict.fromkeys((*features.notes, *tree.notes, *health_notes(found)))),
         seconds=clock.seconds,
     )
 
 
 def _by_the_paper(
-    features: Features, tree: KinematicTree, settings: CalibrationSettings
-) -> Estimate:
+    recordings: Sequence[Recording], settings: CalibrationSettings, clock: Clock
+) -> Solution:
     """The paper's own estimator (Algorithm 2), judged like any other estimate."""
     from skin2urdf.estimation.paper_method import PaperSettings, as_estimate, estimate_paper
 
+    rounds, features, seen, tree = first_look(recordings, settings, clock)
     gravity = settings.estimation.priors.gravity
-    result = estimate_paper(features, tree, PaperSettings(gravity=gravity))
+    result = clock.run(
+        "estimation", lambda _: estimate_paper(features, tree, PaperSettings(gravity=gravity))
+    )
     if not result.converged:
         open_ = [f"{s.su} (e_T {s.e_total:.2f} g^2)" for s in result.steps if not s.converged]
         raise BadFitError(
             f"the paper's method did not reach its stop value for {', '.join(open_)}",
             "calibrate with the default method, or record more poses",
         )
-    return as_estimate(result, features, gravity)
+    return Solution(rounds, seen, as_estimate(result, features, gravity), features)
 
 
 def _recordings(

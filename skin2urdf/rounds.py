@@ -18,10 +18,9 @@ from skin2urdf.arrays import F64
 from skin2urdf.calibration import BAD_FIT, GOOD_FIT, CalibrationSettings
 from skin2urdf.errors import StructureError
 from skin2urdf.estimation.estimate import Estimate, estimate
-from skin2urdf.estimation.health import mirrored_sus, unlike_the_rest
+from skin2urdf.estimation.health import unlike_the_rest
 from skin2urdf.estimation.order import ordered
 from skin2urdf.estimation.state import State
-from skin2urdf.faults import Fault
 from skin2urdf.model.specific_force import beyond_first_order
 from skin2urdf.signals.features import Curvature, extract_features
 from skin2urdf.signals.records import Features
@@ -132,12 +131,6 @@ class Rounds:
             "estimation", lambda _: estimate(features, tree, self.settings.estimation, start)
         )
 
-    def with_mirrored_negated(self, found: Estimate) -> tuple[Rounds, tuple[str, ...]]:
-        """The same rounds on logs in which mirrored SUs are negated, and the names of those SUs."""
-        names = tuple(found.tree.su_names[u] for u in mirrored_sus(found))
-        columns = [self.su_names.index(name) for name in names]
-        return replace(self, sampled=[_negated(s, columns) for s in self.sampled]), names
-
 
 _SECOND_LOOK = (
     "the first look at the structure did not explain the readings; the tree is the one that the "
@@ -146,27 +139,6 @@ _SECOND_LOOK = (
 )
 _CLEARLY_BETTER = 0.8
 """Cost of another structure, over the first one's, from which it is preferred."""
-
-
-def _negated(sampled: Sampled, sus: Sequence[int]) -> Sampled:
-    """A log with the readings of some SUs negated."""
-    readings = np.array(sampled.readings)
-    readings[:, list(sus)] *= -1
-    return replace(sampled, readings=readings)
-
-
-def mirror_faults(names: Sequence[str]) -> list[Fault]:
-    """Words about SUs that were negated."""
-    return [
-        Fault(
-            "mirrored",
-            name,
-            f"{name} reports negated readings or a left-handed frame, unlike the other SUs; it was "
-            "calibrated on the negated readings",
-            "mind that when you use its frame",
-        )
-        for name in names
-    ]
 
 
 def _alike(a: KinematicTree, b: KinematicTree) -> bool:

@@ -289,14 +289,15 @@ def test_positions_in_degrees_give_no_robot() -> None:
     assert caught.value.remedy
 
 
-def test_a_joint_of_wrong_scale_is_a_bad_fit() -> None:
+def test_a_joint_that_is_not_linear_is_a_bad_fit() -> None:
     name = plain().joints[2].name
 
-    def stretched(joint: JointStream) -> JointStream:
-        return replace(joint, position=1.1 * joint.position) if joint.name == name else joint
+    def bent(joint: JointStream) -> JointStream:
+        position = joint.position + 0.2 * np.sin(3 * joint.position)
+        return replace(joint, position=position) if joint.name == name else joint
 
     with pytest.raises(BadFitError) as caught:
-        calibrate(changed_joints(plain(), stretched))
+        calibrate(changed_joints(plain(), bent))
     assert caught.value.cost_per_dof > 50.0
 
 

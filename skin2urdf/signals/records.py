@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Literal
 
 import numpy as np
 
@@ -132,3 +133,25 @@ class Features:
     def tau(self) -> F64:
         """(P, U, D, 3) reading per acceleration of each DoF (paper eq. 1) [m/rad]."""
         return self.coefficients[:, :, 1 + self.n_dofs :]
+
+
+@dataclass(frozen=True)
+class EncoderError:
+    """What one encoder reports wrongly.
+
+    Attributes:
+        kind: ``offset``, added to what it reports from a time on; ``scale``, reported per true
+            position in all logs; ``sign``, the sense of motion of a whole log.
+        dof: name of the DoF.
+        size: the offset [rad or m], or the scale [1]; -1 for a sign.
+        log: index of the log in which an offset or a sign holds.
+        begin: time from which an offset holds, on the clock of its log [s]; -inf for the whole log.
+        deviation: standard deviation of ``size``; infinite where the readings do not show it.
+    """
+
+    kind: Literal["offset", "scale", "sign"]
+    dof: str
+    size: float
+    log: int = 0
+    begin: float = -np.inf
+    deviation: float = np.inf

@@ -1,0 +1,105 @@
+"""Which encoder is wrong, and how: hypotheses for the score test."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import chi2 as chi_squared
+
+from skin2urdf.arrays import F64, Int
+from skin2urdf.estimation.encoder_score import encoder_scores
+from skin2urdf.estimation.estimate import Estimate
+from skin2urdf.signals.records import EncoderError, Features
+
+_FALSE_ALARM = 1e-6
+"""Probability that any hypothesis passes where all encoders are right."""
+_LARGEST_SCALE = 2.0
+"""Factor by which one step may correct a scale; the next estimate goes on from there."""
+
+
+@dataclass(frozen=True)
+class Suspicion:
+    """An encoder error that would explain much of what the fit leaves.
+
+    Attributes:
+        error: the error.
+        gain: chi-squared that it takes off.
+        share: of the excess of chi-squared over its expectation.
+        significant: whether chance can be excluded.
+    """
+
+    error: EncoderError
+    gain: float
+    share: float
+    significant: bool
+
+
+def suspicions(found: Estimate, features: Features) -> tuple[Suspicion, ...]:
+    """Errors of single encoders, those with the largest gain first.
+
+    Args:
+        found: the estimate; its blocks list the poses of
+        features: the features.
+    """
+    hypotheses = list(_hypotheses(found, features))
+    if not hypotheses:
+        return ()
+    errors = [error for error, _ in hypotheses]
+    gain, size, deviation = encoder_scores(found).test(np.array([h for _, h in hypotheses]))
+    freedom = max(1, found.degrees_of_freedom)
+    limit = float(chi_squared.isf(_FALSE_ALARM / len(gain), 1))
+    out = []
+    for i in np.argsort(-gain):
+        left = found.chi2 - gain[i]
+        excess = max(found.chi2 - freedom, gain[i])
+        scaled = gain[i] / max(1.0, left / freedom)
+        out.append(
+            Suspicion(
+                _sized(errors[i], float(size[i]), float(deviation[i])),
+                float(gain[i]),
+                float(gain[i] / excess) if excess > 0 else 0.0,
+                bool(scaled > limit),
+            )
+        )
+    return tuple(out)
+
+
+def _sized(error: EncoderError, size: float, deviation: float) -> EncoderError:
+    if error.kind == "scale":
+        size = float(np.clip(1 + size, 1 / _LARGEST_SCALE, _LARGEST_SCALE))
+    return EncoderError(error.kind, error.dof, size, error.log, error.begin, deviation)
+
+
+def _hypotheses(found: Estimate, features: Features) -> Iterator[tuple[EncoderError, F64]]:
+    """Errors of unknown size with their directions in the score test.
+
+    An encoder reports too much by x from a change between two poses on, or in a whole log but the
+    first; or it reports 1 + x times the true motion, so that the true coefficients are as much
+    larger than those measured.
+    """
+    tree, q = found.tree, found.cost.blocks.q
+    P, D = q.shape
+    for d, name in enumerate(tree.joint_names):
+        scale = np.zeros((P + 1, D))
+        scale[:P, d], scale[P, d] = -q[:, d], -1.0
+        yield EncoderError("scale", name, 1.0), scale.ravel()
+        for log in range(found.cost.n_logs):
+            for begin, later in _changes(features, log):
+                offset = np.zeros((P + 1, D))
+                offset[later, d] = -1.0
+                yield EncoderError("offset", name, 0.0, log, begin), offset.ravel()
+
+
+def _changes(features: Features, log: int) -> Iterator[tuple[float, Int]]:
+    """Times at which an offset may begin in a log, and the poses it then concerns."""
+    poses = np.flatnonzero(features.log == log)
+    poses = poses[np.argsort(features.span[poses].mean(axis=1), kind="stable")]
+    if log > 0:
+        yield -np.inf, poses
+    for k in range(1, len(poses)):
+        before, after = features.span[poses[k - 1]], features.span[poses[k]]
+        apart = before[1] <= after[0]
+        begin = (before[1] + after[0]) / 2 if apart else (before.mean() + after.mean()) / 2
+        yield float(begin), poses[k:]

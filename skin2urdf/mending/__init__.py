@@ -1,0 +1,1 @@
+"""Faults that show in a fit: recognised, mended, and the calibration done again."""

@@ -1,0 +1,192 @@
+"""Recognise an encoder that is wrong, take its error off, and calibrate again.
+
+Leaps in a joint's track are taken off before the first look, since no joint can make them. What an
+encoder does wrong without a leap shows in the fit: the score test names the encoder and the size,
+the recordings are corrected, and the next estimate says what is left, as Gauss-Newton does.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from skin2urdf.calibration import GOOD_FIT, CalibrationSettings
+from skin2urdf.errors import InsufficientDataError, StructureError
+from skin2urdf.estimation.encoders import Suspicion, suspicions
+from skin2urdf.estimation.estimate import Estimate
+from skin2urdf.faults import Fault
+from skin2urdf.mending.solution import Solution, solved
+from skin2urdf.recording.records import Recording
+from skin2urdf.rounds import Clock
+from skin2urdf.signals.encoders import corrected, leaps
+from skin2urdf.signals.records import EncoderError, Features
+
+_PASSES = 8
+"""How often, at most, encoders are corrected and everything is estimated again."""
+_MOST_OF_IT = 0.5
+"""Share of the misfit that one error must explain to be taken for its cause."""
+_LEFT = 0.1
+"""Share of the misfit that may stay where encoders were its cause."""
+_CERTAIN = 5.0
+"""Standard deviations from which an encoder's error is reported."""
+_WHOLE_TURN = 1e-3
+"""Part of a turn by which a leap may miss whole turns, and still be one of counting."""
+
+
+@dataclass(frozen=True, eq=False)
+class Encoders:
+    """Recordings as read, and the errors that their encoders were found to have.
+
+    Attributes:
+        recordings: the logs as read.
+        errors: in the order in which they are taken off.
+    """
+
+    recordings: Sequence[Recording]
+    errors: tuple[EncoderError, ...]
+
+    @staticmethod
+    def of(recordings: Sequence[Recording]) -> Encoders:
+        """Recordings, with the leaps that are seen in the tracks alone."""
+        found = [error for log, r in enumerate(recordings) for error in leaps(r, log)]
+        return Encoders(recordings, tuple(found))
+
+    def corrected(self) -> list[Recording]:
+        """The recordings with the errors taken off."""
+        return corrected(self.recordings, self.errors)
+
+    def with_another(self, error: EncoderError, features: Features) -> Encoders:
+        """With one more error, as one with an earlier error of the same place where there is one.
+
+        Args:
+            error: as seen in the corrected recordings.
+            features: tell which times lie between the same two poses.
+        """
+        for i, old in enumerate(self.errors):
+            if (old.kind, old.dof) != (error.kind, error.dof):
+                continue
+            if error.kind == "scale":
+                merged = replace(old, size=old.size * error.size)
+            elif old.log == error.log and _same_change(old, error, features):
+                merged = replace(old, size=old.size + error.size)
+            else:
+                continue
+            return replace(self, errors=(*self.errors[:i], merged, *self.errors[i + 1 :]))
+        return replace(self, errors=(*self.errors, error))
+
+
+def _same_change(a: EncoderError, b: EncoderError, features: Features) -> bool:
+    """Whether no pose lies between the beginnings of two offsets in one log."""
+    middle = features.span[features.log == a.log].mean(axis=1)
+    first, last = sorted((a.begin, b.begin))
+    return not ((middle > first) & (middle < last)).any()
+
+
+def solved_with_encoders_corrected(
+    recordings: Sequence[Recording], settings: CalibrationSettings, clock: Clock
+) -> Solution:
+    """Calibrate, and correct encoders as long as that explains most of what the estimate leaves.
+
+    Args:
+        recordings: the logs.
+        settings: choices.
+        clock: runs the stages.
+
+    Returns:
+        The solution for the corrected logs; the first one where no encoder causes a misfit.
+    """
+    leaping = Encoders.of(recordings)
+    first = solved(leaping.corrected(), settings, clock)
+    now, best = leaping, first
+    for _ in range(_PASSES):
+        suspects = _tested(best)[:1]
+        if not any(s.significant and s.share > _MOST_OF_IT for s in suspects):
+            break
+        now = now.with_another(suspects[0].error, best.features)
+        try:
+            best = solved(now.corrected(), settings, clock)
+        except (StructureError, InsufficientDataError):
+            return replace(first, faults=_faults(leaping, first))
+    if now is not leaping and not _better(first.found, best.found):
+        now, best = leaping, first
+    return replace(best, faults=_faults(now, best))
+
+
+def _tested(solution: Solution) -> tuple[Suspicion, ...]:
+    """Errors of the encoders that would explain a solution's misfit, the best first."""
+    return solution.rounds.clock.run(
+        "encoders", lambda _: suspicions(solution.found, solution.features)
+    )
+
+
+def _better(before: Estimate, after: Estimate) -> bool:
+    """Whether the misfit is gone, or nearly."""
+
+    def excess(found: Estimate) -> float:
+        return float(found.chi2_by_block.sum()) - found.degrees_of_freedom
+
+    good = after.cost_per_dof <= GOOD_FIT and after.cost_per_dof < before.cost_per_dof
+    return good or excess(after) < _LEFT * excess(before)
+
+
+def _faults(encoders: Encoders, last: Solution) -> tuple[Fault, ...]:
+    """The errors that stand out from their standard deviations, in words.
+
+    A leap whose size the readings do not show is certain all the same: no joint moves like that.
+    """
+    if not encoders.errors:
+        return ()
+    joints = last.found.tree
+    prismatic = dict(zip(joints.joint_names, joints.prismatic, strict=True))
+    known = [s.error for s in _tested(last)]
+    out = []
+    for error in encoders.errors:
+        same = [k for k in known if _same(k, error, last.features)]
+        deviation = min((k.deviation for k in same), default=np.inf)
+        if _stands_out(error, deviation):
+            turns = not prismatic.get(error.dof, False)
+            out.append(_fault(replace(error, deviation=deviation), turns))
+    return tuple(out)
+
+
+def _same(a: EncoderError, b: EncoderError, features: Features) -> bool:
+    """Whether two errors are of one encoder and one change of it."""
+    if (a.kind, a.dof) != (b.kind, b.dof):
+        return False
+    return a.kind == "scale" or (a.log == b.log and _same_change(a, b, features))
+
+
+def _stands_out(error: EncoderError, deviation: float) -> bool:
+    if error.kind == "scale":
+        return abs(error.size - 1) > _CERTAIN * deviation
+    turns = error.size / (2 * np.pi)
+    # A turn more or less is how a continuous joint is counted.
+    whole = round(turns) != 0 and abs(turns - round(turns)) < _WHOLE_TURN
+    return not whole and (not np.isfinite(deviation) or abs(error.size) > _CERTAIN * deviation)
+
+
+def _fault(error: EncoderError, turns: bool) -> Fault:
+    """An encoder's error in words."""
+    unit, factor = ("deg", np.degrees(1.0)) if turns else ("mm", 1e3)
+    if error.kind == "scale":
+        return Fault(
+            "encoder scale",
+            error.dof,
+            f"{error.dof} reports {error.size:.5f} (sd {error.deviation:.5f}) times its true "
+            "motion; it was calibrated on the corrected positions, and so are its limits",
+            f"divide its positions by {error.size:.5f} before you use the URDF: check the gear "
+            "ratio and the encoder's resolution in the driver",
+        )
+    sure = f" (sd {factor * error.deviation:.3f})" if np.isfinite(error.deviation) else ""
+    where = f"at {error.begin:.2f} s" if np.isfinite(error.begin) else "as against the first log"
+    log = f" of log {error.log + 1}" if error.log or not np.isfinite(error.begin) else ""
+    return Fault(
+        "encoder jump",
+        error.dof,
+        f"{error.dof}'s encoder jumps by {factor * error.size:.2f} {unit}{sure} {where}{log}; "
+        "positions after it were corrected",
+        "check the coupling between joint and encoder, its index and its cable; the URDF's zero "
+        "is that of the first log's beginning",
+    )

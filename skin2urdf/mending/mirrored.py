@@ -1,0 +1,41 @@
+"""SUs that are negated or left-handed, unlike the others."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from skin2urdf.estimation.health import mirrored_sus
+from skin2urdf.faults import Fault
+from skin2urdf.mending.solution import Solution
+from skin2urdf.signals.sampling import Sampled
+
+
+def with_mirrored_negated(solution: Solution) -> Solution:
+    """The solution for logs in which mirrored SUs are negated."""
+    names = [solution.found.tree.su_names[u] for u in mirrored_sus(solution.found)]
+    if not names:
+        return solution
+    rounds = solution.rounds
+    columns = [rounds.su_names.index(name) for name in names]
+    negated = replace(rounds, sampled=[_negated(s, columns) for s in rounds.sampled])
+    return solution.again(negated, [_fault(name) for name in names])
+
+
+def _negated(sampled: Sampled, sus: Sequence[int]) -> Sampled:
+    """A log with the readings of some SUs negated."""
+    readings = np.array(sampled.readings)
+    readings[:, list(sus)] *= -1
+    return replace(sampled, readings=readings)
+
+
+def _fault(name: str) -> Fault:
+    return Fault(
+        "mirrored",
+        name,
+        f"{name} reports negated readings or a left-handed frame, unlike the other SUs; it was "
+        "calibrated on the negated readings",
+        "mind that when you use its frame",
+    )

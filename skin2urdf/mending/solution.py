@@ -1,0 +1,75 @@
+"""What the rounds of a calibration make of logs, and what was mended for it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from skin2urdf.calibration import CalibrationSettings
+from skin2urdf.estimation.estimate import Estimate
+from skin2urdf.faults import Fault
+from skin2urdf.recording.records import Recording
+from skin2urdf.rounds import Clock, Rounds
+from skin2urdf.signals.records import Features
+from skin2urdf.signals.sampling import sampled_together
+from skin2urdf.structure.activity import Activity
+from skin2urdf.structure.records import KinematicTree
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """An estimate with all it came from.
+
+    Attributes:
+        rounds: the logs on their grids, mended.
+        seen: activity in the first features.
+        found: the estimate.
+        features: the features it rests on.
+        faults: what was mended.
+    """
+
+    rounds: Rounds
+    seen: Activity
+    found: Estimate
+    features: Features
+    faults: tuple[Fault, ...] = ()
+
+    def again(self, rounds: Rounds, faults: Sequence[Fault]) -> Solution:
+        """The same structure estimated from mended logs.
+
+        Args:
+            rounds: the mended logs.
+            faults: what was mended in them.
+        """
+        found, features = rounds.relinearised(self.found.tree, rounds.features())
+        return replace(
+            self, rounds=rounds, found=found, features=features, faults=(*self.faults, *faults)
+        )
+
+
+def first_look(
+    recordings: Sequence[Recording], settings: CalibrationSettings, clock: Clock
+) -> tuple[Rounds, Features, Activity, KinematicTree]:
+    """Sample recordings, take features and find the structure that they show.
+
+    Raises:
+        InsufficientDataError: the logs lack what a calibration needs.
+        StructureError: the SUs' activity contradicts every kinematic tree.
+    """
+    sampled, su_names = clock.run("sampling", lambda _: sampled_together(recordings))
+    rounds = Rounds(sampled, su_names, settings, clock)
+    features = rounds.features()
+    return rounds, features, *rounds.structure(features)
+
+
+def solved(
+    recordings: Sequence[Recording], settings: CalibrationSettings, clock: Clock
+) -> Solution:
+    """Look at recordings, and estimate until it settles.
+
+    Raises:
+        InsufficientDataError: the logs lack what a calibration needs.
+        StructureError: the SUs' activity contradicts every kinematic tree.
+    """
+    rounds, features, seen, tree = first_look(recordings, settings, clock)
+    return Solution(rounds, seen, *rounds.settled(tree, features))

@@ -1,0 +1,79 @@
+"""Errors of encoders: leaps that no joint can make, and recordings with known errors taken off."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from skin2urdf.arrays import F64
+from skin2urdf.recording.records import JointStream, Recording
+from skin2urdf.signals.records import EncoderError
+
+_LEAP = 10.0
+"""Change of a joint's step from one sample to the next, over the 99.9 % quantile of such changes.
+
+Motion is smooth at the rate of joint states: where thousands of samples move, the largest change
+stays within a small multiple of that quantile. The readings have the last word on a leap.
+"""
+_STEPS = 3.5
+"""Encoder steps that rounding alone can make of one smooth motion between samples, and more."""
+_NEARBY = 4
+_MOST = 20
+"""Leaps of one joint beyond which they are its way of moving, or noise."""
+
+
+def leaps(recording: Recording, log: int) -> tuple[EncoderError, ...]:
+    """Places where an encoder's zero changes from one sample to the next.
+
+    Args:
+        recording: the log.
+        log: its index.
+    """
+    return tuple(error for joint in recording.joints for error in _leaps(joint, log))
+
+
+def _leaps(joint: JointStream, log: int) -> list[EncoderError]:
+    x, t = joint.position, joint.time
+    step, period = np.diff(x), np.diff(t)
+    if len(step) < 100:
+        return []
+    pad = np.pad(step, _NEARBY, mode="edge")
+    around = np.lib.stride_tricks.sliding_window_view(pad, 2 * _NEARBY + 1)
+    sudden = step - np.median(around, axis=1)
+    size = np.abs(sudden)
+    changes = np.abs(step[step != 0])
+    finest = float(np.quantile(changes, 0.02)) if changes.size else 0.0
+    limit = max(_LEAP * float(np.quantile(size, 0.999)), _STEPS * finest)
+    # Across a gap, a joint can be anywhere.
+    whole = period < 1.5 * np.median(period)
+    at = np.flatnonzero((size > limit) & whole)
+    if not 0 < len(at) <= _MOST:
+        return []
+    return [
+        EncoderError("offset", joint.name, float(sudden[i]), log, float(t[i] + period[i] / 2))
+        for i in at
+    ]
+
+
+def corrected(recordings: Sequence[Recording], errors: Sequence[EncoderError]) -> list[Recording]:
+    """The recordings with errors of encoders taken off, in the order given."""
+    return [
+        replace(recording, joints=tuple(_corrected(j, log, errors) for j in recording.joints))
+        for log, recording in enumerate(recordings)
+    ]
+
+
+def _corrected(joint: JointStream, log: int, errors: Sequence[EncoderError]) -> JointStream:
+    x: F64 = joint.position
+    for error in errors:
+        if error.dof != joint.name:
+            continue
+        if error.kind == "scale":
+            x = x / error.size
+        elif error.log == log and error.kind == "sign":
+            x = -x
+        elif error.log == log:
+            x = x - error.size * (joint.time >= error.begin)
+    return joint if x is joint.position else replace(joint, position=x)

@@ -1,0 +1,105 @@
+"""Encoders that jump or have another scale are named and corrected; right ones are not named."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from simulated import changed_joints, held_against, simulation
+
+from skin2urdf.arrays import F64
+from skin2urdf.pipeline import calibrate
+from skin2urdf.recording.records import JointStream, Recording
+from skin2urdf.recording.retiming import retimed
+from skin2urdf.signals.encoders import corrected, leaps
+from skin2urdf.signals.records import EncoderError
+
+OPTIONS = {"n_poses": 5, "excite": "all", "seed": 3}
+JOINT = "panda_joint4"
+
+
+def recording(**options: object) -> Recording:
+    return retimed(simulation(**{**OPTIONS, **options}).recording)
+
+
+def misreported(r: Recording, change: Callable[[F64, F64], F64], name: str = JOINT) -> Recording:
+    """A recording in which one encoder reports a function of time and true position."""
+
+    def wrong(joint: JointStream) -> JointStream:
+        if joint.name != name:
+            return joint
+        return replace(joint, position=change(joint.time, joint.position))
+
+    return changed_joints(r, wrong)
+
+
+def position_error(r: Recording, folder: Path) -> float:
+    truth = simulation(**OPTIONS).truth.urdf
+    return held_against(calibrate(r), truth, folder).position.rms
+
+
+@pytest.mark.parametrize(("degrees", "at"), [(1.0, 0.62), (-10.0, 0.45)])
+def test_a_jump_is_named_with_its_time_and_size(degrees: float, at: float, tmp_path: Path) -> None:
+    r = recording()
+    t = at * r.duration
+    wrong = misreported(r, lambda time, x: x + np.radians(degrees) * (time >= t))
+    found = calibrate(wrong)
+    (fault,) = found.faults
+    assert (fault.kind, fault.subject) == ("encoder jump", JOINT)
+    assert f"by {degrees:.2f} deg" in fault.words
+    assert float(fault.words.split(" at ")[1].split()[0]) == pytest.approx(t, abs=0.02)
+    assert fault.remedy
+    assert found.quality == "fair"
+    assert found.estimate.cost_per_dof < 1.3
+    assert position_error(wrong, tmp_path) < 1.1 * position_error(r, tmp_path)
+
+
+def test_a_zero_that_creeps_shows_in_the_fit_alone() -> None:
+    r = recording()
+    middle, width = 0.6 * r.duration, 0.4
+    size = np.radians(3.0)
+    wrong = misreported(r, lambda t, x: x + size / (1 + np.exp(-(t - middle) / width)))
+    assert not leaps(wrong, 0)
+    faults = calibrate(wrong).faults
+    assert [(f.kind, f.subject) for f in faults] == [("encoder jump", JOINT)]
+
+
+@pytest.mark.parametrize("factor", [1.02, 2.0])
+def test_a_wrong_scale_is_named_with_its_size(factor: float, tmp_path: Path) -> None:
+    r = recording()
+    wrong = misreported(r, lambda _, x: factor * x)
+    found = calibrate(wrong)
+    (fault,) = found.faults
+    assert (fault.kind, fault.subject) == ("encoder scale", JOINT)
+    assert float(fault.words.split()[2]) == pytest.approx(factor, abs=2e-4)
+    assert position_error(wrong, tmp_path) < 1.1 * position_error(r, tmp_path)
+
+
+@pytest.mark.parametrize("options", [{}, {"grade": "bma150"}, {"encoder_bits": 12}])
+def test_right_encoders_are_not_named(options: dict[str, object]) -> None:
+    assert not calibrate(recording(**options)).faults
+
+
+def test_leaps_are_found_to_their_sample_and_size() -> None:
+    r = recording()
+    begin, end = 30.0, 30.002
+    wrong = misreported(r, lambda t, x: x + 0.05 * ((t >= begin) & (t < end)) - 0.3 * (t > 50))
+    found = leaps(wrong, 2)
+    assert [e.size for e in found] == pytest.approx([0.05, -0.05, -0.3], abs=2e-3)
+    assert [e.begin for e in found] == pytest.approx([30.0, 30.002, 50.0], abs=5e-3)
+    assert {(e.kind, e.dof, e.log) for e in found} == {("offset", JOINT, 2)}
+    assert not leaps(r, 0)
+
+
+def test_errors_are_taken_off_their_log_and_joint() -> None:
+    r = recording()
+    errors = [EncoderError("offset", JOINT, 0.1, 1, 20.0), EncoderError("scale", JOINT, 2.0)]
+    first, second = corrected([r, r], errors)
+    j = [joint.name for joint in r.joints].index(JOINT)
+    x, t = r.joints[j].position, r.joints[j].time
+    assert first.joints[j].position == pytest.approx(x / 2)
+    assert second.joints[j].position == pytest.approx((x - 0.1 * (t >= 20)) / 2)
+    assert first.joints[j - 1] is r.joints[j - 1]

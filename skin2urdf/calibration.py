@@ -7,8 +7,9 @@ from typing import Literal
 
 from skin2urdf.arrays import F64, frozen
 from skin2urdf.estimation.estimate import Estimate, EstimationSettings
-from skin2urdf.estimation.health import unlike_the_rest
+from skin2urdf.estimation.goodness import Goodness
 from skin2urdf.estimation.observability import Observability
+from skin2urdf.estimation.outliers import sus_unlike_the_rest
 from skin2urdf.faults import Fault
 from skin2urdf.model.records import KinematicModel
 from skin2urdf.signals.records import Features
@@ -65,6 +66,7 @@ class Calibration:
         model: the robot, in canonical frames (extended DH); base z is up.
         estimate: how it was found, in the estimation's frames.
         observability: what of it the log determines; same frames as ``estimate``.
+        goodness: how well it explains the features, part by part.
         features: the measurements it rests on.
         activity: evidence of the structure.
         limits: (D, 2) range of each joint seen in the logs [rad or m].
@@ -79,6 +81,7 @@ class Calibration:
     model: KinematicModel
     estimate: Estimate
     observability: Observability
+    goodness: Goodness
     features: Features
     activity: Activity
     limits: F64
@@ -99,5 +102,5 @@ class Calibration:
         cost = self.estimate.cost_per_dof
         if not cost <= BAD_FIT:
             return "bad"
-        sound = not self.faults and not unlike_the_rest(self.estimate)
+        sound = not self.faults and not sus_unlike_the_rest(self.goodness.by_block).odd.any()
         return "good" if cost <= GOOD_FIT and sound else "fair"

@@ -9,6 +9,7 @@ import numpy as np
 
 from skin2urdf.calibration import BAD_FIT, Calibration, CalibrationSettings, Source
 from skin2urdf.errors import BadFitError, InsufficientDataError
+from skin2urdf.estimation.goodness import goodness
 from skin2urdf.estimation.health import health_notes, why_bad
 from skin2urdf.estimation.observability import observability
 from skin2urdf.faults import distinct
@@ -57,11 +58,13 @@ def calibrate(
             raise BadFitError(*why_bad(solution.found, BAD_FIT), cost_per_dof=cost)
     found, features, sampled = solution.found, solution.features, solution.rounds.sampled
     tree = found.tree
+    fit = clock.run("goodness of fit", lambda _: goodness(found))
     span = np.array([_range(sampled, name) for name in tree.joint_names]).reshape(-1, 3)
     return Calibration(
         model=canonical(found.state.model(tree)),
         estimate=found,
         observability=clock.run("observability", lambda _: observability(found)),
+        goodness=fit,
         features=features,
         activity=solution.seen,
         limits=span[:, :2],
@@ -69,7 +72,7 @@ def calibrate(
         sources=tuple(Source(r.source, r.digest, r.duration) for r in recordings),
         settings=settings,
         faults=distinct((*features.faults, *solution.faults)),
-        notes=tuple(dict.fromkeys((*features.notes, *tree.notes, *health_notes(found)))),
+        notes=tuple(dict.fromkeys((*features.notes, *tree.notes, *health_notes(found, fit)))),
         seconds=clock.seconds,
     )
 

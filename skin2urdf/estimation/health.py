@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from skin2urdf.arrays import F64
+from skin2urdf.arrays import Bool
 from skin2urdf.estimation.estimate import Estimate
+from skin2urdf.estimation.goodness import Goodness, by_block
+from skin2urdf.estimation.outliers import poses_unlike_the_rest, sus_unlike_the_rest
 
-_UNLIKE_THE_REST = 8.0
-"""Chi-squared per measurement, over the median, from which an SU or a pose is named."""
 _VERTICAL = 0.05
 """Sine of the angle to gravity up to which an axis counts as vertical."""
 _IMPLAUSIBLE_SHAPE = 0.2
@@ -30,35 +30,27 @@ def mirrored_sus(estimate: Estimate) -> tuple[int, ...]:
 
 
 def unlike_the_rest(estimate: Estimate) -> tuple[int, ...]:
-    """SUs that fit far worse than the median SU."""
-    ratio = _misfit(estimate)
-    return tuple(int(u) for u in np.flatnonzero(ratio > _UNLIKE_THE_REST))
+    """SUs that fit far worse than the others."""
+    odd = sus_unlike_the_rest(by_block(estimate)).odd
+    return tuple(int(u) for u in np.flatnonzero(odd))
 
 
-def _misfit(estimate: Estimate) -> F64:
-    """(U,) chi-squared per measurement of each SU over the median SU's, or over 1."""
-    by_su = estimate.chi2_by_block.sum(axis=0) / np.maximum(estimate.count.sum(axis=0), 1)
-    typical = max(1.0, float(np.median(by_su)) if len(by_su) else 1.0)
-    return np.asarray(by_su / typical)
-
-
-def health_notes(estimate: Estimate) -> tuple[str, ...]:
+def health_notes(estimate: Estimate, goodness: Goodness) -> tuple[str, ...]:
     """Notes on SUs and poses that do not fit, and on implausible sensors."""
     notes: list[str] = []
     tree, state = estimate.tree, estimate.state
-    misfit = _misfit(estimate)
+    sus = sus_unlike_the_rest(goodness.by_block)
     notes += [
-        f"{tree.su_names[u]} fits {misfit[u]:.0f} times worse than the other SUs and "
+        f"{tree.su_names[u]} fits {sus.times[u]:.0f} times worse than the other SUs and "
         "should not be trusted: check that it is fixed rigidly and that its axes are right-handed"
-        for u in unlike_the_rest(estimate)
+        for u in np.flatnonzero(sus.odd)
     ]
-    by_pose = estimate.chi2_by_block.sum(axis=1) / np.maximum(estimate.count.sum(axis=1), 1)
-    usual = max(1.0, float(np.median(by_pose)) if len(by_pose) else 1.0)
-    poses = np.flatnonzero(by_pose > _UNLIKE_THE_REST * usual)
-    if len(poses):
-        listed = ", ".join(str(p + 1) for p in poses[:6])
+    odd = np.flatnonzero(poses_unlike_the_rest(goodness.by_block, patterned(estimate)).odd)
+    if len(odd):
+        listed = ", ".join(str(p + 1) for p in odd[:6]) + (" and others" if len(odd) > 6 else "")
+        verb = "fits badly and counts" if len(odd) == 1 else "fit badly and count"
         notes.append(
-            f"{len(poses)} of {len(by_pose)} poses fit badly and count little (number {listed} in "
+            f"{len(odd)} of {len(goodness.by_pose.dof)} poses {verb} little (number {listed} in "
             "the order of the log): something touched or moved the robot there, or its base moved"
         )
     notes += _on_a_vertical_axis(estimate)
@@ -73,6 +65,11 @@ def health_notes(estimate: Estimate) -> tuple[str, ...]:
             bias = float(np.abs(state.bias[i]).max())
             notes.append(f"{name} would need a bias of {bias:.1f} m/s^2: check that sensor")
     return tuple(notes)
+
+
+def patterned(estimate: Estimate) -> Bool:
+    """(P,) True where more than gravity was measured: around poses with a pattern."""
+    return np.asarray((estimate.count > 3).any(axis=1))
 
 
 def _on_a_vertical_axis(estimate: Estimate) -> list[str]:

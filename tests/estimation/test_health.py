@@ -1,0 +1,53 @@
+"""Words about what does not fit, on a small calibration whose residuals are made worse."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from calibrated import calibration
+
+from skin2urdf.arrays import F64
+from skin2urdf.estimation.goodness import Goodness, Share
+from skin2urdf.estimation.health import health_notes, patterned, unlike_the_rest
+
+
+def with_misfit(factors: F64) -> Goodness:
+    """The goodness of fit with the chi-squared of blocks (P, U) multiplied."""
+    fit = calibration().goodness
+    return replace(fit, by_block=Share(fit.by_block.chi2 * factors, fit.by_block.dof))
+
+
+def notes(su: int | None = None, pose: int | None = None) -> list[str]:
+    """Notes about misfits, with one SU and one pose a thousand times worse."""
+    factors = np.ones(calibration().goodness.by_block.chi2.shape)
+    if su is not None:
+        factors[:, su] *= 1e3
+    if pose is not None:
+        factors[pose] *= 1e3
+    found = health_notes(calibration().estimate, with_misfit(factors))
+    return [note for note in found if "fit" in note]
+
+
+def test_a_clean_recording_has_no_notes_about_its_fit() -> None:
+    assert notes() == []
+    assert unlike_the_rest(calibration().estimate) == ()
+
+
+def test_an_su_that_does_not_fit_is_named() -> None:
+    (note,) = notes(su=3)
+    assert note.startswith(f"{calibration().model.tree.su_names[3]} fits ")
+    assert "fixed rigidly" in note
+
+
+def test_a_pose_that_does_not_fit_is_numbered_from_one() -> None:
+    last = len(calibration().features.q) - 1
+    (note,) = notes(pose=last)
+    assert note.startswith(f"1 of {last + 1} poses fits badly and counts little")
+    assert f"(number {last + 1} in the order of the log)" in note
+
+
+def test_poses_with_patterns_are_told_from_rests() -> None:
+    excited = patterned(calibration().estimate)
+    assert excited.sum() == 3
+    assert not excited[:-3].any()

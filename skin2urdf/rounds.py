@@ -21,7 +21,7 @@ from skin2urdf.estimation.estimate import Estimate, estimate
 from skin2urdf.estimation.health import unlike_the_rest
 from skin2urdf.estimation.order import ordered
 from skin2urdf.estimation.state import State
-from skin2urdf.model.specific_force import beyond_first_order
+from skin2urdf.model.specific_force import beyond_first_order, first_order
 from skin2urdf.signals.features import Curvature, extract_features
 from skin2urdf.signals.records import Features
 from skin2urdf.signals.sampling import Sampled
@@ -154,20 +154,25 @@ def _alike(a: KinematicTree, b: KinematicTree) -> bool:
 
 
 def _curvature(found: Estimate, features: Features) -> Curvature:
-    """Predicts, from an estimate, what readings hold beyond first order around a pose."""
+    """Predicts, from an estimate, what readings hold to first order and beyond around a pose."""
     tree, state = found.tree, found.state
     dof = [features.dof_names.index(n) for n in tree.joint_names]
     su = [features.su_names.index(n) for n in tree.su_names]
     model, M = state.model(tree), state.sensor_matrix()
     gravity = found.cost.priors.gravity
+    rows = [0, *(1 + d for d in dof), *(1 + features.n_dofs + d for d in dof)]
 
-    def predict(q: F64, dq: F64, qd: F64, qdd: F64, log: int) -> F64:
-        beyond = beyond_first_order(
-            model, q[dof], dq[:, dof], qd[:, dof], qdd[:, dof], state.up[log] * gravity
-        )
-        out = np.zeros((len(dq), features.n_sus, 3))
-        out[:, su] = (beyond.swapaxes(0, 1) @ M.swapaxes(1, 2)).swapaxes(0, 1)
+    def read(ideal: F64) -> F64:
+        out = np.zeros((len(ideal), features.n_sus, 3))
+        out[:, su] = (ideal.swapaxes(0, 1) @ M.swapaxes(1, 2)).swapaxes(0, 1)
         return out
+
+    def predict(q: F64, dq: F64, qd: F64, qdd: F64, log: int) -> tuple[F64, F64]:
+        up = state.up[log] * gravity
+        beyond = beyond_first_order(model, q[dof], dq[:, dof], qd[:, dof], qdd[:, dof], up)
+        coefficients = np.zeros((1 + 2 * features.n_dofs, features.n_sus, 3))
+        coefficients[rows] = read(first_order(model, q[dof], up))
+        return read(beyond), coefficients
 
     return predict
 

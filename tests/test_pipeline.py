@@ -312,6 +312,13 @@ def test_a_reversed_joint_is_a_robot_with_a_reversed_axis() -> None:
     assert found.quality == "good"
 
 
+def test_rests_in_which_joints_still_settle_fit_like_the_others() -> None:
+    """After a fast move a joint creeps on for a moment, too little to be fitted as motion."""
+    made = simulation("kinova", upright=True, excite="all", n_poses=4, seed=100)
+    by_pose = calibrate(made.recording).goodness.by_pose
+    assert (by_pose.per_dof < 4.0).all()
+
+
 def test_no_log_and_a_missing_one_are_errors_in_words(tmp_path: Path) -> None:
     with pytest.raises(InsufficientDataError, match="no log"):
         calibrate([])

@@ -87,6 +87,33 @@ def _beyond_joint(motion: F64, T: F64, slides: bool, q: F64, qd: F64, qdd: F64) 
     return out
 
 
+def first_order(model: KinematicModel, q: F64, gravity_up: F64) -> F64:
+    """What SUs read around a pose q (D,), per unit of [1, dq, qdd]: f0, s_d and tau_d.
+
+    Args:
+        model: the robot.
+        q: (D,) the pose.
+        gravity_up: (3,) as in :func:`specific_forces`.
+
+    Returns:
+        (1 + 2 D, U, 3) [m/s^2, m/s^2/rad, m/rad]; zero for DoFs that do not move an SU.
+    """
+    tree = model.tree
+    chains = Chains.of(tree)
+    pinocchio = PinocchioTree(tree)
+    pinocchio.write_joints(model.T_parent_joint)
+    R, p = pinocchio.joint_frames(q[None])
+    kin = su_kinematics(chains, tree.su_joint, R, p, model.T_joint_su, gravity_up[None])
+    rows = kin.features()[0]
+    D, L = tree.n_joints, chains.joint.shape[1]
+    out = np.zeros((1 + 2 * D, tree.n_sus, 3))
+    u, k = np.nonzero(chains.present)
+    out[0] = rows[:, 0]
+    out[1 + chains.joint[u, k], u] = rows[u, 1 + k]
+    out[1 + D + chains.joint[u, k], u] = rows[u, 1 + L + k]
+    return out
+
+
 def beyond_first_order(
     model: KinematicModel, q: F64, dq: F64, qd: F64, qdd: F64, gravity_up: F64
 ) -> F64:
@@ -103,17 +130,6 @@ def beyond_first_order(
     Returns:
         (N, U, 3) [m/s^2].
     """
-    tree = model.tree
-    chains = Chains.of(tree)
-    pinocchio = PinocchioTree(tree)
-    pinocchio.write_joints(model.T_parent_joint)
-    R, p = pinocchio.joint_frames(q[None])
-    kin = su_kinematics(chains, tree.su_joint, R, p, model.T_joint_su, gravity_up[None])
-    rows = kin.features()[0]
-    L = chains.joint.shape[1]
-    slopes, levers = np.zeros((2, tree.n_joints, tree.n_sus, 3))
-    u, k = np.nonzero(chains.present)
-    slopes[chains.joint[u, k], u] = rows[u, 1 + k]
-    levers[chains.joint[u, k], u] = rows[u, 1 + L + k]
-    linear = np.tensordot(dq, slopes, 1) + np.tensordot(qdd, levers, 1) + rows[:, 0]
+    motion = np.concatenate([np.ones((len(dq), 1)), dq, qdd], axis=1)
+    linear = np.tensordot(motion, first_order(model, q, gravity_up), 1)
     return np.asarray(specific_forces(model, q + dq, qd, qdd, gravity_up) - linear)

@@ -32,8 +32,9 @@ from skin2urdf.signals.regression import (
 )
 from skin2urdf.signals.sampling import Sampled, static_moves
 
-Curvature = Callable[[F64, F64, F64, F64, int], F64]
-"""(q (D,), dq (N, D), qd, qdd, log) -> (N, U, 3) readings beyond first order around pose q."""
+Curvature = Callable[[F64, F64, F64, F64, int], tuple[F64, F64]]
+"""(q (D,), dq (N, D), qd, qdd, log) -> (N, U, 3) readings beyond first order around pose q, and
+(1 + 2 D, U, 3) the coefficients that the first order should have."""
 
 _MODEL_NOISE = 3e-4
 """Error of interpolating and differentiating sampled signals [m/s^2]; a floor for the noise."""
@@ -129,8 +130,10 @@ def _poses(s: Sampled, lag: F64, curvature: Curvature | None, log: int) -> list[
         qd, qdd = motion.qd[spans], motion.qdd[spans]
         X, Z = regressors(dq, qd, qdd, curvature is not None)
         y = readings[spans]
+        expected = np.zeros((X.shape[1], len(lag), 3))
         if curvature is not None:
-            y = y - curvature(pose.q, dq, qd, qdd, log)
+            beyond, expected = curvature(pose.q, dq, qd, qdd, log)
+            y = y - beyond
         still = (np.abs(qd) < _STILL * motion.resolution).mean(axis=0)
         hidden = hidden_motion(qd, qdd, motion.resolution)
         columns = np.concatenate([X, Z, y.reshape(len(y), -1)], axis=1)
@@ -148,7 +151,7 @@ def _poses(s: Sampled, lag: F64, curvature: Curvature | None, log: int) -> list[
         X, Z, y = np.split(np.concatenate(kept), [X.shape[1], X.shape[1] + Z.shape[1]], axis=1)
         ok = np.concatenate(usable)
         found = _regress(
-            pose.q, log, X, Z, y.reshape(len(y), -1, 3), ok, noise,
+            pose.q, log, X, Z, y.reshape(len(y), -1, 3), ok, expected, noise,
             (still * motion.noise, hidden, span), (independence, rate / every, s.cutoff),
         )  # fmt: skip
         out.append(replace(found, noise=found.noise / _measured(ok, np.concatenate(lost))))
@@ -194,6 +197,7 @@ def _regress(
     Z: F64,
     y: F64,
     ok: Bool,
+    expected: F64,
     noise: tuple[F64, F64],
     unseen: tuple[F64, F64, tuple[float, float]],
     sampling: tuple[float, float, float],
@@ -216,7 +220,10 @@ def _regress(
         # A DoF that keeps still adds nothing at second order: its nuisances would only fit noise.
         moves = np.asarray(Xe[:, (n + 1) // 2 :].any(axis=0))
         Ze = Z[use] * np.tile(moves, Z.shape[1] // max(1, len(moves)))
-        result = fit(Design(Xe, Ze, *noise), y[use][:, members], independence)
+        # Motion too small to be fitted, as of a joint that settles, shifts the mean all the same.
+        shift = np.tensordot((X[use] - Xe).mean(axis=0), expected[:, members], 1)
+        felt = y[use][:, members] - shift
+        result = fit(Design(Xe, Ze, *noise), felt, independence)
         coefficients[members] = result.coefficients
         basis = orthonormal(np.concatenate([Xe, Ze], axis=1))
         factor = noise_by_row(Xe, basis, result.residual, rate, cutoff, independence)
@@ -224,7 +231,7 @@ def _regress(
         information[members] = result.information / (root[:, :, None] * root[:, None, :])
         deviation[members] = np.hypot(result.deviation, _MODEL_NOISE)
         fitted = np.zeros((len(use), len(members), 3))
-        fitted[use] = y[use][:, members] - result.residual
+        fitted[use] = felt - result.residual
         slope = first_derivative(fitted, rate)
         slope = slope[use] * eroded(use, 5)[use, None, None]
         flat = slope.reshape(len(slope), -1)

@@ -5,7 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Literal
 
-from skin2urdf.arrays import F64, frozen
+import numpy as np
+
+from skin2urdf.arrays import F64, Bool, frozen
 from skin2urdf.estimation.estimate import Estimate, EstimationSettings
 from skin2urdf.estimation.goodness import Goodness
 from skin2urdf.estimation.observability import Observability
@@ -71,6 +73,7 @@ class Calibration:
         activity: evidence of the structure.
         limits: (D, 2) range of each joint seen in the logs [rad or m].
         velocity: (D,) largest speed of each joint seen [rad/s or m/s].
+        continuous: (D,) True where a joint turns without end.
         sources: the input logs.
         settings: the choices made.
         faults: what is wrong with SUs, encoders or the recording, and was mended or left out.
@@ -86,6 +89,7 @@ class Calibration:
     activity: Activity
     limits: F64
     velocity: F64
+    continuous: Bool
     sources: tuple[Source, ...]
     settings: CalibrationSettings
     faults: tuple[Fault, ...]
@@ -95,6 +99,7 @@ class Calibration:
     def __post_init__(self) -> None:
         object.__setattr__(self, "limits", frozen(self.limits))
         object.__setattr__(self, "velocity", frozen(self.velocity))
+        object.__setattr__(self, "continuous", frozen(self.continuous, np.bool_))
 
     @property
     def quality(self) -> Quality:

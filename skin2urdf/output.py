@@ -117,6 +117,7 @@ def render(
         name=name,
         limits=calibration.limits,
         velocity=calibration.velocity,
+        continuous=calibration.continuous,
         visuals=visuals,
     )
     check_urdf(text, calibration.model)

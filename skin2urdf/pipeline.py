@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from skin2urdf.arrays import F64, Bool
 from skin2urdf.calibration import BAD_FIT, Calibration, CalibrationSettings, Source
 from skin2urdf.errors import BadFitError, InsufficientDataError
 from skin2urdf.estimation.goodness import goodness
@@ -69,6 +70,7 @@ def calibrate(
         activity=solution.seen,
         limits=span[:, :2],
         velocity=span[:, 2],
+        continuous=_endless(sampled, tree, span[:, 1] - span[:, 0]),
         sources=tuple(Source(r.source, r.digest, r.duration) for r in recordings),
         settings=settings,
         faults=distinct((*features.faults, *solution.faults)),
@@ -113,6 +115,17 @@ def _recordings(
     if not out:
         raise InsufficientDataError("no log was given", "name at least one log")
     return out
+
+
+def _endless(sampled: Sequence[Sampled], tree: KinematicTree, span: F64) -> Bool:
+    """(D,) True for revolute joints that a log wraps, or that went further than any with stops."""
+    columns = [s.motion.dof_names.index(name) for s in sampled[:1] for name in tree.joint_names]
+    wraps = np.logical_or.reduce([s.motion.wraps[columns] for s in sampled])
+    return np.asarray(~tree.prismatic & (wraps | (span > _LARGEST_SPAN)))
+
+
+_LARGEST_SPAN = 4 * np.pi
+"""Range of the joints of arms that have stops all the same: a turn either way [rad]."""
 
 
 def _range(sampled: Sequence[Sampled], name: str) -> tuple[float, float, float]:

@@ -122,6 +122,7 @@ def held_against(calibration: Calibration, truth_urdf: str, folder: Path) -> Com
         name="estimate",
         limits=calibration.limits,
         velocity=calibration.velocity,
+        continuous=calibration.continuous,
     )
     estimate.write_text(text)
     truth.write_text(truth_urdf)

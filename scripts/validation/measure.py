@@ -162,7 +162,11 @@ class _Held:
         Q = sensor_rotations(truth.sensor_matrix)
         texts = {
             "estimate": emit(
-                found.model, name="estimate", limits=found.limits, velocity=found.velocity
+                found.model,
+                name="estimate",
+                limits=found.limits,
+                velocity=found.velocity,
+                continuous=found.continuous,
             ),
             "truth": truth.urdf,
             "turned": truth_as_felt(truth, Q),

@@ -174,7 +174,7 @@ def _joint(calibration: Calibration, found: Findings, j: int) -> dict[str, Any]:
         numbers["beta"] = dh.turn
     return {
         "parent": _name(tree.joint_names, int(tree.parent[j])),
-        "type": tree.joint_types[j],
+        "type": "continuous" if calibration.continuous[j] else tree.joint_types[j],
         "dh": {key: float(value) for key, value in numbers.items()},
         "T_parent_joint": T,
         "limits": calibration.limits[j],

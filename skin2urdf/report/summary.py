@@ -71,7 +71,7 @@ def _joints(calibration: Calibration, found: Findings) -> list[str]:
         rows.append(
             (
                 name,
-                tree.joint_types[j],
+                "continuous" if calibration.continuous[j] else tree.joint_types[j],
                 tree.joint_names[parent] if parent >= 0 else "base",
                 f"{span(low, high)} {'mm' if prismatic else 'deg'}",
                 number(found.axis_position_sd[j] * _MM),

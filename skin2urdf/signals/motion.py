@@ -12,6 +12,7 @@ from skin2urdf.errors import InsufficientDataError
 from skin2urdf.recording.records import JointStream, Recording
 from skin2urdf.signals.filters import Grid, filtered, first_derivative, low_pass, sample
 from skin2urdf.signals.filters import second_derivative as second
+from skin2urdf.signals.turns import unwrapped
 
 GRID_RATE = 125.0
 """Rate of the common grid [Hz]; patterns are a few Hz."""
@@ -31,6 +32,7 @@ class Motion:
         resolution: (D,) smallest step an encoder makes [rad or m]; 0 where it has none.
         noise: (D,) standard deviation of one raw position sample [rad or m].
         raw_rate: (D,) samples per second of the raw streams [Hz].
+        wraps: (D,) True where the log wraps the position into one turn; ``q`` does not.
     """
 
     grid: Grid
@@ -42,10 +44,12 @@ class Motion:
     resolution: F64
     noise: F64
     raw_rate: F64
+    wraps: Bool
 
     def __post_init__(self) -> None:
         for name in ("q", "qd", "qdd", "resolution", "noise", "raw_rate"):
             object.__setattr__(self, name, frozen(getattr(self, name)))
+        object.__setattr__(self, "wraps", frozen(self.wraps, np.bool_))
 
 
 def joint_motion(recording: Recording, dof_names: Sequence[str] | None = None) -> Motion:
@@ -60,7 +64,8 @@ def joint_motion(recording: Recording, dof_names: Sequence[str] | None = None) -
         InsufficientDataError: no joint stream has enough samples, or they do not overlap.
     """
     names = tuple(dof_names) if dof_names is not None else tuple(j.name for j in recording.joints)
-    streams = {j.name: j for j in recording.joints if j.time.size >= 8}
+    found = {j.name: unwrapped(j) for j in recording.joints if j.time.size >= 8}
+    streams = {name: stream for name, (stream, _) in found.items()}
     if not streams:
         raise InsufficientDataError(
             f"{recording.source}: no joint has more than a few position samples",
@@ -94,9 +99,10 @@ def joint_motion(recording: Recording, dof_names: Sequence[str] | None = None) -
             resolution[d], noise[d] = encoder_noise(stream)
             rate[d] = 1 / float(np.median(np.diff(stream.time)))
     smooth = filtered(q, low_pass(GRID_RATE / 5, GRID_RATE))
+    wraps = np.array([name in found and found[name][1] for name in names])
     return Motion(
         grid, names, q, first_derivative(smooth, GRID_RATE), second(smooth, GRID_RATE),
-        valid, resolution, noise, rate,
+        valid, resolution, noise, rate, wraps,
     )  # fmt: skip
 
 

@@ -74,15 +74,18 @@ def _by_pinocchio(text: str, model: KinematicModel, q: F64) -> list[list[Any]]:
 
     loaded = pin.buildModelFromXML(text)
     data = loaded.createData()
-    index = [loaded.joints[loaded.getJointId(n)].idx_q for n in model.tree.joint_names]
-    if min(index, default=0) < 0 or loaded.nq != len(index):
+    if sorted(loaded.names[1:]) != sorted(model.tree.joint_names):
         raise InconsistentUrdfError("Pinocchio finds other joints")
+    joints = [loaded.joints[loaded.getJointId(n)] for n in model.tree.joint_names]
     frames = [loaded.getFrameId(n, pin.FrameType.BODY) for n in urdf_names(model.tree).su_links]
     poses = []
     for row in q:
-        ordered = np.empty(len(index))
-        ordered[index] = row
-        pin.framesForwardKinematics(loaded, data, ordered)
+        configuration = pin.neutral(loaded)
+        for joint, position in zip(joints, row, strict=True):
+            endless = joint.nq == 2
+            value = (np.cos(position), np.sin(position)) if endless else position
+            configuration[joint.idx_q : joint.idx_q + joint.nq] = value
+        pin.framesForwardKinematics(loaded, data, configuration)
         poses.append([data.oMf[frame].homogeneous for frame in frames])
     return poses
 

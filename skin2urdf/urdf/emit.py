@@ -12,7 +12,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from skin2urdf.arrays import F64
+from skin2urdf.arrays import F64, Bool
 from skin2urdf.errors import BadFitError, UsageError
 from skin2urdf.model.records import KinematicModel
 from skin2urdf.urdf.names import BASE_LINK, UrdfNames, urdf_names
@@ -39,6 +39,7 @@ def emit(
     name: str,
     limits: F64,
     velocity: F64 | None = None,
+    continuous: Bool | None = None,
     visuals: bool = True,
 ) -> str:
     """Write a model as URDF.
@@ -55,6 +56,8 @@ def emit(
         name: the robot's name.
         limits: (D, 2) lower and upper position limit of each joint [rad or m].
         velocity: (D,) velocity limits [rad/s or m/s]; nominal where None.
+        continuous: (D,) True for revolute joints without end, whose limits are not written; none
+            where None.
         visuals: whether to draw cylinders along the links and a hexagon per SU.
 
     Returns:
@@ -87,17 +90,16 @@ def emit(
         _visuals(element, su_shapes(radius) if visuals else ())
 
     for j, joint in enumerate(tree.joint_names):
-        element = ET.SubElement(robot, "joint", name=joint, type=tree.joint_types[j])
+        endless = continuous is not None and bool(continuous[j])
+        kind = "continuous" if endless else tree.joint_types[j]
+        element = ET.SubElement(robot, "joint", name=joint, type=kind)
         _connect(element, names, int(tree.parent[j]), names.joint_links[j], model.T_parent_joint[j])
         ET.SubElement(element, "axis", xyz="0 0 1")
-        ET.SubElement(
-            element,
-            "limit",
-            lower=_number(limits[j, 0]),
-            upper=_number(limits[j, 1]),
-            effort=_number(NOMINAL_EFFORT),
-            velocity=_number(velocity[j]),
+        span = (
+            {} if endless else dict(zip(("lower", "upper"), map(_number, limits[j]), strict=True))
         )
+        rates = {"effort": _number(NOMINAL_EFFORT), "velocity": _number(velocity[j])}
+        ET.SubElement(element, "limit", span | rates)
     for u, joint in enumerate(names.su_joints):
         element = ET.SubElement(robot, "joint", name=joint, type="fixed")
         _connect(element, names, int(tree.su_joint[u]), names.su_links[u], model.T_joint_su[u])

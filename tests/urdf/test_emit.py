@@ -19,6 +19,7 @@ from hypothesis import strategies as st
 from skin2urdf.errors import BadFitError, UsageError
 from skin2urdf.model.records import KinematicModel
 from skin2urdf.structure.records import KinematicTree
+from skin2urdf.urdf.check import check_urdf
 from skin2urdf.urdf.emit import emit
 from skin2urdf.urdf.names import urdf_names
 from skin2urdf.urdf.rpy import rpy_of_rotation
@@ -213,3 +214,20 @@ def test_two_joints_of_one_name_are_refused(random_robot: Robots) -> None:
     tree = replace(model.tree, joint_names=("same", "same", *model.tree.joint_names[2:]))
     with pytest.raises(UsageError, match="'same'"):
         text_of(replace(model, tree=tree))
+
+
+def test_a_joint_without_end_is_continuous(random_robot: Robots) -> None:
+    """Pinocchio and yourdfpy still find every SU where the model has it."""
+    model = random_robot(np.random.default_rng(6))
+    tree = model.tree
+    endless = ~tree.prismatic
+    assert endless.any()
+    text = emit(model, name="robot", limits=limits_of(model), continuous=endless)
+    root = ET.fromstring(text)  # noqa: S314  (our own text)
+    for j, name in enumerate(tree.joint_names):
+        joint, limit = (root.find(f"joint[@name='{name}']{tail}") for tail in ("", "/limit"))
+        assert joint is not None
+        assert limit is not None
+        assert joint.get("type") == ("continuous" if endless[j] else "prismatic")
+        assert ("lower" in limit.attrib, "upper" in limit.attrib) == (not endless[j],) * 2
+    check_urdf(text, model)

@@ -21,6 +21,7 @@ from skin2urdf.model.dh import canonical
 from skin2urdf.recording.records import Recording
 from skin2urdf.rounds import Clock, Progress
 from skin2urdf.signals.sampling import Sampled
+from skin2urdf.structure.records import KinematicTree
 
 
 def calibrate(

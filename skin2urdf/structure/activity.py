@@ -13,6 +13,8 @@ from skin2urdf.signals.records import Features
 STATIC_THRESHOLD = 0.05 * 9.81
 """Change of a static reading that makes an SU active, 0.05 g [m/s^2] (paper III)."""
 
+CERTAIN = float(np.log(4.0))
+"""Evidence beyond which a bit of the activity matrix is not doubted."""
 _SMALLEST_STATIC = 0.1
 """Static evidence that noise alone may make, in thresholds."""
 _SMALLEST_EFFECT = 2e-3

@@ -9,16 +9,9 @@ import numpy as np
 from skin2urdf.arrays import F64, Bool, Int
 from skin2urdf.errors import StructureError
 from skin2urdf.signals.records import Features
-from skin2urdf.structure.activity import Activity, own_information
-from skin2urdf.structure.records import JointType, KinematicTree
-
-_CERTAIN = np.log(4.0)
-"""Evidence beyond which a bit of the activity matrix is not touched by a repair."""
-
-_PUSH_ERROR = 0.05
-"""Deviation of a prismatic DoF's push from unit length that scale errors may cause."""
-_TURNING = 30.0
-"""Chi-squared per measurement of the slopes from which a DoF turns gravity."""
+from skin2urdf.structure.activity import CERTAIN, Activity, own_information
+from skin2urdf.structure.joint_types import joint_type, pushed_alike
+from skin2urdf.structure.records import KinematicTree
 
 
 def kinematic_tree(activity: Activity, features: Features) -> KinematicTree:
@@ -41,7 +34,8 @@ def kinematic_tree(activity: Activity, features: Features) -> KinematicTree:
         f"{activity.su_names[u]} has no usable readings and is left out"
         for u in np.flatnonzero(~activity.heard)
     ]
-    evidence = activity.evidence[heard]
+    own = own_information(features)
+    evidence = pushed_alike(features, own, activity)[heard]
     bits, repairs = nested(evidence, [activity.su_names[u] for u in heard], activity.dof_names)
     notes += repairs
     felt = bits.any(axis=0)
@@ -58,9 +52,8 @@ def kinematic_tree(activity: Activity, features: Features) -> KinematicTree:
     dofs = sorted(np.flatnonzero(felt), key=lambda d: (-int(bits[:, d].sum()), int(d)))
     parent = _parents(bits[:, dofs])
     su_joint = _carriers(bits[:, dofs], parent)
-    own = own_information(features)
     types = tuple(
-        _joint_type(features, own[:, :, d], activity, heard[bits[:, d]], int(d)) for d in dofs
+        joint_type(features, own[:, :, d], activity, heard[bits[:, d]], int(d)) for d in dofs
     )
     return KinematicTree(
         tuple(activity.dof_names[d] for d in dofs),
@@ -95,7 +88,7 @@ def nested(
         if conflict is None:
             return bits, notes
         cost, rows, column, d, e = conflict
-        if cost > _CERTAIN:
+        if cost > CERTAIN:
             sus = [su_names[u] for u in rows]
             raise StructureError(
                 f"the activity of {dof_names[d]} and {dof_names[e]} contradicts a kinematic tree: "
@@ -161,39 +154,3 @@ def _carriers(bits: Bool, parent: Sequence[int]) -> list[int]:
         active = np.flatnonzero(row)
         out.append(int(max(active, key=lambda d: depth[d])) if len(active) else -1)
     return out
-
-
-def _joint_type(features: Features, own: F64, activity: Activity, sus: Int, dof: int) -> JointType:
-    """A prismatic DoF turns nothing and pushes every SU beyond it by the same unit vector.
-
-    With ``s = 0`` taken as given, the push ``tau`` must have length 1 in every SU and pose; no
-    lever arm of a revolute DoF does that.
-
-    Args:
-        features: the measurements.
-        own: (P, U, 2, 2) information on the DoF's s and tau, all else unknown.
-        activity: static evidence.
-        sus: the SUs beyond the DoF.
-        dof: the DoF.
-    """
-    if np.nanmax(activity.static[sus, dof], initial=0.0) >= 1.0:
-        return "revolute"
-    information = own[:, sus]
-    seen = features.valid[:, sus] & (information[:, :, 1, 1] > 0)
-    if not seen.any():
-        return "revolute"
-    information = information[seen]
-    ratio = information[:, 0, 1] / information[:, 1, 1]
-    push = features.tau[:, sus, dof][seen] + ratio[:, None] * features.s[:, sus, dof][seen]
-    length = np.linalg.norm(push, axis=-1)
-    variance = (features.noise[:, sus][seen] ** 2).mean(axis=-1)
-    slope_information = information[:, 0, 0] - information[:, 0, 1] ** 2 / information[:, 1, 1]
-    turning = (features.s[:, sus, dof][seen] ** 2).sum(axis=-1) * slope_information / variance
-    if turning.sum() > _TURNING * 3 * len(turning):
-        return "revolute"
-    noise = np.sqrt(3 * (features.noise[:, sus][seen] ** 2).mean(axis=-1) / information[:, 1, 1])
-    known = noise < 0.2
-    if not known.any():
-        return "revolute"
-    off = np.abs(length[known] - 1.0) - 4 * noise[known]
-    return "prismatic" if np.quantile(off, 0.9) < _PUSH_ERROR else "revolute"

@@ -13,7 +13,8 @@ from skin2urdf.estimation.goodness import Goodness
 from skin2urdf.estimation.observability import Observability
 from skin2urdf.estimation.outliers import sus_unlike_the_rest
 from skin2urdf.faults import Fault
-from skin2urdf.model.records import KinematicModel
+from skin2urdf.model.records import KinematicModel, OpenDirection
+from skin2urdf.model.spatial import inverse
 from skin2urdf.signals.records import Features
 from skin2urdf.structure.activity import STATIC_THRESHOLD, Activity
 
@@ -100,6 +101,22 @@ class Calibration:
         object.__setattr__(self, "limits", frozen(self.limits))
         object.__setattr__(self, "velocity", frozen(self.velocity))
         object.__setattr__(self, "continuous", frozen(self.continuous, np.bool_))
+
+    @property
+    def T_canonical_joint(self) -> F64:
+        """(D, 4, 4) the estimation's joint frames in those of ``model``, on the same axes."""
+        tree = self.model.tree
+        T = np.tile(np.eye(4), (tree.n_joints + 1, 1, 1))  # the last one is the RS, parent -1
+        for j, parent in enumerate(tree.parent):
+            estimated = T[parent] @ self.estimate.state.T_parent_joint[j]
+            T[j] = inverse(self.model.T_parent_joint[j]) @ estimated
+        return np.asarray(T[:-1])
+
+    @property
+    def open_directions(self) -> tuple[OpenDirection, ...]:
+        """What the log leaves open between branches, in the frames of ``model`` and the URDF."""
+        frames = dict(zip(self.model.tree.joint_names, self.T_canonical_joint, strict=True))
+        return tuple(each.seen_from(frames) for each in self.observability.open_directions)
 
     @property
     def quality(self) -> Quality:

@@ -202,7 +202,7 @@ def _compare(options: argparse.Namespace) -> int:
 
     from skin2urdf.output import document_beside
     from skin2urdf.report.comparison import as_text
-    from skin2urdf.urdf.compare import compare, load_determined, load_unobservable
+    from skin2urdf.urdf.compare import compare, load_determined, load_open, load_unobservable
 
     beside = document_beside(options.estimate)
     comparison = compare(
@@ -210,6 +210,7 @@ def _compare(options: argparse.Namespace) -> int:
         options.truth,
         unobservable=load_unobservable(beside) if beside else None,
         anchors=load_determined(beside) if beside else None,
+        open_directions=load_open(beside) if beside else (),
         align=options.align,
         n_configurations=options.configurations,
         rng=np.random.default_rng(options.seed),

@@ -129,4 +129,7 @@ def held_against(calibration: Calibration, truth_urdf: str, folder: Path) -> Com
     seen = calibration.observability
     open_ = dict(zip(calibration.model.tree.su_names, seen.su_unobservable, strict=True))
     rng = np.random.default_rng(0)
-    return compare(estimate, truth, unobservable=open_, n_configurations=60, rng=rng)
+    return compare(
+        estimate, truth, unobservable=open_, open_directions=calibration.open_directions,
+        n_configurations=60, rng=rng,
+    )  # fmt: skip

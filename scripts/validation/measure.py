@@ -191,6 +191,7 @@ class _Held:
                 path,
                 unobservable=dict(zip(tree.su_names, seen.su_unobservable, strict=True)),
                 anchors=[name for name, verdict in verdicts.items() if verdict == "determined"],
+                open_directions=self.found.open_directions,
                 sus=list(self.floors),
                 n_configurations=CONFIGURATIONS,
                 rng=np.random.default_rng(self.seed),

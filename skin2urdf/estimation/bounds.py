@@ -1,8 +1,9 @@
 """What errors to expect when an estimate is compared with the truth (the Cramer-Rao bound).
 
 To first order the errors of a comparison are linear in those of the estimated coordinates: the
-error of an SU's pose, less the rigid transform that aligns its limb, less what displacing it along
-its unobservable directions takes up. Their covariance follows from that of the coordinates.
+error of an SU's pose, less the rigid transform that aligns its limb and the motion of branches
+along open directions, less what displacing the SU along its unobservable directions takes up.
+Their covariance follows from that of the coordinates.
 """
 
 from __future__ import annotations
@@ -13,12 +14,11 @@ from typing import Literal
 
 import numpy as np
 
-from skin2urdf.arrays import F64, Int
+from skin2urdf.arrays import F64, Bool, Int
 from skin2urdf.estimation.covariance import ArrowCovariance
-from skin2urdf.estimation.state import N_JOINT, N_PLACEMENT, State
-from skin2urdf.model.kinematics import PinocchioTree
-from skin2urdf.model.prediction import Chains, joint_twists, su_kinematics, zero_frames
-from skin2urdf.model.spatial import skew
+from skin2urdf.estimation.displacements import Displacements
+from skin2urdf.estimation.state import JOINT_COORDINATES, N_PLACEMENT, State
+from skin2urdf.model.records import OpenDirection
 from skin2urdf.structure.records import KinematicTree
 
 Align = Literal["limbs", "base"]
@@ -27,8 +27,8 @@ Align = Literal["limbs", "base"]
 ON_BASE = -1
 """Limb of an SU on the reference segment."""
 
-_BASIS = np.zeros((6, N_JOINT))
-_BASIS[[3, 4, 0, 1], [0, 1, 2, 3]] = 1.0
+NEWS = 0.01
+"""Part of a motion along an open direction that must remain beside motions of the base."""
 _RCOND = 1e-9
 
 
@@ -42,7 +42,7 @@ class _Rows:
     Attributes:
         columns: (m,) the joint coordinates.
         E: (C, 6, m + 6) error per coordinate at C configurations, those of the placement last.
-        G: (C, 6, 6) error per motion of the whole base frame.
+        G: (C, 6, 6 + K) error per motion of the whole base frame, and along K open directions.
         own: (6, 6) covariance of the placement for known joints.
     """
 
@@ -59,13 +59,13 @@ class _Rows:
 
 @dataclass(frozen=True, eq=False)
 class _Fit:
-    """The motion of the base frame that aligns a limb best.
+    """The motion of the base frame and along K open directions that aligns a limb best.
 
     Attributes:
-        by_placement: (6, 6) its change per coordinate of an SU's placement, for the SUs that it is
-            fitted to.
-        across: (J, 6) its covariance with the joint coordinates.
-        within: (6, 6) its covariance.
+        by_placement: (6 + K, 6) its change per coordinate of an SU's placement, for the SUs that
+            it is fitted to.
+        across: (J, 6 + K) its covariance with the joint coordinates.
+        within: (6 + K, 6 + K) its covariance.
     """
 
     by_placement: dict[int, F64]
@@ -87,6 +87,15 @@ def limbs_of(tree: KinematicTree) -> Int:
     return np.array(limbs, dtype=np.int64)
 
 
+def moved_sus(tree: KinematicTree, directions: Sequence[OpenDirection]) -> Bool:
+    """(K, U) the SUs that each of K open directions moves."""
+    active = tree.activity()
+    joints = [[name in each.joints for name in tree.joint_names] for each in directions]
+    sus = [[name in each.sus for name in tree.su_names] for each in directions]
+    by_joint = np.reshape(joints, (-1, tree.n_joints)).astype(int) @ active.T.astype(int) > 0
+    return np.asarray(by_joint | np.reshape(sus, (-1, tree.n_sus)).astype(bool))
+
+
 def expected_errors(
     tree: KinematicTree,
     state: State,
@@ -96,6 +105,7 @@ def expected_errors(
     free: Sequence[F64],
     trust: Int,
     arm: float,
+    open_directions: Sequence[OpenDirection] = (),
     align: Align = "limbs",
 ) -> tuple[F64, F64]:
     """Standard deviations of SU poses after alignment, as the comparison of URDFs aligns.
@@ -108,8 +118,10 @@ def expected_errors(
         free: per SU (k, 6) orthonormal directions that do not count (linear [m], angular [rad]
             times ``arm``).
         trust: (U,) each limb is aligned by its SUs of the highest value; negative for SUs that
-            align nothing.
+            align nothing. Where an open direction moves none of these, the best that it moves
+            join them.
         arm: length that angles are weighed by [m].
+        open_directions: ways in which branches may sit elsewhere that do not count either.
         align: one transform per limb, or one for all.
 
     Returns:
@@ -117,7 +129,7 @@ def expected_errors(
         SU on the RS the position is 0, for it never counts.
     """
     limbs = limbs_of(tree)
-    rows = _error_rows(tree, state, q, covariance, arm)
+    rows = _error_rows(tree, state, q, covariance, open_directions, arm)
     up = np.array([0.0, 0.0, 1.0])
     for u, row in enumerate(rows):
         directions = free[u]
@@ -127,7 +139,8 @@ def expected_errors(
         rows[u] = row.without(directions)
 
     groups = limbs if align == "limbs" else np.zeros_like(limbs)
-    anchors = {int(g): _anchors(groups, trust, int(g)) for g in groups if g != ON_BASE}
+    moved = moved_sus(tree, open_directions)
+    anchors = {int(g): _anchors(groups, trust, moved, int(g)) for g in groups if g != ON_BASE}
     fits = {
         g: _fit({int(u): rows[u] for u in on}, covariance.joint)
         for g, on in anchors.items()
@@ -144,51 +157,54 @@ def expected_errors(
 
 
 def _error_rows(
-    tree: KinematicTree, state: State, q: F64, covariance: ArrowCovariance, arm: float
+    tree: KinematicTree,
+    state: State,
+    q: F64,
+    covariance: ArrowCovariance,
+    open_directions: Sequence[OpenDirection],
+    arm: float,
 ) -> list[_Rows]:
     """Errors of all SUs."""
-    chains = Chains.of(tree)
-    pinocchio = PinocchioTree(tree)
-    pinocchio.write_joints(state.T_parent_joint)
-    R, p = pinocchio.joint_frames(q)
-    up = np.tile([0.0, 0.0, 1.0], (len(q), 1))
-    kin = su_kinematics(chains, tree.su_joint, R, p, state.T_joint_su, up)
-    basis = np.tile(_BASIS, (tree.n_joints, 1, 1))
-    twists = joint_twists(chains, kin, *zero_frames(R, p, q, tree.prismatic), basis)
-    twists = np.roll(twists, 3, axis=-2)  # linear part first
-    scale = np.repeat([1.0, arm], 3)[:, None]
+    moves = Displacements.of(tree, state, q, arm)
+    local = np.swapaxes(moves.by_joint[..., list(JOINT_COORDINATES)], 2, 3)
+    local = local.reshape(*local.shape[:3], -1)
+    along = [moves.along(direction) for direction in open_directions]
+    G = np.concatenate([moves.by_base, *(motion[..., None] for motion in along)], axis=-1)
     result = []
     for u in range(tree.n_sus):
         columns = covariance.columns[u]
         E = np.zeros((len(q), 6, len(columns) + N_PLACEMENT))
-        E[..., : twists.shape[2] * N_JOINT] = np.swapaxes(twists[:, u], 1, 2).reshape(len(q), 6, -1)
-        E[..., : len(columns)] += covariance.lean[u, :N_PLACEMENT]
-        E[..., len(columns) :] = np.eye(N_PLACEMENT)
-        Rt = np.swapaxes(kin.R[:, u], 1, 2)
-        G = np.zeros((len(q), 6, 6))
-        G[:, :3, :3] = G[:, 3:, 3:] = Rt
-        G[:, :3, 3:] = -Rt @ skew(kin.p[:, u])
+        E[..., : local.shape[-1]] = local[:, u]
+        E[..., : len(columns)] += covariance.lean[u, :N_PLACEMENT] * moves.scale[:, None]
+        E[..., len(columns) :] = np.diag(moves.scale)
         own = covariance.own[u, :N_PLACEMENT, :N_PLACEMENT]
-        result.append(_Rows(columns, E * scale, G * scale, own))
+        result.append(_Rows(columns, E, G[:, u], own))
     return result
 
 
-def _anchors(groups: Int, trust: Int, group: int) -> Int:
-    """SUs that a limb is aligned by."""
-    best = trust[groups == group].max()
-    return np.flatnonzero((groups == group) & (trust == best) & (trust >= 0))
+def _anchors(groups: Int, trust: Int, moved: Bool, group: int) -> Int:
+    """SUs that a limb is aligned by; ``moved`` (K, U) tells what each open direction moves."""
+    members = (groups == group) & (trust >= 0)
+    anchors = members & (trust == trust[groups == group].max())
+    for mine in moved & members:
+        if mine.any() and not (mine & anchors).any():
+            anchors |= mine & (trust == trust[mine].max())
+    return np.flatnonzero(anchors)
 
 
 def _fit(rows: Mapping[int, _Rows], joint: F64) -> _Fit:
     """The alignment by least squares over the given SUs."""
-    N, M = np.zeros((6, 6)), np.zeros((6, len(joint)))
+    k = next(iter(rows.values())).G.shape[-1]
+    N, M = np.zeros((k, k)), np.zeros((k, len(joint)))
     by_placement = {}
     for u, row in rows.items():
         N += np.einsum("cij,cik->jk", row.G, row.G)
         both = np.einsum("cij,cik->jk", row.G, row.E)
         np.add.at(M.T, row.columns, both[:, :-N_PLACEMENT].T)
         by_placement[u] = both[:, -N_PLACEMENT:]
-    solve = np.linalg.pinv(N, rcond=_RCOND, hermitian=True)
+    kept = _kept(N)
+    solve = np.zeros_like(N)
+    solve[np.ix_(kept, kept)] = np.linalg.pinv(N[np.ix_(kept, kept)], rcond=_RCOND, hermitian=True)
     by_joints = solve @ M
     by_placement = {u: solve @ block for u, block in by_placement.items()}
     across = joint @ by_joints.T
@@ -196,6 +212,13 @@ def _fit(rows: Mapping[int, _Rows], joint: F64) -> _Fit:
     for u, block in by_placement.items():
         within += block @ rows[u].own @ block.T
     return _Fit(by_placement, across, within)
+
+
+def _kept(N: F64) -> Int:
+    """Columns of normal equations N (6 + K) to fit: the base's, and what open directions add."""
+    base = np.linalg.pinv(N[:6, :6], rcond=_RCOND, hermitian=True)
+    beside = np.diag(N)[6:] - np.einsum("ik,ij,jk->k", N[:6, 6:], base, N[:6, 6:])
+    return np.concatenate([np.arange(6), 6 + np.flatnonzero(beside > NEWS**2 * np.diag(N)[6:])])
 
 
 def _deviations(row: _Rows, u: int, fit: _Fit, chain: F64) -> tuple[float, float]:

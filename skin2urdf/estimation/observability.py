@@ -16,7 +16,9 @@ from skin2urdf.arrays import F64, Bool, frozen
 from skin2urdf.estimation.bounds import Align, expected_errors
 from skin2urdf.estimation.covariance import ArrowCovariance
 from skin2urdf.estimation.estimate import Estimate
+from skin2urdf.estimation.open_directions import open_directions
 from skin2urdf.estimation.state import N_JOINT, N_PLACEMENT, N_SU
+from skin2urdf.model.records import OpenDirection
 
 Verdict = Literal["determined", "weak", "not observable"]
 
@@ -43,9 +45,9 @@ class Observability:
             along which the log says nothing about the SU's placement on its joint.
         su_verdict: per SU.
         joint_covariance: (D, 4, 4) covariance of each joint's local coordinates tx, ty, rx, ry.
-        joint_verdict: per joint.
-        n_open: directions of all joints together that the log leaves open beyond the gauge
-            freedoms of the base.
+        joint_verdict: per joint; "not observable" for those that an open direction moves.
+        open_directions: independent ways in which branches may sit elsewhere relative to the rest
+            of their limb, beyond what ``su_unobservable`` has.
         rank: number of determined coordinates.
         hidden_rotation: standard deviation per axis of the rotation of an SU's frame that
             cross-axis errors hide [rad]; part of ``su_covariance`` and ``covariance``.
@@ -57,7 +59,7 @@ class Observability:
     su_verdict: tuple[Verdict, ...]
     joint_covariance: F64
     joint_verdict: tuple[Verdict, ...]
-    n_open: int
+    open_directions: tuple[OpenDirection, ...]
     rank: int
     hidden_rotation: float
     covariance: ArrowCovariance
@@ -65,6 +67,11 @@ class Observability:
     def __post_init__(self) -> None:
         for name in ("su_covariance", "joint_covariance"):
             object.__setattr__(self, name, frozen(getattr(self, name)))
+
+    @property
+    def n_open(self) -> int:
+        """Number of open directions between branches."""
+        return len(self.open_directions)
 
 
 def observability(estimate: Estimate) -> Observability:
@@ -81,15 +88,19 @@ def observability(estimate: Estimate) -> Observability:
     inverse = np.zeros((U, N_SU, N_SU))
     directions = []
     for u in range(U):
-        inverse[u], open_ = _su_inverse(equations.su[u], free.sus[u], scale)
-        directions.append(open_)
+        inverse[u], unseen = _su_inverse(equations.su[u], free.sus[u], scale)
+        directions.append(unseen)
     columns = equations.columns
     mixed = equations.mixed * free_joint[columns][:, None]
     lean = -inverse @ mixed
     H = equations.joint * free_joint[:, None] * free_joint
     np.add.at(H, (columns[:, :, None], columns[:, None, :]), np.swapaxes(mixed, 1, 2) @ lean)
-    joint_inverse, n_null = _joint_inverse(H, free_joint, scale)
-    gauge = 2 * int((tree.parent < 0).sum())
+    joint_inverse, null = _joint_inverse(H, free_joint, scale)
+    open_ = open_directions(
+        tree, estimate.state, equations, null, lean, directions,
+        least=scale / UNKNOWN**2, arm=ARM,
+    )  # fmt: skip
+    moving = {name for direction in open_ for name in direction.joints}
 
     bare = ArrowCovariance(scale * joint_inverse, columns, lean, scale * inverse)
     hidden = hidden_rotation(estimate, bare.su())
@@ -100,12 +111,15 @@ def observability(estimate: Estimate) -> Observability:
     blocks = covariance.joint[: N_JOINT * D, : N_JOINT * D].reshape(D, N_JOINT, D, N_JOINT)
     joint_covariance = np.einsum("dadb->dab", blocks)
     su_verdict = tuple(_verdict(su_covariance[u], len(directions[u])) for u in range(U))
-    joint_verdict = tuple(_verdict(joint_covariance[j], 0) for j in range(D))
-    rank = int(free_joint.sum()) - n_null + int(free.sus.sum())
+    joint_verdict = tuple(
+        _verdict(joint_covariance[j], int(name in moving))
+        for j, name in enumerate(tree.joint_names)
+    )
+    rank = int(free_joint.sum()) - len(null) + int(free.sus.sum())
     rank -= sum(len(d) for d in directions)
     return Observability(
         su_covariance, tuple(directions), su_verdict, joint_covariance, joint_verdict,
-        max(0, n_null - gauge), rank, hidden, covariance,
+        open_, rank, hidden, covariance,
     )  # fmt: skip
 
 
@@ -159,15 +173,16 @@ def _su_inverse(H: F64, free: Bool, scale: float) -> tuple[F64, F64]:
     return out, np.linalg.qr(scaled.T)[0].T
 
 
-def _joint_inverse(H: F64, free: Bool, scale: float) -> tuple[F64, int]:
-    """Inverse of the joints' information without its open directions, and their number."""
+def _joint_inverse(H: F64, free: Bool, scale: float) -> tuple[F64, F64]:
+    """Inverse of the joints' information (J, J) without its open directions, and those (k, J)."""
     index = np.flatnonzero(free)
     A = H[np.ix_(index, index)]
     lam, V = np.linalg.eigh(A) if len(index) else (np.zeros(0), np.zeros((0, 0)))
     open_ = lam < np.maximum(scale / UNKNOWN**2, _TINY * lam.max(initial=0.0))
-    out = np.zeros_like(H)
+    out, null = np.zeros_like(H), np.zeros((int(open_.sum()), len(H)))
     out[np.ix_(index, index)] = (V[:, ~open_] / lam[~open_]) @ V[:, ~open_].T
-    return out, int(open_.sum())
+    null[:, index] = V[:, open_].T
+    return out, null
 
 
 def _verdict(covariance: F64, n_open: int) -> Verdict:
@@ -183,9 +198,10 @@ def aligned_deviations(
     """Standard deviations to expect when the robot is compared with the truth.
 
     The Cramer-Rao bound of the comparison's metrics: SU position and orientation over the given
-    configurations, after one rigid transform of each limb and with unobservable directions of
-    the SUs left out. A limb is aligned by its determined SUs; where it has none by those that
-    are observable in all directions, and where it has none of these either, by all it has.
+    configurations, after one rigid transform of each limb and with open directions of branches
+    and unobservable ones of SUs left out. A limb is aligned by its determined SUs; where it has
+    none by those that are observable in all directions, and where it has none of these either, by
+    all it has.
 
     Args:
         estimate: the estimate.
@@ -205,7 +221,7 @@ def aligned_deviations(
         tree, estimate.state, found.covariance, q,
         free=found.su_unobservable,
         trust=np.where(nothing, -1, (n_open == 0) * 1 + (determined & (n_open == 0))),
-        arm=ARM, align=align,
+        open_directions=found.open_directions, arm=ARM, align=align,
     )  # fmt: skip
     position[nothing | (tree.su_joint < 0)], orientation[nothing] = np.nan, np.nan
     return position, orientation

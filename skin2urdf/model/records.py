@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 from skin2urdf.arrays import F64, frozen
+from skin2urdf.model.twists import adjoint
 from skin2urdf.structure.records import KinematicTree
 
 
@@ -26,3 +28,33 @@ class KinematicModel:
     def __post_init__(self) -> None:
         object.__setattr__(self, "T_parent_joint", frozen(self.T_parent_joint))
         object.__setattr__(self, "T_joint_su", frozen(self.T_joint_su))
+
+
+@dataclass(frozen=True, eq=False)
+class OpenDirection:
+    """A way in which parts of a robot may sit elsewhere without any reading telling.
+
+    Twists are (linear [m], angular [rad]) in the local frame of the placement that they move,
+    ``T -> T exp(a xi)`` with one amplitude a for all; what is not named stays where it is.
+
+    Attributes:
+        joints: (6,) twists of joint placements, by joint name.
+        sus: (6,) twists of SU placements, by SU name.
+    """
+
+    joints: Mapping[str, F64]
+    sus: Mapping[str, F64]
+
+    def __post_init__(self) -> None:
+        for name in ("joints", "sus"):
+            twists = {key: frozen(xi) for key, xi in getattr(self, name).items()}
+            object.__setattr__(self, name, twists)
+
+    def seen_from(self, T_new_old: Mapping[str, F64]) -> OpenDirection:
+        """The same for joint frames that are placed differently on the same joints.
+
+        Args:
+            T_new_old: (4, 4) old frame in the new one, by joint name.
+        """
+        moved = {name: adjoint(T_new_old[name]) @ xi for name, xi in self.joints.items()}
+        return OpenDirection(moved, self.sus)

@@ -43,6 +43,11 @@ def as_text(comparison: Comparison) -> str:
     lines.append(
         f"Errors over {c.n_configurations} random configurations inside the limits, {_aligned(c)}."
     )
+    if c.n_open:
+        directions = "1 direction" if c.n_open == 1 else f"{c.n_open} directions"
+        lines.append(
+            f"Branches moved along {directions} that the log leaves open between them, to fit best."
+        )
     for words, names in (
         ("Not observable from the log, left out", c.not_observable),
         ("Joints of limbs without an observable SU, left out", c.joints_left_out),

@@ -57,7 +57,12 @@ def as_document(calibration: Calibration) -> dict[str, Any]:
         "sus": {name: _su(calibration, u) for u, name in enumerate(tree.su_names)},
         "gravity_up": calibration.estimate.state.up,
         "observability": {
-            "open_joint_directions": found.open_joints,
+            "between_branches": [
+                {"joints": direction.joints, "sus": direction.sus, "words": asdict(unknown)}
+                for direction, unknown in zip(
+                    calibration.open_directions, found.between_branches, strict=True
+                )
+            ],
             "hidden_rotation_rad": calibration.observability.hidden_rotation,
             "sus": {
                 name: {

@@ -9,6 +9,7 @@ import numpy as np
 from skin2urdf.arrays import F64, frozen
 from skin2urdf.calibration import BAD_FIT, GOOD_FIT, Calibration
 from skin2urdf.estimation.observability import aligned_deviations
+from skin2urdf.report.branches import between_branches
 from skin2urdf.report.words import Unknown, unknowns
 
 _CONFIGURATIONS = 50
@@ -30,7 +31,7 @@ class Findings:
             base frames are aligned; of the SUs that are observable in all directions [m].
         expected_orientation: the same of SU orientations [rad].
         unknown: per SU what the log does not tell.
-        open_joints: number of directions of the joints that the log leaves open.
+        between_branches: what the log does not tell of branches relative to each other.
     """
 
     verdict: str
@@ -41,7 +42,7 @@ class Findings:
     expected_position: float
     expected_orientation: float
     unknown: tuple[tuple[Unknown, ...], ...]
-    open_joints: int
+    between_branches: tuple[Unknown, ...]
 
     def __post_init__(self) -> None:
         for name in (
@@ -71,7 +72,7 @@ def findings(calibration: Calibration) -> Findings:
         expected_position=expected[0],
         expected_orientation=expected[1],
         unknown=unknowns(calibration.model, found.su_unobservable, state.up),
-        open_joints=found.n_open,
+        between_branches=between_branches(calibration.model, calibration.open_directions, state.up),
     )
 
 
@@ -99,7 +100,7 @@ def _axis_deviations(calibration: Calibration) -> tuple[F64, F64]:
     elsewhere on the same axis; a tilt of the axis moves it by the tilt times that distance.
     """
     tree = calibration.model.tree
-    z = _slides(calibration)
+    z = -calibration.T_canonical_joint[:, 2, 3]
     shift = np.zeros((tree.n_joints, 2, 4))  # of the point at z, from tx, ty, rx, ry
     shift[:, 0, 0] = shift[:, 1, 1] = 1.0
     shift[:, 0, 3], shift[:, 1, 2] = z, -z
@@ -109,18 +110,6 @@ def _axis_deviations(calibration: Calibration) -> tuple[F64, F64]:
     # Where an axis on the RS passes is a free choice, where a prismatic one passes means nothing.
     free = (tree.parent < 0) | tree.prismatic
     return np.where(free, np.nan, position), direction
-
-
-def _slides(calibration: Calibration) -> F64:
-    """(D,) place of each joint's origin in the URDF along z of the estimation's frame [m]."""
-    tree = calibration.model.tree
-    z = np.zeros(tree.n_joints)
-    before = np.tile(np.eye(4), (tree.n_joints + 1, 1, 1))  # T_canonical_estimated, -1 for RS
-    for j, parent in enumerate(tree.parent):
-        estimated = before[parent] @ calibration.estimate.state.T_parent_joint[j]
-        before[j] = np.linalg.solve(calibration.model.T_parent_joint[j], estimated)
-        z[j] = -before[j][2, 3]
-    return z
 
 
 def _expected(calibration: Calibration) -> tuple[float, float]:

@@ -110,10 +110,4 @@ def _sus(calibration: Calibration, found: Findings) -> list[str]:
 def _not_known(found: Findings) -> list[str]:
     """Everything the log does not tell, one line each."""
     lines = [str(unknown) for su in found.unknown for unknown in su]
-    if found.open_joints:
-        directions = "direction" if found.open_joints == 1 else "directions"
-        lines.append(
-            f"{found.open_joints} {directions} of the joints' axes: the motion in this log does "
-            "not tell them; record more poses, far from each other, with every joint moving"
-        )
-    return lines
+    return lines + [str(unknown) for unknown in found.between_branches]

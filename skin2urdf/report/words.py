@@ -14,8 +14,10 @@ ARM = 0.1
 """Length [m] by which the angular part of a direction is multiplied."""
 _ALIKE = 0.1
 """Part of a unit direction that may lie outside of a set of directions it counts as one of."""
-_PARALLEL = 0.05
-_VERTICAL = np.deg2rad(15.0)
+PARALLEL = 0.05
+"""Sine of the angle up to which axes count as parallel."""
+VERTICAL = np.deg2rad(15.0)
+"""Angle up to which an axis counts as vertical [rad]."""
 
 TILT_REMEDY = "record a second log with the base tilted by 20 degrees or more"
 
@@ -53,7 +55,7 @@ def unknowns(
     Returns:
         What is not known of each SU; empty where all of it is.
     """
-    T_base_joint = _at_zero(model)
+    T_base_joint = frames_at_zero(model)
     return tuple(
         _of_reference(model.tree.su_names[u], len(rows))
         if model.tree.su_joint[u] < 0
@@ -62,7 +64,7 @@ def unknowns(
     )
 
 
-def _at_zero(model: KinematicModel) -> F64:
+def frames_at_zero(model: KinematicModel) -> F64:
     """(D, 4, 4) joint frames in the base frame with all joints at 0."""
     T = np.empty_like(model.T_parent_joint)
     for j, parent in enumerate(model.tree.parent):
@@ -103,7 +105,7 @@ def _of_moving(
     if not len(rows):
         return ()
     if len(rows) == 6:
-        return (Unknown(f"pose of {name}", "its readings tell nothing", _more(names)),)
+        return (Unknown(f"pose of {name}", "its readings tell nothing", more(names)),)
     turning = [j for j in chain if not tree.prismatic[j]]
     if not turning:
         return _of_pushed(name, names, rows)
@@ -111,11 +113,11 @@ def _of_moving(
     T_base_su = T_base_joint[chain[-1]] @ model.T_joint_su[u]
     slide, turn = _about_axis(np.linalg.solve(T_base_joint[turning[-1]], T_base_su))
     parallel = _parallel(T_base_joint, turning)
-    tilt = _largest_angle(up, T_base_joint[turning[0], :3, 2])
+    tilt = largest_angle(up, T_base_joint[turning[0], :3, 2])
     found: list[Unknown] = []
     if _holds(rows, np.eye(6)[:3]):
-        why = f"{_listed(pivot)} turned it too slowly for that"
-        found.append(Unknown(f"position of {name}", why, _more(pivot)))
+        why = f"{listed(pivot)} turned it too slowly for that"
+        found.append(Unknown(f"position of {name}", why, more(pivot)))
         rows = _without(rows, np.eye(6)[:3])
     elif _holds(rows, slide[None]):
         found.append(_along(name, pivot, parallel))
@@ -123,7 +125,7 @@ def _of_moving(
     if _holds(rows, turn[None]) and parallel:
         found.append(_yaw(name, pivot[-1], tilt))
         rows = _without(rows, turn[None])
-    if len(rows) and parallel and tilt < _VERTICAL:
+    if len(rows) and parallel and tilt < VERTICAL:
         found.append(_tilt(name, pivot))
     elif len(rows):
         found.append(_some(name, names, rows))
@@ -132,7 +134,7 @@ def _of_moving(
 
 def _of_pushed(name: str, names: Sequence[str], rows: F64) -> tuple[Unknown, ...]:
     """What is not known of an SU that joints push but never turn."""
-    pushed = f"{_listed(names)} push" if len(names) > 1 else f"{names[0]} pushes"
+    pushed = f"{listed(names)} push" if len(names) > 1 else f"{names[0]} pushes"
     position = Unknown(f"position of {name}", f"{pushed} it the same way wherever it sits")
     if not _holds(rows, np.eye(6)[:3]):
         return (_some(name, names, rows),)
@@ -146,8 +148,8 @@ def _some(name: str, names: Sequence[str], rows: F64) -> Unknown:
     """Directions of no special kind."""
     return Unknown(
         f"{_kinds(rows)} of {name} along {len(rows)} of 6 directions",
-        f"the motion of {_listed(names)} in this log is too small or too much alike",
-        _more(names),
+        f"the motion of {listed(names)} in this log is too small or too much alike",
+        more(names),
     )
 
 
@@ -163,7 +165,7 @@ def _parallel(T_base_joint: F64, chain: Sequence[int]) -> bool:
     """Whether the axes of all joints of a chain are parallel."""
     axes = T_base_joint[list(chain), :3, 2]
     sine = np.linalg.norm(np.cross(axes, axes[-1]), axis=-1)
-    return bool((sine < _PARALLEL).all())
+    return bool((sine < PARALLEL).all())
 
 
 def _holds(rows: F64, directions: F64) -> bool:
@@ -188,27 +190,27 @@ def _along(name: str, names: Sequence[str], parallel: bool) -> Unknown:
         why = f"{names[0]} is the only joint that turns it, so that no recording tells it"
         return Unknown(what, why)
     if parallel:
-        why = f"the axes of {_listed(names)} are parallel, so that no recording tells it"
+        why = f"the axes of {listed(names)} are parallel, so that no recording tells it"
         return Unknown(what, why)
     why = f"the joints before {names[-1]} move too little or too slowly in this log"
-    return Unknown(what, why, _more(names[:-1]))
+    return Unknown(what, why, more(names[:-1]))
 
 
-def _largest_angle(up: F64, axis: F64) -> float:
+def largest_angle(up: F64, axis: F64) -> float:
     """Largest angle between an axis and the vertical over all logs [rad]."""
     return float(np.max(np.arccos(np.clip(np.abs(up @ axis), 0.0, 1.0))))
 
 
 def _tilt(name: str, names: Sequence[str]) -> Unknown:
     """An SU in which gravity never turns, so that its bias and scale look like a tilt."""
-    why = f"gravity keeps its direction in {name} whatever {_listed(names)} does, and so does bias"
+    why = f"gravity keeps its direction in {name} whatever {listed(names)} does, and so does bias"
     return Unknown(f"tilt of {name}", why, TILT_REMEDY)
 
 
 def _yaw(name: str, joint: str, tilt: float) -> Unknown:
     """An SU that may be turned about the axis of a joint, ``tilt`` [rad] from the vertical."""
     what = f"turn of {name} about the axis of {joint}"
-    if tilt < _VERTICAL:
+    if tilt < VERTICAL:
         degrees = np.rad2deg(tilt)
         why = "the axis is vertical" + (f" to {degrees:.0f} deg" if degrees >= 0.5 else "")
         return Unknown(what, why, TILT_REMEDY)
@@ -225,11 +227,11 @@ def _kinds(rows: F64) -> str:
     return "orientation" if linear < _ALIKE**2 * angular else "pose"
 
 
-def _more(names: Sequence[str]) -> str:
+def more(names: Sequence[str]) -> str:
     """What to record where motion is missing."""
-    return f"record more poses, with a pattern of 0.1 rad or more on {_listed(names)}"
+    return f"record more poses, with a pattern of 0.1 rad or more on {listed(names)}"
 
 
-def _listed(names: Sequence[str]) -> str:
+def listed(names: Sequence[str]) -> str:
     """Names in a sentence."""
     return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"

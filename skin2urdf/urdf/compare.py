@@ -13,23 +13,30 @@ from pathlib import Path
 
 import numpy as np
 
-from skin2urdf.arrays import F64
+from skin2urdf.arrays import F64, Bool
 from skin2urdf.errors import InsufficientDataError, UsageError
-from skin2urdf.urdf import twists
+from skin2urdf.model import twists
+from skin2urdf.model.records import OpenDirection
 from skin2urdf.urdf.axes import AxisErrors, axis_errors
 from skin2urdf.urdf.differences import tree_differences
 from skin2urdf.urdf.directions import (
     load_determined,
+    load_open,
     load_unobservable,
     of_base_su,
     spanned,
     told,
 )
-from skin2urdf.urdf.limbs import ON_BASE, Align, Aligned, align_robot
-from skin2urdf.urdf.loading import Robot, configuration, load_robot
+from skin2urdf.urdf.kinematics import kinematics
+from skin2urdf.urdf.limbs import ON_BASE, Align, Aligned, align_robot, anchors_of
+from skin2urdf.urdf.loading import Robot, load_robot
+from skin2urdf.urdf.opening import Sight, fitted, moved_by
 from skin2urdf.urdf.records import Comparison, Spread, SuError
 
-__all__ = ["compare", "load_determined", "load_unobservable", "random_positions"]
+_TO_FIT = 50
+"""Configurations that open directions are fitted to, at most."""
+
+__all__ = ["compare", "load_determined", "load_open", "load_unobservable", "random_positions"]
 
 
 def compare(
@@ -38,6 +45,7 @@ def compare(
     *,
     unobservable: Mapping[str, F64] | None = None,
     anchors: Collection[str] | None = None,
+    open_directions: Sequence[OpenDirection] = (),
     sus: Sequence[str] | None = None,
     align: Align = "limbs",
     n_configurations: int = 200,
@@ -54,6 +62,9 @@ def compare(
     other. An SU on the reference segment is compared by its tilt, the angle between the gravity
     directions it implies (z of the estimate's base is up); its position never counts.
 
+    Branches that open directions leave free to move relative to the rest of their limb are moved
+    along these to where they fit best, together with the limb.
+
     An SU with unobservable directions is moved along them, once for all configurations, to where
     it fits best, and what remains is its error. Finite displacements are followed exactly (an SU
     that may sit anywhere on a circle about a vertical first axis). SUs of which nothing is
@@ -67,6 +78,8 @@ def compare(
             [rad] times 0.1 m/rad. SUs without an entry are observable.
         anchors: names of SUs to align limbs by (the well determined ones). A limb without any is
             aligned by its SUs that are observable in all directions, or by all it has.
+        open_directions: ways in which branches may sit elsewhere relative to each other that the
+            log does not tell, in the frames of the estimated URDF.
         sus: the SUs to expect; one that the estimate lacks is a difference of the trees. SUs
             that nobody names and the estimate lacks can not be recognised in the truth.
         align: "limbs", or "base" for one transform of the whole robot, where the limbs' places
@@ -91,8 +104,8 @@ def compare(
     shared, missing = _recognised(est, true, sus or ())
     joints = [name for name in est.joint_types if name in true.joint_types]
     positions = random_positions(est, true, joints, n_configurations, rng)
-    poses_est, axes_est = _kinematics(est, shared, joints, positions)
-    poses_true, axes_true = _kinematics(true, shared, joints, positions)
+    poses_est, _ = kinematics(est, shared, joints, positions)
+    poses_true, axes_true = kinematics(true, shared, joints, positions)
 
     free = []
     for u, name in enumerate(shared):
@@ -110,10 +123,19 @@ def compare(
             "record a log in which the joints move",
         )
     T_true_su = poses_true[:, seen]
-    aligned = align_robot(
-        poses_est[:, seen], T_true_su, names, limbs, free,
-        preferred=np.array([name in (anchors or ()) for name in names]), how=align,
-    )  # fmt: skip
+    groups = limbs if align == "limbs" else ["all"] * len(names)
+    directions = _held_by(est, open_directions)
+    moved = np.array([moved_by(est, each, names) for each in directions], dtype=bool)
+    moved = moved.reshape(-1, len(names))
+    trust = [
+        2 * (n in (anchors or ())) or 1 * (not len(f)) for n, f in zip(names, free, strict=True)
+    ]
+    on = anchors_of(groups, np.array(trust), moved)
+    some = slice(0, _TO_FIT)
+    sight = Sight(names, T_true_su[some], free, joints, positions[some])
+    est = _closest(est, directions, moved, sight, groups, on)
+    poses_est, axes_est = kinematics(est, names, joints, positions)
+    aligned = align_robot(poses_est, T_true_su, names, limbs, free, anchors=on, how=align)
     left_out, axes = _axes(est, true, joints, names, T_true_su, aligned, axes_est, axes_true)
     errors, position, orientation = _su_errors(names, free, aligned.T_base_su, T_true_su)
     differences = tree_differences(est, true, [*shared, *missing])
@@ -129,10 +151,54 @@ def compare(
         tree_differences=differences,
         not_observable=tuple(n for n, counts in zip(shared, seen, strict=True) if not counts),
         joints_left_out=left_out,
+        n_open=len(directions),
         unmatched=tuple(name for name in est.fixed_leaves if name not in true.links),
         held_joints=tuple(n for r in (est, true) for n in r.joint_types if n not in joints),
         n_configurations=n_configurations,
     )
+
+
+def _held_by(est: Robot, directions: Sequence[OpenDirection]) -> list[OpenDirection]:
+    """Open directions as the estimate has their joints and SUs.
+
+    Raises:
+        UsageError: a direction names what the estimate does not have.
+    """
+    for direction in directions:
+        known = {*est.joint_types, *est.links}
+        for name in (*direction.joints, *direction.sus):
+            if name not in known:
+                raise UsageError(
+                    f"an open direction moves {name!r}, which {est.path} does not have",
+                    "take the directions and the URDF from the same calibration",
+                )
+    return list(directions)
+
+
+def _closest(
+    est: Robot,
+    directions: Sequence[OpenDirection],
+    moved: Bool,
+    sight: Sight,
+    groups: Sequence[str],
+    anchors: Bool,
+) -> Robot:
+    """The estimate moved along its open directions, group by group of SUs, to fit best.
+
+    Args:
+        est: the estimate.
+        directions: K open directions.
+        moved: (K, U) which SUs they move.
+        sight: U SUs.
+        groups: name of the group that each SU is aligned with.
+        anchors: (U,) the SUs to fit by.
+    """
+    for group in dict.fromkeys(groups):
+        on = anchors & np.array([each == group for each in groups])
+        mine = [each for each, rows in zip(directions, moved, strict=True) if (rows & on).any()]
+        if mine:
+            est = fitted(est, mine, sight.of(on))
+    return est
 
 
 def _recognised(
@@ -184,33 +250,6 @@ def random_positions(
             upper = max(reach, lower + reach)
         result[:, j] = rng.uniform(lower, upper, n)
     return result
-
-
-def _kinematics(
-    robot: Robot, sus: Sequence[str], joints: Sequence[str], positions: F64
-) -> tuple[F64, F64]:
-    """Poses and axes of one robot at n configurations.
-
-    Returns:
-        (n, U, 4, 4) SU poses in the base frame, and (n, D, 6) columns of the joints' Jacobian
-        there: for a revolute joint the axis w and ``v = -w x (any point of the axis)``, for a
-        prismatic one v alone; linear part first.
-    """
-    import pinocchio as pin
-
-    data = robot.model.createData()
-    frames = [robot.frame(name) for name in sus]
-    columns = [robot.model.joints[robot.model.getJointId(name)].idx_v for name in joints]
-    T_base_su = np.empty((len(positions), len(sus), 4, 4))
-    axes = np.empty((len(positions), len(joints), 6))
-    for n, values in enumerate(positions):
-        q = configuration(robot, dict(zip(joints, map(float, values), strict=True)))
-        # Pinocchio hands a matrix of one column over as a vector.
-        jacobian = pin.computeJointJacobians(robot.model, data, q).reshape(6, robot.model.nv)
-        axes[n] = jacobian[:, columns].T
-        for u, frame in enumerate(frames):
-            T_base_su[n, u] = pin.updateFramePlacement(robot.model, data, frame).homogeneous
-    return T_base_su, axes
 
 
 def _su_errors(

@@ -1,8 +1,9 @@
-"""Directions in which a log says nothing about where an SU sits."""
+"""Directions in which a log says nothing about where SUs and branches sit."""
 
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +11,7 @@ import numpy as np
 
 from skin2urdf.arrays import F64
 from skin2urdf.errors import UnreadableInputError, UsageError
+from skin2urdf.model.records import OpenDirection
 from skin2urdf.urdf.alignment import projector
 
 _RANK = 1e-6  # singular values below this count as 0 in given directions
@@ -43,6 +45,43 @@ def load_unobservable(path: str | Path) -> dict[str, F64] | None:
         except UsageError as error:
             raise UnreadableInputError(str(path), str(error), error.remedy) from error
     return result
+
+
+def load_open(path: str | Path) -> tuple[OpenDirection, ...]:
+    """Read the open directions between branches from the JSON beside an estimated URDF.
+
+    Args:
+        path: the JSON file; ``observability.between_branches`` lists objects whose ``joints`` and
+            ``sus`` give twists of 6 numbers by name.
+
+    Returns:
+        The directions, as :func:`skin2urdf.urdf.compare.compare` takes them; none where there is
+        no such file or it holds none.
+
+    Raises:
+        UnreadableInputError: the file is no JSON, or an entry has another shape.
+    """
+    content = _json(path)
+    entry = content.get("observability") if isinstance(content, dict) else None
+    given = entry.get("between_branches") if isinstance(entry, dict) else None
+    try:
+        return tuple(
+            OpenDirection(_twists(each["joints"]), _twists(each["sus"])) for each in given or ()
+        )
+    except (AttributeError, KeyError, TypeError, ValueError) as error:
+        raise UnreadableInputError(
+            str(path),
+            "holds open directions between branches that are not twists of 6 numbers by name",
+            "calibrate again, or remove it to compare without it",
+        ) from error
+
+
+def _twists(given: Mapping[str, Any]) -> dict[str, F64]:
+    """Twists (6,) by name; ValueError where these are no 6 finite numbers each."""
+    twists = {str(name): np.asarray(xi, float) for name, xi in given.items()}
+    if any(xi.shape != (6,) or not np.isfinite(xi).all() for xi in twists.values()):
+        raise ValueError("not 6 finite numbers")
+    return twists
 
 
 def load_determined(path: str | Path) -> frozenset[str] | None:

@@ -13,7 +13,7 @@ from typing import Literal
 
 import numpy as np
 
-from skin2urdf.arrays import F64, Bool, frozen
+from skin2urdf.arrays import F64, Bool, Int, frozen
 from skin2urdf.urdf.alignment import align, displace, projector
 from skin2urdf.urdf.records import Alignment
 
@@ -47,6 +47,29 @@ class Aligned:
         return None
 
 
+def anchors_of(limbs: Sequence[str], trust: Int, moved: Bool) -> Bool:
+    """(U,) the SUs that limbs are aligned by.
+
+    A limb is aligned by its SUs of the highest trust: one that is hardly determined would else turn
+    the frame in which all others are compared. Where an open direction moves none of these, the
+    best that it moves join them.
+
+    Args:
+        limbs: U names of limbs.
+        trust: (U,) the higher, the more an SU is to be trusted.
+        moved: (K, U) the SUs that each open direction moves.
+    """
+    anchors = np.zeros(len(limbs), dtype=bool)
+    for limb in set(limbs):
+        members = np.array([each == limb for each in limbs])
+        on = members & (trust == trust[members].max())
+        for mine in moved & members:
+            if mine.any() and not (mine & on).any():
+                on |= mine & (trust == trust[mine].max())
+        anchors |= on
+    return anchors
+
+
 def align_robot(
     T_est_su: F64,
     T_true_su: F64,
@@ -54,14 +77,10 @@ def align_robot(
     limbs: Sequence[str],
     free: Sequence[F64],
     *,
-    preferred: Bool,
+    anchors: Bool,
     how: Align,
 ) -> Aligned:
     """Lay an estimated robot onto the true one.
-
-    A limb is aligned by its preferred SUs; where it has none, by those that are observable in all
-    directions, and where it has none of these either, by all of them. An SU that is hardly
-    determined would else turn the frame in which all others are compared.
 
     An SU on the reference segment is laid onto the truth by the transform of the limb with the
     most such SUs, the leading one (of equals the last by name). Its position and its yaw must be
@@ -73,19 +92,18 @@ def align_robot(
         names: U names.
         limbs: U names of the first joint before each SU, or :data:`ON_BASE`; at least one joint.
         free: U arrays (k, 6) of directions, see :func:`skin2urdf.urdf.alignment.align`.
-        preferred: (U,) SUs to align by, where there are any.
+        anchors: (U,) SUs to align by, see :func:`anchors_of`.
         how: one transform per limb, or one for the whole robot.
     """
-    whole = np.array([not len(rows) for rows in free])
     T_aligned = np.empty_like(T_est_su)
 
     def fit(limb: str | None, rows: list[int]) -> Alignment:
-        on = next(m for m in (preferred[rows], whole[rows], np.ones(len(rows), bool)) if m.any())
+        on = anchors[rows]
         X, D = align(T_est_su[:, rows], T_true_su[:, rows], [free[u] for u in rows], on)
         T_aligned[:, rows] = X @ T_est_su[:, rows] @ D
         carried = [names[u] for u in rows]
-        anchors = tuple(name for name, holds in zip(carried, on, strict=True) if holds)
-        return Alignment(limb, tuple(carried), anchors, X)
+        by = tuple(name for name, holds in zip(carried, on, strict=True) if holds)
+        return Alignment(limb, tuple(carried), by, X)
 
     if how == "base":
         return Aligned(T_aligned, (fit(None, list(range(len(names)))),))

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import xml.etree.ElementTree as ET
 from collections import Counter
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -56,6 +57,24 @@ class Robot:
         import pinocchio as pin
 
         return int(self.model.getFrameId(link, pin.FrameType.BODY))
+
+    def displaced(self, joints: Mapping[str, F64], links: Mapping[str, F64]) -> Robot:
+        """The robot with some placements moved, ``T -> T exp(xi)``.
+
+        Args:
+            joints: (6,) twists (linear [m], angular [rad]) of joint placements, by joint name.
+            links: the same of links on fixed joints, by link name.
+        """
+        import pinocchio as pin
+
+        model = self.model.copy()
+        for name, xi in joints.items():
+            joint = model.getJointId(name)
+            model.jointPlacements[joint] *= pin.exp6(pin.Motion(np.array(xi)))
+        for name, xi in links.items():
+            frame = model.frames[self.frame(name)]
+            frame.placement = frame.placement * pin.exp6(pin.Motion(np.array(xi)))
+        return replace(self, model=model)
 
 
 def load_robot(path: str | Path) -> Robot:

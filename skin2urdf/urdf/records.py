@@ -123,6 +123,7 @@ class Comparison:
             and no joint that moves an SU and no expected SU is missing.
         tree_differences: where not, in words.
         not_observable: SUs left out because the log says nothing of their pose.
+        n_open: directions between branches that were left out because the log can not tell them.
         joints_left_out: joints of limbs that no observable SU aligns.
         unmatched: links of the estimate that look like SUs and that the truth does not have.
         held_joints: joints of only one of the robots, held at their neutral position.
@@ -139,6 +140,7 @@ class Comparison:
     tree_equal: bool
     tree_differences: tuple[str, ...]
     not_observable: tuple[str, ...]
+    n_open: int
     joints_left_out: tuple[str, ...]
     unmatched: tuple[str, ...]
     held_joints: tuple[str, ...]
@@ -188,6 +190,7 @@ class Comparison:
             ],
             "tilt_between_limbs_deg": self.tilt_between_limbs * degrees,
             "not_observable": list(self.not_observable),
+            "n_open": self.n_open,
             "joints_left_out": list(self.joints_left_out),
             "unmatched": list(self.unmatched),
             "held_joints": list(self.held_joints),

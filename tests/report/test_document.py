@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,9 +14,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from skin2urdf.model.dh import ExtendedDh
+from skin2urdf.model.records import OpenDirection
 from skin2urdf.report.document import SCHEMA, as_document, dumps, to_plain, versions
 from skin2urdf.report.findings import findings
-from skin2urdf.urdf.compare import load_unobservable
+from skin2urdf.urdf.compare import load_open, load_unobservable
 
 PLAIN = st.recursive(
     st.none() | st.booleans() | st.integers() | st.text() | st.floats(allow_nan=False),
@@ -92,6 +94,22 @@ def test_compare_reads_the_unobservable_directions(tmp_path: Path) -> None:
     ):
         # The same span: equal projectors.
         np.testing.assert_allclose(read[name].T @ read[name], rows.T @ rows, atol=1e-9)
+
+
+def test_compare_reads_the_directions_between_branches(tmp_path: Path) -> None:
+    tree = calibration().model.tree
+    second, su = tree.joint_names[1], tree.su_names[-1]
+    slide = OpenDirection({second: np.arange(6.0)}, {su: np.ones(6)})
+    seen = replace(calibration().observability, open_directions=(slide,))
+    changed = replace(calibration(), observability=seen)
+    document = as_document(changed)
+    (entry,) = document["observability"]["between_branches"]
+    assert entry["words"]["what"]
+    path = tmp_path / "robot.json"
+    path.write_text(dumps(document))
+    (read,), (own,) = load_open(path), changed.open_directions
+    np.testing.assert_array_equal(read.joints[second], own.joints[second])
+    np.testing.assert_array_equal(read.sus[su], np.ones(6))
 
 
 def test_versions_of_what_computed_are_there() -> None:

@@ -9,9 +9,11 @@ import pytest
 from calibrated import calibration
 
 from skin2urdf.calibration import Calibration
+from skin2urdf.model.records import OpenDirection
 from skin2urdf.report.findings import findings
 from skin2urdf.report.summary import as_text
 from skin2urdf.report.tables import bullets, number, span, table
+from skin2urdf.report.words import frames_at_zero
 
 
 def with_cost(cost_per_dof: float) -> Calibration:
@@ -66,10 +68,18 @@ def test_notes_are_shown() -> None:
     assert "Notes" not in as_text(replace(calibration(), notes=()))
 
 
-def test_open_directions_of_joints_are_told() -> None:
-    observability = replace(calibration().observability, n_open=2)
-    text = as_text(replace(calibration(), observability=observability))
-    assert "2 directions of the joints' axes" in text
+def test_open_directions_between_branches_are_told() -> None:
+    first, second, *_ = calibration().model.tree.joint_names
+    frame = calibration().T_canonical_joint[1]
+    along = frames_at_zero(calibration().model)[1, :3, :3].T @ [0.0, 0.0, 1.0]
+    slide = OpenDirection({second: np.r_[frame[:3, :3].T @ along, 0.0, 0.0, 0.0]}, {})
+    observability = replace(calibration().observability, open_directions=(slide,))
+    changed = replace(calibration(), observability=observability)
+    (words,) = findings(changed).between_branches
+    assert words.what.startswith(f"place of the branch beyond {second} (")
+    assert words.what.endswith(f"along the axis of {first} relative to what else {first} moves")
+    assert "no recording tells it" in words.why
+    assert str(words) in as_text(changed)
 
 
 def test_without_an_observable_su_no_error_is_promised() -> None:

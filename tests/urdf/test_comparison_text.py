@@ -29,6 +29,7 @@ def example(**changes: object) -> Comparison:
         "tree_equal": True,
         "tree_differences": (),
         "not_observable": (),
+        "n_open": 0,
         "joints_left_out": (),
         "unmatched": (),
         "held_joints": (),
@@ -63,6 +64,7 @@ def test_what_is_wrong_or_left_out_is_said() -> None:
             tree_equal=False,
             tree_differences=("SU a hangs on b; in the truth on c",),
             not_observable=("x", "y"),
+            n_open=2,
             joints_left_out=("toe",),
             unmatched=("ghost",),
             held_joints=("finger",),
@@ -71,6 +73,8 @@ def test_what_is_wrong_or_left_out_is_said() -> None:
     assert "Tree: WRONG\n  - SU a hangs on b; in the truth on c\n" in text
     assert "left out: x, y." in text
     assert "left out: toe." in text
+    assert "moved along 2 directions that the log leaves open" in text
+    assert "leaves open" not in as_text(example())
     assert "does not have: ghost." in text
     assert "held still: finger." in text
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from skin2urdf.errors import UnreadableInputError
-from skin2urdf.urdf.compare import load_determined, load_unobservable
+from skin2urdf.urdf.compare import load_determined, load_open, load_unobservable
 
 
 def test_unobservable_directions_are_read_from_json(tmp_path: Path) -> None:
@@ -55,3 +55,29 @@ def test_determined_sus_are_read_from_json(tmp_path: Path) -> None:
     path.write_text("{")
     with pytest.raises(UnreadableInputError, match=r"robot\.json"):
         load_determined(path)
+
+
+def test_open_directions_between_branches_are_read_from_json(tmp_path: Path) -> None:
+    path = tmp_path / "robot.json"
+    assert load_open(path) == ()
+    for empty in ({}, [], {"observability": None}, {"observability": {"sus": {}}}):
+        path.write_text(json.dumps(empty))
+        assert load_open(path) == ()
+    entry = {"joints": {"a": [0, 0, 1, 0, 0, 0]}, "sus": {"su": [1, 0, 0, 0, 0, 0.5]}, "words": {}}
+    path.write_text(json.dumps({"observability": {"between_branches": [entry, entry]}}))
+    first, second = load_open(path)
+    assert second.joints.keys() == first.joints.keys() == {"a"}
+    np.testing.assert_array_equal(first.joints["a"], [0, 0, 1, 0, 0, 0])
+    np.testing.assert_array_equal(first.sus["su"], [1, 0, 0, 0, 0, 0.5])
+
+
+@pytest.mark.parametrize(
+    "bad",
+    [7, [7], [{"joints": {}}], [{"joints": {"a": [1, 2]}, "sus": {}}],
+     [{"joints": {}, "sus": {"a": [None, 0, 0, 0, 0, 0]}}], [{"joints": [], "sus": {}}]],
+)  # fmt: skip
+def test_open_directions_of_another_shape_are_refused(tmp_path: Path, bad: object) -> None:
+    path = tmp_path / "robot.json"
+    path.write_text(json.dumps({"observability": {"between_branches": bad}}))
+    with pytest.raises(UnreadableInputError, match=r"robot\.json"):
+        load_open(path)

@@ -1,0 +1,159 @@
+"""An estimate moved along its open directions to where it fits the truth best.
+
+Branches that a log does not connect may sit anywhere along those directions. One amplitude for each
+is fitted together with the transform that aligns the limb; what remains counts. Finite motions are
+followed exactly, so that a branch may be half a turn about a vertical axis away.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from skin2urdf.arrays import F64, Bool, Int
+from skin2urdf.model import twists
+from skin2urdf.model.records import OpenDirection
+from skin2urdf.model.spatial import inverse
+from skin2urdf.urdf.alignment import ARM, displace, kabsch, projector
+from skin2urdf.urdf.kinematics import kinematics, placements
+from skin2urdf.urdf.loading import Robot
+
+NEWS = 0.01
+"""Part of a motion along an open direction that must remain beside motions of the base.
+
+A direction that the compared configurations hardly tell from these would take a huge amplitude.
+"""
+_SCALE = np.array([1.0, 1.0, 1.0, ARM, ARM, ARM])
+_MAX_STEPS = 30
+_TURN = 2.0 * np.pi / 3.0
+"""Turns to start from, either way: any angle is within a sixth of a full turn of one of three."""
+
+
+@dataclass(frozen=True, eq=False)
+class Sight:
+    """What an estimate is held against.
+
+    Attributes:
+        names: U SUs.
+        T_true_su: (N, U, 4, 4) their true poses at N configurations.
+        free: U arrays (k, 6) of directions, see :func:`skin2urdf.urdf.alignment.align`.
+        joints: D joints.
+        positions: (N, D) their positions.
+    """
+
+    names: Sequence[str]
+    T_true_su: F64
+    free: Sequence[F64]
+    joints: Sequence[str]
+    positions: F64
+
+    def of(self, on: Bool) -> Sight:
+        """Some of the SUs (U,) only."""
+        rows = np.flatnonzero(on)
+        names, free = [self.names[int(u)] for u in rows], [self.free[int(u)] for u in rows]
+        return Sight(names, self.T_true_su[:, rows], free, self.joints, self.positions)
+
+
+def moved_by(robot: Robot, direction: OpenDirection, sus: Sequence[str]) -> Bool:
+    """(U,) which SUs an open direction moves."""
+    return np.array(
+        [su in direction.sus or not direction.joints.keys().isdisjoint(robot.chain(su))
+         for su in sus], dtype=bool,
+    )  # fmt: skip
+
+
+def fitted(robot: Robot, directions: Sequence[OpenDirection], sight: Sight) -> Robot:
+    """The robot moved along open directions to where its SUs fit best.
+
+    Args:
+        robot: the estimate.
+        directions: those that move SUs of one limb.
+        sight: the SUs that the limb is aligned by, and their true poses.
+    """
+    best, least = _descended(robot, directions, sight)
+    for direction in directions:
+        if all(np.linalg.norm(xi[3:]) < 0.5 for xi in direction.joints.values()):
+            continue
+        starts = [_moved(best, [direction], [angle]) for angle in (_TURN, -_TURN)]
+        for start in starts:
+            other, cost = _descended(start, directions, sight)
+            if cost < least:
+                best, least = other, cost
+    return best
+
+
+def _descended(
+    robot: Robot, directions: Sequence[OpenDirection], sight: Sight
+) -> tuple[Robot, float]:
+    """Gauss-Newton over the limb's transform and the amplitudes, SUs displaced where they may be.
+
+    Returns:
+        The best robot and its sum of squares.
+    """
+    P = np.stack([projector(rows) for rows in sight.free])
+    moved = np.array([moved_by(robot, direction, sight.names) for direction in directions])
+    still = ~moved.any(axis=0)
+    still = still if still.any() else ~still
+    X: F64 | None = None
+    best, least = robot, np.inf
+    for _ in range(_MAX_STEPS):
+        T, along = _motions(robot, directions, sight)
+        X = kabsch(T[:, still], sight.T_true_su[:, still]) if X is None else X
+        D = displace(X @ T, sight.T_true_su, P)
+        r = twists.log(inverse(X @ T @ D) @ sight.T_true_su) * _SCALE
+        cost = float(np.sum(r**2))
+        if cost >= least:
+            break
+        best, least = robot, cost
+        A = np.concatenate(
+            [twists.adjoint(inverse(T @ D)), twists.adjoint(inverse(D)) @ along], axis=-1
+        )
+        A = _SCALE[:, None] * A
+        A = (A - P @ A.mean(axis=0)).reshape(-1, 6 + len(directions))
+        kept = _kept(A)
+        step = np.zeros(A.shape[1])
+        step[kept] = np.linalg.lstsq(A[:, kept], r.reshape(-1), rcond=1e-10)[0]
+        X = X @ twists.exp(step[:6])
+        robot = _moved(robot, directions, step[6:].tolist())
+    return best, least
+
+
+def _motions(robot: Robot, directions: Sequence[OpenDirection], sight: Sight) -> tuple[F64, F64]:
+    """(N, U, 4, 4) SU poses, and (N, U, 6, K) their twists along directions in their own frames."""
+    T, _ = kinematics(robot, sight.names, sight.joints, sight.positions)
+    names = sorted({name for direction in directions for name in direction.joints})
+    placed = placements(robot, names, sight.joints, sight.positions)
+    along = np.zeros((*T.shape[:2], 6, len(directions)))
+    for u, su in enumerate(sight.names):
+        chain = set(robot.chain(su))
+        for i, name in enumerate(names):
+            if name in chain:
+                xi = [d.joints.get(name, np.zeros(6)) for d in directions]
+                along[:, u] += twists.adjoint(inverse(T[:, u]) @ placed[:, i]) @ np.array(xi).T
+        along[:, u] += np.array([d.sus.get(su, np.zeros(6)) for d in directions]).T
+    return T, along
+
+
+def _kept(A: F64) -> Int:
+    """Columns of (n, 6 + K) to fit: the base's, and what open directions add to them."""
+    base, rest = A[:, :6], A[:, 6:]
+    left = rest - base @ np.linalg.lstsq(base, rest, rcond=1e-10)[0]
+    news = np.linalg.norm(left, axis=0) > NEWS * np.linalg.norm(rest, axis=0)
+    return np.concatenate([np.arange(6), 6 + np.flatnonzero(news)])
+
+
+def _moved(robot: Robot, directions: Sequence[OpenDirection], amplitudes: Sequence[float]) -> Robot:
+    """The robot moved along directions."""
+
+    def total(parts: Sequence[Mapping[str, F64]]) -> dict[str, F64]:
+        out: dict[str, F64] = {}
+        for amplitude, part in zip(amplitudes, parts, strict=True):
+            for name, xi in part.items():
+                out[name] = out.get(name, np.zeros(6)) + amplitude * xi
+        return out
+
+    return robot.displaced(
+        total([d.joints for d in directions]), total([d.sus for d in directions])
+    )

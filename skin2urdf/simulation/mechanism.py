@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
@@ -98,7 +99,7 @@ def load_mechanism(spec: RobotSpec, base_rpy: Vector3) -> Mechanism:
 
     xml = read_urdf(spec)
     try:
-        full = pin.buildModelFromUrdf(str(spec.urdf))
+        full = pin.buildModelFromXML(ET.tostring(xml, encoding="unicode"))
     except (ValueError, RuntimeError) as error:
         raise UnreadableInputError(
             str(spec.urdf), f"not a URDF that Pinocchio can load: {error}", "check the file"
@@ -108,8 +109,8 @@ def load_mechanism(spec: RobotSpec, base_rpy: Vector3) -> Mechanism:
     model = pin.buildReducedModel(full, ids, _reference(full, locked)) if ids else full
     if model.njoints == 1:
         raise UsageError(
-            f"{spec.name}: no joint is left to move",
-            "lock fewer joints, or check the limits in the URDF",
+            f"{spec.name}: no joint is left to move: {_kinds(xml)}",
+            "lock fewer joints, or check their types and limits in the URDF",
         )
     R_world_base = pin.rpy.rpyToMatrix(*base_rpy)
     model.gravity.linear = R_world_base.T @ np.array([0.0, 0.0, -GRAVITY])
@@ -137,6 +138,9 @@ def load_mechanism(spec: RobotSpec, base_rpy: Vector3) -> Mechanism:
 def read_urdf(spec: RobotSpec) -> ET.Element:
     """Parse a robot's URDF as XML.
 
+    A revolute joint whose limits are all 0, speed and effort too, never got any from the program
+    that wrote the file: it is read as one without end.
+
     Raises:
         UnreadableInputError: the file can not be read or is not a URDF.
     """
@@ -150,7 +154,22 @@ def read_urdf(spec: RobotSpec) -> ET.Element:
         raise UnreadableInputError(
             str(spec.urdf), "not a URDF with joints", "give the path of a URDF"
         )
+    for joint in xml.findall("joint"):
+        limit = joint.find("limit")
+        if joint.get("type") == "revolute" and limit is not None and _is_blank(limit):
+            joint.set("type", "continuous")
     return xml
+
+
+def _is_blank(limit: ET.Element) -> bool:
+    keys = ("lower", "upper", "velocity", "effort")
+    return all(float(limit.get(key, "0")) == 0.0 for key in keys)
+
+
+def _kinds(xml: ET.Element) -> str:
+    """How many joints of a URDF are of which type, in words."""
+    kinds = Counter(joint.get("type", "unknown") for joint in xml.findall("joint"))
+    return ", ".join(f"{n} {kind}" for kind, n in kinds.most_common())
 
 
 def _locked_positions(spec: RobotSpec, full: Any, xml: ET.Element) -> dict[str, float]:

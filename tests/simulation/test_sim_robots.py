@@ -148,11 +148,28 @@ def test_bad_toml_is_refused_in_words(
         load_robot(file)
 
 
+def test_limits_that_were_never_given_are_none(gantry: Path) -> None:
+    """Exporters write zeros where nobody set limits, effort and speed; a real limit of 0 stays."""
+    text = gantry.read_text()
+    old = '<limit lower="0.01" upper="0.05" effort="10" velocity="1"/>'
+    turning = text.replace('name="grip_left" type="prismatic"', 'name="grip_left" type="revolute"')
+    assert old in turning
+    for effort, moves in (("0", True), ("10", False)):
+        limit = f'<limit lower="0" upper="0" effort="{effort}" velocity="0"/>'
+        gantry.write_text(turning.replace(old, limit))
+        found = load_mechanism(load_robot(gantry), UPRIGHT)
+        assert ("grip_left" in found.joint_names) == moves
+        if moves:
+            assert found.upper[found.joint_names.index("grip_left")] == np.inf
+
+
 def test_what_can_not_be(gantry: Path) -> None:
     robot = load_robot(gantry)
     with pytest.raises(UsageError, match="fits no movable joint"):
         load_mechanism(replace(robot, locked={"finger*": 0.0}), UPRIGHT)
-    with pytest.raises(UsageError, match="no joint is left"):
+    with pytest.raises(
+        UsageError, match="no joint is left to move: 2 prismatic, 1 continuous, 1 revolute"
+    ):
         load_mechanism(replace(robot, moving=()), UPRIGHT)
     bare = replace(robot.skin, sus_per_segment=0, sus_on_base=0)
     with pytest.raises(UsageError, match="no SU"):

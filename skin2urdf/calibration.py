@@ -11,7 +11,7 @@ from skin2urdf.arrays import F64, Bool, frozen
 from skin2urdf.estimation.estimate import Estimate, EstimationSettings
 from skin2urdf.estimation.goodness import Goodness
 from skin2urdf.estimation.observability import Observability
-from skin2urdf.estimation.outliers import sus_unlike_the_rest
+from skin2urdf.estimation.outliers import Unlike, poses_unlike_the_rest, sus_unlike_the_rest
 from skin2urdf.faults import Fault
 from skin2urdf.model.records import KinematicModel, OpenDirection
 from skin2urdf.model.spatial import inverse
@@ -22,7 +22,8 @@ Quality = Literal["good", "fair", "bad"]
 Method = Literal["default", "paper"]
 
 GOOD_FIT = 2.0
-"""Cost per degree of freedom up to which the model explains the data."""
+"""Cost per degree of freedom up to which the model explains the data, and squared errors of
+predicted poses, over stated variances, up to which the stated uncertainty can be believed."""
 BAD_FIT = 50.0
 """Cost per degree of freedom beyond which no URDF is written."""
 
@@ -120,9 +121,27 @@ class Calibration:
 
     @property
     def quality(self) -> Quality:
-        """How well the model explains the features, and whether all is in order."""
-        cost = self.estimate.cost_per_dof
-        if not cost <= BAD_FIT:
+        """How far the result can be trusted: whether the model explains the readings, and more.
+
+        It is good only if poses are predicted as well as stated, nothing is wrong with an SU, a
+        pose or an encoder, no joint is weak, and half of the joints are determined. What no
+        recording can tell must not spoil it, such as where branches that meet in one joint sit
+        along its axis.
+        """
+        if not self.estimate.cost_per_dof <= BAD_FIT:
             return "bad"
-        sound = not self.faults and not sus_unlike_the_rest(self.goodness.by_block).odd.any()
-        return "good" if cost <= GOOD_FIT and sound else "fair"
+        explained = max(self.estimate.cost_per_dof, self.goodness.prediction) <= GOOD_FIT
+        alike = not (self.unlike_sus.odd.any() or self.unlike_poses.odd.any())
+        verdicts = self.observability.joint_verdict
+        known = "weak" not in verdicts and 2 * verdicts.count("determined") >= len(verdicts)
+        return "good" if explained and alike and known and not self.faults else "fair"
+
+    @property
+    def unlike_sus(self) -> Unlike:
+        """How the SUs fit, compared with each other."""
+        return sus_unlike_the_rest(self.goodness.by_block)
+
+    @property
+    def unlike_poses(self) -> Unlike:
+        """How the poses fit, compared with each other."""
+        return poses_unlike_the_rest(self.goodness.by_block, self.goodness.patterned)

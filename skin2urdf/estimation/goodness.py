@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from skin2urdf.arrays import F64, frozen
+from skin2urdf.arrays import F64, Bool, frozen
 from skin2urdf.estimation.arrow import ArrowFactor, factor
 from skin2urdf.estimation.estimate import Estimate
 from skin2urdf.estimation.held_out import held_out
@@ -65,6 +65,7 @@ class Goodness:
         held_out: (P,) every pose as predicted from the others: chi-squared of the residuals it
             would have in an estimate that does not know it, under the covariance of that
             prediction.
+        patterned: (P,) True where more than gravity was measured: around poses with a pattern.
         scale: factor on all stated covariances (cost per degree of freedom, at least 1);
             ``held_out.per_dof`` over it is near 1 where the stated uncertainty is true.
     """
@@ -74,17 +75,25 @@ class Goodness:
     by_pose: Share
     by_joint: Share
     held_out: Share
+    patterned: Bool
     scale: float
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "patterned", frozen(self.patterned, bool))
 
     @property
     def prediction(self) -> float:
-        """Squared errors of held-out poses over stated variances, median pose; 1 is expected.
+        """Squared errors of held-out poses over stated variances; 1 is expected.
 
-        NaN where no pose can be predicted from the others.
+        Half of the measurements lie in poses that are predicted at least as well. NaN where no
+        pose can be predicted from the others.
         """
-        ratio = self.held_out.per_dof
-        known = np.isfinite(ratio)
-        return float(np.median(ratio[known])) / self.scale if known.any() else float("nan")
+        ratio, dof = self.held_out.per_dof, self.held_out.dof
+        order = np.argsort(ratio)[: int(np.isfinite(ratio).sum())]
+        if not len(order):
+            return float("nan")
+        half = np.searchsorted(np.cumsum(dof[order]), dof[order].sum() / 2)
+        return float(ratio[order[half]]) / self.scale
 
 
 def by_block(estimate: Estimate) -> Share:
@@ -110,6 +119,7 @@ def goodness(estimate: Estimate) -> Goodness:
         by_pose=_summed(rows, (1, 2)),
         by_joint=_by_joint(estimate, rows),
         held_out=Share(*held_out(estimate, here.residual, jacobian, equations)),
+        patterned=np.asarray((estimate.count > 3).any(axis=1)),
         scale=max(1.0, estimate.cost_per_dof),
     )
 

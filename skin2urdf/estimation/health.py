@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from skin2urdf.arrays import Bool
 from skin2urdf.estimation.estimate import Estimate
 from skin2urdf.estimation.goodness import Goodness, by_block
 from skin2urdf.estimation.outliers import poses_unlike_the_rest, sus_unlike_the_rest
@@ -45,7 +44,7 @@ def health_notes(estimate: Estimate, goodness: Goodness) -> tuple[str, ...]:
         "should not be trusted: check that it is fixed rigidly and that its axes are right-handed"
         for u in np.flatnonzero(sus.odd)
     ]
-    odd = np.flatnonzero(poses_unlike_the_rest(goodness.by_block, patterned(estimate)).odd)
+    odd = np.flatnonzero(poses_unlike_the_rest(goodness.by_block, goodness.patterned).odd)
     if len(odd):
         listed = ", ".join(str(p + 1) for p in odd[:6]) + (" and others" if len(odd) > 6 else "")
         verb = "fits badly and counts" if len(odd) == 1 else "fit badly and count"
@@ -65,11 +64,6 @@ def health_notes(estimate: Estimate, goodness: Goodness) -> tuple[str, ...]:
             bias = float(np.abs(state.bias[i]).max())
             notes.append(f"{name} would need a bias of {bias:.1f} m/s^2: check that sensor")
     return tuple(notes)
-
-
-def patterned(estimate: Estimate) -> Bool:
-    """(P,) True where more than gravity was measured: around poses with a pattern."""
-    return np.asarray((estimate.count > 3).any(axis=1))
 
 
 def _on_a_vertical_axis(estimate: Estimate) -> list[str]:

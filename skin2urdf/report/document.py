@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from skin2urdf.arrays import F64, Int
 from skin2urdf.calibration import Calibration
+from skin2urdf.estimation.goodness import Share
 from skin2urdf.model.dh import joint_placement, prismatic_placement
 from skin2urdf.report.findings import Findings, findings
 from skin2urdf.structure.activity import Activity
@@ -26,8 +26,9 @@ _MM, _DEG = 1e3, float(np.rad2deg(1.0))
 def as_document(calibration: Calibration) -> dict[str, Any]:
     """A calibration as dictionaries, lists, strings and finite numbers.
 
-    Lengths are in m and angles in rad unless a key says otherwise; covariances and twists are
-    (linear, angular) in the frame of the SU they belong to; what has no value is null.
+    Lengths are in m and angles in rad unless a key says otherwise; covariances and twists xi are
+    (linear, angular) in the frame of the joint or SU they belong to, ``T -> T exp(xi)``; what has
+    no value is null.
 
     Args:
         calibration: a finished calibration.
@@ -41,6 +42,7 @@ def as_document(calibration: Calibration) -> dict[str, Any]:
         "settings": asdict(calibration.settings),
         "verdict": {"quality": calibration.quality, "words": found.verdict},
         "fit": _fit(calibration, found),
+        "goodness": _goodness(calibration),
         "tree": {
             "joints": [
                 {"name": name, "parent": _name(tree.joint_names, int(parent)), "type": kind}
@@ -154,20 +156,40 @@ def _fit(calibration: Calibration, found: Findings) -> dict[str, Any]:
         "n_poses": calibration.features.n_poses,
         "expected_su_position_mm": found.expected_position * _MM,
         "expected_su_orientation_deg": found.expected_orientation * _DEG,
-        "chi2_per_measurement_by_su": dict(
-            zip(fit.tree.su_names, _per_count(fit.chi2_by_block, fit.count, 0), strict=True)
-        ),
-        "chi2_per_measurement_by_pose": _per_count(fit.chi2_by_block, fit.count, 1),
+        "worst_su_position_mm": found.worst_position * _MM,
+        "worst_su_orientation_deg": found.worst_orientation * _DEG,
         "robust_weights": fit.weight,
         "hypotheses": fit.hypotheses,
     }
 
 
-def _per_count(chi2: F64, count: Int, axis: int) -> list[float]:
-    """Chi-squared per measurement, summed over one axis; NaN where there are none."""
-    total, number = chi2.sum(axis=axis), count.sum(axis=axis)
-    ratio = np.divide(total, number, out=np.full(total.shape, np.nan), where=number > 0)
-    return [float(value) for value in ratio]
+def _goodness(calibration: Calibration) -> dict[str, Any]:
+    """Chi-squared and degrees of freedom of every part, and how the parts compare."""
+    fit, tree = calibration.goodness, calibration.model.tree
+    sus, poses = calibration.unlike_sus, calibration.unlike_poses
+    by_su = [
+        {**part, "times_the_usual": times, "odd": odd}
+        for part, times, odd in zip(_parts(fit.by_su), sus.times, sus.odd, strict=True)
+    ]
+    judged = zip(poses.times, poses.odd, fit.patterned, calibration.features.log, strict=True)
+    by_pose = [
+        {**part, "times_the_usual": times, "odd": odd, "pattern": pattern, "log": log}
+        for part, (times, odd, pattern, log) in zip(_parts(fit.by_pose), judged, strict=True)
+    ]
+    return {
+        "scale": fit.scale,
+        "prediction": fit.prediction,
+        "by_su": dict(zip(tree.su_names, by_su, strict=True)),
+        "by_joint": dict(zip(tree.joint_names, _parts(fit.by_joint), strict=True)),
+        "by_pose": by_pose,
+        "held_out": _parts(fit.held_out),
+    }
+
+
+def _parts(share: Share) -> list[dict[str, Any]]:
+    """Every part of a share with its figures."""
+    rows = zip(share.chi2, share.dof, share.per_dof, share.z, strict=True)
+    return [dict(zip(("chi2", "dof", "per_dof", "z"), row, strict=True)) for row in rows]
 
 
 def _joint(calibration: Calibration, found: Findings, j: int) -> dict[str, Any]:
@@ -184,6 +206,7 @@ def _joint(calibration: Calibration, found: Findings, j: int) -> dict[str, Any]:
         "T_parent_joint": T,
         "limits": calibration.limits[j],
         "velocity": calibration.velocity[j],
+        "covariance": found.joint_covariance[j],
         "axis_position_sd_mm": found.axis_position_sd[j] * _MM,
         "axis_direction_sd_deg": found.axis_direction_sd[j] * _DEG,
         "verdict": calibration.observability.joint_verdict[j],

@@ -7,9 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from skin2urdf.arrays import F64, frozen
-from skin2urdf.calibration import BAD_FIT, GOOD_FIT, Calibration
+from skin2urdf.calibration import Calibration
 from skin2urdf.estimation.observability import aligned_deviations
+from skin2urdf.estimation.placements import joint_placement_covariance
 from skin2urdf.report.branches import between_branches
+from skin2urdf.report.verdict import verdict
 from skin2urdf.report.words import Unknown, unknowns
 
 _CONFIGURATIONS = 50
@@ -23,6 +25,8 @@ class Findings:
 
     Attributes:
         verdict: the outcome in one line.
+        joint_covariance: (D, 6, 6) of each joint's placement in the URDF, twists (linear, angular)
+            in the joint's own frame [m, rad]; see :func:`joint_placement_covariance`.
         axis_position_sd: (D,) of each axis at the joint's origin, square to it [m].
         axis_direction_sd: (D,) of each axis' direction [rad].
         su_position_sd: (U,) of each SU's position on its joint, observable directions only [m].
@@ -30,22 +34,28 @@ class Findings:
         expected_position: rms error of SU positions to expect over the joints' ranges, once the
             base frames are aligned; of the SUs that are observable in all directions [m].
         expected_orientation: the same of SU orientations [rad].
+        worst_position: largest error to expect of an SU that is determined; NaN without any [m].
+        worst_orientation: the same of SU orientations [rad].
         unknown: per SU what the log does not tell.
         between_branches: what the log does not tell of branches relative to each other.
     """
 
     verdict: str
+    joint_covariance: F64
     axis_position_sd: F64
     axis_direction_sd: F64
     su_position_sd: F64
     su_orientation_sd: F64
     expected_position: float
     expected_orientation: float
+    worst_position: float
+    worst_orientation: float
     unknown: tuple[tuple[Unknown, ...], ...]
     between_branches: tuple[Unknown, ...]
 
     def __post_init__(self) -> None:
         for name in (
+            "joint_covariance",
             "axis_position_sd",
             "axis_direction_sd",
             "su_position_sd",
@@ -61,66 +71,52 @@ def findings(calibration: Calibration) -> Findings:
     su_sd = np.sqrt(np.einsum("uii->ui", found.su_covariance).clip(min=0.0))
     nothing = np.array([len(rows) == 6 for rows in found.su_unobservable], dtype=bool)
     unseen = nothing | (tree.su_joint < 0)  # the position of an SU on the RS is never seen
-    position, direction = _axis_deviations(calibration)
-    expected = _expected(calibration)
+    covariance = joint_placement_covariance(
+        calibration.estimate, found, calibration.T_canonical_joint
+    )
+    variance = np.einsum("dii->di", covariance).clip(min=0.0)
+    # Where an axis on the RS passes is a free choice, where a prismatic one passes means nothing.
+    anywhere = (tree.parent < 0) | tree.prismatic
+    (position, orientation), worst = _expected(calibration)
     return Findings(
-        verdict=_verdict(calibration),
-        axis_position_sd=position,
-        axis_direction_sd=direction,
+        verdict=verdict(calibration, *worst),
+        joint_covariance=covariance,
+        axis_position_sd=np.where(anywhere, np.nan, np.sqrt(variance[:, :3].sum(axis=1))),
+        axis_direction_sd=np.sqrt(variance[:, 3:].sum(axis=1)),
         su_position_sd=np.where(unseen, np.nan, np.linalg.norm(su_sd[:, :3], axis=1)),
         su_orientation_sd=np.where(nothing, np.nan, np.linalg.norm(su_sd[:, 3:], axis=1)),
-        expected_position=expected[0],
-        expected_orientation=expected[1],
+        expected_position=position,
+        expected_orientation=orientation,
+        worst_position=worst[0],
+        worst_orientation=worst[1],
         unknown=unknowns(calibration.model, found.su_unobservable, state.up),
         between_branches=between_branches(calibration.model, calibration.open_directions, state.up),
     )
 
 
-def _verdict(calibration: Calibration) -> str:
-    """The outcome in one line that says how far it can be believed."""
-    fit, tree = calibration.estimate, calibration.model.tree
-    robot = f"{_count(tree.n_joints, 'joint')}, {_count(tree.n_sus, 'SU')}"
-    cost = f"cost per degree of freedom {fit.cost_per_dof:.2f}"
-    words = {
-        "good": f"the model explains the readings ({cost})",
-        "fair": f"the model explains the readings in part ({cost}; up to {GOOD_FIT:g} is good)",
-        "bad": f"the model does not explain the readings ({cost}; {BAD_FIT:g} is the limit)",
-    }[calibration.quality]
-    return f"{calibration.quality}: {robot}; {words}"
+def _expected(calibration: Calibration) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Expected rms errors of SU positions [m] and orientations [rad] over the joints' ranges.
 
-
-def _count(n: int, noun: str) -> str:
-    return f"{n} {noun}" if n == 1 else f"{n} {noun}s"
-
-
-def _axis_deviations(calibration: Calibration) -> tuple[F64, F64]:
-    """(D,) standard deviations of axis positions [m] and directions [rad].
-
-    The covariance speaks of the estimation's joint frames. The origin that the URDF has lies
-    elsewhere on the same axis; a tilt of the axis moves it by the tilt times that distance.
+    Returns:
+        Of the SUs that are observable in all directions, and of the worst that is determined.
     """
-    tree = calibration.model.tree
-    z = -calibration.T_canonical_joint[:, 2, 3]
-    shift = np.zeros((tree.n_joints, 2, 4))  # of the point at z, from tx, ty, rx, ry
-    shift[:, 0, 0] = shift[:, 1, 1] = 1.0
-    shift[:, 0, 3], shift[:, 1, 2] = z, -z
-    covariance = calibration.observability.joint_covariance
-    position = np.sqrt(np.einsum("dij,djk,dik->d", shift, covariance, shift).clip(min=0.0))
-    direction = np.sqrt(np.einsum("dii->d", covariance[:, 2:, 2:]).clip(min=0.0))
-    # Where an axis on the RS passes is a free choice, where a prismatic one passes means nothing.
-    free = (tree.parent < 0) | tree.prismatic
-    return np.where(free, np.nan, position), direction
-
-
-def _expected(calibration: Calibration) -> tuple[float, float]:
-    """Expected rms errors of SU positions [m] and orientations [rad] over the ranges."""
     low, high = calibration.limits.T
+    seen = calibration.observability
     rng = np.random.default_rng(0)
     q = low + (high - low) * rng.random((_CONFIGURATIONS, len(low)))
-    deviations = aligned_deviations(calibration.estimate, calibration.observability, q)
-    whole = np.array([not len(rows) for rows in calibration.observability.su_unobservable])
-    position, orientation = (_rms(d[whole]) for d in deviations)
-    return position, orientation
+    position, orientation = aligned_deviations(calibration.estimate, seen, q)
+    whole = np.array([not len(rows) for rows in seen.su_unobservable], dtype=bool)
+    determined = np.array([v == "determined" for v in seen.su_verdict], dtype=bool)
+    return (
+        (_rms(position[whole]), _rms(orientation[whole])),
+        (_largest(position[determined]), _largest(orientation[determined])),
+    )
+
+
+def _largest(values: F64) -> float:
+    """Largest of the finite values, NaN where there are none."""
+    finite = values[np.isfinite(values)]
+    return float(finite.max()) if finite.size else float("nan")
 
 
 def _rms(values: F64) -> float:

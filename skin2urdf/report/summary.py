@@ -26,6 +26,7 @@ def as_text(calibration: Calibration) -> str:
     lines = [
         found.verdict,
         _expectation(found),
+        _prediction(calibration),
         "",
         *_joints(calibration, found),
         "",
@@ -48,6 +49,17 @@ def _expectation(found: Findings) -> str:
     )
 
 
+def _prediction(calibration: Calibration) -> str:
+    """How well poses are predicted by an estimate that does not know them, in one line."""
+    fit = calibration.goodness
+    if not np.isfinite(fit.prediction):
+        return "poses left out: too few poses to predict one from the others"
+    return (
+        f"poses left out and predicted from the others: errors {np.sqrt(fit.prediction):.2f} times "
+        "as large as stated (1 is expected)"
+    )
+
+
 def _hidden(calibration: Calibration) -> list[str]:
     """What part of the orientations' uncertainty no log can take away."""
     hidden = calibration.observability.hidden_rotation * float(np.sqrt(3.0)) * _DEG
@@ -62,7 +74,7 @@ def _hidden(calibration: Calibration) -> list[str]:
 
 def _joints(calibration: Calibration, found: Findings) -> list[str]:
     """The table of joints."""
-    tree = calibration.model.tree
+    tree, fit = calibration.model.tree, calibration.goodness.by_joint.per_dof
     rows = []
     for j, name in enumerate(tree.joint_names):
         prismatic = bool(tree.prismatic[j])
@@ -76,17 +88,18 @@ def _joints(calibration: Calibration, found: Findings) -> list[str]:
                 f"{span(low, high)} {'mm' if prismatic else 'deg'}",
                 number(found.axis_position_sd[j] * _MM),
                 number(found.axis_direction_sd[j] * _DEG, 3),
+                number(fit[j]),
                 calibration.observability.joint_verdict[j],
             )
         )
-    head = ("joint", "type", "parent", "range seen", "axis sd [mm]", "[deg]", "verdict")
-    return table(head, rows, "<<<>>><")
+    head = ("joint", "type", "parent", "range seen", "axis sd [mm]", "[deg]", "chi2/dof", "verdict")
+    return table(head, rows, "<<<>>>><")
 
 
 def _sus(calibration: Calibration, found: Findings) -> list[str]:
     """The table of SUs."""
     tree, state = calibration.model.tree, calibration.estimate.state
-    features = calibration.features
+    features, fit = calibration.features, calibration.goodness.by_su.per_dof
     rows = []
     for u in np.argsort(tree.su_joint, kind="stable"):
         name, joint = tree.su_names[u], int(tree.su_joint[u])
@@ -100,11 +113,15 @@ def _sus(calibration: Calibration, found: Findings) -> list[str]:
                 number(found.su_orientation_sd[u] * _DEG, 3),
                 number(float(np.linalg.norm(state.bias[u])) * _MG, 1),
                 number(features.latency[heard] * 1e3 if known else float("nan")),
+                number(fit[u]),
                 calibration.observability.su_verdict[u],
             )
         )
-    head = ("SU", "on joint", "position sd [mm]", "[deg]", "bias [mg]", "latency [ms]", "verdict")
-    return table(head, rows, "<<>>>><")
+    head = (
+        "SU", "on joint", "position sd [mm]", "[deg]", "bias [mg]", "latency [ms]", "chi2/dof",
+        "verdict",
+    )  # fmt: skip
+    return table(head, rows, "<<>>>>><")
 
 
 def _not_known(found: Findings) -> list[str]:

@@ -6,11 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy import stats
 from synthetic import GRAVITY, random_features, random_state, random_tree, serial_tree
 
 from skin2urdf.estimation.cost import Priors
 from skin2urdf.estimation.estimate import Estimate, EstimationSettings, estimate
-from skin2urdf.estimation.goodness import Goodness, goodness
+from skin2urdf.estimation.goodness import Goodness, Share, goodness
 from skin2urdf.signals.records import Features
 from skin2urdf.structure.records import KinematicTree
 
@@ -171,6 +172,21 @@ def test_the_joint_whose_motion_does_not_fit_stands_out() -> None:
     ratio = goodness(fitted(replace(features, coefficients=coefficients))).by_joint.per_dof
     assert np.argmax(ratio) == 1
     assert ratio[1] > 3 * max(ratio[0], ratio[2])
+
+
+@pytest.mark.parametrize("dof", [3.0, 24.0, 500.0])
+def test_z_is_the_normal_variable_of_the_same_probability(dof: float) -> None:
+    chi2 = stats.chi2.isf([0.5, 1e-2, 1e-4], dof)
+    z = Share(chi2, np.full(3, dof)).z
+    np.testing.assert_allclose(z, stats.norm.isf([0.5, 1e-2, 1e-4]), atol=0.1)
+
+
+def test_half_of_the_measurements_are_predicted_at_least_so_well() -> None:
+    """Two small poses that are predicted well, one large one that is not, and one without data."""
+    nothing = Share(np.zeros(4), np.zeros(4))
+    held_out = Share(np.array([24.0, 12.0, 600.0, 0.0]), np.array([24.0, 24.0, 200.0, 0.0]))
+    got = Goodness(nothing, nothing, nothing, nothing, held_out, np.ones(4, bool), scale=2.0)
+    assert got.prediction == pytest.approx(1.5)
 
 
 def test_poses_without_readings_have_no_ratio() -> None:

@@ -9,7 +9,7 @@ from calibrated import calibration
 
 from skin2urdf.arrays import F64
 from skin2urdf.estimation.goodness import Goodness, Share
-from skin2urdf.estimation.health import health_notes, patterned, unlike_the_rest
+from skin2urdf.estimation.health import health_notes, unlike_the_rest
 
 
 def with_misfit(factors: F64) -> Goodness:
@@ -48,6 +48,6 @@ def test_a_pose_that_does_not_fit_is_numbered_from_one() -> None:
 
 
 def test_poses_with_patterns_are_told_from_rests() -> None:
-    excited = patterned(calibration().estimate)
+    excited = calibration().goodness.patterned
     assert excited.sum() == 3
     assert not excited[:-3].any()

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 from calibrated import calibration
 from hypothesis import given
 from hypothesis import strategies as st
@@ -139,3 +140,27 @@ def test_axis_deviations_hold_at_the_origins_of_the_urdf() -> None:
         assert abs(drawn / found.axis_position_sd[j] - 1) < 0.1
         turned = float(np.sqrt(np.mean(np.sum(x[:, 2:] ** 2, axis=1))))
         assert abs(turned / found.axis_direction_sd[j] - 1) < 0.1
+
+
+def test_goodness_of_fit_is_told_part_by_part() -> None:
+    document, fit = as_document(calibration()), calibration().goodness
+    tree, told = calibration().model.tree, document["goodness"]
+    assert list(told["by_su"]) == list(tree.su_names)
+    assert list(told["by_joint"]) == list(tree.joint_names)
+    su = told["by_su"][tree.su_names[2]]
+    assert su["per_dof"] == su["chi2"] / su["dof"] == fit.by_su.per_dof[2]
+    assert su["odd"] is False
+    assert su["z"] == fit.by_su.z[2]
+    assert len(told["by_pose"]) == len(told["held_out"]) == calibration().features.n_poses
+    assert [pose["pattern"] for pose in told["by_pose"]] == fit.patterned.tolist()
+    assert told["prediction"] == fit.prediction
+
+
+def test_covariances_of_joints_are_in_their_own_frames() -> None:
+    document = as_document(calibration())
+    for name in calibration().model.tree.joint_names[1:]:
+        joint = document["joints"][name]
+        variance = np.diag(joint["covariance"])
+        sd = np.sqrt(variance[:3].sum()) * 1e3, np.rad2deg(np.sqrt(variance[3:].sum()))
+        assert sd == pytest.approx((joint["axis_position_sd_mm"], joint["axis_direction_sd_deg"]))
+        assert variance[2] == pytest.approx(0.0, abs=1e-15)

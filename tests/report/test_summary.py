@@ -52,6 +52,14 @@ def test_every_joint_and_su_has_its_row() -> None:
         joint = int(tree.su_joint[u])
         assert row[1] == ("base" if joint < 0 else tree.joint_names[joint])
         assert row[-1] == calibration().observability.su_verdict[u].split()[-1]
+        assert f" {calibration().goodness.by_su.per_dof[u]:.2f} " in " ".join(row)
+
+
+def test_how_well_poses_are_predicted_is_told() -> None:
+    line = as_text(calibration()).splitlines()[2]
+    times = np.sqrt(calibration().goodness.prediction)
+    assert line.startswith("poses left out and predicted from the others: errors ")
+    assert f"{times:.2f} times as large as stated" in line
 
 
 def test_what_is_not_known_comes_with_what_to_record() -> None:

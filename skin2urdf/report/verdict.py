@@ -1,0 +1,106 @@
+"""The first line: how good the result is, how exact, and what speaks against it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from skin2urdf.calibration import BAD_FIT, GOOD_FIT, Calibration
+from skin2urdf.estimation.observability import Verdict
+from skin2urdf.report.tables import number
+
+_MM, _DEG = 1e3, float(np.rad2deg(1.0))
+_NAMED = 3
+
+
+def verdict(calibration: Calibration, worst_position: float, worst_orientation: float) -> str:
+    """The outcome in one line that says how far it can be believed.
+
+    Args:
+        calibration: a finished calibration.
+        worst_position: largest error to expect of an SU that is determined [m]; NaN without any.
+        worst_orientation: the same of orientations [rad].
+
+    Returns:
+        ``good``, ``fair`` or ``bad``, the size of the robot, how well the model explains the
+        readings, what accuracy to expect, and what is wrong or missing.
+    """
+    tree = calibration.model.tree
+    parts = [
+        f"{calibration.quality}: {_count(tree.n_joints, 'joint')}, {_count(tree.n_sus, 'SU')}",
+        _fit(calibration),
+    ]
+    if calibration.quality != "bad" and np.isfinite(worst_position):
+        parts.append(
+            f"errors to expect up to {number(worst_position * _MM)} mm, "
+            f"{number(worst_orientation * _DEG, 3)} deg"
+        )
+    but = [*_doubts(calibration), *_missing(calibration)]
+    if but:
+        parts.append(f"but {'; '.join(but)}")
+    return "; ".join(parts)
+
+
+def _fit(calibration: Calibration) -> str:
+    """How well the model explains the readings."""
+    per_dof = calibration.estimate.cost_per_dof
+    cost = f"cost per degree of freedom {per_dof:.2f}"
+    if not per_dof <= BAD_FIT:
+        return f"the model does not explain the readings ({cost}; {BAD_FIT:g} is the limit)"
+    if per_dof > GOOD_FIT:
+        return f"the model explains the readings in part ({cost}; up to {GOOD_FIT:g} is good)"
+    return f"the model explains the readings ({cost})"
+
+
+def _doubts(calibration: Calibration) -> list[str]:
+    """What keeps a result from being good, beside the cost."""
+    tree, seen = calibration.model.tree, calibration.observability
+    doubts = []
+    if calibration.faults:
+        kinds = dict.fromkeys(f"{fault.subject} {fault.kind}" for fault in calibration.faults)
+        doubts.append(f"{_count(len(kinds), 'fault')}: {_listed(list(kinds))}")
+    known = {fault.subject for fault in calibration.faults}
+    odd = [tree.su_names[u] for u in np.flatnonzero(calibration.unlike_sus.odd)]
+    odd = [name for name in odd if name not in known]
+    if odd:
+        doubts.append(f"{_listed(odd)} fit{'s' * (len(odd) == 1)} far worse than the other SUs")
+    poses = calibration.unlike_poses.odd
+    if poses.any():
+        doubts.append(f"{poses.sum()} of {_count(len(poses), 'pose')} do not fit the others")
+    if calibration.goodness.prediction > GOOD_FIT:
+        times = float(np.sqrt(calibration.goodness.prediction))
+        doubts.append(f"poses that are left out are predicted {times:.1f} times worse than stated")
+    weak = _with_verdict(tree.joint_names, seen.joint_verdict, ("weak",))
+    if weak:
+        doubts.append(f"the axis of {_listed(weak)} is known weakly")
+    return doubts
+
+
+def _missing(calibration: Calibration) -> list[str]:
+    """The joints and SUs that the log does not determine."""
+    tree, seen = calibration.model.tree, calibration.observability
+    joints = _with_verdict(tree.joint_names, seen.joint_verdict, ("not observable",))
+    sus = _with_verdict(tree.su_names, seen.su_verdict, ("not observable", "weak"))
+    missing = []
+    for names, all_ in ((joints, _count(tree.n_joints, "joint")), (sus, _count(tree.n_sus, "SU"))):
+        if names:
+            are = "is" if len(names) == 1 else "are"
+            missing.append(f"{len(names)} of {all_} {are} not determined ({_listed(names)})")
+    return missing
+
+
+def _with_verdict(
+    names: Sequence[str], verdicts: Sequence[Verdict], wanted: Sequence[Verdict]
+) -> list[str]:
+    return [name for name, found in zip(names, verdicts, strict=True) if found in wanted]
+
+
+def _count(n: int, noun: str) -> str:
+    return f"{n} {noun}" if n == 1 else f"{n} {noun}s"
+
+
+def _listed(names: Sequence[str]) -> str:
+    """The first names, and how many more there are."""
+    more = len(names) - _NAMED
+    return ", ".join(names[:_NAMED]) + (f" and {more} more" if more > 0 else "")

@@ -1,0 +1,118 @@
+"""The first line: every doubt lowers the verdict, and says why."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from calibrated import calibration
+
+from skin2urdf.calibration import Calibration
+from skin2urdf.estimation.goodness import Share
+from skin2urdf.faults import Fault
+from skin2urdf.report.findings import findings
+
+
+def line(found: Calibration) -> str:
+    return findings(found).verdict
+
+
+def with_misfit(pose: int | slice = slice(None), su: int | slice = slice(None)) -> Calibration:
+    """The calibration with some blocks a thousand times worse."""
+    blocks = calibration().goodness.by_block
+    factors = np.ones(blocks.chi2.shape)
+    factors[pose, su] = 1e3
+    worse = Share(blocks.chi2 * factors, blocks.dof)
+    return replace(calibration(), goodness=replace(calibration().goodness, by_block=worse))
+
+
+def with_observability(**changes: Any) -> Calibration:
+    return replace(calibration(), observability=replace(calibration().observability, **changes))
+
+
+def test_a_good_result_tells_its_accuracy_and_what_is_missing() -> None:
+    found = findings(calibration())
+    assert 0 < found.expected_position <= found.worst_position < 1e-3
+    first = found.verdict
+    assert first.startswith("good: 6 joints, 7 SUs; the model explains the readings (cost per ")
+    assert f"errors to expect up to {found.worst_position * 1e3:.2f} mm" in first
+    tree, verdicts = calibration().model.tree, calibration().observability.su_verdict
+    missing = [n for n, v in zip(tree.su_names, verdicts, strict=True) if v != "determined"]
+    assert first.endswith(f"but 2 of 7 SUs are not determined ({', '.join(missing)})")
+
+
+def test_without_anything_missing_there_is_no_but() -> None:
+    assert "but" not in line(with_observability(su_verdict=("determined",) * 7))
+
+
+def test_many_names_are_cut_short() -> None:
+    first = line(with_observability(su_verdict=("weak",) * 7))
+    assert "7 of 7 SUs are not determined" in first
+    assert "and 4 more" in first
+    assert "errors to expect" not in first
+
+
+def test_a_fault_makes_a_good_fit_fair() -> None:
+    fault = Fault("loose", "su_x", "su_x came loose at 12 s")
+    found = replace(calibration(), faults=(fault,))
+    assert found.quality == "fair"
+    assert line(found).startswith("fair: ")
+    assert "but 1 fault: su_x loose; 2 of 7 SUs" in line(found)
+
+
+def test_an_su_unlike_the_rest_makes_it_fair() -> None:
+    found = with_misfit(su=4)
+    name = found.model.tree.su_names[4]
+    assert found.quality == "fair"
+    assert f"{name} fits far worse than the other SUs" in line(found)
+    told = replace(found, faults=(Fault("loose", name, "it came loose"),))
+    assert f"but 1 fault: {name} loose; 2 of 7" in line(told)
+
+
+def test_a_pose_unlike_the_rest_makes_it_fair() -> None:
+    found = with_misfit(pose=-1)
+    n_poses = found.features.n_poses
+    assert found.quality == "fair"
+    assert f"1 of {n_poses} poses do not fit the others" in line(found)
+
+
+def test_poses_predicted_worse_than_stated_make_it_fair() -> None:
+    fit = calibration().goodness
+    held_out = Share(9.0 * fit.held_out.chi2, fit.held_out.dof)
+    found = replace(calibration(), goodness=replace(fit, held_out=held_out))
+    assert found.quality == "fair"
+    assert f"predicted {np.sqrt(9 * fit.prediction):.1f} times worse than stated" in line(found)
+
+
+def test_poses_that_can_not_be_predicted_are_no_fault() -> None:
+    fit = calibration().goodness
+    nothing = Share(0 * fit.held_out.chi2, 0 * fit.held_out.dof)
+    found = replace(calibration(), goodness=replace(fit, held_out=nothing))
+    assert np.isnan(found.goodness.prediction)
+    assert found.quality == "good"
+    assert "nan" not in line(found)
+
+
+def test_a_weak_joint_makes_it_fair() -> None:
+    tree = calibration().model.tree
+    found = with_observability(joint_verdict=("determined",) * 5 + ("weak",))
+    assert found.quality == "fair"
+    assert f"but the axis of {tree.joint_names[5]} is known weakly; 2 of 7 SUs" in line(found)
+
+
+def test_joints_that_are_not_observable_are_named_and_must_be_few() -> None:
+    """Where branches meet in one joint, no recording tells their place along its axis."""
+    tree = calibration().model.tree
+    found = with_observability(joint_verdict=("not observable",) + ("determined",) * 5)
+    assert found.quality == "good"
+    assert f"but 1 of 6 joints is not determined ({tree.joint_names[0]}); 2 of" in line(found)
+    many = with_observability(joint_verdict=("not observable",) * 4 + ("determined",) * 2)
+    assert many.quality == "fair"
+
+
+def test_a_bad_fit_promises_no_accuracy() -> None:
+    fit = calibration().estimate
+    found = replace(calibration(), estimate=replace(fit, chi2=900.0 * fit.degrees_of_freedom))
+    assert line(found).startswith("bad: ")
+    assert "errors to expect" not in line(found)

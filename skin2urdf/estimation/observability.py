@@ -14,6 +14,7 @@ import numpy as np
 
 from skin2urdf.arrays import F64, Bool, frozen
 from skin2urdf.estimation.bounds import Align, expected_errors
+from skin2urdf.estimation.cost import NormalEquations
 from skin2urdf.estimation.covariance import ArrowCovariance
 from skin2urdf.estimation.estimate import Estimate
 from skin2urdf.estimation.open_directions import open_directions
@@ -81,7 +82,7 @@ def observability(estimate: Estimate) -> Observability:
     freedom) where that is above 1.
     """
     tree, free = estimate.tree, estimate.free
-    equations = estimate.cost.at(estimate.state).normal_equations()
+    equations = _of_the_data(estimate)
     scale = max(1.0, estimate.cost_per_dof)
     D, U = tree.n_joints, tree.n_sus
     free_joint = np.concatenate([free.joints.ravel(), free.logs.ravel()])
@@ -121,6 +122,17 @@ def observability(estimate: Estimate) -> Observability:
         su_covariance, tuple(directions), su_verdict, joint_covariance, joint_verdict,
         open_, rank, hidden, covariance,
     )  # fmt: skip
+
+
+def _of_the_data(estimate: Estimate) -> NormalEquations:
+    """Information at the estimate without the prior on offsets, which is no knowledge of them."""
+    equations = estimate.cost.at(estimate.state).normal_equations()
+    joint, su = equations.joint.copy(), equations.su.copy()
+    weight = estimate.cost.priors.position**-2.0
+    held = N_JOINT * np.arange(estimate.tree.n_joints)[:, None] + np.arange(2)
+    joint[held, held] -= weight
+    su[:, range(3), range(3)] -= weight
+    return replace(equations, joint=joint, su=su)
 
 
 def hidden_rotation(estimate: Estimate, su_covariance: F64) -> float:

@@ -63,11 +63,11 @@ def open_directions(
     span = np.where(tree.prismatic, _SLIDES, _TURNS)
     q = span * np.random.default_rng(0).uniform(-1.0, 1.0, (_CONFIGURATIONS, tree.n_joints))
     moves = Displacements.of(tree, state, q, arm)
-    beyond = tree.activity().sum(axis=0)
+    beyond = [np.flatnonzero(column) for column in tree.activity().T]
     rigid = [
         OpenDirection({tree.joint_names[j]: xi}, {})
-        for j in np.argsort(beyond, kind="stable")
-        for xi in _twists_of_all_beyond(tree, state, equations, int(j), least)
+        for j in sorted(range(tree.n_joints), key=lambda j: len(beyond[j]))
+        for xi in _twists_of_all_beyond(tree, state, equations, j, beyond[j], least)
     ]
     limbs = limbs_of(tree)
     found: list[OpenDirection] = []
@@ -138,11 +138,12 @@ class _Limb:
 
 
 def _twists_of_all_beyond(
-    tree: KinematicTree, state: State, equations: NormalEquations, j: int, least: float
+    tree: KinematicTree, state: State, equations: NormalEquations, j: int, on: Int, least: float
 ) -> Iterator[F64]:
-    """Twists (6,) of a joint's placement that no reading tells, slides before turns.
+    """Twists (6,) of a joint's placement that no reading of the SUs beyond it tells.
 
-    Slides are 1 m long, turns 1 rad large and without any slide that is open as well.
+    Slides come first and are 1 m long, turns are 1 rad large and without any slide that is open
+    as well.
     """
     into_joint, into_su = (adjoint(inverse(T)) for T in (state.T_parent_joint, state.T_joint_su))
     x = np.zeros((len(equations.joint), 6))
@@ -154,7 +155,6 @@ def _twists_of_all_beyond(
         passed[k, absorbed] = 0.0
         held = np.where(np.isin(JOINT_COORDINATES, absorbed)[:, None], 1.0, 0.0)
         x[N_JOINT * k : N_JOINT * (k + 1)] = held * moved[list(JOINT_COORDINATES)]
-    on = np.flatnonzero(tree.activity()[:, j])
     y = into_su[on] @ passed[tree.su_joint[on]]
     su = equations.su[on, :N_PLACEMENT, :N_PLACEMENT]
     both = np.swapaxes(y, 1, 2) @ equations.mixed[on, :N_PLACEMENT] @ x[equations.columns[on]]

@@ -52,9 +52,11 @@ def robot(
     return replace(state, T_parent_joint=joints)
 
 
-def seen(tree: KinematicTree, state: State) -> tuple[Estimate, Observability]:
+def seen(
+    tree: KinematicTree, state: State, setting: EstimationSettings = PLAIN
+) -> tuple[Estimate, Observability]:
     features = random_features(np.random.default_rng(1), tree, state, 12, 0.02, shuffle=False)
-    found = estimate(features, tree, PLAIN)
+    found = estimate(features, tree, setting)
     return found, observability(found)
 
 
@@ -130,6 +132,14 @@ def test_the_urdf_gets_the_shortest_offset_along_an_open_direction() -> None:
     found, _ = seen(FORK, replace(state, T_parent_joint=joints))
     offset = found.state.T_parent_joint[[1, 4], 2, 3]
     assert abs(offset[0] - offset[1]) < 0.05
+
+
+def test_a_prior_is_no_observation() -> None:
+    """However near to each other origins are held: the log alone tells where branches are."""
+    near = replace(PLAIN, priors=replace(PLAIN.priors, position=0.01))
+    _, observed = seen(FORK, robot(FORK), near)
+    assert observed.n_open == 1
+    assert len(observed.su_unobservable[0]) == 1
 
 
 def test_frames_elsewhere_on_the_axes_see_the_same_motion() -> None:

@@ -34,8 +34,8 @@ _COMPARE = """\
 example:
   skin2urdf compare robot.urdf truth.urdf
 
-SUs and joints are matched by name, limbs are aligned, links may have any names. Directions that
-the JSON beside the estimate (robot.json) calls not observable do not count.
+SUs and joints are matched by name, limbs are aligned, links may have any names. Directions of SUs
+and branches that the JSON beside the estimate (robot.json) calls not observable do not count.
 Exits with 0 if the trees are equal, else with 1."""
 
 _EXPLORE = """\

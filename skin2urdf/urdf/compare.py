@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from skin2urdf.arrays import F64, Bool
+from skin2urdf.arrays import F64
 from skin2urdf.errors import InsufficientDataError, UsageError
 from skin2urdf.model import twists
 from skin2urdf.model.records import OpenDirection
@@ -30,7 +30,7 @@ from skin2urdf.urdf.directions import (
 from skin2urdf.urdf.kinematics import kinematics
 from skin2urdf.urdf.limbs import ON_BASE, Align, Aligned, align_robot, anchors_of
 from skin2urdf.urdf.loading import Robot, load_robot
-from skin2urdf.urdf.opening import Sight, fitted, moved_by
+from skin2urdf.urdf.opening import Sight, closest, held_by, moved_by
 from skin2urdf.urdf.records import Comparison, Spread, SuError
 
 _TO_FIT = 50
@@ -104,7 +104,7 @@ def compare(
     shared, missing = _recognised(est, true, sus or ())
     joints = [name for name in est.joint_types if name in true.joint_types]
     positions = random_positions(est, true, joints, n_configurations, rng)
-    poses_est, _ = kinematics(est, shared, joints, positions)
+    poses_est, axes_est = kinematics(est, shared, joints, positions)
     poses_true, axes_true = kinematics(true, shared, joints, positions)
 
     free = []
@@ -124,18 +124,17 @@ def compare(
         )
     T_true_su = poses_true[:, seen]
     groups = limbs if align == "limbs" else ["all"] * len(names)
-    directions = _held_by(est, open_directions)
-    moved = np.array([moved_by(est, each, names) for each in directions], dtype=bool)
-    moved = moved.reshape(-1, len(names))
-    trust = [
-        2 * (n in (anchors or ())) or 1 * (not len(f)) for n, f in zip(names, free, strict=True)
-    ]
-    on = anchors_of(groups, np.array(trust), moved)
-    some = slice(0, _TO_FIT)
-    sight = Sight(names, T_true_su[some], free, joints, positions[some])
-    est = _closest(est, directions, moved, sight, groups, on)
-    poses_est, axes_est = kinematics(est, names, joints, positions)
-    aligned = align_robot(poses_est, T_true_su, names, limbs, free, anchors=on, how=align)
+    directions = held_by(est, open_directions)
+    moved = moved_by(est, directions, names)
+    preferred = np.array([name in (anchors or ()) for name in names])
+    whole = np.array([not len(rows) for rows in free])
+    on = anchors_of(groups, np.where(preferred, 2, 1 * whole), moved)
+    sight = Sight(names, T_true_su, free, joints, positions).at(slice(0, _TO_FIT))
+    closed = closest(est, directions, sight, groups, on)
+    T_est_su = poses_est[:, seen]
+    if closed is not est:
+        T_est_su, axes_est = kinematics(closed, names, joints, positions)
+    aligned = align_robot(T_est_su, T_true_su, names, limbs, free, anchors=on, how=align)
     left_out, axes = _axes(est, true, joints, names, T_true_su, aligned, axes_est, axes_true)
     errors, position, orientation = _su_errors(names, free, aligned.T_base_su, T_true_su)
     differences = tree_differences(est, true, [*shared, *missing])
@@ -156,49 +155,6 @@ def compare(
         held_joints=tuple(n for r in (est, true) for n in r.joint_types if n not in joints),
         n_configurations=n_configurations,
     )
-
-
-def _held_by(est: Robot, directions: Sequence[OpenDirection]) -> list[OpenDirection]:
-    """Open directions as the estimate has their joints and SUs.
-
-    Raises:
-        UsageError: a direction names what the estimate does not have.
-    """
-    for direction in directions:
-        known = {*est.joint_types, *est.links}
-        for name in (*direction.joints, *direction.sus):
-            if name not in known:
-                raise UsageError(
-                    f"an open direction moves {name!r}, which {est.path} does not have",
-                    "take the directions and the URDF from the same calibration",
-                )
-    return list(directions)
-
-
-def _closest(
-    est: Robot,
-    directions: Sequence[OpenDirection],
-    moved: Bool,
-    sight: Sight,
-    groups: Sequence[str],
-    anchors: Bool,
-) -> Robot:
-    """The estimate moved along its open directions, group by group of SUs, to fit best.
-
-    Args:
-        est: the estimate.
-        directions: K open directions.
-        moved: (K, U) which SUs they move.
-        sight: U SUs.
-        groups: name of the group that each SU is aligned with.
-        anchors: (U,) the SUs to fit by.
-    """
-    for group in dict.fromkeys(groups):
-        on = anchors & np.array([each == group for each in groups])
-        mine = [each for each, rows in zip(directions, moved, strict=True) if (rows & on).any()]
-        if mine:
-            est = fitted(est, mine, sight.of(on))
-    return est
 
 
 def _recognised(

@@ -8,11 +8,12 @@ followed exactly, so that a branch may be half a turn about a vertical axis away
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from skin2urdf.arrays import F64, Bool, Int
+from skin2urdf.errors import UsageError
 from skin2urdf.model import twists
 from skin2urdf.model.records import OpenDirection
 from skin2urdf.model.spatial import inverse
@@ -49,22 +50,73 @@ class Sight:
     joints: Sequence[str]
     positions: F64
 
+    def at(self, configurations: slice) -> Sight:
+        """Some of the configurations only."""
+        some = configurations
+        return replace(self, T_true_su=self.T_true_su[some], positions=self.positions[some])
+
     def of(self, on: Bool) -> Sight:
         """Some of the SUs (U,) only."""
         rows = np.flatnonzero(on)
         names, free = [self.names[int(u)] for u in rows], [self.free[int(u)] for u in rows]
-        return Sight(names, self.T_true_su[:, rows], free, self.joints, self.positions)
+        return replace(self, names=names, T_true_su=self.T_true_su[:, rows], free=free)
 
 
-def moved_by(robot: Robot, direction: OpenDirection, sus: Sequence[str]) -> Bool:
-    """(U,) which SUs an open direction moves."""
-    return np.array(
-        [su in direction.sus or not direction.joints.keys().isdisjoint(robot.chain(su))
-         for su in sus], dtype=bool,
-    )  # fmt: skip
+def held_by(robot: Robot, directions: Sequence[OpenDirection]) -> list[OpenDirection]:
+    """Open directions of the joints and SUs that a robot has.
+
+    Raises:
+        UsageError: a direction moves a joint that the robot does not have.
+    """
+    for name in (name for direction in directions for name in direction.joints):
+        if name not in robot.joint_types:
+            raise UsageError(
+                f"an open direction moves joint {name!r}, which {robot.path} does not have",
+                "take the directions and the URDF from the same calibration",
+            )
+    return [
+        replace(each, sus={name: xi for name, xi in each.sus.items() if name in robot.links})
+        for each in directions
+    ]
 
 
-def fitted(robot: Robot, directions: Sequence[OpenDirection], sight: Sight) -> Robot:
+def moved_by(robot: Robot, directions: Sequence[OpenDirection], sus: Sequence[str]) -> Bool:
+    """(K, U) which SUs each of K open directions moves."""
+    chains = [set(robot.chain(su)) for su in sus]
+    moved = [
+        [su in each.sus or not chain.isdisjoint(each.joints)
+         for su, chain in zip(sus, chains, strict=True)]
+        for each in directions
+    ]  # fmt: skip
+    return np.array(moved, dtype=bool).reshape(-1, len(sus))
+
+
+def closest(
+    robot: Robot,
+    directions: Sequence[OpenDirection],
+    sight: Sight,
+    groups: Sequence[str],
+    anchors: Bool,
+) -> Robot:
+    """The robot moved along open directions, group by group of SUs, to where it fits best.
+
+    Args:
+        robot: the estimate.
+        directions: K open directions of its joints and SUs.
+        sight: U SUs.
+        groups: name of the group that each SU is aligned with.
+        anchors: (U,) the SUs to fit by.
+    """
+    moved = moved_by(robot, directions, sight.names)
+    for group in dict.fromkeys(groups):
+        on = anchors & np.array([each == group for each in groups])
+        mine = [each for each, rows in zip(directions, moved, strict=True) if (rows & on).any()]
+        if mine:
+            robot = _fitted(robot, mine, sight.of(on))
+    return robot
+
+
+def _fitted(robot: Robot, directions: Sequence[OpenDirection], sight: Sight) -> Robot:
     """The robot moved along open directions to where its SUs fit best.
 
     Args:
@@ -93,8 +145,7 @@ def _descended(
         The best robot and its sum of squares.
     """
     P = np.stack([projector(rows) for rows in sight.free])
-    moved = np.array([moved_by(robot, direction, sight.names) for direction in directions])
-    still = ~moved.any(axis=0)
+    still = ~moved_by(robot, directions, sight.names).any(axis=0)
     still = still if still.any() else ~still
     X: F64 | None = None
     best, least = robot, np.inf

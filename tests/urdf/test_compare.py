@@ -79,7 +79,9 @@ def test_a_robot_equals_itself(random_robot: Robots, against: Callable[..., Comp
     assert c.not_observable == c.joints_left_out == c.unmatched == c.held_joints == ()
 
 
-@settings(max_examples=15, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(
+    max_examples=15, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
 @given(st.lists(st.floats(-3, 3), min_size=6, max_size=6))
 def test_the_base_frame_is_free(
     random_robot: Robots, against: Callable[..., Comparison], xi: list[float]

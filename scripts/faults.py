@@ -21,12 +21,11 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from faulty import table
-from faulty.trials import CLEAN, CLEAN_TWO, Case, Setting, Trial, perform
+from faulty.trials import CLEAN, CLEAN_TWO, INJECTIONS, Case, Setting, Trial, perform
 from validation import store, workers
 
 from skin2urdf.errors import Skin2UrdfError, UsageError
 from skin2urdf.simulation import GRADES, robot_names
-from skin2urdf.simulation.faults import FAULTS
 
 
 def parser() -> argparse.ArgumentParser:
@@ -42,8 +41,8 @@ def parser() -> argparse.ArgumentParser:
     new.add_argument("--poses", type=int, default=default.poses, help="poses per recording")
     new.add_argument("--encoder-bits", type=int, default=default.encoder_bits)
     new.add_argument(
-        "--kinds", nargs="+", default=list(FAULTS), choices=list(FAULTS), metavar="KIND",
-        help=f"of {', '.join(FAULTS)} (default: all)",
+        "--kinds", nargs="+", default=list(INJECTIONS), choices=list(INJECTIONS), metavar="KIND",
+        help=f"of {', '.join(INJECTIONS)} (default: all)",
     )  # fmt: skip
     new.add_argument("--recordings", type=int, default=10, help="per kind (default: 10)")
     new.add_argument("--clean", type=int, default=0, help="recordings without a fault")

@@ -69,6 +69,10 @@ class Rounds:
     settings: CalibrationSettings
     clock: Clock
 
+    def with_logs(self, sampled: Sequence[Sampled]) -> Rounds:
+        """The same on mended logs."""
+        return replace(self, sampled=sampled)
+
     def features(self, curvature: Curvature | None = None, latency: F64 | None = None) -> Features:
         """Features of all logs, given a prediction of what lies beyond first order if any."""
         return self.clock.run(
@@ -117,7 +121,7 @@ class Rounds:
         found = self._estimate(tree, features, None)
         for _ in range(self.settings.relinearisations):
             previous = found
-            features = self.features(_curvature(found, features), features.latency)
+            features = self.features(predicted_curvature(found, features), features.latency)
             found = self._estimate(tree, features, previous.state)
             gain = previous.cost_per_dof / max(found.cost_per_dof, 1e-12)
             settled = gain < 1.02 and found.cost_per_dof < GOOD_FIT
@@ -153,7 +157,7 @@ def _alike(a: KinematicTree, b: KinematicTree) -> bool:
     return chains(a) == chains(b)
 
 
-def _curvature(found: Estimate, features: Features) -> Curvature:
+def predicted_curvature(found: Estimate, features: Features) -> Curvature:
     """Predicts, from an estimate, what readings hold to first order and beyond around a pose."""
     tree, state = found.tree, found.state
     dof = [features.dof_names.index(n) for n in tree.joint_names]

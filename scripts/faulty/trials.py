@@ -24,12 +24,15 @@ from skin2urdf.recording.records import Recording
 from skin2urdf.recording.retiming import retimed
 from skin2urdf.simulation import SimulationSettings, Truth, load_robot, simulate
 from skin2urdf.simulation.faults import FAULTS, Sound, in_two
+from skin2urdf.simulation.joint_faults import JOINT_FAULTS
 from skin2urdf.urdf.compare import compare
 from skin2urdf.urdf.emit import emit
 
 CLEAN, CLEAN_TWO = "clean", "clean in two logs"
 """Recordings without a fault: as they are, and cut into two logs."""
-IN_TWO = ("swapped",)
+INJECTIONS = {**FAULTS, **JOINT_FAULTS}
+"""All faults by name."""
+IN_TWO = ("swapped", "encoder_sign")
 """Faults that take two logs, and are held against the same recording in two logs."""
 CONFIGURATIONS = 60
 
@@ -173,7 +176,7 @@ def perform(case: Case) -> Trial:
             found = _clean(case.setting, case.seed, case.kind == CLEAN_TWO)
             return _judged(blank, found, truth, ())
         rng = np.random.default_rng([case.seed, *case.kind.encode()])
-        faulty = FAULTS[case.kind](sound, rng)
+        faulty = INJECTIONS[case.kind](sound, rng)
         blank = replace(
             blank, expected=faulty.kind, subjects=faulty.subjects, injected=faulty.words
         )

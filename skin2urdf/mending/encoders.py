@@ -14,6 +14,7 @@ import numpy as np
 
 from skin2urdf.calibration import GOOD_FIT, CalibrationSettings
 from skin2urdf.errors import InsufficientDataError, StructureError
+from skin2urdf.estimation.encoder_signs import reversed_encoders
 from skin2urdf.estimation.encoders import Suspicion, suspicions
 from skin2urdf.estimation.estimate import Estimate
 from skin2urdf.faults import Fault
@@ -99,7 +100,7 @@ def solved_with_encoders_corrected(
     """
     leaping = Encoders.of(recordings)
     first = solved(leaping.corrected(), settings, clock)
-    now, best = leaping, first
+    now, best = _with_signs(leaping, first)
     for _ in range(_PASSES):
         suspects = _tested(best)[:1]
         if not any(s.significant and s.share > _MOST_OF_IT for s in suspects):
@@ -112,6 +113,24 @@ def solved_with_encoders_corrected(
     if now is not leaping and not _better(first.found, best.found):
         now, best = leaping, first
     return replace(best, faults=_faults(now, best))
+
+
+def _with_signs(encoders: Encoders, first: Solution) -> tuple[Encoders, Solution]:
+    """With encoders turned that count the other way than in the first log, where there are any."""
+    count = int(first.found.count.sum())
+    if len(encoders.recordings) < 2 or first.found.chi2_by_block.sum() <= GOOD_FIT * count:
+        return encoders, first
+    settings, clock = first.rounds.settings, first.rounds.clock
+    try:
+        alone = solved(encoders.corrected()[:1], settings, clock)
+        turned = tuple(reversed_encoders(alone.found, first.rounds.features()))
+        if not turned:
+            return encoders, first
+        now = replace(encoders, errors=(*encoders.errors, *turned))
+        best = solved(now.corrected(), settings, clock)
+    except (StructureError, InsufficientDataError):
+        return encoders, first
+    return (now, best) if _better(first.found, best.found) else (encoders, first)
 
 
 def _tested(solution: Solution) -> tuple[Suspicion, ...]:
@@ -142,13 +161,27 @@ def _faults(encoders: Encoders, last: Solution) -> tuple[Fault, ...]:
     prismatic = dict(zip(joints.joint_names, joints.prismatic, strict=True))
     known = [s.error for s in _tested(last)]
     out = []
-    for error in encoders.errors:
+    for error in _together(encoders.errors, last.features):
         same = [k for k in known if _same(k, error, last.features)]
         deviation = min((k.deviation for k in same), default=np.inf)
         if _stands_out(error, deviation):
             turns = not prismatic.get(error.dof, False)
             out.append(_fault(replace(error, deviation=deviation), turns))
     return tuple(out)
+
+
+def _together(errors: Sequence[EncoderError], features: Features) -> list[EncoderError]:
+    """Errors with those of one change added up: a zero may need several samples for its way."""
+    out: list[EncoderError] = []
+    for error in errors:
+        for i, other in enumerate(out):
+            if error.kind == "offset" and _same(error, other, features):
+                larger = max(error, other, key=lambda e: abs(e.size))
+                out[i] = replace(larger, size=error.size + other.size)
+                break
+        else:
+            out.append(error)
+    return out
 
 
 def _same(a: EncoderError, b: EncoderError, features: Features) -> bool:
@@ -159,6 +192,8 @@ def _same(a: EncoderError, b: EncoderError, features: Features) -> bool:
 
 
 def _stands_out(error: EncoderError, deviation: float) -> bool:
+    if error.kind == "sign":
+        return True
     if error.kind == "scale":
         return abs(error.size - 1) > _CERTAIN * deviation
     turns = error.size / (2 * np.pi)
@@ -169,6 +204,14 @@ def _stands_out(error: EncoderError, deviation: float) -> bool:
 
 def _fault(error: EncoderError, turns: bool) -> Fault:
     """An encoder's error in words."""
+    if error.kind == "sign":
+        return Fault(
+            "encoder sign",
+            error.dof,
+            f"{error.dof} counts the other way in log {error.log + 1} than in the first; its "
+            "positions in that log were taken negative",
+            "check what changed between the logs: the URDF's axis is for the first log's sense",
+        )
     unit, factor = ("deg", np.degrees(1.0)) if turns else ("mm", 1e3)
     if error.kind == "scale":
         return Fault(

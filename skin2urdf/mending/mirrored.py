@@ -20,7 +20,7 @@ def with_mirrored_negated(solution: Solution) -> Solution:
         return solution
     rounds = solution.rounds
     columns = [rounds.su_names.index(name) for name in names]
-    negated = replace(rounds, sampled=[_negated(s, columns) for s in rounds.sampled])
+    negated = rounds.with_logs([_negated(s, columns) for s in rounds.sampled])
     return solution.again(negated, [_fault(name) for name in names])
 
 

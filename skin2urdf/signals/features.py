@@ -118,7 +118,7 @@ def _poses(s: Sampled, lag: F64, curvature: Curvature | None, log: int) -> list[
     half = len(taps) // 2
     readings = _aligned(s.readings, rate, lag)
     reach = int(np.ceil(np.max(np.abs(lag), initial=0.0) * rate))
-    noise = _regressor_noise(motion, s.cutoff)
+    noise = regressor_noise(motion, s.cutoff)
     # What the low-pass leaves needs few samples: beyond 1.4 times the cutoff there is nothing.
     every = max(1, int(rate / (_RATE_OVER_CUTOFF * s.cutoff)))
     independence = min(1.0, 2 * noise_bandwidth(taps, rate) * every / rate)
@@ -257,7 +257,7 @@ def _latency_step(poses: Sequence[_Pose]) -> tuple[F64, F64]:
     return np.where(known, np.clip(step, -0.03, 0.03), 0.0), np.where(known, sd, np.inf)
 
 
-def _regressor_noise(motion: Motion, cutoff: float) -> tuple[F64, F64]:
+def regressor_noise(motion: Motion, cutoff: float) -> tuple[F64, F64]:
     """Variances (1 + 2 D,) of encoder noise in the filtered regressors, covariances (D,)."""
     f = np.linspace(0.0, 2 * cutoff, 400)
     taps = low_pass(cutoff, motion.grid.rate)

@@ -1,4 +1,4 @@
-"""Encoders that jump or have another scale are named and corrected; right ones are not named."""
+"""Wrong encoders are named and corrected, hits are left out, and sound joints are not named."""
 
 from __future__ import annotations
 
@@ -16,6 +16,9 @@ from skin2urdf.recording.records import JointStream, Recording
 from skin2urdf.recording.retiming import retimed
 from skin2urdf.signals.encoders import corrected, leaps
 from skin2urdf.signals.records import EncoderError
+from skin2urdf.simulation import SimulationSettings, load_robot, simulate
+from skin2urdf.simulation.faults import Faulty, Sound
+from skin2urdf.simulation.joint_faults import JOINT_FAULTS
 
 OPTIONS = {"n_poses": 5, "excite": "all", "seed": 3}
 JOINT = "panda_joint4"
@@ -57,16 +60,6 @@ def test_a_jump_is_named_with_its_time_and_size(degrees: float, at: float, tmp_p
     assert position_error(wrong, tmp_path) < 1.1 * position_error(r, tmp_path)
 
 
-def test_a_zero_that_creeps_shows_in_the_fit_alone() -> None:
-    r = recording()
-    middle, width = 0.6 * r.duration, 0.4
-    size = np.radians(3.0)
-    wrong = misreported(r, lambda t, x: x + size / (1 + np.exp(-(t - middle) / width)))
-    assert not leaps(wrong, 0)
-    faults = calibrate(wrong).faults
-    assert [(f.kind, f.subject) for f in faults] == [("encoder jump", JOINT)]
-
-
 @pytest.mark.parametrize("factor", [1.02, 2.0])
 def test_a_wrong_scale_is_named_with_its_size(factor: float, tmp_path: Path) -> None:
     r = recording()
@@ -103,3 +96,19 @@ def test_errors_are_taken_off_their_log_and_joint() -> None:
     assert first.joints[j].position == pytest.approx(x / 2)
     assert second.joints[j].position == pytest.approx((x - 0.1 * (t >= 20)) / 2)
     assert first.joints[j - 1] is r.joints[j - 1]
+
+
+def faulty(kind: str, seed: int) -> Faulty:
+    settings = SimulationSettings(n_poses=4, excite="all", seed=seed)
+    robot = load_robot("panda")
+    sound = Sound(robot, settings, simulate(robot, settings))
+    return JOINT_FAULTS[kind](sound, np.random.default_rng(seed))
+
+
+@pytest.mark.parametrize("kind", ["contact", "encoder_sign", "encoder_slip"])
+def test_a_simulated_fault_is_named(kind: str) -> None:
+    fault = faulty(kind, 1)
+    found = calibrate([retimed(r) for r in fault.recordings])
+    assert [(f.kind, f.subject) for f in found.faults] == [(fault.kind, fault.subjects[0])]
+    assert found.quality == "fair"
+    assert found.estimate.cost_per_dof < 1.3

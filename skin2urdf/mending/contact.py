@@ -1,0 +1,87 @@
+"""Something touched the robot: those moments are named and left out."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from skin2urdf.arrays import F64
+from skin2urdf.estimation.estimate import Estimate
+from skin2urdf.faults import Fault
+from skin2urdf.mending.solution import Solution
+from skin2urdf.model.prediction import Chains
+from skin2urdf.rounds import predicted_curvature
+from skin2urdf.signals.contact import Disturbance, disturbances, without
+
+_PASSES = 3
+"""How often, at most, disturbances are looked for: a large one hides a small one."""
+
+
+def with_contacts_left_out(solution: Solution) -> Solution:
+    """The solution without the moments in which readings do not follow the joints' motion."""
+    for _ in range(_PASSES):
+        rounds, found, features = solution.rounds, solution.found, solution.features
+        curvature = predicted_curvature(found, features)
+        touched = disturbances(rounds.sampled, features, curvature)
+        if not touched:
+            break
+        several = len(rounds.sampled) > 1
+        faults = [_fault(d, found, features.su_names, several) for d in touched]
+        solution = solution.again(rounds.with_logs(without(rounds.sampled, touched)), faults)
+    return solution
+
+
+def pushed_joint(touched: Disturbance, found: Estimate, su_names: tuple[str, ...]) -> int:
+    """The joint whose motion, unseen by its encoder, explains a disturbance best.
+
+    A joint d that moves by b(t) changes every reading by ``s_d b(t) + tau_d b''(t)``. At each
+    moment that is a linear problem in b and its acceleration.
+
+    Args:
+        touched: residuals of U SUs.
+        found: an estimate; its tree may have fewer SUs.
+        su_names: names of the U SUs.
+
+    Returns:
+        Its index in the tree.
+    """
+    tree, blocks = found.tree, found.cost.blocks
+    column = np.array([su_names.index(name) for name in tree.su_names], dtype=np.int64)
+    kin = found.cost.at(found.state).kin
+    rows = kin.features()[touched.pose]
+    noise = touched.noise[column, None]
+    y = (touched.residual[:, column] / noise[None]).reshape(len(touched.residual), -1)
+    white = rows / noise[:, None]
+    left = [_unexplained(y, _effects(white, blocks.chains, j)) for j in range(tree.n_joints)]
+    return int(np.argmin(left))
+
+
+def _effects(rows: F64, chains: Chains, j: int) -> F64:
+    """(3 U, 2) change of all readings with position and acceleration of joint j."""
+    U, L = chains.joint.shape
+    effects = np.zeros((U, 3, 2))
+    for u, i in zip(*np.nonzero((chains.joint == j) & chains.present), strict=True):
+        effects[u, :, 0], effects[u, :, 1] = rows[u, 1 + i], rows[u, 1 + L + i]
+    return effects.reshape(3 * U, 2)
+
+
+def _unexplained(y: F64, effects: F64) -> float:
+    """Sum of squares that two effects leave of N moments y (N, 3 U)."""
+    basis, _ = np.linalg.qr(effects)
+    return float(((y - (y @ basis) @ basis.T) ** 2).sum())
+
+
+def _fault(
+    touched: Disturbance, found: Estimate, su_names: tuple[str, ...], several: bool
+) -> Fault:
+    """A disturbance in words."""
+    joint = found.tree.joint_names[pushed_joint(touched, found, su_names)]
+    felt = ", ".join(su_names[u] for u in touched.felt[:4])
+    more = f" and {len(touched.felt) - 4} others" if len(touched.felt) > 4 else ""
+    log = f" of log {touched.log + 1}" if several else ""
+    return Fault(
+        "contact",
+        joint,
+        f"something hit or pushed the robot at {touched.time:.1f} s{log}: {joint} moved without "
+        f"its encoder seeing all of it, felt by {felt}{more}; those readings are left out",
+        "keep people and things away from the robot while it moves",
+    )

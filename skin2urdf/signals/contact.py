@@ -1,0 +1,170 @@
+"""Moments in which readings do not follow the motion of the joints: something touched the robot.
+
+Around a pose, what the features and the model leave of the low-passed readings is noise. A hit or
+a push moves a joint without its encoder seeing all of it, and stands out for a moment.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.ndimage import median_filter
+from scipy.stats import chi2 as chi_squared
+
+from skin2urdf.arrays import F64
+from skin2urdf.signals.features import Curvature, regressor_noise
+from skin2urdf.signals.filters import filtered, low_pass, noise_bandwidth, shifted
+from skin2urdf.signals.mending import computed
+from skin2urdf.signals.records import Features
+from skin2urdf.signals.regression import regressors
+from skin2urdf.signals.sampling import Sampled
+
+_FALSE_ALARM = 1e-6
+"""Probability that noise alone stands out anywhere in the logs, were it steady and normal."""
+_UNSTEADY = 1.5
+"""How far noise may stand above its median over seconds: patterns bring the encoders' along."""
+_STEADY = 4.0
+"""Time over which the noise level is taken [s]."""
+_LONGEST = 1.0
+"""Time that readings are disturbed by a contact at most, the filter's reach aside [s]."""
+_TAIL = 2.0
+"""Usual residuals at which a disturbance begins and ends."""
+_MARGIN = 0.04
+"""Left out before and after [s]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Disturbance:
+    """A moment in which readings stand out from what the joints' motion explains.
+
+    Attributes:
+        log: index of the log.
+        pose: index of the pose in the features.
+        begin: first grid sample, and
+        end: one past the last.
+        time: of the largest residual [s].
+        residual: (N, U, 3) low-passed residuals of these samples [m/s^2].
+        noise: (U,) what is usual for the length of a residual, with some allowance [m/s^2].
+        felt: numbers of the SUs whose residuals stand out.
+    """
+
+    log: int
+    pose: int
+    begin: int
+    end: int
+    time: float
+    residual: F64
+    noise: F64
+    felt: tuple[int, ...]
+
+
+def disturbances(
+    sampled: Sequence[Sampled], features: Features, curvature: Curvature
+) -> tuple[Disturbance, ...]:
+    """Moments that stand out from the noise around the poses.
+
+    Args:
+        sampled: the logs.
+        features: their features.
+        curvature: predicts what readings hold beyond first order around a pose.
+    """
+    limit = _limit(sampled, features.n_sus)
+    out: list[Disturbance] = []
+    for log, s in enumerate(sampled):
+        rate = s.motion.grid.rate
+        taps = low_pass(s.cutoff, rate)
+        readings = np.stack(
+            [shifted(s.readings[:, u], rate, lag) for u, lag in enumerate(features.latency)], axis=1
+        )
+        acceleration = regressor_noise(s.motion, s.cutoff)[0][1 + features.n_dofs :]
+        for p, begin, residual in _residuals(s, readings, features, curvature, log, taps):
+            rounding = np.sqrt((features.tau[p] ** 2).sum(axis=-1) @ acceleration)
+            for a, b, at, noise, felt in _peaks(residual, rounding, limit, s):
+                out.append(
+                    Disturbance(
+                        log, p, begin + a, begin + b, float(s.motion.grid.time[begin + at]),
+                        residual[a:b], noise, felt,
+                    )
+                )  # fmt: skip
+    return tuple(out)
+
+
+def _limit(sampled: Sequence[Sampled], U: int) -> float:
+    """Residual's length, over its median, that noise does not reach."""
+    independent = 0.0
+    for s in sampled:
+        rate = s.motion.grid.rate
+        samples = sum(b - a for pose in s.neighbourhoods for a, b in pose.windows)
+        independent += samples * 2 * noise_bandwidth(low_pass(s.cutoff, rate), rate) / rate
+    chance = _FALSE_ALARM / max(1.0, independent * U)
+    return float(np.sqrt(chi_squared.isf(chance, 3) / chi_squared.median(3)))
+
+
+def _residuals(
+    s: Sampled, readings: F64, features: Features, curvature: Curvature, log: int, taps: F64
+) -> Iterator[tuple[int, int, F64]]:
+    """Pose, first grid sample and low-passed residuals (N, U, 3) of every window."""
+    motion, half = s.motion, len(taps) // 2
+    number = {tuple(features.q[p]): int(p) for p in np.flatnonzero(features.log == log)}
+    for pose in s.neighbourhoods:
+        p = number.get(tuple(pose.q))
+        if p is None:
+            continue
+        for begin, end in pose.windows:
+            trim = min(half, max(0, (end - begin) // 4))
+            a, b = begin + trim, end - trim
+            lo, hi = max(0, begin - half), min(motion.grid.size, end + half)
+            part = slice(lo, hi)
+            dq, qd, qdd = motion.q[part] - pose.q, motion.qd[part], motion.qdd[part]
+            X, _ = regressors(dq, qd, qdd, True)
+            beyond, _ = curvature(pose.q, dq, qd, qdd, log)
+            left = readings[part] - beyond
+            left = left - (X @ features.coefficients[p]).swapaxes(0, 1)
+            left *= s.valid[part, :, None] & ~s.computed[part, :, None]
+            smooth = filtered(left.reshape(len(left), -1), taps).reshape(left.shape)
+            yield p, a, smooth[a - lo : b - lo]
+
+
+def _peaks(
+    residual: F64, rounding: F64, limit: float, s: Sampled
+) -> Iterator[tuple[int, int, int, F64, tuple[int, ...]]]:
+    """Intervals of a window's residuals (N, U, 3) that stand out: begin, end, peak, noise, SUs."""
+    rate = s.motion.grid.rate
+    size = np.linalg.norm(residual, axis=-1)
+    if len(size) < rate:
+        return
+    width = min(len(size), int(_STEADY * rate)) | 1
+    usual = median_filter(size, size=(width, 1), mode="reflect")
+    usual = np.hypot(_UNSTEADY * np.maximum(usual, np.median(size, axis=0)), rounding)
+    z = size / np.maximum(usual, 1e-6)
+    highest = z.max(axis=1)
+    edges = np.flatnonzero(np.diff(np.r_[False, highest > _TAIL, False].astype(np.int8)))
+    margin = int(_MARGIN * rate)
+    for a, b in edges.reshape(-1, 2):
+        at = int(a + highest[a:b].argmax())
+        if highest[at] < limit or (b - a) / rate > _LONGEST + 2 / s.cutoff:
+            continue
+        felt = np.flatnonzero(z[a:b].max(axis=0) > limit)
+        yield (
+            max(0, int(a) - margin), min(len(z), int(b) + margin), at, usual[at],
+            tuple(int(u) for u in felt),
+        )  # fmt: skip
+
+
+def without(sampled: Sequence[Sampled], found: Sequence[Disturbance]) -> list[Sampled]:
+    """The logs with disturbed samples taken as missing, and computed from their window."""
+    return [_without(s, [d for d in found if d.log == log]) for log, s in enumerate(sampled)]
+
+
+def _without(s: Sampled, found: Sequence[Disturbance]) -> Sampled:
+    if not found:
+        return s
+    valid = np.array(s.valid)
+    for d in found:
+        valid[d.begin : d.end] = False
+    readings, filled = computed(s.motion, s.neighbourhoods, s.cutoff, s.readings, valid)
+    return replace(
+        s, readings=readings, valid=valid | filled, computed=(s.computed & valid) | filled
+    )

@@ -315,8 +315,9 @@ def test_a_reversed_joint_is_a_robot_with_a_reversed_axis() -> None:
 def test_rests_in_which_joints_still_settle_fit_like_the_others() -> None:
     """After a fast move a joint creeps on for a moment, too little to be fitted as motion."""
     made = simulation("kinova", upright=True, excite="all", n_poses=4, seed=100)
-    by_pose = calibrate(made.recording).goodness.by_pose
-    assert (by_pose.per_dof < 4.0).all()
+    fit = calibrate(made.recording).goodness
+    assert (fit.by_pose.per_dof < 4.0).all()
+    assert (fit.held_out.per_dof < 4.0).all()
 
 
 def test_no_log_and_a_missing_one_are_errors_in_words(tmp_path: Path) -> None:

@@ -220,9 +220,8 @@ def _regress(
         # A DoF that keeps still adds nothing at second order: its nuisances would only fit noise.
         moves = np.asarray(Xe[:, (n + 1) // 2 :].any(axis=0))
         Ze = Z[use] * np.tile(moves, Z.shape[1] // max(1, len(moves)))
-        # Motion too small to be fitted, as of a joint that settles, shifts the mean all the same.
-        shift = np.tensordot((X[use] - Xe).mean(axis=0), expected[:, members], 1)
-        felt = y[use][:, members] - shift
+        # Motion too small to be fitted, as of a joint that settles, is felt all the same.
+        felt = y[use][:, members] - np.tensordot(X[use] - Xe, expected[:, members], 1)
         result = fit(Design(Xe, Ze, *noise), felt, independence)
         coefficients[members] = result.coefficients
         basis = orthonormal(np.concatenate([Xe, Ze], axis=1))

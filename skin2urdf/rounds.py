@@ -118,11 +118,11 @@ class Rounds:
 
     def relinearised(self, tree: KinematicTree, features: Features) -> tuple[Estimate, Features]:
         """Estimate, take the features again with what the estimate predicts, until it settles."""
-        found = self._estimate(tree, features, None)
+        found = self.estimated(tree, features, None)
         for _ in range(self.settings.relinearisations):
             previous = found
             features = self.features(predicted_curvature(found, features), features.latency)
-            found = self._estimate(tree, features, previous.state)
+            found = self.estimated(tree, features, previous.state)
             gain = previous.cost_per_dof / max(found.cost_per_dof, 1e-12)
             settled = gain < 1.02 and found.cost_per_dof < GOOD_FIT
             hopeless = gain < 2.0 and found.cost_per_dof > BAD_FIT
@@ -130,7 +130,8 @@ class Rounds:
                 break
         return found, features
 
-    def _estimate(self, tree: KinematicTree, features: Features, start: State | None) -> Estimate:
+    def estimated(self, tree: KinematicTree, features: Features, start: State | None) -> Estimate:
+        """An estimate from features as they are, with an earlier state as a start if any."""
         return self.clock.run(
             "estimation", lambda _: estimate(features, tree, self.settings.estimation, start)
         )

@@ -2,7 +2,8 @@
 
 Leaps in a joint's track are taken off before the first look, since no joint can make them. What an
 encoder does wrong without a leap shows in the fit: the score test names the encoder and the size,
-the recordings are corrected, and the next estimate says what is left, as Gauss-Newton does.
+the features are corrected, and the next estimate says what is left, as Gauss-Newton does. Then the
+recordings themselves are corrected, and everything is done again.
 """
 
 from __future__ import annotations
@@ -12,22 +13,26 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from skin2urdf.calibration import GOOD_FIT, CalibrationSettings
+from skin2urdf.calibration import BAD_FIT, GOOD_FIT, CalibrationSettings
 from skin2urdf.errors import InsufficientDataError, StructureError
 from skin2urdf.estimation.encoder_signs import reversed_encoders
-from skin2urdf.estimation.encoders import Suspicion, suspicions
+from skin2urdf.estimation.encoders import suspicions
 from skin2urdf.estimation.estimate import Estimate
 from skin2urdf.faults import Fault
 from skin2urdf.mending.solution import Solution, solved
 from skin2urdf.recording.records import Recording
 from skin2urdf.rounds import Clock
-from skin2urdf.signals.encoders import corrected, leaps
+from skin2urdf.signals.encoders import corrected, corrected_features, leaps
 from skin2urdf.signals.records import EncoderError, Features
 
-_PASSES = 8
-"""How often, at most, encoders are corrected and everything is estimated again."""
+_PASSES = 4
+"""How often, at most, encoders are corrected and everything is done again."""
+_STEPS = 8
+"""How often, at most, features are corrected and estimated again in one of these passes."""
 _MOST_OF_IT = 0.5
 """Share of the misfit that one error must explain to be taken for its cause."""
+_PART_OF_IT = 0.2
+"""The same where no estimate explains the readings at all."""
 _LEFT = 0.1
 """Share of the misfit that may stay where encoders were its cause."""
 _CERTAIN = 5.0
@@ -102,10 +107,11 @@ def solved_with_encoders_corrected(
     first = solved(leaping.corrected(), settings, clock)
     now, best = _with_signs(leaping, first)
     for _ in range(_PASSES):
-        suspects = _tested(best)[:1]
-        if not any(s.significant and s.share > _MOST_OF_IT for s in suspects):
+        errors = _diagnosed(best)
+        if not errors:
             break
-        now = now.with_another(suspects[0].error, best.features)
+        for error in errors:
+            now = now.with_another(error, best.features)
         try:
             best = solved(now.corrected(), settings, clock)
         except (StructureError, InsufficientDataError):
@@ -133,11 +139,20 @@ def _with_signs(encoders: Encoders, first: Solution) -> tuple[Encoders, Solution
     return (now, best) if _better(first.found, best.found) else (encoders, first)
 
 
-def _tested(solution: Solution) -> tuple[Suspicion, ...]:
-    """Errors of the encoders that would explain a solution's misfit, the best first."""
-    return solution.rounds.clock.run(
-        "encoders", lambda _: suspicions(solution.found, solution.features)
-    )
+def _diagnosed(solution: Solution) -> list[EncoderError]:
+    """Errors of encoders that explain a solution's misfit, found on its features alone."""
+    rounds, found, features = solution.rounds, solution.found, solution.features
+    errors: list[EncoderError] = []
+    for _ in range(_STEPS):
+        suspects = suspicions(found, features)[:1]
+        # Far from any fit the test is far from linear, and there is nothing to lose.
+        enough = _MOST_OF_IT if found.cost_per_dof <= BAD_FIT else _PART_OF_IT
+        if not any(s.significant and s.share > enough for s in suspects):
+            break
+        errors.append(suspects[0].error)
+        features = corrected_features(features, errors[-1])
+        found = rounds.estimated(found.tree, features, found.state)
+    return errors
 
 
 def _better(before: Estimate, after: Estimate) -> bool:
@@ -159,7 +174,7 @@ def _faults(encoders: Encoders, last: Solution) -> tuple[Fault, ...]:
         return ()
     joints = last.found.tree
     prismatic = dict(zip(joints.joint_names, joints.prismatic, strict=True))
-    known = [s.error for s in _tested(last)]
+    known = [s.error for s in suspicions(last.found, last.features)]
     out = []
     for error in _together(encoders.errors, last.features):
         same = [k for k in known if _same(k, error, last.features)]

@@ -9,7 +9,7 @@ import numpy as np
 
 from skin2urdf.arrays import F64
 from skin2urdf.recording.records import JointStream, Recording
-from skin2urdf.signals.records import EncoderError
+from skin2urdf.signals.records import EncoderError, Features
 
 _LEAP = 10.0
 """Change of a joint's step from one sample to the next, over the 99.9 % quantile of such changes.
@@ -77,3 +77,22 @@ def _corrected(joint: JointStream, log: int, errors: Sequence[EncoderError]) -> 
         elif error.log == log:
             x = x - error.size * (joint.time >= error.begin)
     return joint if x is joint.position else replace(joint, position=x)
+
+
+def corrected_features(features: Features, error: EncoderError) -> Features:
+    """Features as they would be without an offset or a scale, to first order around each pose."""
+    D = features.n_dofs
+    at = np.arange(D) == features.dof_names.index(error.dof)
+    if error.kind == "offset":
+        later = (features.log == error.log) & (features.span.mean(axis=1) >= error.begin)
+        return replace(features, q=features.q - error.size * (later[:, None] & at))
+    scale = np.where(at, error.size, 1.0)
+    rows = np.concatenate([[1.0], scale, scale])
+    return replace(
+        features,
+        q=features.q / scale,
+        coefficients=features.coefficients * rows[:, None],
+        information=features.information / rows[:, None] / rows,
+        position_sd=features.position_sd / scale,
+        hidden=features.hidden * (scale[:, None] / scale) ** 2,
+    )

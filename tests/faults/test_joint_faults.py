@@ -8,13 +8,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from simulated import changed_joints, held_against, simulation
+from simulated import changed_joints, features_of, held_against, simulation
 
 from skin2urdf.arrays import F64
 from skin2urdf.pipeline import calibrate
 from skin2urdf.recording.records import JointStream, Recording
 from skin2urdf.recording.retiming import retimed
-from skin2urdf.signals.encoders import corrected, leaps
+from skin2urdf.signals.encoders import corrected, corrected_features, leaps
 from skin2urdf.signals.records import EncoderError
 from skin2urdf.simulation import SimulationSettings, load_robot, simulate
 from skin2urdf.simulation.faults import Faulty, Sound
@@ -85,6 +85,26 @@ def test_leaps_are_found_to_their_sample_and_size() -> None:
     assert [e.begin for e in found] == pytest.approx([30.0, 30.002, 50.0], abs=5e-3)
     assert {(e.kind, e.dof, e.log) for e in found} == {("offset", JOINT, 2)}
     assert not leaps(r, 0)
+
+
+def test_features_are_corrected_as_the_recording_is() -> None:
+    r = recording()
+    error = EncoderError("scale", JOINT, 1.25)
+    raw, exact = features_of(r), features_of(corrected([r], [error])[0])
+    features = corrected_features(raw, error)
+    assert features.q == pytest.approx(exact.q, abs=1e-3)
+    a, b = features.coefficients, exact.coefficients
+    assert a == pytest.approx(b, abs=0.02 * np.abs(b).max())
+    ratio = np.einsum("puii->pui", features.information) / np.maximum(
+        np.einsum("puii->pui", exact.information), 1e-12
+    )
+    assert np.median(ratio[ratio > 0]) == pytest.approx(1.0, rel=0.05)
+    shifted = corrected_features(raw, EncoderError("offset", JOINT, 0.1, 0, 70.0))
+    d = raw.dof_names.index(JOINT)
+    moved = np.zeros(raw.q.shape)
+    moved[raw.span.mean(axis=1) > 70.0, d] = 0.1
+    assert 0 < moved.sum() < 0.1 * raw.n_poses
+    assert raw.q - shifted.q == pytest.approx(moved)
 
 
 def test_errors_are_taken_off_their_log_and_joint() -> None:

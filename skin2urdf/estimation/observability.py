@@ -17,7 +17,7 @@ from skin2urdf.estimation.bounds import Align, expected_errors
 from skin2urdf.estimation.cost import NormalEquations
 from skin2urdf.estimation.covariance import ArrowCovariance
 from skin2urdf.estimation.estimate import Estimate
-from skin2urdf.estimation.open_directions import open_directions
+from skin2urdf.estimation.open_directions import ALIKE, open_directions
 from skin2urdf.estimation.state import N_JOINT, N_PLACEMENT, N_SU
 from skin2urdf.model.records import OpenDirection
 
@@ -98,10 +98,10 @@ def observability(estimate: Estimate) -> Observability:
     np.add.at(H, (columns[:, :, None], columns[:, None, :]), np.swapaxes(mixed, 1, 2) @ lean)
     joint_inverse, null = _joint_inverse(H, free_joint, scale)
     open_ = open_directions(
-        tree, estimate.state, equations, null, lean, directions,
+        tree, estimate.state, estimate.cost.blocks.q, equations, null, lean, directions,
         least=scale / UNKNOWN**2, arm=ARM,
     )  # fmt: skip
-    moving = {name for direction in open_ for name in direction.joints}
+    moving = {name for direction in open_ for name in _moving(direction)}
 
     bare = ArrowCovariance(scale * joint_inverse, columns, lean, scale * inverse)
     hidden = hidden_rotation(estimate, bare.su())
@@ -195,6 +195,12 @@ def _joint_inverse(H: F64, free: Bool, scale: float) -> tuple[F64, F64]:
     out[np.ix_(index, index)] = (V[:, ~open_] / lam[~open_]) @ V[:, ~open_].T
     null[:, index] = V[:, open_].T
     return out, null
+
+
+def _moving(direction: OpenDirection) -> list[str]:
+    """Joints that an open direction moves noticeably."""
+    size = {name: float(np.abs(xi).max()) for name, xi in direction.joints.items()}
+    return [name for name, each in size.items() if each > ALIKE * max(size.values())]
 
 
 def _verdict(covariance: F64, n_open: int) -> Verdict:

@@ -1,11 +1,12 @@
 """Ways in which branches of a robot may sit relative to each other that a log does not tell.
 
 Two branches that share nothing but a joint may be slid along its axis, and turned about it where it
-is vertical: no reading changes. What is open follows from rank alone, in two steps. First every
-joint is moved together with all that lies beyond it, by a twist of its placement: the directions
-in which this changes no reading are exact for finite motions too, and easily told. What the null
-space of the joints' information holds beside these comes next. Motions of a whole limb are no news
-(nothing but gravity connects limbs), nor is what moves an SU along its own open directions.
+is vertical: no reading changes. What is open follows from rank alone. First every joint is moved
+together with all that lies beyond it, by a twist of its placement: the directions in which this
+changes no reading are exact for finite motions too, and easily told. Then every axis is moved
+alone: that is open where a joint hardly moved. What the null space of the joints' information holds
+beside these comes last. Motions of a whole limb are no news (nothing but gravity connects limbs),
+nor is what moves an SU along its own open directions.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from skin2urdf.estimation.displacements import Displacements
 from skin2urdf.estimation.state import JOINT_COORDINATES, N_JOINT, N_PLACEMENT, State
 from skin2urdf.model.records import OpenDirection
 from skin2urdf.model.spatial import inverse
-from skin2urdf.model.twists import adjoint
+from skin2urdf.model.twists import adjoint, exp
 from skin2urdf.structure.records import KinematicTree
 
 ALIKE = 0.1
@@ -38,6 +39,7 @@ _ABSORBED = {"revolute": [0, 1, 3, 4], "prismatic": [3, 4]}
 def open_directions(
     tree: KinematicTree,
     state: State,
+    q: F64,
     equations: NormalEquations,
     null: F64,
     lean: F64,
@@ -53,6 +55,7 @@ def open_directions(
     Args:
         tree: the structure.
         state: the estimate.
+        q: (P, D) joint positions of the poses it rests on [rad or m].
         equations: information at the estimate.
         null: (k, J) directions of the joints' coordinates that count as open.
         lean: (U, 15, C) how SUs follow the joint coordinates ``equations.columns``.
@@ -61,22 +64,22 @@ def open_directions(
         arm: length that angles are weighed by [m].
     """
     span = np.where(tree.prismatic, _SLIDES, _TURNS)
-    q = span * np.random.default_rng(0).uniform(-1.0, 1.0, (_CONFIGURATIONS, tree.n_joints))
-    moves = Displacements.of(tree, state, q, arm)
-    beyond = [np.flatnonzero(column) for column in tree.activity().T]
-    rigid = [
-        OpenDirection({tree.joint_names[j]: xi}, {})
-        for j in sorted(range(tree.n_joints), key=lambda j: len(beyond[j]))
-        for xi in _twists_of_all_beyond(tree, state, equations, j, beyond[j], least)
-    ]
+    far = span * np.random.default_rng(0).uniform(-1.0, 1.0, (_CONFIGURATIONS, tree.n_joints))
+    moves = Displacements.of(tree, state, far, arm)
+    into_joint, into_su = (adjoint(inverse(T)) for T in (state.T_parent_joint, state.T_joint_su))
+    beyond = tuple(np.flatnonzero(column) for column in tree.activity().T)
+    known = _Known(tree, equations, least, into_joint, into_su, beyond)
+    simple = [*_of_branches(known), *_of_axes(known, q)]
     limbs = limbs_of(tree)
     found: list[OpenDirection] = []
     for limb in np.unique(limbs[limbs != ON_BASE]):
         on = np.flatnonzero(limbs == limb)
         seen = _Limb(moves, on, [free[int(u)] for u in on])
-        found += [direction for direction in rigid if seen.is_news(direction)]
-        left = [_restricted(tree, equations, v, lean, int(limb), on) for v in null]
-        found += seen.news_of(left)
+        found += [direction for direction in simple if seen.is_news(direction)]
+        basis = _within(tree, null, int(limb))
+        left = [_followed(tree, equations, v, lean, on) for v in basis]
+        news = seen.news_of(left) @ basis
+        found += [_followed(tree, equations, v, lean, on) for v in news]
     return tuple(found)
 
 
@@ -122,46 +125,95 @@ class _Limb:
         self._known = np.concatenate([self._known, self._beside(rest) / length])
         return True
 
-    def news_of(self, directions: Sequence[OpenDirection]) -> list[OpenDirection]:
-        """Combinations of directions that are independent of those that are known."""
-        motion = [self.moves.along(direction) for direction in directions]
-        size = [float(np.linalg.norm(m[:, self.on])) for m in motion]
-        felt = [i for i, length in enumerate(size) if length > _TINY]
-        if not felt:
-            return []
-        flat = np.stack([motion[i] / size[i] for i in felt])
-        rest = self._beside(self._flat(flat))
+    def news_of(self, directions: Sequence[OpenDirection]) -> F64:
+        """(m, k) weights of k directions in those m combinations that are independent of the known.
+
+        They are orthogonal to the combinations that are known.
+        """
+        if not directions:
+            return np.zeros((0, 0))
+        motion = np.stack([self.moves.along(direction) for direction in directions])
+        rest = self._beside(self._flat(motion))
         weights, values, _ = np.linalg.svd(rest, full_matrices=False)
-        whole = weights.T @ flat[:, :, self.on].reshape(len(felt), -1)
-        news = weights.T[values > ALIKE * np.linalg.norm(whole, axis=1)]
-        return [_sum([directions[i] for i in felt], w / np.array(size)[felt]) for w in news]
+        whole = weights.T @ motion[:, :, self.on].reshape(len(motion), -1)
+        size = np.linalg.norm(whole, axis=1)
+        return np.asarray(weights.T[(values > ALIKE * size) & (values > _TINY)])
 
 
-def _twists_of_all_beyond(
-    tree: KinematicTree, state: State, equations: NormalEquations, j: int, on: Int, least: float
-) -> Iterator[F64]:
-    """Twists (6,) of a joint's placement that no reading of the SUs beyond it tells.
+def _of_branches(known: _Known) -> Iterator[OpenDirection]:
+    """Joints moved with all that lies beyond, the least of it first."""
+    for j in sorted(range(known.tree.n_joints), key=lambda j: len(known.beyond[j])):
+        values, V = np.linalg.eigh(known.information(j, np.zeros((6, 6))))
+        for xi in _slides_and_turns(V[:, values < known.least].T):
+            yield OpenDirection({known.tree.joint_names[j]: xi}, {})
 
-    Slides come first and are 1 m long, turns are 1 rad large and without any slide that is open
-    as well.
+
+def _of_axes(known: _Known, q: F64) -> Iterator[OpenDirection]:
+    """Axes moved alone: what they carry stays where it is at the mean of the poses q (P, D)."""
+    tree = known.tree
+    for j, name in enumerate(tree.joint_names):
+        turn = np.zeros(6)
+        turn[2 if tree.prismatic[j] else 5] = -q[:, j].mean()
+        back = adjoint(exp(turn))
+        held = _ABSORBED[tree.joint_types[j]]
+        values, V = np.linalg.eigh(known.information(j, back)[np.ix_(held, held)])
+        rows = np.zeros((int((values < known.least).sum()), 6))
+        rows[:, held] = V[:, values < known.least].T
+        for xi in _slides_and_turns(rows):
+            joints = {tree.joint_names[k]: -known.into_joint[k] @ back @ xi
+                      for k in np.flatnonzero(tree.parent == j)}  # fmt: skip
+            sus = {tree.su_names[u]: -known.into_su[u] @ back @ xi
+                   for u in np.flatnonzero(tree.su_joint == j)}  # fmt: skip
+            yield OpenDirection({name: xi, **joints}, sus)
+
+
+@dataclass(frozen=True, eq=False)
+class _Known:
+    """What the readings say of placements.
+
+    Attributes:
+        tree: the structure.
+        equations: information on local coordinates.
+        least: information below which a direction is open.
+        into_joint: (D, 6, 6) twists of the frame before each joint seen in the joint's, and
+        into_su: (U, 6, 6) those of an SU's joint seen in the SU's.
+        beyond: the SUs beyond each joint.
     """
-    into_joint, into_su = (adjoint(inverse(T)) for T in (state.T_parent_joint, state.T_joint_su))
-    x = np.zeros((len(equations.joint), 6))
-    passed = np.zeros((tree.n_joints, 6, 6))
-    for k in range(j, tree.n_joints):
-        moved = np.eye(6) if k == j else into_joint[k] @ passed[tree.parent[k]]
-        absorbed = _ABSORBED[tree.joint_types[k]]
-        passed[k] = moved
-        passed[k, absorbed] = 0.0
-        held = np.where(np.isin(JOINT_COORDINATES, absorbed)[:, None], 1.0, 0.0)
-        x[N_JOINT * k : N_JOINT * (k + 1)] = held * moved[list(JOINT_COORDINATES)]
-    y = into_su[on] @ passed[tree.su_joint[on]]
-    su = equations.su[on, :N_PLACEMENT, :N_PLACEMENT]
-    both = np.swapaxes(y, 1, 2) @ equations.mixed[on, :N_PLACEMENT] @ x[equations.columns[on]]
-    H = x.T @ equations.joint @ x + (np.swapaxes(y, 1, 2) @ su @ y).sum(axis=0)
-    H += (both + np.swapaxes(both, 1, 2)).sum(axis=0)
-    values, V = np.linalg.eigh(H)
-    yield from _slides_and_turns(V[:, values < least].T)
+
+    tree: KinematicTree
+    equations: NormalEquations
+    least: float
+    into_joint: F64
+    into_su: F64
+    beyond: tuple[Int, ...]
+
+    def information(self, j: int, back: F64) -> F64:
+        """(6, 6) information on twists of the placement of joint j, all else carried along.
+
+        Args:
+            j: the joint.
+            back: (6, 6) by what twist, seen in the frame that it carries, what it carries is moved
+                back in turn.
+        """
+        tree, equations, on = self.tree, self.equations, self.beyond[j]
+        x = np.zeros((len(equations.joint), 6))
+        passed = np.zeros((tree.n_joints, 6, 6))
+        for k in range(j, tree.n_joints):
+            moved = np.eye(6) if k == j else self.into_joint[k] @ passed[tree.parent[k]]
+            absorbed = _ABSORBED[tree.joint_types[k]]
+            passed[k] = moved
+            passed[k, absorbed] = 0.0
+            held = np.isin(JOINT_COORDINATES, absorbed)[:, None]
+            x[N_JOINT * k : N_JOINT * (k + 1)] = held * moved[list(JOINT_COORDINATES)]
+            if k == j:
+                passed[k] -= back
+        y = self.into_su[on] @ passed[tree.su_joint[on]]
+        yt = np.swapaxes(y, 1, 2)
+        both = yt @ equations.mixed[on, :N_PLACEMENT] @ x[equations.columns[on]]
+        own = yt @ equations.su[on, :N_PLACEMENT, :N_PLACEMENT] @ y
+        return np.asarray(
+            x.T @ equations.joint @ x + (own + both + np.swapaxes(both, 1, 2)).sum(axis=0)
+        )
 
 
 def _slides_and_turns(rows: F64) -> Iterator[F64]:
@@ -178,34 +230,31 @@ def _slides_and_turns(rows: F64) -> Iterator[F64]:
     yield from turns / np.linalg.norm(turns[:, 3:], axis=1, keepdims=True)
 
 
-def _restricted(
-    tree: KinematicTree, equations: NormalEquations, v: F64, lean: F64, limb: int, on: Int
+def _within(tree: KinematicTree, null: F64, limb: int) -> F64:
+    """(m, J) orthonormal basis of what directions (k, J) are within a limb, logs included."""
+    inside = np.ones(null.shape[1], dtype=bool)
+    for j in range(tree.n_joints):
+        inside[N_JOINT * j : N_JOINT * (j + 1)] = limb in tree.chain(j)
+    _, values, Vt = np.linalg.svd(null * inside, full_matrices=False)
+    return np.asarray(Vt[values > _TINY])
+
+
+def _followed(
+    tree: KinematicTree, equations: NormalEquations, v: F64, lean: F64, on: Int
 ) -> OpenDirection:
-    """A direction (J,) of the joint coordinates within a limb, and how its SUs follow."""
-    joints = {}
-    for j, name in enumerate(tree.joint_names):
-        local = v[N_JOINT * j : N_JOINT * (j + 1)]
-        if limb in tree.chain(j) and np.abs(local).max() > _TINY:
-            joints[name] = np.zeros(6)
-            joints[name][list(JOINT_COORDINATES)] = local
-    sus = {tree.su_names[u]: lean[u, :N_PLACEMENT] @ v[equations.columns[u]] for u in on}
-    return OpenDirection(joints, {n: xi for n, xi in sus.items() if np.abs(xi).max() > _TINY})
+    """A direction (J,) of the joint coordinates and how SUs follow, the largest part of size 1."""
+    joints = np.zeros((tree.n_joints, 6))
+    joints[:, JOINT_COORDINATES] = v[: N_JOINT * tree.n_joints].reshape(-1, N_JOINT)
+    sus = (lean[on, :N_PLACEMENT] @ v[equations.columns[on], None])[..., 0]
+    size = max(float(np.abs(joints).max()), float(np.abs(sus).max()))
 
+    def named(names: Sequence[str], twists: F64) -> dict[str, F64]:
+        return {
+            name: xi / size
+            for name, xi in zip(names, twists, strict=True)
+            if np.abs(xi).max() > _TINY * size
+        }
 
-def _sum(directions: Sequence[OpenDirection], weights: F64) -> OpenDirection:
-    """A combination of directions, its largest twist of unit size."""
-
-    def added(parts: Sequence[tuple[float, dict[str, F64]]]) -> dict[str, F64]:
-        out: dict[str, F64] = {}
-        for weight, twists in parts:
-            for name, xi in twists.items():
-                out[name] = out.get(name, np.zeros(6)) + weight * xi
-        return out
-
-    joints = added([(w, dict(d.joints)) for w, d in zip(weights, directions, strict=True)])
-    sus = added([(w, dict(d.sus)) for w, d in zip(weights, directions, strict=True)])
-    size = max(float(np.abs(xi).max()) for xi in (*joints.values(), *sus.values()))
     return OpenDirection(
-        {name: xi / size for name, xi in joints.items() if np.abs(xi).max() > _TINY * size},
-        {name: xi / size for name, xi in sus.items() if np.abs(xi).max() > _TINY * size},
+        named(tree.joint_names, joints), named([tree.su_names[int(u)] for u in on], sus)
     )

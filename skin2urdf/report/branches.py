@@ -75,23 +75,19 @@ def _of_branch(model: KinematicModel, joint: str, xi: F64, up: F64) -> Unknown:
 
 
 def _of_several(model: KinematicModel, direction: OpenDirection) -> Unknown:
-    """A combination of placements."""
-    moved = [*direction.joints, *direction.sus]
-    joints = [name for name in model.tree.joint_names if name in direction.joints]
-    before = [
-        model.tree.joint_names[k]
-        for k in sorted({k for n in joints for k in model.tree.chain(_index(model, n))})
-    ]
+    """Several placements move together."""
+    tree = model.tree
+    first, *rest = sorted(tree.joint_names.index(name) for name in direction.joints)
+    if all(tree.parent[j] == first for j in rest):
+        name = tree.joint_names[first]
+        what = f"one direction of the axis of {name} relative to what it carries"
+        return Unknown(what, f"{name} moved too little in this log", more([name]))
+    before = sorted({k for j in (first, *rest) for k in tree.chain(j)})
     return Unknown(
-        f"one direction in which {_some(moved)} move together",
+        f"one direction in which {_some([*direction.joints, *direction.sus])} move together",
         "the motion in this log is too small or too much alike",
-        more(before) if before else "record more poses, far from each other",
+        more([tree.joint_names[k] for k in before]),
     )
-
-
-def _index(model: KinematicModel, joint: str) -> int:
-    """Index of a joint."""
-    return model.tree.joint_names.index(joint)
 
 
 def _parallel(a: F64, b: F64) -> bool:

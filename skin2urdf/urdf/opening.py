@@ -126,14 +126,21 @@ def _fitted(robot: Robot, directions: Sequence[OpenDirection], sight: Sight) -> 
     """
     best, least = _descended(robot, directions, sight)
     for direction in directions:
-        if all(np.linalg.norm(xi[3:]) < 0.5 for xi in direction.joints.values()):
-            continue
+        if len(direction.joints) > 1 or direction.sus or not _turns(direction):
+            continue  # only a branch that turns as a whole may be far away
         starts = [_moved(best, [direction], [angle]) for angle in (_TURN, -_TURN)]
         for start in starts:
             other, cost = _descended(start, directions, sight)
             if cost < least:
                 best, least = other, cost
     return best
+
+
+def _turns(direction: OpenDirection) -> bool:
+    """Whether a direction turns what it moves, rather than sliding it."""
+    return any(
+        np.linalg.norm(xi[3:]) > np.linalg.norm(xi[:3]) / 10 for xi in direction.joints.values()
+    )
 
 
 def _descended(

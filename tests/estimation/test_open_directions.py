@@ -7,16 +7,18 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from synthetic import GRAVITY, random_features, random_state
+from synthetic import GRAVITY, exact_coefficients, random_features, random_state
 
+from skin2urdf.estimation.blocks import feature_blocks
 from skin2urdf.estimation.bounds import moved_sus
-from skin2urdf.estimation.cost import Priors
+from skin2urdf.estimation.cost import Cost, Priors
 from skin2urdf.estimation.estimate import Estimate, EstimationSettings, estimate
 from skin2urdf.estimation.observability import Observability, observability
-from skin2urdf.estimation.state import State
+from skin2urdf.estimation.state import State, identifiable
 from skin2urdf.model.records import OpenDirection
 from skin2urdf.model.spatial import axis_rotation
 from skin2urdf.model.twists import exp
+from skin2urdf.signals.records import Features, StaticMoves
 from skin2urdf.structure.records import KinematicTree
 
 PLAIN = EstimationSettings(
@@ -98,6 +100,54 @@ def test_as_many_as_there_are_are_found_and_no_reading_changes(
         for amplitude in (-1.0, 0.7):
             there = moved(tree, found.state, direction, amplitude)
             assert misfit(found, there) - at_best < 1.0
+
+
+def test_a_second_log_with_the_base_tilted_closes_the_turn() -> None:
+    tilted = np.array([[0.0, 0.0, 1.0], [0.0, np.sin(0.5), np.cos(0.5)]])
+    _, observed = seen(FORK, replace(robot(FORK, tilt=0.0), up=tilted))
+    (slide,) = observed.open_directions
+    np.testing.assert_allclose(slide.joints["joint4"][3:], 0.0, atol=1e-3)
+
+
+def test_the_axis_of_a_joint_that_never_moved_is_open() -> None:
+    """It may be anywhere, while the segment beyond stays where it was seen."""
+    state, rng = robot(FORK), np.random.default_rng(4)
+    q = rng.uniform(-2.0, 2.0, (12, FORK.n_joints))
+    q[:, 1] = 0.3
+    found = at(FORK, state, q, still=1)
+    observed = observability(found)
+    assert observed.n_open == 5
+    assert {j for j, v in enumerate(observed.joint_verdict) if v != "not observable"} == {0, 3, 5}
+    # Two slides along axis 0, for link 1 might be one with link 0 as well, and three of axis 1.
+    rigid, of_axis = observed.open_directions[:2], observed.open_directions[2:]
+    assert [set(each.joints) for each in rigid] == [{"joint2"}, {"joint4"}]
+    for direction in of_axis:
+        assert set(direction.joints) == {"joint1", "joint2"}
+        assert set(direction.sus) == {"su1"}
+        assert misfit(found, moved(FORK, state, direction, 1e-3)) < 1.0
+        shifted = {**direction.joints, "joint1": -direction.joints["joint1"]}
+        wrong = OpenDirection(shifted, direction.sus)
+        assert misfit(found, moved(FORK, state, wrong, 1e-3)) > 20.0
+
+
+def at(tree: KinematicTree, state: State, q: np.ndarray, still: int) -> Estimate:
+    """The truth as an estimate from perfect features in which one joint has no pattern."""
+    P, D, U = len(q), tree.n_joints, tree.n_sus
+    excited = np.delete(np.arange(1 + 2 * D), [1 + still, 1 + D + still])
+    information = np.zeros((P, U, 1 + 2 * D, 1 + 2 * D))
+    information[:, :, excited, excited] = 1e3
+    log, per_su = np.zeros(P, dtype=np.int64), np.zeros(U)
+    features = Features(
+        tree.su_names, tree.joint_names, q, log, exact_coefficients(tree, state, q, log),
+        information, np.full((P, U, 3), 0.02), per_su, per_su,
+        StaticMoves(np.zeros(0), np.zeros(0), np.zeros((0, U, 3))),
+    )  # fmt: skip
+    cost = Cost(tree, feature_blocks(features, tree), PLAIN.priors)
+    count = cost.blocks.count
+    return Estimate(
+        tree, state, 0.0, np.zeros((P, U)), count, np.ones((P, U)), 0, cost,
+        identifiable(tree, 1, intrinsics=False), (0.0,),
+    )  # fmt: skip
 
 
 def test_the_smaller_branch_moves_and_its_joint_is_told() -> None:

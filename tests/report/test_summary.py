@@ -10,6 +10,7 @@ from calibrated import calibration
 
 from skin2urdf.calibration import Calibration
 from skin2urdf.model.records import OpenDirection
+from skin2urdf.report.branches import between_branches
 from skin2urdf.report.findings import findings
 from skin2urdf.report.summary import as_text
 from skin2urdf.report.tables import bullets, number, span, table
@@ -88,6 +89,18 @@ def test_open_directions_between_branches_are_told() -> None:
     assert words.what.endswith(f"along the axis of {first} relative to what else {first} moves")
     assert "no recording tells it" in words.why
     assert str(words) in as_text(changed)
+
+
+def test_an_axis_that_may_be_elsewhere_is_told() -> None:
+    _, second, third, *_ = calibration().model.tree.joint_names
+    axis = OpenDirection({second: np.eye(6)[0], third: np.eye(6)[1]}, {})
+    (words,) = between_branches(calibration().model, [axis], np.eye(3)[2:])
+    assert words.what == f"one direction of the axis of {second} relative to what it carries"
+    assert second in words.remedy
+    fourth = calibration().model.tree.joint_names[3]
+    several = OpenDirection({second: np.eye(6)[0], fourth: np.eye(6)[1]}, {})
+    (words,) = between_branches(calibration().model, [several], np.eye(3)[2:])
+    assert words.what == f"one direction in which {second} and {fourth} move together"
 
 
 def test_without_an_observable_su_no_error_is_promised() -> None:

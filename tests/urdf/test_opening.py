@@ -132,6 +132,20 @@ def test_a_branch_without_anchors_is_fitted_by_what_it_has(
     assert set(c.alignments[0].anchors) == {*anchors, "su_5", "su_6", "su_7", "su_8"}
 
 
+def test_several_placements_may_move_together(tmp_path: Path, fork: KinematicModel) -> None:
+    """The axis of a joint elsewhere, and what it carries back where it was for one position."""
+    rng = np.random.default_rng(5)
+    joints = {"joint_1": rng.standard_normal(6), "joint_2": rng.standard_normal(6)}
+    direction = OpenDirection(joints, {"su_1": rng.standard_normal(6)})
+    T, sus = fork.T_parent_joint.copy(), fork.T_joint_su.copy()
+    for j, name in ((1, "joint_1"), (2, "joint_2")):
+        T[j] = T[j] @ exp(0.01 * joints[name])
+    sus[1] = sus[1] @ exp(0.01 * direction.sus["su_1"])
+    estimate = replace(fork, T_parent_joint=T, T_joint_su=sus)
+    assert held(tmp_path, estimate, fork).position.rms > 1e-3
+    assert held(tmp_path, estimate, fork, [direction]).position.max < 1e-9
+
+
 def test_a_direction_that_the_configurations_do_not_tell_is_left(
     tmp_path: Path, fork: KinematicModel
 ) -> None:

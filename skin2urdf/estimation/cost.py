@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from skin2urdf.arrays import F64, Int
 from skin2urdf.estimation.blocks import FeatureBlocks
+from skin2urdf.estimation.residuals import Point, Residuals, SuGroup, columns_of, groups_of
 from skin2urdf.estimation.state import (
     N_JOINT,
     N_PLACEMENT,
@@ -20,14 +22,8 @@ from skin2urdf.estimation.state import (
     turned_up,
 )
 from skin2urdf.model.kinematics import PinocchioTree
-from skin2urdf.model.prediction import (
-    GRAVITY,
-    SuKinematics,
-    joint_twists,
-    su_kinematics,
-    twist_maps,
-    zero_frames,
-)
+from skin2urdf.model.prediction import GRAVITY, SuKinematics, zero_frames
+from skin2urdf.model.spatial import cross
 from skin2urdf.structure.records import KinematicTree
 
 
@@ -88,20 +84,20 @@ class Cost:
     def __init__(self, tree: KinematicTree, blocks: FeatureBlocks, priors: Priors) -> None:
         self.tree, self.blocks, self.priors = tree, blocks, priors
         self._pinocchio = PinocchioTree(tree)
-        self._weight = np.divide(1.0, blocks.noise)
         self.n_logs = int(blocks.log.max(initial=0)) + 1
         self.n_data = int(blocks.count.sum())
         deviations = priors.deviations
         self._prior = np.divide(1.0, deviations, out=np.zeros(9), where=deviations > 0)
-        L = blocks.chains.joint.shape[1]
-        joint_columns = blocks.chains.joint[..., None] * N_JOINT + np.arange(N_JOINT)
-        log_columns = tree.n_joints * N_JOINT + np.arange(2 * (self.n_logs - 1))
-        U = len(blocks.su_joint)
-        self._columns = np.concatenate(
-            [joint_columns.reshape(U, L * N_JOINT), np.tile(log_columns, (U, 1))], axis=1
-        )
-        index = blocks.chains.present.cumsum(axis=1) - 1
-        self._before = (index[:, :, None] < index[:, None, :])[None]
+        self._groups = groups_of(blocks, tree.n_joints, self.n_logs)
+        self.columns = columns_of(blocks.chains, tree.n_joints, self.n_logs)
+
+    @cached_property
+    def whole(self) -> SuGroup:
+        """All SUs in arrays of one length."""
+        if len(self._groups) == 1:
+            return self._groups[0]
+        everyone = np.arange(self.tree.n_sus)
+        return SuGroup(self.blocks, everyone, self.tree.n_joints, self.n_logs)
 
     def at(self, state: State, step: Step | None = None) -> Evaluation:
         """Evaluate the cost at ``state`` moved by ``step``, with derivatives in the step."""
@@ -117,20 +113,19 @@ class Cost:
         M = State(T_parent_joint, T_joint_su, up, bias, shape).sensor_matrix()
         self._pinocchio.write_joints(T_parent_joint)
         R, p = self._pinocchio.joint_frames(blocks.q)
-        kin = su_kinematics(blocks.chains, blocks.su_joint, R, p, T_joint_su, up[blocks.log])
-        Y = kin.features()
-        GT = np.swapaxes(M, -1, -2) * self._weight[:, :, None, :]
-        residual = blocks.W @ (Y @ GT) - blocks.target * self._weight[:, :, None]
-        residual += blocks.W[..., :1] * (bias * self._weight)[:, :, None]
+        R_zero, p_zero = zero_frames(R, p, blocks.q, self.tree.prismatic)
+        point = Point(
+            R, p, R_zero, p_zero, joint_basis, up[blocks.log], blocks.log,
+            turn_basis(step.logs), self.tree.prismatic, T_joint_su, su_basis, bias, M,
+        )  # fmt: skip
         prior = np.concatenate([bias, shape], axis=1) * self._prior
         offsets = (
             T_parent_joint[:, :3, 3] / self.priors.position,
             T_joint_su[:, :3, 3] / self.priors.position,
         )
         frames = (state.T_parent_joint[:, :3, :3], state.T_joint_su[:, :3, :3])
-        zero = zero_frames(R, p, blocks.q, self.tree.prismatic)
-        basis, turns = (joint_basis, su_basis), turn_basis(step.logs)
-        return Evaluation(self, kin, zero, basis, turns, frames, Y, GT, residual, prior, offsets)
+        groups = tuple(group.at(point) for group in self._groups)
+        return Evaluation(self, groups, point, frames, prior, offsets)
 
     def zero_step(self) -> Step:
         """A step of zeros, of this problem's shapes."""
@@ -144,85 +139,75 @@ class Evaluation:
 
     Attributes:
         cost: the cost it belongs to.
-        kin: kinematics of all SUs.
-        residual: (P, U, m, 3) whitened residuals [standard deviations].
+        groups: residuals of the SUs, group by group.
         prior: (U, 9) residuals of bias and shape against their priors.
         offsets: (D, 3) and (U, 3) residuals of the offsets against theirs.
     """
 
     cost: Cost
-    kin: SuKinematics
-    _zero: tuple[F64, F64]
-    _basis: tuple[F64, F64]
-    _turns: F64
+    groups: tuple[Residuals, ...]
+    _point: Point
     _frames: tuple[F64, F64]
-    _Y: F64
-    _GT: F64
-    residual: F64
     prior: F64
     offsets: tuple[F64, F64]
 
+    @cached_property
+    def whole(self) -> Residuals:
+        """Residuals of all SUs in arrays of one length."""
+        return self.cost.whole.at(self._point)
+
     @property
+    def residual(self) -> F64:
+        """(P, U, m, 3) whitened residuals [standard deviations]."""
+        return self.whole.residual
+
+    @property
+    def kin(self) -> SuKinematics:
+        """Kinematics of all SUs."""
+        return self.whole.kin
+
+    @cached_property
     def chi2(self) -> float:
         """Sum of squared residuals and priors."""
-        parts = (self.residual, self.prior, *self.offsets)
+        parts = (*(group.residual for group in self.groups), self.prior, *self.offsets)
         return float(sum(np.vdot(part, part) for part in parts))
 
     def chi2_by_block(self) -> F64:
         """(P, U) chi-squared of each pose and SU."""
-        return np.asarray(np.einsum("puij,puij->pu", self.residual, self.residual))
+        out = np.zeros(self.cost.blocks.count.shape)
+        for each in self.groups:
+            r = each.residual
+            out[:, each.group.sus] = np.einsum("puij,puij->pu", r, r)
+        return out
 
     def gradient(self) -> Step:
         """Gradient of chi2 / 2 in the step's coordinates, in time linear in chain lengths."""
-        cost = self.cost
-        moved, turned = twist_maps(self.kin)
-        # Adjoint of the whitening: what each feature row contributes per unit change.
-        raw = np.swapaxes(cost.blocks.W, -1, -2) @ self.residual
-        e = raw @ np.swapaxes(self._GT, -1, -2)
-        rows_moved = np.einsum("pumij,pumi->pumj", moved, e)
-        rows_turned = np.einsum("pumij,pumi->pumj", turned, e)
-        P, U, L = self.kin.w.shape[:3]
-        by_moved = rows_moved[:, :, 1:].reshape(P, U, 2, L, 6).sum(axis=2)
-        by_turned = rows_turned[:, :, 1:].reshape(P, U, 2, L, 6).sum(axis=2)
-        before = np.cumsum(by_moved, axis=2) - by_moved
-        beyond = np.cumsum(by_turned[:, :, ::-1], axis=2)[:, :, ::-1]
-        wrench = rows_moved[:, :, :1] + before + beyond
-        twists = joint_twists(cost.blocks.chains, self.kin, *self._zero, self._basis[0])
-        per_joint = np.einsum("pulib,puli->ulb", twists, wrench).reshape(U, -1)
-        joint = np.zeros((cost.tree.n_joints, N_JOINT))
-        columns = cost._columns[:, : L * N_JOINT]
-        np.add.at(joint.reshape(-1), columns, per_joint)
-        logs = self._log_gradient(rows_turned.sum(axis=2))
-        su_twist = rows_moved.sum(axis=(0, 2))
-        placement = np.einsum("uij,ui->uj", self._basis[1], su_twist)
+        point, tree = self._point, self.cost.tree
+        wrench = np.zeros((*point.p.shape[:2], 6))
+        gravity = np.zeros_like(point.up)
+        sus = np.zeros((tree.n_sus, N_SU))
+        for each in self.groups:
+            part, own = each.adjoint(), each.group.sus
+            wrench += part.joints
+            gravity += part.gravity
+            S = part.sensor
+            sus[own, :N_PLACEMENT], sus[own, 6:9] = part.placement, part.bias
+            sus[own, 9:12] = np.einsum("uii->ui", S)
+            for i, (a, b) in enumerate(((1, 2), (0, 2), (0, 1))):
+                sus[own, 12 + i] = S[:, a, b] + S[:, b, a]
+        # From the base's origin to the joints' placements, and into their frames.
+        wrench[..., :3] -= cross(point.p_zero, wrench[..., 3:])
+        local = wrench.reshape(*wrench.shape[:2], 2, 3) @ point.R_zero
+        twist = local.sum(axis=0).reshape(tree.n_joints, 6)
+        joints = np.einsum("dib,di->db", point.joint_basis, twist)
+        by_log = np.zeros((self.cost.n_logs, 3))
+        np.add.at(by_log, point.log, gravity)
+        logs = (by_log[1:, None] @ point.turns)[:, 0]
         by_offset = self._offset_rows()
-        joint[:, :2] += np.einsum("dij,di->dj", by_offset[0], self.offsets[0])
-        placement[:, :3] += np.einsum("uij,ui->uj", by_offset[1], self.offsets[1])
-        weighted = raw * cost._weight[:, :, None]
-        return Step(joint, logs, np.concatenate([placement, self._intrinsic(weighted)], axis=1))
-
-    def _offset_rows(self) -> tuple[F64, F64]:
-        """Derivatives of the offset residuals in tx, ty (D, 3, 2) and tx, ty, tz (U, 3, 3)."""
-        scale = 1 / self.cost.priors.position
-        return self._frames[0][..., :2] * scale, self._frames[1] * scale
-
-    def _intrinsic(self, raw: F64) -> F64:
-        """(U, 9) gradient in bias and shape from unwhitened, noise-weighted residuals."""
-        bias = raw[:, :, 0].sum(axis=0)
-        outer = np.einsum("pumi,pumj->uij", raw, self._Y)
-        shape = np.stack(
-            [outer[:, 0, 0], outer[:, 1, 1], outer[:, 2, 2],
-             outer[:, 1, 2] + outer[:, 2, 1], outer[:, 0, 2] + outer[:, 2, 0],
-             outer[:, 0, 1] + outer[:, 1, 0]], axis=1,
-        )  # fmt: skip
-        return np.concatenate([bias, shape], axis=1) + self.prior * self.cost._prior
-
-    def _log_gradient(self, wrench: F64) -> F64:
-        """(G - 1, 2) gradient in the turns of gravity, from gravity's rows (P, U, 6)."""
-        world = -(self.kin.R @ wrench[..., :3, None])[..., 0].sum(axis=1)
-        out = np.zeros((self.cost.n_logs, 3))
-        np.add.at(out, self.cost.blocks.log, world)
-        return (out[1:, None] @ self._turns)[:, 0]
+        joints[:, :2] += np.einsum("dij,di->dj", by_offset[0], self.offsets[0])
+        sus[:, :3] += np.einsum("uij,ui->uj", by_offset[1], self.offsets[1])
+        sus[:, N_PLACEMENT:] += self.prior * self.cost._prior
+        return Step(joints, logs, sus)
 
     def jacobian(self) -> tuple[F64, F64]:
         """Derivatives of the whitened residuals.
@@ -232,96 +217,56 @@ class Evaluation:
             part (U, P m 3 + 12, 15), whose last rows are the priors of bias, shape and offset. The
             priors of the joints' offsets have no rows here.
         """
-        cost = self.cost
-        moved, turned = twist_maps(self.kin)
-        P, U, m = moved.shape[:3]
-        L = self.kin.w.shape[2]
-        G = np.swapaxes(self._GT, -1, -2)[:, :, None]
-        moved, turned = G @ moved, G @ turned
-        twists = joint_twists(cost.blocks.chains, self.kin, *self._zero, self._basis[0])
-        X = np.swapaxes(twists, 2, 3).reshape(P, U, 6, L * N_JOINT)
-        flat = (P, U, m * 3, 6)
-        by_turned = (turned.reshape(flat) @ X).reshape(P, U, m, 3, L, N_JOINT)
-        by_moved = (moved.reshape(flat) @ X).reshape(P, U, m, 3, L, N_JOINT)
-        mask = np.broadcast_to(self._row_before(m), (1, U, m, 1, L, 1))
-        raw = np.where(mask, by_moved, by_turned).reshape(P, U, m, 3, L * N_JOINT)
-        if cost.n_logs > 1:
-            raw = np.concatenate([raw, self._log_columns(turned)], axis=-1)
-        C = raw.shape[-1]
-        su_raw = np.zeros((P, U, m, 3, N_SU))
-        su_raw[..., :N_PLACEMENT] = moved @ self._basis[1][None, :, None]
-        su_raw[:, :, 0, :, 6:9] = np.eye(3) * cost._weight[:, :, :, None]
-        y = self._Y * 1.0
-        for i, (a, b) in enumerate(((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))):
-            su_raw[..., a, 9 + i] = y[..., b] * cost._weight[:, :, None, a]
-            su_raw[..., b, 9 + i] = y[..., a] * cost._weight[:, :, None, b]
-        both = np.concatenate([raw, su_raw], axis=-1).reshape(P, U, m, 3 * (C + N_SU))
-        J = (cost.blocks.W @ both).reshape(P, U, m * 3, C + N_SU)
-        J = np.swapaxes(J, 0, 1).reshape(U, P * m * 3, C + N_SU)
-        prior_rows = np.zeros((U, 12, N_SU))
-        prior_rows[:, :9, N_PLACEMENT:] = np.diag(cost._prior)
-        prior_rows[:, 9:, :3] = self._offset_rows()[1]
-        return J[..., :C], np.concatenate([J[..., C:], prior_rows], axis=1)
+        J = self.whole.jacobian()
+        C = J.shape[-1] - N_SU
+        return J[..., :C], np.concatenate([J[..., C:], self._prior_rows()], axis=1)
 
     def encoder_jacobian(self) -> F64:
-        """Derivatives of the whitened residuals in what the encoders say.
+        """(P, U, 3 m, 2 L) derivatives of the whitened residuals in what the encoders say.
 
-        Returns:
-            (P, U, 3 m, 2 L): first in the position of each joint of the SU's chain, then in the
-            logarithm of its coefficients ``s_d`` and ``tau_d``.
+        First in the position of each joint of the SU's chain, then in the logarithm of its
+        coefficients ``s_d`` and ``tau_d``.
         """
-        cost = self.cost
-        moved, turned = twist_maps(self.kin)
-        P, U, m = moved.shape[:3]
-        L = self.kin.w.shape[2]
-        about_z = np.zeros((cost.tree.n_joints, 6, 1))
-        about_z[np.arange(cost.tree.n_joints), np.where(cost.tree.prismatic, 5, 2)] = 1.0
-        twists = joint_twists(cost.blocks.chains, self.kin, *self._zero, about_z)
-        X = np.swapaxes(twists[..., 0], 2, 3)[:, :, None]
-        before = self._row_before(m)[..., 0]
-        rows = np.where(before, moved @ X, turned @ X)
-        own = np.zeros((P, U, m, 3, L))
-        for i in range(L):
-            for row in (1 + i, 1 + L + i):
-                own[:, :, row, :, i] = self._Y[:, :, row]
-        G = np.swapaxes(self._GT, -1, -2)[:, :, None]
-        both = (G @ np.concatenate([rows, own], axis=-1)).reshape(P, U, m, 3 * 2 * L)
-        return np.asarray((cost.blocks.W @ both).reshape(P, U, 3 * m, 2 * L))
-
-    def _row_before(self, m: int) -> F64:
-        """(1, U, m, 1, L, 1) True where a row's joint lies before the column's placement."""
-        before = self.cost._before
-        first = np.ones_like(before[:, :, :1])
-        return np.concatenate([first, before, before], axis=2)[:, :, :m, None, :, None]
-
-    def _log_columns(self, turned: F64) -> F64:
-        """(P, U, m, 3, 2 (G - 1)) derivatives in the turns of gravity."""
-        Rt = np.swapaxes(self.kin.R, -1, -2)[:, :, None]
-        poses = np.arange(turned.shape[0])
-        B = np.concatenate([np.zeros((1, 3, 2)), self._turns])[self.cost.blocks.log]
-        columns = -(turned[..., :3] @ (Rt @ B[:, None, None]))
-        out = np.zeros((*columns.shape[:-1], self.cost.n_logs, 2))
-        out[poses, :, :, :, self.cost.blocks.log] = columns
-        return out[..., 1:, :].reshape(*columns.shape[:-1], -1)
+        return self.whole.encoder_jacobian()
 
     def normal_equations(self) -> NormalEquations:
         """Gauss-Newton information and gradient of chi2 / 2."""
         cost = self.cost
-        Jj, Js = self.jacobian()
-        U, N, _ = Jj.shape
-        r = np.swapaxes(self.residual, 0, 1).reshape(U, N)
-        r_full = np.concatenate([r, self.prior, self.offsets[1]], axis=1)
-        Jt = np.swapaxes(Jj, 1, 2)
-        Jst = np.swapaxes(Js, 1, 2)
         n = cost.tree.n_joints * N_JOINT + 2 * (cost.n_logs - 1)
+        columns = cost.columns
+        U, C = columns.shape
         H, g = np.zeros((n, n)), np.zeros(n)
-        columns = cost._columns
-        np.add.at(H, (columns[:, :, None], columns[:, None, :]), Jt @ Jj)
-        np.add.at(g, columns, (Jt @ r[..., None])[..., 0])
+        prior_rows = self._prior_rows()
+        su = np.swapaxes(prior_rows, 1, 2) @ prior_rows
+        prior = np.concatenate([self.prior, self.offsets[1]], axis=1)
+        su_gradient = np.einsum("uri,ur->ui", prior_rows, prior)
+        mixed = np.zeros((U, N_SU, C))
+        for each in self.groups:
+            J, own, at = each.jacobian(), each.group.sus, each.group.columns
+            r = np.swapaxes(each.residual, 0, 1).reshape(len(own), -1, 1)
+            products = np.swapaxes(J, 1, 2) @ np.concatenate([J, r], axis=2)
+            c = at.shape[1]
+            np.add.at(H, (at[:, :, None], at[:, None, :]), products[:, :c, :c])
+            np.add.at(g, at, products[:, :c, -1])
+            su[own] += products[:, c:, c:-1]
+            su_gradient[own] += products[:, c:, -1]
+            n_logs = 2 * (cost.n_logs - 1)
+            to = np.r_[: c - n_logs, C - n_logs : C]
+            mixed[own[:, None, None], np.arange(N_SU)[:, None], to] = products[:, c:, :c]
         rows = self._offset_rows()[0]
         own = np.arange(cost.tree.n_joints)[:, None] * N_JOINT + np.arange(2)
         H[own[:, :, None], own[:, None, :]] += np.swapaxes(rows, 1, 2) @ rows
         g[own] += np.einsum("dij,di->dj", rows, self.offsets[0])
-        return NormalEquations(
-            H, g, Jst @ Js, (Jst @ r_full[..., None])[..., 0], Jst[:, :, :N] @ Jj, columns
-        )
+        return NormalEquations(H, g, su, su_gradient, mixed, columns)
+
+    def _prior_rows(self) -> F64:
+        """(U, 12, 15) derivatives of the SUs' priors: bias and shape, then offsets."""
+        rows = np.zeros((self.cost.tree.n_sus, 12, N_SU))
+        rows[:, :9, N_PLACEMENT:] = np.diag(self.cost._prior)
+        rows[:, 9:, :3] = self._offset_rows()[1]
+        return rows
+
+    def _offset_rows(self) -> tuple[F64, F64]:
+        """Derivatives of the offset residuals in tx, ty (D, 3, 2) and tx, ty, tz (U, 3, 3)."""
+        scale = 1 / self.cost.priors.position
+        return self._frames[0][..., :2] * scale, self._frames[1] * scale

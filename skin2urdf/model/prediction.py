@@ -146,6 +146,37 @@ def twist_maps(kin: SuKinematics) -> tuple[F64, F64]:
     return moved, turned
 
 
+def wrenches(kin: SuKinematics, features: F64, e: F64) -> tuple[F64, F64, F64]:
+    """What a cost with gradient e in the features feels of twists: the adjoint of `twist_maps`.
+
+    Args:
+        kin: kinematics of the SUs.
+        features: (P, U, m, 3) their predicted features.
+        e: (P, U, m, 3) gradient of the cost in them.
+
+    Returns:
+        Moment and force at the SUs' origins in their frames, per unit turn and shift of the SU's
+        own placement (P, U, 6) and of each joint's placement before it (P, U, L, 6), and the
+        moment per unit turn of everything but gravity (P, U, 3).
+    """
+    L = kin.w.shape[2]
+    slopes, e_slopes, e_levers = features[:, :, 1 : 1 + L], e[:, :, 1 : 1 + L], e[:, :, 1 + L :]
+    first = cross(e[:, :, 0], kin.f0)
+    moved = np.empty((*kin.w.shape[:3], 6))
+    moved[..., :3] = cross(e_slopes, slopes) + cross(e_levers, kin.v)
+    moved[..., 3:] = cross(e_levers, kin.w)
+    turned = cross(kin.f0[:, :, None], cross(e_slopes, kin.w))
+    before = np.cumsum(moved, axis=2)
+    up_to = np.cumsum(turned, axis=2)
+    gravity = first + up_to[:, :, -1]
+    at_su = before[:, :, -1].copy()
+    at_su[..., :3] += first
+    at_joints = before - moved
+    # Joints at or beyond a placement move along with it; only gravity turns past them.
+    at_joints[..., :3] += gravity[:, :, None] - up_to + turned
+    return at_su, at_joints, gravity
+
+
 def zero_frames(R_base_joint: F64, p_base_joint: F64, q: F64, prismatic: Bool) -> tuple[F64, F64]:
     """Joint frames with each joint's own motion undone: where its placement puts it.
 

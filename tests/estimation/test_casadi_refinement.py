@@ -89,7 +89,8 @@ def test_bending_is_the_second_derivative_along_screws(
     second = (plus.residual - 2 * here.residual + minus.residual) / h**2
     ends = [e.offsets for e in (plus, here, minus)]
     offsets = tuple((p - 2 * o + m) / h**2 for p, o, m in zip(*ends, strict=True))
-    bent = replace(here, residual=second, prior=np.zeros_like(here.prior), offsets=offsets)
+    groups = (replace(here.whole, residual=second),)
+    bent = replace(here, groups=groups, prior=np.zeros_like(here.prior), offsets=offsets)
     expected = bent.gradient().flat()
     found = SymbolicCost(cost).linearised(state).bending(step)
     np.testing.assert_allclose(found.flat(), expected, atol=1e-5 * abs(expected).max())

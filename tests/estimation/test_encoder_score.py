@@ -41,9 +41,9 @@ def test_the_encoder_jacobian_is_that_of_differences() -> None:
                 own = list(cost.blocks.chains.joint[u, : cost.blocks.chains.length[u]])
                 expected = K[p, u, :, own.index(d)] if d in own else np.zeros(rows)
                 assert change[p, u] == pytest.approx(expected, rel=1e-5, abs=1e-4 * abs(K).max())
-    grown = np.array(cost.at(state)._Y)
+    grown = np.array(cost.at(state).whole.Y)
     grown[:, :, 0] = 0.0
-    exact = cost.blocks.W @ (grown @ cost.at(state)._GT)
+    exact = cost.blocks.W @ (grown @ cost.at(state).whole.GT)
     assert K[..., L:].sum(axis=-1) == pytest.approx(exact.reshape(P, U, rows))
 
 

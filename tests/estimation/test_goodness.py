@@ -108,7 +108,7 @@ def test_a_held_out_pose_is_one_that_was_left_out(off: float) -> None:
         for u in range(U):
             at = slice(pose * rows, (pose + 1) * rows)
             block = J[u * rows : (u + 1) * rows]
-            np.add.at(block.T, apart.cost._columns[u], joint[u, at].T)
+            np.add.at(block.T, apart.cost.columns[u], joint[u, at].T)
             block[:, n + 15 * u : n + 15 * u + 15] = su[u, at]
         free = np.concatenate([apart.free.joints.ravel(), apart.free.sus.ravel()])
         covariance = np.zeros((n + 15 * U, n + 15 * U))

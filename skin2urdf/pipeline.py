@@ -23,6 +23,7 @@ from skin2urdf.recording.records import Recording
 from skin2urdf.rounds import Clock, Progress
 from skin2urdf.signals.sampling import Sampled
 from skin2urdf.structure.records import KinematicTree
+from skin2urdf.structure.unknown_positions import unknown_position_notes
 
 
 def calibrate(
@@ -76,7 +77,16 @@ def calibrate(
         sources=tuple(Source(r.source, r.digest, r.duration) for r in recordings),
         settings=settings,
         faults=distinct((*features.faults, *solution.faults)),
-        notes=tuple(dict.fromkeys((*features.notes, *tree.notes, *health_notes(found, fit)))),
+        notes=tuple(
+            dict.fromkeys(
+                (
+                    *features.notes,
+                    *tree.notes,
+                    *unknown_position_notes(features, tree),
+                    *health_notes(found, fit),
+                )
+            )
+        ),
         seconds=clock.seconds,
     )
 

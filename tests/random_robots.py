@@ -20,7 +20,7 @@ Vector = tuple[float, ...]
 
 @dataclass(frozen=True)
 class Joint:
-    """A joint and the link it carries, which is called after the joint.
+    """A joint and the link it carries, ``link_`` and the joint's name.
 
     Attributes:
         name: its name.
@@ -74,17 +74,18 @@ def robot_of(joints: tuple[Joint, ...], folder: Path, skin: SkinLayout | None = 
     """Joints as a URDF on disk, ready to be simulated."""
     parts = ['<robot name="robot"><link name="base"/>']
     for joint in joints:
-        parent = joints[joint.parent].name if joint.parent >= 0 else "base"
+        parent = f"link_{joints[joint.parent].name}" if joint.parent >= 0 else "base"
         limits = (
             "" if joint.kind == "continuous" else 'lower="{}" upper="{}" '.format(*joint.limits)
         )
         speed = 0.6 if joint.kind == "prismatic" else 3.0
         parts.append(
-            f'<link name="{joint.name}"><inertial><origin xyz="0.02 0.03 0.1"/><mass value="1"/>'
+            f'<link name="link_{joint.name}"><inertial>'
+            '<origin xyz="0.02 0.03 0.1"/><mass value="1"/>'
             '<inertia ixx="0.01" ixy="0" ixz="0" iyy="0.01" iyz="0" izz="0.01"/></inertial></link>'
             f'<joint name="{joint.name}" type="{joint.kind}">'
             f'<origin xyz="{_text(joint.xyz)}" rpy="{_text(joint.rpy)}"/>'
-            f'<parent link="{parent}"/><child link="{joint.name}"/>'
+            f'<parent link="{parent}"/><child link="link_{joint.name}"/>'
             f'<axis xyz="{_text(joint.axis)}"/><limit {limits}effort="100" velocity="{speed}"/>'
             "</joint>"
         )

@@ -10,6 +10,7 @@ from skin2urdf.arrays import F64, Int, frozen
 from skin2urdf.model.prediction import Chains
 from skin2urdf.signals.records import Features
 from skin2urdf.structure.records import KinematicTree
+from skin2urdf.structure.unknown_positions import usable
 
 _RANK_TOLERANCE = 1e-9
 """Relative eigenvalue below which a regressor combination counts as not excited."""
@@ -129,7 +130,9 @@ def feature_blocks(features: Features, tree: KinematicTree) -> FeatureBlocks:
     variance = np.full((P, U, m), np.inf)
     count = np.zeros((P, U), dtype=np.int64)
     L = chains.joint.shape[1]
-    valid = features.valid[:, su]
+    valid = features.valid[:, su] & usable(features, tree)
+    noise = np.where(valid[..., None], features.noise[:, su], np.inf)
+    position_sd = np.where(np.isfinite(features.position_sd), features.position_sd, 0.0)
     for length in np.unique(chains.length):
         us = np.flatnonzero(chains.length == length)
         own = dof[chains.joint[us, :length]]
@@ -142,11 +145,9 @@ def feature_blocks(features: Features, tree: KinematicTree) -> FeatureBlocks:
         info = info[:, pick[..., None], rows[:, :, None], rows[:, None, :]]
         info = info * valid[:, us, None, None]
         measured = features.coefficients[:, su[us]][:, pick, rows]
-        info, eta = _blurred(
-            info, eta, measured, features.noise[:, su[us]], features.position_sd[:, own]
-        )
+        info, eta = _blurred(info, eta, measured, noise[:, us], position_sd[:, own])
         hidden = features.hidden[:, own[:, :, None], own[:, None, :]]
-        info, eta = _leaked(info, eta, measured, features.noise[:, su[us]], hidden)
+        info, eta = _leaked(info, eta, measured, noise[:, us], hidden)
         scale = np.sqrt(np.maximum(np.einsum("puii->pui", info), 0.0))
         inverse_scale = np.divide(1.0, scale, out=np.zeros_like(scale), where=scale > 0)
         lam, V = np.linalg.eigh(info * inverse_scale[..., :, None] * inverse_scale[..., None, :])
@@ -166,5 +167,5 @@ def feature_blocks(features: Features, tree: KinematicTree) -> FeatureBlocks:
         count[:, us] = 3 * excited.sum(axis=-1)
     return FeatureBlocks(
         chains, tree.su_joint, features.q[:, dof], features.log, W, target,
-        features.noise[:, su], count, coefficients, variance,
+        noise, count, coefficients, variance,
     )  # fmt: skip

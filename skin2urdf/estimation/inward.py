@@ -52,6 +52,9 @@ def inward_starts(
             up = np.where(np.isnan(up), h @ R.T, up)
         axes = np.where(np.isnan(axes), (0.0, 0.0, 1.0), axes)
         up = np.where(np.isnan(up), (0.0, 0.0, 1.0), up)
+        # The limb that came first need not be in the first log, whose up is z.
+        R = frame_with_z(up[0]).T
+        axes, up = axes @ R.T, up @ R.T
         yield with_all_sus(tree, blocks, axes, up, priors)
 
 
@@ -71,13 +74,13 @@ def _tips(tree: KinematicTree, blocks: FeatureBlocks) -> list[int]:
 
 def _onto_base(known: F64, k: F64, up: F64, h: F64) -> F64:
     """R_base_tip that turns a limb's axes k and ups h onto what is already in the base frame."""
-    if np.isnan(up[0]).any():
-        first = frame_with_z(h[np.flatnonzero(np.isfinite(h).all(axis=1))[0]])
-        return np.asarray(first.T)
     shared = np.isfinite(known).all(axis=1)
     logs = np.isfinite(up).all(axis=1) & np.isfinite(h).all(axis=1)
     reference = np.concatenate([known[shared], up[logs]])
     body = np.concatenate([k[shared], h[logs]])
+    if not len(body):
+        first = frame_with_z(h[np.flatnonzero(np.isfinite(h).all(axis=1))[0]])
+        return np.asarray(first.T)
     if len(body) < 2:
         return np.asarray(frame_with_z(reference[0]) @ frame_with_z(body[0]).T)
     R, _ = wahba(body, reference, np.ones(len(body)))

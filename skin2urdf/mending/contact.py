@@ -48,7 +48,8 @@ def pushed_joint(touched: Disturbance, found: Estimate, su_names: tuple[str, ...
     column = np.array([su_names.index(name) for name in tree.su_names], dtype=np.int64)
     kin = found.cost.at(found.state).kin
     rows = kin.features()[touched.pose]
-    noise = touched.noise[column, None]
+    # An SU that this log lacks has neither residuals nor noise.
+    noise = np.maximum(touched.noise[column, None], 1e-6)
     y = (touched.residual[:, column] / noise[None]).reshape(len(touched.residual), -1)
     white = rows / noise[:, None]
     left = [_unexplained(y, _effects(white, blocks.chains, j)) for j in range(tree.n_joints)]

@@ -135,6 +135,7 @@ def _poses(s: Sampled, lag: F64, curvature: Curvature | None, log: int) -> list[
             beyond, expected = curvature(pose.q, dq, qd, qdd, log)
             y = y - beyond
         still = (np.abs(qd) < _STILL * motion.resolution).mean(axis=0)
+        offset = np.where(motion.named, still * motion.noise, np.inf)
         hidden = hidden_motion(qd, qdd, motion.resolution)
         columns = np.concatenate([X, Z, y.reshape(len(y), -1)], axis=1)
         kept, usable, lost, at = [], [], [], 0
@@ -152,7 +153,7 @@ def _poses(s: Sampled, lag: F64, curvature: Curvature | None, log: int) -> list[
         ok = np.concatenate(usable)
         found = _regress(
             pose.q, log, X, Z, y.reshape(len(y), -1, 3), ok, expected, noise,
-            (still * motion.noise, hidden, span), (independence, rate / every, s.cutoff),
+            (offset, hidden, span), (independence, rate / every, s.cutoff),
         )  # fmt: skip
         out.append(replace(found, noise=found.noise / _measured(ok, np.concatenate(lost))))
     return [p for p in out if np.isfinite(p.noise).any()]

@@ -32,6 +32,7 @@ class Motion:
         resolution: (D,) smallest step an encoder makes [rad or m]; 0 where it has none.
         noise: (D,) standard deviation of one raw position sample [rad or m].
         raw_rate: (D,) samples per second of the raw streams [Hz].
+        named: (D,) False for joints that the log lacks; their ``q`` is 0.
         wraps: (D,) True where the log wraps the position into one turn; ``q`` does not.
     """
 
@@ -44,12 +45,14 @@ class Motion:
     resolution: F64
     noise: F64
     raw_rate: F64
+    named: Bool
     wraps: Bool
 
     def __post_init__(self) -> None:
         for name in ("q", "qd", "qdd", "resolution", "noise", "raw_rate"):
             object.__setattr__(self, name, frozen(getattr(self, name)))
-        object.__setattr__(self, "wraps", frozen(self.wraps, np.bool_))
+        for name in ("named", "wraps"):
+            object.__setattr__(self, name, frozen(getattr(self, name), np.bool_))
 
 
 def joint_motion(recording: Recording, dof_names: Sequence[str] | None = None) -> Motion:
@@ -58,7 +61,7 @@ def joint_motion(recording: Recording, dof_names: Sequence[str] | None = None) -
     Args:
         recording: the log.
         dof_names: which joints, in which order; all of the log by default. A joint the log lacks
-            is taken to rest at 0.
+            rests somewhere; its position is set to 0.
 
     Raises:
         InsufficientDataError: no joint stream has enough samples, or they do not overlap.
@@ -99,10 +102,11 @@ def joint_motion(recording: Recording, dof_names: Sequence[str] | None = None) -
             resolution[d], noise[d] = encoder_noise(stream)
             rate[d] = 1 / float(np.median(np.diff(stream.time)))
     smooth = filtered(q, low_pass(GRID_RATE / 5, GRID_RATE))
+    named = np.array([name in found for name in names])
     wraps = np.array([name in found and found[name][1] for name in names])
     return Motion(
         grid, names, q, first_derivative(smooth, GRID_RATE), second(smooth, GRID_RATE),
-        valid, resolution, noise, rate, wraps,
+        valid, resolution, noise, rate, named, wraps,
     )  # fmt: skip
 
 

@@ -59,7 +59,7 @@ class Features:
         noise: (P, U, 3) standard deviation of one independent sample per axis [m/s^2];
             infinite where an SU has no samples around a pose.
         position_sd: (P, D) standard deviation of the reference positions: encoders at rest are off
-            by a constant up to half a step [rad or m].
+            by a constant up to half a step; infinite for joints that a log lacks [rad or m].
         hidden: (P, D, D) mean square motion of joint e that its encoder rounds away in step with
             the pattern of DoF d, per mean square acceleration of d, at [d, e].
         span: (P, 2) begin of the first and end of the last interval around each pose, on the clock

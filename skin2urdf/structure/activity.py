@@ -41,7 +41,7 @@ class Activity:
         static: (U, D) largest change of a static reading when only that DoF moved, over the
             threshold; NaN where no such move was recorded.
         dynamic: (U, D) what the reading owes to a DoF's pattern, over what chance and the
-            second-order effects of other patterns can make.
+            second-order effects of other patterns can make; NaN where none was recorded.
         static_doubt: (D,) largest static evidence that noise and the small motions of other joints
             can have made.
         excited: (D,) False for DoFs that never moved.
@@ -68,7 +68,8 @@ class Activity:
 
         A DoF that turns gravity turns it by the same angle in every SU beyond it: where the largest
         static effect stands out from doubt, all SUs are judged by how close they come to it.
-        Dynamic evidence decides for the DoFs that turn no gravity in this log.
+        Dynamic evidence decides for the DoFs that turn no gravity in this log. An SU that was not
+        recorded while a DoF moved is undecided, 0.
         """
         static = np.nan_to_num(self.static, nan=0.0)
         largest = static.max(axis=0, initial=0.0)
@@ -77,8 +78,14 @@ class Activity:
         beyond = np.where(relative >= 1.0, relative * _SHARE, np.inf)
         alike = beyond.min(axis=0, initial=np.inf) > _ALIKE
         known = np.isfinite(self.static) & (largest >= self.static_doubt) & alike
-        strongest = np.where(known, relative, np.maximum(static, self.dynamic))
-        return np.asarray(np.log(np.maximum(strongest, 1e-3)))
+        dynamic = np.nan_to_num(self.dynamic, nan=0.0)
+        strongest = np.where(known, relative, np.maximum(static, dynamic))
+        return np.where(self.tested, np.log(np.maximum(strongest, 1e-3)), 0.0)
+
+    @property
+    def tested(self) -> Bool:
+        """(U, D) False for SUs that were not recorded while a DoF moved."""
+        return np.isfinite(self.static) | np.isfinite(self.dynamic)
 
     @property
     def matrix(self) -> Bool:
@@ -97,7 +104,7 @@ class Activity:
         for name in dofs:
             d = self.dof_names.index(name)
             u = int(np.argmax(self.evidence[:, d]))
-            dynamic[u, d] = max(dynamic[u, d], 1.01)
+            dynamic[u, d] = np.fmax(dynamic[u, d], 1.01)
         return replace(self, dynamic=dynamic)
 
 
@@ -123,7 +130,7 @@ def activity(features: Features, threshold: float = STATIC_THRESHOLD) -> Activit
             others = float(moves.doubt[mine].max()) / threshold
             static_doubt[d] = min(1.0, _SMALLEST_STATIC + 3 * others)
     significance, effect = np.zeros((U, D)), np.zeros((U, D))
-    excited = np.zeros(D, dtype=bool)
+    patterned, excited = np.zeros((U, D), dtype=bool), np.zeros(D, dtype=bool)
     finite = features.valid
     noise2 = np.where(finite[..., None], features.noise, 0.0) ** 2
     samples = features.information[:, :, 0, 0] * finite
@@ -139,6 +146,7 @@ def activity(features: Features, threshold: float = STATIC_THRESHOLD) -> Activit
         info = own[:, :, d]
         seen = (np.einsum("puii->pu", info) > 0) & finite
         excited[d] = bool(seen.any()) or bool((moves.dof == d).any())
+        patterned[:, d] = seen.any(axis=0)
         explained = np.einsum("puia,puij,puja->pu", c, info, c) * seen
         variance = noise2.mean(axis=-1) * seen
         chance = 6 * variance.sum(axis=0)
@@ -150,6 +158,7 @@ def activity(features: Features, threshold: float = STATIC_THRESHOLD) -> Activit
         effect[:, d] = np.sqrt(np.maximum(explained.sum(axis=0) - chance, 0.0) / weight)
     doubt = np.minimum(unmodelled[:, None], _SECOND_ORDER * _largest_other(effect))
     dynamic = np.minimum(significance, effect / (_SMALLEST_EFFECT + doubt))
+    dynamic[~patterned] = np.nan
     return Activity(
         features.su_names, features.dof_names, static, dynamic, static_doubt, excited,
         np.asarray(finite.any(axis=0)),

@@ -41,12 +41,15 @@ def kinematic_tree(activity: Activity, features: Features) -> KinematicTree:
     felt = bits.any(axis=0)
     for d in np.flatnonzero(~felt):
         why = "no SU feels it" if activity.excited[d] else "it never moved in this log"
+        if activity.excited[d] and not activity.tested[heard, d].all():
+            why = "no SU that was recorded while it moved feels it"
         notes.append(f"{activity.dof_names[d]} is left out of the tree: {why}")
     if not felt.any():
         raise StructureError(
             "no SU is moved by any DoF: every row of the activity matrix is empty",
             "check that the joints moved during the log, and that the SUs sit on moving segments",
         )
+    notes += _never_together(activity, heard, bits)
     if bits.any(axis=1).all():
         notes.append("no SU sits on the reference segment")
     dofs = sorted(np.flatnonzero(felt), key=lambda d: (-int(bits[:, d].sum()), int(d)))
@@ -63,6 +66,20 @@ def kinematic_tree(activity: Activity, features: Features) -> KinematicTree:
         np.array(su_joint, dtype=np.int64),
         tuple(notes),
     )
+
+
+def _never_together(activity: Activity, heard: Int, bits: Bool) -> list[str]:
+    """Words about SUs that no log holds while some DoF moved, so that nothing ties them to it."""
+    open_ = ~activity.tested[heard] & ~bits & bits.any(axis=0)
+    groups: dict[bytes, list[int]] = {}
+    for d in np.flatnonzero(open_.any(axis=0)):
+        groups.setdefault(open_[:, d].tobytes(), []).append(int(d))
+    return [
+        f"{', '.join(activity.su_names[u] for u in heard[open_[:, dofs[0]]])} were not recorded "
+        f"while {', '.join(activity.dof_names[d] for d in dofs)} moved and are taken not to move "
+        "with them; if they do, record both in one log"
+        for dofs in groups.values()
+    ]
 
 
 def nested(

@@ -11,12 +11,16 @@ from scipy.stats import chi2 as chi_squared
 from skin2urdf.arrays import F64, Int
 from skin2urdf.estimation.encoder_score import encoder_scores
 from skin2urdf.estimation.estimate import Estimate
+from skin2urdf.model.spatial import skew
 from skin2urdf.signals.records import EncoderError, Features
 
 _FALSE_ALARM = 1e-6
 """Probability that any hypothesis passes where all encoders are right."""
 _LARGEST_SCALE = 2.0
 """Factor by which one step may correct a scale; the next estimate goes on from there."""
+
+_GROSS = 0.25
+"""Logarithm of a scale that slopes, noisy as they are, tell from 1."""
 
 
 @dataclass(frozen=True)
@@ -63,6 +67,36 @@ def suspicions(found: Estimate, features: Features) -> tuple[Suspicion, ...]:
                 bool(scaled > limit),
             )
         )
+    return tuple(out)
+
+
+def gross_scales(found: Estimate) -> tuple[EncoderError, ...]:
+    """Scales far from 1, from the slopes alone: no estimate of the robot is needed.
+
+    In the frame of an SU, the axis w of the joint it sits on is the same in every pose, so that
+    ``s = f0 x w`` is linear in w, whose length is 1 where the encoder reports radians.
+
+    Args:
+        found: an estimate, however bad; its tree and its blocks count.
+    """
+    tree, blocks = found.tree, found.cost.blocks
+    out = []
+    for j, name in enumerate(tree.joint_names):
+        scales = []
+        for u in np.flatnonzero((tree.su_joint == j) & ~tree.prismatic[tree.su_joint]):
+            row = int(blocks.chains.length[u])
+            known = np.isfinite(blocks.variance[:, u, row])
+            if known.sum() < 2:
+                continue
+            f0, s = blocks.coefficients[known, u, 0], blocks.coefficients[known, u, row]
+            weight = blocks.variance[known, u, row, None] ** -0.5
+            w, *_ = np.linalg.lstsq(
+                (skew(f0) * weight[..., None]).reshape(-1, 3), (s * weight).ravel(), rcond=None
+            )
+            scales.append(1 / max(float(np.linalg.norm(w)), 1e-6))
+        middle = float(np.median(scales)) if scales else 1.0
+        if abs(np.log(middle)) > _GROSS:
+            out.append(EncoderError("scale", name, middle))
     return tuple(out)
 
 

@@ -16,7 +16,7 @@ import numpy as np
 from skin2urdf.calibration import BAD_FIT, GOOD_FIT, CalibrationSettings
 from skin2urdf.errors import InsufficientDataError, StructureError
 from skin2urdf.estimation.encoder_signs import reversed_encoders
-from skin2urdf.estimation.encoders import suspicions
+from skin2urdf.estimation.encoders import gross_scales, suspicions
 from skin2urdf.estimation.estimate import Estimate
 from skin2urdf.faults import Fault
 from skin2urdf.mending.solution import Solution, solved
@@ -142,17 +142,26 @@ def _with_signs(encoders: Encoders, first: Solution) -> tuple[Encoders, Solution
 def _diagnosed(solution: Solution) -> list[EncoderError]:
     """Errors of encoders that explain a solution's misfit, found on its features alone."""
     rounds, found, features = solution.rounds, solution.found, solution.features
-    errors: list[EncoderError] = []
+    errors = list(gross_scales(found)) if _hopeless(found) else []
+    for error in errors:
+        features = corrected_features(features, error)
+    if errors:
+        found = rounds.estimated(found.tree, features, None)
     for _ in range(_STEPS):
         suspects = suspicions(found, features)[:1]
         # Far from any fit the test is far from linear, and there is nothing to lose.
-        enough = _MOST_OF_IT if found.cost_per_dof <= BAD_FIT else _PART_OF_IT
+        enough = _PART_OF_IT if _hopeless(found) else _MOST_OF_IT
         if not any(s.significant and s.share > enough for s in suspects):
             break
         errors.append(suspects[0].error)
         features = corrected_features(features, errors[-1])
         found = rounds.estimated(found.tree, features, found.state)
     return errors
+
+
+def _hopeless(found: Estimate) -> bool:
+    """Whether no estimate explains the readings, before any of them are weighed down."""
+    return bool(found.chi2_by_block.sum() > BAD_FIT * found.count.sum())
 
 
 def _better(before: Estimate, after: Estimate) -> bool:

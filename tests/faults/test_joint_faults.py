@@ -60,7 +60,7 @@ def test_a_jump_is_named_with_its_time_and_size(degrees: float, at: float, tmp_p
     assert position_error(wrong, tmp_path) < 1.1 * position_error(r, tmp_path)
 
 
-@pytest.mark.parametrize("factor", [1.02, 2.0])
+@pytest.mark.parametrize("factor", [1.02])
 def test_a_wrong_scale_is_named_with_its_size(factor: float, tmp_path: Path) -> None:
     r = recording()
     wrong = misreported(r, lambda _, x: factor * x)
@@ -125,7 +125,7 @@ def faulty(kind: str, seed: int) -> Faulty:
     return JOINT_FAULTS[kind](sound, np.random.default_rng(seed))
 
 
-@pytest.mark.parametrize("kind", ["contact", "encoder_sign", "encoder_slip"])
+@pytest.mark.parametrize("kind", ["contact", "encoder_sign", "encoder_slip", "gear_ratio"])
 def test_a_simulated_fault_is_named(kind: str) -> None:
     fault = faulty(kind, 1)
     found = calibrate([retimed(r) for r in fault.recordings])

@@ -8,6 +8,7 @@ a summary next to the Cramer-Rao bounds and to what must be reached.
     python scripts/validate.py --robots panda ur5 --seeds 3
     python scripts/validate.py --robots all --seeds 10 --grades mems bma150 \
         --postures tilted upright --excite one all --output runs.jsonl --plot runs.png
+    python scripts/validate.py --robots urdfs --seeds 5 --output urdfs.jsonl --plot urdfs.png
     python scripts/validate.py --output runs.jsonl --summary-only
 
 Exit status: 0; 1 where a run failed, found a wrong tree or did not converge; 2 for bad usage.
@@ -43,7 +44,7 @@ def parser() -> argparse.ArgumentParser:
     what.add_argument(
         "--robots", nargs="+", default=["panda"], metavar="ROBOT",
         help="names in robots/, URDFs, 'all' for all of robots/, 'urdfs' for every URDF of "
-        "example-robot-data (default: panda)",
+        "example-robot-data in which a joint can move (default: panda)",
     )  # fmt: skip
     what.add_argument("--seeds", type=int, default=1, help="seeds 0 to N - 1 (default: 1)")
     what.add_argument("--first-seed", type=int, default=0, help="where to start instead of 0")

@@ -234,6 +234,8 @@ def test_all_robots_and_urdfs_can_be_named() -> None:
     urdfs = robots_named(["urdfs"])
     assert len(urdfs) > 50
     assert Path(Case(urdfs[0], 0, Circumstance()).robot_or_path).is_file()
+    for stub in ("ur3.urdf", "quadrotor_base.urdf", "iris_simple.urdf"):
+        assert not any(name.endswith(f"/{stub}") for name in urdfs)
     with pytest.raises(UsageError, match="nobody"):
         robots_named(["nobody"])
 
@@ -257,6 +259,9 @@ def test_the_report_shows_what_fell_short() -> None:
     text = report([made(seed=0), made(seed=1, tree_right=False, tree_differences=("it leans",))])
     assert "2  1!  1!" in " ".join(text.split()).replace(" 1!", "  1!")
     assert "so101 mems tilted one 12poses 17bit servo seed1: the tree is wrong: it leans" in text
+    heads, row = text.splitlines()[1], text.splitlines()[3]
+    assert heads.split()[:3] == ["DoFs", "SUs", "runs"]
+    assert row.split("servo")[1].split()[:3] == ["5", "5", "2"]
     assert report([]) == "No runs.\n"
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import xml.etree.ElementTree as ET
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import product
@@ -19,7 +20,7 @@ Refinement = Literal["none", "casadi"]
 ALL_ROBOTS = "all"
 """Every robot that has a file in robots/."""
 ALL_URDFS = "urdfs"
-"""Every URDF of the package example-robot-data."""
+"""Every URDF of the package example-robot-data in which a joint can move."""
 
 
 @dataclass(frozen=True)
@@ -93,7 +94,8 @@ def robots_named(names: Iterable[str]) -> tuple[str, ...]:
             found += robot_names()
         elif name == ALL_URDFS:
             folder = example_robot_data()
-            found += sorted(path.relative_to(folder).as_posix() for path in folder.rglob("*.urdf"))
+            moving = filter(_can_move, folder.rglob("*.urdf"))
+            found += sorted(path.relative_to(folder).as_posix() for path in moving)
         else:
             found.append(name)
     for name in found:
@@ -105,6 +107,12 @@ def robots_named(names: Iterable[str]) -> tuple[str, ...]:
                 f"example-robot-data), or names out of: {', '.join(robot_names())}",
             )
     return tuple(dict.fromkeys(found))
+
+
+def _can_move(urdf: Path) -> bool:
+    """Whether a URDF has a joint that is not fixed; three of the package have none."""
+    joints = ET.parse(urdf).getroot().findall("joint")  # noqa: S314 - files of a package
+    return any(joint.get("type") in ("revolute", "continuous", "prismatic") for joint in joints)
 
 
 def circumstances(

@@ -26,7 +26,7 @@ def save(runs: Iterable[Run], path: Path) -> None:
         raise UsageError("plots need matplotlib", "pip install matplotlib") from error
     matplotlib.use("Agg")
     from matplotlib.figure import Figure
-    from matplotlib.ticker import MaxNLocator, ScalarFormatter
+    from matplotlib.ticker import MaxNLocator, NullFormatter, ScalarFormatter
 
     parts: dict[str, list[Run]] = {}
     for run in runs:
@@ -42,15 +42,19 @@ def save(runs: Iterable[Run], path: Path) -> None:
         beyond.scatter(dofs, ratios, s=10, label=label)
         seconds.scatter(dofs, [f.calibration_seconds for f in done], s=10, label=label)
         good = [isinstance(run.outcome, Figures) and converged(run.outcome) for run in part]
-        success.barh(label, 100.0 * sum(good) / len(good))
+        success.barh(label, 100.0 * sum(good) / len(good), height=0.6)
         success.text(1.0, label, f"{sum(good)} of {len(good)}", va="center", color="white")
     beyond.axhline(1.0, color="grey", linewidth=0.8)
     beyond.axhline(RATIO, color="red", linewidth=0.8, linestyle="--")
     beyond.set(xlabel="DoFs", ylabel="SU position error over Cramer-Rao bound", yscale="log")
+    success.set_ylim(-0.8, len(parts) - 0.2)
     success.set(xlabel="tree right and converged [%]", xlim=(0, 100))
     seconds.set(xlabel="DoFs", ylabel="time of a calibration [s]", ylim=(0, None))
     beyond.yaxis.set_major_formatter(ScalarFormatter())
-    beyond.yaxis.set_minor_formatter(ScalarFormatter())
+    bottom, top = beyond.get_ylim()
+    # Labels between powers of ten are needed within one of them, and in each other's way beyond.
+    between = ScalarFormatter() if top < 10 * bottom else NullFormatter()
+    beyond.yaxis.set_minor_formatter(between)
     for axes in (beyond, seconds):
         axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     beyond.legend(fontsize="x-small")

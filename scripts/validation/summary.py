@@ -51,6 +51,8 @@ class Group:
     Attributes:
         label: words that name the group.
         target: what it must reach.
+        n_dofs: fewest and most DoFs of a robot; None where no run finished.
+        n_sus: the same for the SUs that are compared.
         n_runs: number of runs.
         n_tree: with the right tree.
         n_converged: with the right tree and a cost per degree of freedom below ``CONVERGED``.
@@ -65,11 +67,14 @@ class Group:
         beside_floor_ratio: its ratio, the bound without that rotation.
         axis_angle_deg: joint axes [deg].
         axis_distance_mm: their lines [mm].
+        n_open: most directions of the joints that a log leaves open.
         seconds: median time of a calibration [s].
     """
 
     label: tuple[str, ...]
     target: Target
+    n_dofs: tuple[int, int] | None
+    n_sus: tuple[int, int] | None
     n_runs: int
     n_tree: int
     n_converged: int
@@ -84,6 +89,7 @@ class Group:
     beside_floor_ratio: float | None
     axis_angle_deg: float | None
     axis_distance_mm: float | None
+    n_open: int | None
     seconds: float | None
 
 
@@ -111,6 +117,8 @@ def _group(label: tuple[str, ...], runs: Sequence[Run]) -> Group:
     return Group(
         label=label,
         target=targets.pop() if len(targets) == 1 else Target(),
+        n_dofs=_span(f.n_dofs for f in done),
+        n_sus=_span(f.every.n for f in done),
         n_runs=len(runs),
         n_tree=len(right),
         n_converged=sum(map(converged, done)),
@@ -127,8 +135,15 @@ def _group(label: tuple[str, ...], runs: Sequence[Run]) -> Group:
         ),
         axis_angle_deg=rms(f.axis_angle_deg for f in right),
         axis_distance_mm=rms(f.axis_distance_mm for f in right),
+        n_open=max((f.n_open for f in right), default=None),
         seconds=median(f.calibration_seconds for f in done) if done else None,
     )
+
+
+def _span(numbers: Iterable[int]) -> tuple[int, int] | None:
+    """Smallest and largest of some numbers."""
+    numbers = tuple(numbers)
+    return (min(numbers), max(numbers)) if numbers else None
 
 
 def _ratio(overs: Iterable[Over], error: str, bound: str) -> float | None:

@@ -16,11 +16,12 @@ from validation.summary import (
 )
 
 _HEAD = (
-    ("runs", ""), ("tree", "right"), ("con-", "verged"), ("cost", "per dof"),
+    ("", "DoFs"), ("", "SUs"),
+    ("", "runs"), ("tree", "right"), ("con-", "verged"), ("cost", "per dof"),
     ("position", "mm"), ("all SUs", "mm"), ("over", "bound"),
     ("orient.", "deg"), ("all SUs", "deg"), ("over", "bound"),
     ("no floor", "deg"), ("over", "bound"),
-    ("axes", "deg"), ("axes", "mm"), ("time", "s"),
+    ("axes", "deg"), ("axes", "mm"), ("open", ""), ("time", "s"),
 )  # fmt: skip
 
 
@@ -85,6 +86,8 @@ def _table(title: str, groups: Sequence[Group]) -> str:
 def _row(g: Group) -> tuple[str, ...]:
     t = g.target
     return (
+        _span(g.n_dofs),
+        _span(g.n_sus),
         str(g.n_runs),
         _count(g.n_tree, g.n_runs),
         _count(g.n_converged, g.n_runs),
@@ -99,8 +102,16 @@ def _row(g: Group) -> tuple[str, ...]:
         _cell(g.beside_floor_ratio, RATIO, 2),
         _cell(g.axis_angle_deg, t.axis_angle_deg, 4),
         _cell(g.axis_distance_mm, None, 3),
+        "-" if g.n_open is None else str(g.n_open),
         _cell(g.seconds, None, 2),
     )
+
+
+def _span(numbers: tuple[int, int] | None) -> str:
+    if numbers is None:
+        return "-"
+    low, high = numbers
+    return str(low) if low == high else f"{low} to {high}"
 
 
 def _count(n: int, of: int) -> str:
@@ -134,8 +145,9 @@ def _legend() -> str:
         "all as far as observable. Over bound: rms error over rms Cramer-Rao bound\nat the noise "
         "of the residuals, determined SUs. The floor is the rotation inside a sensor's cross-axis "
         "errors, which\nno log can tell: it counts in the bound of "
-        '"orient.", and is taken out of the error in "no floor". Cost and time\nare medians; time '
-        "is of the calibration alone. To be reached (base tilted, 17 bit):\n"
+        '"orient.", and is taken out of the error in "no floor". Open: directions of the\njoints '
+        "that a log leaves open, at most. Cost and time are medians; time is of the calibration "
+        "alone. To be reached\n(base tilted, 17 bit): "
         f"{targets}.\nIn all: every tree right, cost per dof below {CONVERGED:g}, errors within "
         f"{RATIO:g} times their bound. ! marks what is not.\n"
     )

@@ -19,6 +19,7 @@ from synthetic import (
 )
 
 from skin2urdf.arrays import F64
+from skin2urdf.estimation import residuals
 from skin2urdf.estimation.arrow import factor
 from skin2urdf.estimation.blocks import FeatureBlocks, feature_blocks
 from skin2urdf.estimation.cost import Cost, NormalEquations, Priors
@@ -116,6 +117,27 @@ def test_normal_equations_are_the_squares_of_the_jacobian(problem: tuple[Cost, S
         square = float(np.vdot(residual, residual) + np.vdot(prior, prior))
         square += float(np.sum((step.joints[:, :2] / PRIORS.position) ** 2))
         assert form(equations, step) == pytest.approx(square, rel=1e-10)
+
+
+def test_groups_of_sus_add_up_to_the_whole(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Chains of length 0 to 5, cut into groups of one to three SUs with arrays of their own."""
+    rng = np.random.default_rng(11)
+    tree = random_tree(rng, 7, 9)
+    state = random_state(rng, tree, n_logs=3)
+    together = random_cost(rng, tree, state, 5, noise=0.05, priors=PRIORS)
+    monkeypatch.setattr(residuals, "_BLOCKS", 12)
+    apart = Cost(tree, together.blocks, PRIORS)
+    one, other = together.at(state), apart.at(state)
+    assert len(one.groups) == 1
+    assert len({each.group.W.shape[-1] for each in other.groups}) > 2
+    np.testing.assert_allclose(other.chi2_by_block(), one.chi2_by_block(), rtol=1e-9)
+    gradients = one.gradient().flat(), other.gradient().flat()
+    np.testing.assert_allclose(*gradients, atol=1e-9 * abs(gradients[0]).max())
+    step = random_step(rng, together, 1.0)
+    forms = (form(here.normal_equations(), step) for here in (one, other))
+    assert next(forms) == pytest.approx(next(forms), rel=1e-10)
+    for mine, others in zip(one.jacobian(), other.jacobian(), strict=True):
+        np.testing.assert_array_equal(mine, others)
 
 
 def test_the_step_solves_the_system_over_the_free_coordinates() -> None:

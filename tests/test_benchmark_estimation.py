@@ -18,7 +18,6 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "scripts"))
 from benchmark_estimation import skin_of, synthesised
 
 
-
 @pytest.mark.parametrize("count", [8, 13, 40])
 def test_sus_are_spread_over_all_segments(count: int) -> None:
     robot = load_robot("panda")

@@ -31,6 +31,10 @@ class FeatureBlocks:
         count: (P, U) number of independent scalar measurements in each block.
         coefficients: (P, U, m, 3) measured coefficients given that only the chain moves the SU.
         variance: (P, U, m) their variances, per unit ``noise**2``; infinite where unexcited.
+        position_sd: (P, D) standard deviation of the joints' positions at rest [rad or m].
+        hidden: (P, D, D) mean square motion of joint e that its encoder rounds away, per
+            acceleration of joint d, at [d, e]; part of ``W``, like the above.
+        omega2: (P, D) squared angular frequency of each joint's pattern [rad^2/s^2].
     """
 
     chains: Chains
@@ -43,9 +47,13 @@ class FeatureBlocks:
     count: Int
     coefficients: F64
     variance: F64
+    position_sd: F64
+    hidden: F64
+    omega2: F64
 
     def __post_init__(self) -> None:
-        for name in ("q", "W", "target", "noise", "coefficients", "variance"):
+        floats = ("q", "W", "target", "noise", "coefficients", "variance")
+        for name in (*floats, "position_sd", "hidden", "omega2"):
             object.__setattr__(self, name, frozen(getattr(self, name)))
         for name in ("su_joint", "log", "count"):
             object.__setattr__(self, name, frozen(getattr(self, name), np.int64))
@@ -83,7 +91,9 @@ def _blurred(info: F64, eta: F64, measured: F64, noise: F64, position_sd: F64) -
     )
 
 
-def _leaked(info: F64, eta: F64, measured: F64, noise: F64, hidden: F64) -> tuple[F64, F64]:
+def _leaked(
+    info: F64, eta: F64, measured: F64, noise: F64, hidden: F64, omega2: F64
+) -> tuple[F64, F64]:
     """Information with tau_d blurred by motions that the encoders round away.
 
     Joint e moving by h in step with the pattern of d, unseen, changes the reading by
@@ -95,11 +105,9 @@ def _leaked(info: F64, eta: F64, measured: F64, noise: F64, hidden: F64) -> tupl
         measured: (P, U, m, 3) coefficients of f0, s_d, tau_d of the chain.
         noise: (P, U, 3) standard deviation of one sample.
         hidden: (P, U, n, n) hidden motion of e per acceleration of d, at [d, e].
+        omega2: (P, U, n) squared angular frequency of each DoF's pattern [rad^2/s^2].
     """
     n = hidden.shape[-1]
-    diagonal = np.einsum("puii->pui", info)
-    levers, slopes = np.maximum(diagonal[..., 1 + n :], 0.0), diagonal[..., 1 : 1 + n]
-    omega2 = np.sqrt(np.divide(levers, slopes, out=np.zeros_like(levers), where=slopes > 0))
     s, tau = measured[:, :, 1 : 1 + n], measured[:, :, 1 + n :]
     effect = s[:, :, None] - omega2[..., None, None] * tau[:, :, None]
     variance = np.where(np.isfinite(noise), noise, 1.0) ** 2
@@ -147,7 +155,7 @@ def feature_blocks(features: Features, tree: KinematicTree) -> FeatureBlocks:
         measured = features.coefficients[:, su[us]][:, pick, rows]
         info, eta = _blurred(info, eta, measured, noise[:, us], position_sd[:, own])
         hidden = features.hidden[:, own[:, :, None], own[:, None, :]]
-        info, eta = _leaked(info, eta, measured, noise[:, us], hidden)
+        info, eta = _leaked(info, eta, measured, noise[:, us], hidden, features.omega2[:, own])
         scale = np.sqrt(np.maximum(np.einsum("puii->pui", info), 0.0))
         inverse_scale = np.divide(1.0, scale, out=np.zeros_like(scale), where=scale > 0)
         lam, V = np.linalg.eigh(info * inverse_scale[..., :, None] * inverse_scale[..., None, :])
@@ -168,4 +176,5 @@ def feature_blocks(features: Features, tree: KinematicTree) -> FeatureBlocks:
     return FeatureBlocks(
         chains, tree.su_joint, features.q[:, dof], features.log, W, target,
         noise, count, coefficients, variance,
+        position_sd[:, dof], features.hidden[:, dof[:, None], dof], features.omega2[:, dof],
     )  # fmt: skip

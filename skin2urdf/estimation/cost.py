@@ -39,6 +39,8 @@ class Priors:
             It keeps offsets that the log does not determine near zero, and is far too weak to
             matter for the others.
         gravity: magnitude of gravity [m/s^2].
+        hidden: standard deviation of the antisymmetric cross-axis terms, which turn a sensor's
+            frame and can not be seen [rad]; None where they are as large as the symmetric ones.
     """
 
     bias: float = 0.5
@@ -46,6 +48,12 @@ class Priors:
     cross: float = 0.01
     position: float = 1.0
     gravity: float = GRAVITY
+    hidden: float | None = None
+
+    @property
+    def hidden_rotation(self) -> float:
+        """Standard deviation per axis of the rotation that cross-axis errors hide [rad]."""
+        return self.cross if self.hidden is None else self.hidden
 
     @property
     def deviations(self) -> F64:

@@ -12,6 +12,7 @@ from skin2urdf.errors import InsufficientDataError
 from skin2urdf.estimation.blocks import feature_blocks
 from skin2urdf.estimation.cost import Cost, Priors
 from skin2urdf.estimation.progressive import minimise
+from skin2urdf.estimation.spread import learnt_priors
 from skin2urdf.estimation.starts import followed_starts
 from skin2urdf.estimation.state import Free, State, identifiable
 from skin2urdf.signals.records import Features
@@ -52,6 +53,8 @@ class Estimate:
         cost: the cost, for derivatives at the estimate.
         free: the coordinates that were estimated.
         hypotheses: chi-squared of every start that was followed, after its refinement.
+        given: what was known of the sensors before; ``cost.priors`` is what is known with all of
+            them seen.
     """
 
     tree: KinematicTree
@@ -64,6 +67,7 @@ class Estimate:
     cost: Cost
     free: Free
     hypotheses: tuple[float, ...]
+    given: Priors
 
     def __post_init__(self) -> None:
         for name in ("chi2_by_block", "weight"):
@@ -116,6 +120,10 @@ def estimate(
             weight = fresh
             cost = Cost(tree, blocks.reweighted(weight), settings.priors)
             state, chi2 = minimise(cost, state, free)
+    if settings.intrinsics:
+        priors = learnt_priors(cost, state, free)
+        plain, cost = (Cost(tree, c.blocks, priors) for c in (plain, cost))
+        state, chi2 = minimise(cost, state, free)
     if settings.refine == "casadi":
         from skin2urdf.estimation.casadi_refinement import refine
 
@@ -123,7 +131,7 @@ def estimate(
     chi2_by_block = plain.at(state).chi2_by_block()
     return Estimate(
         tree, state, chi2, chi2_by_block, blocks.count, weight,
-        _n_parameters(cost, free), cost, free, hypotheses,
+        _n_parameters(cost, free), cost, free, hypotheses, settings.priors,
     )  # fmt: skip
 
 

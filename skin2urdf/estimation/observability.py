@@ -14,10 +14,11 @@ import numpy as np
 
 from skin2urdf.arrays import F64, Bool, frozen
 from skin2urdf.estimation.bounds import Align, expected_errors
-from skin2urdf.estimation.cost import NormalEquations
+from skin2urdf.estimation.cost import NormalEquations, Priors
 from skin2urdf.estimation.covariance import ArrowCovariance
 from skin2urdf.estimation.estimate import Estimate
 from skin2urdf.estimation.open_directions import ALIKE, open_directions
+from skin2urdf.estimation.shared_errors import with_shared_errors
 from skin2urdf.estimation.state import N_JOINT, N_PLACEMENT, N_SU
 from skin2urdf.model.records import OpenDirection
 
@@ -87,10 +88,15 @@ def observability(estimate: Estimate) -> Observability:
     D, U = tree.n_joints, tree.n_sus
     free_joint = np.concatenate([free.joints.ravel(), free.logs.ravel()])
     inverse = np.zeros((U, N_SU, N_SU))
+    known = np.tile(np.eye(N_SU), (U, 1, 1))
     directions = []
+    learnt = _information(estimate.cost.priors) - _information(estimate.given)
     for u in range(U):
-        inverse[u], unseen = _su_inverse(equations.su[u], free.sus[u], scale)
-        directions.append(unseen)
+        inverse[u] = _su_inverse(equations.su[u], free.sus[u])
+        # What only the likeness of other sensors tells is no observation.
+        unseen = _open_directions(equations.su[u] - learnt, free.sus[u], scale)
+        known[u, :N_PLACEMENT, :N_PLACEMENT] -= unseen.T @ unseen
+        directions.append(np.linalg.qr((unseen * np.r_[1, 1, 1, ARM, ARM, ARM]).T)[0].T)
     columns = equations.columns
     mixed = equations.mixed * free_joint[columns][:, None]
     lean = -inverse @ mixed
@@ -98,16 +104,20 @@ def observability(estimate: Estimate) -> Observability:
     np.add.at(H, (columns[:, :, None], columns[:, None, :]), np.swapaxes(mixed, 1, 2) @ lean)
     joint_inverse, null = _joint_inverse(H, free_joint, scale)
     open_ = open_directions(
-        tree, estimate.state, estimate.cost.blocks.q, equations, null, lean, directions,
+        tree, estimate.state, estimate.cost.blocks.q, equations, null, known @ lean, directions,
         least=scale / UNKNOWN**2, arm=ARM,
     )  # fmt: skip
     moving = {name for direction in open_ for name in _moving(direction)}
 
-    bare = ArrowCovariance(scale * joint_inverse, columns, lean, scale * inverse)
-    hidden = hidden_rotation(estimate, bare.su())
+    # The antisymmetric part of a cross-axis error is a rotation of the sensor's frame: it can not
+    # be seen, and is as large as the symmetric part.
+    hidden = estimate.cost.priors.hidden_rotation
     turns = np.zeros(N_SU)
     turns[3:N_PLACEMENT] = hidden**2
-    covariance = replace(bare, own=bare.own + np.diag(turns))
+    weights = ArrowCovariance(joint_inverse, columns, lean, inverse)
+    full = with_shared_errors(weights, estimate.cost, estimate.state).scaled(scale)
+    own = known @ full.own @ known + np.diag(turns)
+    covariance = replace(full, lean=known @ lean, own=own)
     su_covariance = covariance.su()[:, :N_PLACEMENT, :N_PLACEMENT]
     blocks = covariance.joint[: N_JOINT * D, : N_JOINT * D].reshape(D, N_JOINT, D, N_JOINT)
     joint_covariance = np.einsum("dadb->dab", blocks)
@@ -135,54 +145,50 @@ def _of_the_data(estimate: Estimate) -> NormalEquations:
     return replace(equations, joint=joint, su=su)
 
 
-def hidden_rotation(estimate: Estimate, su_covariance: F64) -> float:
-    """Standard deviation per axis of the rotations that cross-axis errors hide [rad].
-
-    The antisymmetric part of a sensor's cross-axis error is a rotation of its frame and can not
-    be seen. It is as large as the symmetric part, of which all SUs together are a sample.
-
-    Args:
-        estimate: the estimate.
-        su_covariance: (U, 15, 15) of each SU's coordinates.
-    """
-    cross = slice(12, N_SU)
-    variance = np.einsum("uii->ui", su_covariance)[:, cross]
-    prior = estimate.cost.priors.cross
-    if prior <= 0 or not estimate.free.sus[:, cross].any():
-        return prior
-    known = variance < (0.3 * prior) ** 2
-    if known.sum() < 3:
-        return prior
-    size2 = float(np.mean(estimate.state.shape[:, 3:][known] ** 2 - variance[known]))
-    return float(np.sqrt(max(size2, 0.0)))
+def _information(priors: Priors) -> F64:
+    """(15, 15) information of an SU's coordinates in the priors of its sensor."""
+    deviations = priors.deviations
+    known = np.divide(1.0, deviations**2, out=np.zeros_like(deviations), where=deviations > 0)
+    return np.diag(np.concatenate([np.zeros(N_PLACEMENT), known]))
 
 
-def _su_inverse(H: F64, free: Bool, scale: float) -> tuple[F64, F64]:
-    """Inverse information of an SU's coordinates given the joints, and its open directions.
+def _marginal(H: F64, free: Bool) -> tuple[F64, F64, F64]:
+    """Information about an SU's placement whatever its sensor's errors are.
 
     Returns:
-        (15, 15) inverse without the open directions, and (k, 6) open directions of the placement.
+        (n, n) information of the n free coordinates of the placement, (m, m) covariance of the m of
+        the sensor for a known placement, and (m, n) how those follow the placement.
     """
-    fixed = np.eye(N_PLACEMENT)[~free[:N_PLACEMENT]]
-    index = np.flatnonzero(free)
-    A = H[np.ix_(index, index)]
-    placement = index < N_PLACEMENT
-    a, b = A[np.ix_(placement, placement)], A[np.ix_(placement, ~placement)]
-    c = A[np.ix_(~placement, ~placement)]
-    marginal = a - b @ np.linalg.solve(c, b.T) if len(c) else a
+    placed = free & (np.arange(N_SU) < N_PLACEMENT)
+    sensor = free & ~placed
+    across = H[np.ix_(placed, sensor)]
+    own = np.asarray(np.linalg.inv(H[np.ix_(sensor, sensor)]), dtype=np.float64)
+    return H[np.ix_(placed, placed)] - across @ own @ across.T, own, -own @ across.T
+
+
+def _su_inverse(H: F64, free: Bool) -> F64:
+    """(15, 15) inverse information of an SU's coordinates given the joints.
+
+    It is 0 along directions of the placement that nothing at all determines.
+    """
+    marginal, own, follow = _marginal(H, free)
     lam, V = np.linalg.eigh(marginal)
-    open_ = lam < scale / UNKNOWN**2
-    basis = np.zeros((int(open_.sum()), N_PLACEMENT))
-    basis[:, index[placement]] = V[:, open_].T
-    known = V[:, ~open_]
-    full = np.zeros((len(index), known.shape[1] + len(c)))
-    full[np.ix_(placement, np.arange(known.shape[1]))] = known
-    full[np.ix_(~placement, np.arange(known.shape[1], full.shape[1]))] = np.eye(len(c))
-    inner = np.linalg.inv(full.T @ A @ full) if full.shape[1] else np.zeros((0, 0))
+    some = lam > _TINY * lam.max(initial=0.0)
+    P = (V[:, some] / lam[some]) @ V[:, some].T
+    index = np.flatnonzero(free)
     out = np.zeros((N_SU, N_SU))
-    out[np.ix_(index, index)] = full @ inner @ full.T
-    scaled = np.concatenate([fixed, basis]) * np.r_[1, 1, 1, ARM, ARM, ARM]
-    return out, np.linalg.qr(scaled.T)[0].T
+    both = follow @ P
+    out[np.ix_(index, index)] = np.block([[P, both.T], [both, own + both @ follow.T]])
+    return out
+
+
+def _open_directions(H: F64, free: Bool, scale: float) -> F64:
+    """(k, 6) orthonormal directions of a placement that are not observable."""
+    lam, V = np.linalg.eigh(_marginal(H, free)[0])
+    open_ = V[:, lam < scale / UNKNOWN**2].T
+    basis = np.zeros((len(open_), N_PLACEMENT))
+    basis[:, free[:N_PLACEMENT]] = open_
+    return np.concatenate([np.eye(N_PLACEMENT)[~free[:N_PLACEMENT]], basis])
 
 
 def _joint_inverse(H: F64, free: Bool, scale: float) -> tuple[F64, F64]:

@@ -192,7 +192,7 @@ def as_estimate(result: PaperResult, features: Features, gravity: float = GRAVIT
     n_parameters -= int((tree.parent < 0).sum())
     return Estimate(
         tree, result.state, here.chi2, here.chi2_by_block(), blocks.count,
-        np.ones(blocks.count.shape), n_parameters, cost, free, (here.chi2,),
+        np.ones(blocks.count.shape), n_parameters, cost, free, (here.chi2,), cost.priors,
     )  # fmt: skip
 
 

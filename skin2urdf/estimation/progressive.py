@@ -161,4 +161,7 @@ def _restricted(
         blocks.count[:, sus],
         blocks.coefficients[:, sus][:, :, rows],
         blocks.variance[:, sus][:, :, rows],
+        blocks.position_sd[:, list(chain)],
+        blocks.hidden[:, list(chain)][:, :, list(chain)],
+        blocks.omega2[:, list(chain)],
     )

@@ -68,9 +68,9 @@ def extract_features(
     for _ in range(6):
         parts = [_poses(s, lag, curvature, log) for log, s in enumerate(sampled)]
         change, lag_sd = _latency_step([p for part in parts for p in part])
+        lag = np.clip(lag + change, -0.25, 0.25)
         if np.max(np.abs(change), initial=0.0) < 2e-5:
             break
-        lag = np.clip(lag + change, -0.25, 0.25)
     poses = [p for part in parts for p in part]
     if not poses:
         raise InsufficientDataError(
@@ -88,6 +88,7 @@ def extract_features(
         noise=np.array([p.noise for p in poses]),
         position_sd=np.array([p.offset for p in poses]),
         hidden=np.array([p.hidden for p in poses]),
+        omega2=np.array([p.omega2 for p in poses]),
         span=np.array([p.span for p in poses]),
         latency=lag,
         latency_sd=lag_sd,
@@ -106,6 +107,7 @@ class _Pose:
     noise: F64
     offset: F64
     hidden: F64
+    omega2: F64
     span: tuple[float, float]
     lag_numerator: F64
     lag_denominator: F64
@@ -134,9 +136,9 @@ def _poses(s: Sampled, lag: F64, curvature: Curvature | None, log: int) -> list[
         if curvature is not None:
             beyond, expected = curvature(pose.q, dq, qd, qdd, log)
             y = y - beyond
-        still = (np.abs(qd) < _STILL * motion.resolution).mean(axis=0)
+        own = np.concatenate([np.arange(a, b) for a, b in pose.windows])
+        still = (np.abs(motion.qd[own]) < _STILL * motion.resolution).mean(axis=0)
         offset = np.where(motion.named, still * motion.noise, np.inf)
-        hidden = hidden_motion(qd, qdd, motion.resolution)
         columns = np.concatenate([X, Z, y.reshape(len(y), -1)], axis=1)
         kept, usable, lost, at = [], [], [], 0
         for (a, b), (lo, hi) in zip(pose.windows, pieces, strict=True):
@@ -150,10 +152,12 @@ def _poses(s: Sampled, lag: F64, curvature: Curvature | None, log: int) -> list[
             at += hi - lo
         span = (motion.grid.time[pose.windows[0][0]], motion.grid.time[pose.windows[-1][1] - 1])
         X, Z, y = np.split(np.concatenate(kept), [X.shape[1], X.shape[1] + Z.shape[1]], axis=1)
+        dq, qdd = np.split(X[:, 1:], 2, axis=1)
+        unseen = (offset, *hidden_motion(dq, qdd, motion.resolution), span)
         ok = np.concatenate(usable)
         found = _regress(
             pose.q, log, X, Z, y.reshape(len(y), -1, 3), ok, expected, noise,
-            (offset, hidden, span), (independence, rate / every, s.cutoff),
+            unseen, (independence, rate / every, s.cutoff),
         )  # fmt: skip
         out.append(replace(found, noise=found.noise / _measured(ok, np.concatenate(lost))))
     return [p for p in out if np.isfinite(p.noise).any()]
@@ -200,7 +204,7 @@ def _regress(
     ok: Bool,
     expected: F64,
     noise: tuple[F64, F64],
-    unseen: tuple[F64, F64, tuple[float, float]],
+    unseen: tuple[F64, F64, F64, tuple[float, float]],
     sampling: tuple[float, float, float],
 ) -> _Pose:
     """Fit all SUs around one pose; SUs with the same valid samples share one factorisation."""

@@ -62,6 +62,8 @@ class Features:
             by a constant up to half a step; infinite for joints that a log lacks [rad or m].
         hidden: (P, D, D) mean square motion of joint e that its encoder rounds away in step with
             the pattern of DoF d, per mean square acceleration of d, at [d, e].
+        omega2: (P, D) squared angular frequency of each DoF's pattern; 0 where it has none
+            [rad^2/s^2].
         span: (P, 2) begin of the first and end of the last interval around each pose, on the clock
             of its log [s].
         latency: (U,) time by which each SU's stamps lag the joints' [s].
@@ -83,6 +85,7 @@ class Features:
     moves: StaticMoves
     position_sd: F64 = field(default_factory=lambda: np.zeros(()))
     hidden: F64 = field(default_factory=lambda: np.zeros(()))
+    omega2: F64 = field(default_factory=lambda: np.zeros(()))
     span: F64 = field(default_factory=lambda: np.zeros(()))
     notes: tuple[str, ...] = field(default=())
     faults: tuple[Fault, ...] = field(default=())
@@ -96,6 +99,8 @@ class Features:
         P, D = self.q.shape
         hidden = np.broadcast_to(np.asarray(self.hidden, dtype=np.float64), (P, D, D))
         object.__setattr__(self, "hidden", frozen(hidden))
+        omega2 = np.broadcast_to(np.asarray(self.omega2, dtype=np.float64), self.q.shape)
+        object.__setattr__(self, "omega2", frozen(omega2))
         span = np.broadcast_to(np.asarray(self.span, dtype=np.float64), (P, 2))
         object.__setattr__(self, "span", frozen(span))
 

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.ndimage import uniform_filter1d
+from scipy.special import j1
 
 from skin2urdf.arrays import F64, Bool
 
@@ -208,36 +209,48 @@ def regressors(dq: F64, qd: F64, qdd: F64, linear: bool) -> tuple[F64, F64]:
     return X, np.concatenate([1 - np.cos(dq), qd**2], axis=1)
 
 
-def hidden_motion(qd: F64, qdd: F64, resolution: F64) -> F64:
+def hidden_motion(dq: F64, qdd: F64, resolution: F64) -> tuple[F64, F64]:
     """Motion that encoders round away in step with a DoF's pattern, relative to the pattern.
 
-    While DoF d moves, others move along a little (coupling, sag). An encoder that sees such a
-    motion of ``a`` steps gets its amplitude wrong by about ``0.2 / sqrt(a)`` steps, the same way in
-    every cycle, so that it does not average out.
+    While DoF d moves, others move along a little (coupling, sag). What rounding makes of such a
+    motion repeats in every cycle and so does not average out (:func:`rounded_away`).
 
     Args:
-        qd: (N, D) velocities [rad/s or m/s].
-        qdd: (N, D) accelerations.
+        dq: (N, D) low-passed positions [rad or m].
+        qdd: (N, D) low-passed accelerations.
         resolution: (D,) encoder steps [rad or m].
 
     Returns:
         (D, D) mean square hidden motion of joint e per mean square acceleration of DoF d, at
-        [d, e]; 0 for DoFs that do not move.
+        [d, e], and (D,) squared angular frequencies of the patterns; 0 for DoFs that do not move.
     """
     energy = qdd**2
     total = energy.sum(axis=0)
     weight = np.divide(energy, total, out=np.zeros_like(energy), where=total > 0)
-    # At the pattern's frequency an amplitude is that of the velocity over omega.
-    speed = np.sqrt(weight.T @ qd**2)
-    while_moving = (weight * energy).sum(axis=0)[:, None]
-    omega = np.sqrt(while_moving / np.maximum(np.diag(speed)[:, None] ** 2, 1e-12))
-    spread = speed / np.maximum(omega, 1e-3)
-    steps = np.divide(
-        np.sqrt(2.0) * spread, resolution, out=np.ones_like(spread), where=resolution > 0
-    )
-    amplitude2 = 0.1 * resolution**2 / np.maximum(steps, 0.5) / 2
-    out = np.zeros_like(spread)
-    return np.asarray(np.divide(amplitude2, while_moving, out=out, where=while_moving > 1e-6))
+    while_moving = weight.T @ energy
+    # A sine's fourth moment over its second is 3/4 of its squared amplitude.
+    peak2 = np.diag(while_moving)[:, None] / 0.75
+    moves = peak2 > 1e-6
+    against = -((dq - dq.mean(axis=0)) * qdd).sum(axis=0)
+    omega2 = np.divide(total, against, out=np.zeros_like(total), where=moves[:, 0] & (against > 0))
+    peak = np.sqrt(while_moving / 0.75)
+    along = np.divide(peak, omega2[:, None], out=np.zeros_like(peak), where=omega2[:, None] > 0)
+    steps = np.divide(along, resolution, out=np.zeros_like(along), where=resolution > 0)
+    hidden = rounded_away(steps) * resolution**2
+    return np.divide(hidden, peak2, out=np.zeros_like(hidden), where=moves), omega2
+
+
+def rounded_away(steps: F64) -> F64:
+    """Mean square error of a sine's amplitude [steps^2] after rounding, by its amplitude [steps].
+
+    Rounding is a Fourier series in the rounded value. Over all positions of the sine's middle
+    between two steps, the error of its amplitude a has the mean square
+    ``sum_n 2 J1(2 pi n a)^2 / (pi n)^2``, near 0.012 / a for many steps. Below a quarter of a step,
+    where the amplitude itself can not be known, the largest error is taken.
+    """
+    n = np.arange(1, 9)
+    series = 2 * j1(2 * np.pi * n * np.maximum(steps, 0.25)[..., None]) ** 2 / (np.pi * n) ** 2
+    return np.asarray(series.sum(axis=-1))
 
 
 def enough(samples: Bool, rate: float) -> bool:

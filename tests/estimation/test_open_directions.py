@@ -146,7 +146,7 @@ def at(tree: KinematicTree, state: State, q: np.ndarray, still: int) -> Estimate
     count = cost.blocks.count
     return Estimate(
         tree, state, 0.0, np.zeros((P, U)), count, np.ones((P, U)), 0, cost,
-        identifiable(tree, 1, intrinsics=False), (0.0,),
+        identifiable(tree, 1, intrinsics=False), (0.0,), cost.priors,
     )  # fmt: skip
 
 

@@ -20,9 +20,11 @@ from skin2urdf.signals.regression import (
     enough,
     excited,
     fit,
+    hidden_motion,
     noise_by_row,
     orthonormal,
     regressors,
+    rounded_away,
 )
 
 RATE, CUTOFF = 125.0, 10.0
@@ -287,3 +289,24 @@ def test_a_quarter_of_a_second_is_enough(n: int, is_enough: bool) -> None:
     samples = np.zeros(600, dtype=bool)
     samples[:n] = True
     assert enough(samples, RATE) is is_enough
+
+
+@pytest.mark.parametrize("steps", [0.3, 1.0, 5.0, 30.0])
+def test_rounding_a_sine_hides_as_much_of_it_as_said(steps: float) -> None:
+    """Over all positions of the sine between two steps of the encoder."""
+    phase = np.linspace(0.0, 2 * np.pi, 4000, endpoint=False)
+    amplitude = steps * np.linspace(0.98, 1.02, 5)[:, None, None]
+    value = amplitude * np.sin(phase) + np.linspace(0.0, 1.0, 40, endpoint=False)[:, None]
+    error = 2 * ((np.round(value) - value) @ np.sin(phase)) / len(phase)
+    assert rounded_away(amplitude[:, 0, 0]).mean() == pytest.approx((error**2).mean(), rel=0.25)
+
+
+def test_hidden_motion_of_a_joint_that_moves_along() -> None:
+    t = np.arange(0.0, 2.0, 0.01)
+    omega = 2 * np.pi * 2.0
+    amplitude = np.array([0.05, 4e-4])
+    dq = amplitude * np.sin(omega * t)[:, None]
+    hidden, omega2 = hidden_motion(dq, -(omega**2) * dq, np.array([1e-4, 1e-4]))
+    np.testing.assert_allclose(omega2, omega**2, rtol=1e-2)
+    wanted = rounded_away(np.array(4.0)) * 1e-8 / (0.05 * omega**2) ** 2
+    assert hidden[0, 1] == pytest.approx(wanted, rel=0.3)

@@ -1,0 +1,1 @@
+"""Repeated recordings: are the errors of a calibration as large as it states?"""

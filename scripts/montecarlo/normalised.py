@@ -1,0 +1,122 @@
+"""Errors of one calibration over the covariances it states."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+
+from montecarlo.chart import displacement, true_robot
+from montecarlo.records import BLOCKS, Block
+from skin2urdf.arrays import F64
+from skin2urdf.calibration import Calibration
+from skin2urdf.estimation.observability import ARM
+from skin2urdf.estimation.spread import DETERMINED
+from skin2urdf.estimation.state import N_JOINT
+from skin2urdf.simulation import Truth
+
+_RANK = 1e-7
+"""Eigenvalue of a correlation matrix below which its direction is taken to be without variance."""
+_OBSERVABLE = {"bias": 1e-3 * 9.81, "scale": 1e-3, "latency": 2e-4}
+"""Stated standard deviation up to which a quantity counts as observable: 1 mg, 0.1 %, 0.2 ms.
+
+These are the accuracies to be reached: beyond them the calibration itself says that they are not.
+"""
+
+
+def blocks_of(found: Calibration, truth: Truth) -> dict[str, Block]:
+    """All blocks of a calibration.
+
+    Where priors decide, errors over stated uncertainties only tell whether the simulated sensors
+    are as the priors say. So orientation, bias, scale and cross-axis errors are those of SUs whose
+    sensor the log determines (not on the base or on a first joint).
+
+    Raises:
+        ValueError: its tree is not the true one.
+    """
+    estimate, seen = found.estimate, found.observability
+    tree = estimate.tree
+    off = displacement(estimate.state, tree, true_robot(truth, tree))
+    parts: dict[str, list[Block]] = {name: [] for name in BLOCKS}
+
+    free = estimate.free.joints.ravel()
+    size = free.size
+    error = np.zeros(size)
+    error[free] = without_open(
+        off.joints.ravel()[free], seen.covariance.joint[:size, :size][free][:, free]
+    )
+    for e, C in zip(error.reshape(-1, N_JOINT), seen.joint_covariance, strict=True):
+        parts["joint axis, direction"].append(normalised(e[2:], C[2:, 2:]))
+        parts["joint axis, offset"].append(normalised(e[:2], C[:2, :2]))
+
+    covariance = seen.covariance.su()
+    prior = estimate.cost.priors.deviations**2
+    for u, (x, C) in enumerate(zip(off.sus, covariance, strict=True)):
+        placed = x[:6] - _projection(seen.su_unobservable[u]) @ x[:6]
+        parts["SU position"].append(normalised(placed[:3], C[:3, :3]))
+        if not (np.diag(C)[6:] < DETERMINED * prior).all():
+            continue
+        parts["SU orientation"].append(normalised(placed[3:], C[3:6, 3:6]))
+        for kind, name in enumerate(("bias", "scale", "cross-axis")):
+            at = slice(6 + 3 * kind, 9 + 3 * kind)
+            parts[name].append(normalised(x[at], C[at, at], _OBSERVABLE.get(name, 0.0)))
+
+    names = found.features.su_names
+    lag = truth.lag[[[su.name for su in truth.sus].index(name) for name in names]]
+    for e, sd in zip(found.features.latency - lag, found.features.latency_sd, strict=True):
+        if np.isfinite(sd):
+            parts["latency"].append(
+                normalised(np.array([e]), np.array([[sd**2]]), _OBSERVABLE["latency"])
+            )
+    return {name: summed(blocks) for name, blocks in parts.items()}
+
+
+def normalised(error: F64, covariance: F64, observable: float = 0.0) -> Block:
+    """An error over its covariance, along the directions that have any variance.
+
+    Args:
+        error: (n,).
+        covariance: (n, n), which may be singular.
+        observable: standard deviation up to which coordinates count as observable.
+    """
+    sd = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    known = sd > 0
+    e, s = error[known], sd[known]
+    lam, V = np.linalg.eigh(covariance[np.ix_(known, known)] / np.outer(s, s))
+    some = lam > _RANK
+    z = V[:, some].T @ (e / s)
+    return Block(
+        squared=float((z**2 / lam[some]).sum()),
+        dimensions=int(some.sum()),
+        inside=int((np.abs(e) < 2 * s).sum()),
+        coordinates=int(known.sum()),
+        observable=tuple(float(value) for value in e[s < observable] ** 2),
+    )
+
+
+def summed(blocks: Iterable[Block]) -> Block:
+    """Several blocks as one."""
+    blocks = tuple(blocks)
+    return Block(
+        sum(b.squared for b in blocks),
+        sum(b.dimensions for b in blocks),
+        sum(b.inside for b in blocks),
+        sum(b.coordinates for b in blocks),
+        tuple(value for b in blocks for value in b.observable),
+    )
+
+
+def without_open(error: F64, covariance: F64) -> F64:
+    """An error (n,) without its part along directions in which a covariance (n, n) has no variance.
+
+    There the log says nothing, and estimate and truth may differ by any amount.
+    """
+    lam, V = np.linalg.eigh(covariance)
+    open_ = V[:, lam < 1e-12 * lam[-1]]
+    return np.asarray(error - open_ @ (open_.T @ error))
+
+
+def _projection(unobservable: F64) -> F64:
+    """(6, 6) projection onto directions (k, 6) whose angular part is given times an arm."""
+    basis, _ = np.linalg.qr((unobservable / np.repeat([1.0, ARM], 3)).T)
+    return np.asarray(basis @ basis.T)

@@ -1,0 +1,91 @@
+"""What encoders hide is the same for every SU beyond them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from calibrated import calibration
+
+from skin2urdf.arrays import F64
+from skin2urdf.estimation.cost import Cost
+from skin2urdf.estimation.covariance import ArrowCovariance
+from skin2urdf.estimation.observability import observability
+from skin2urdf.estimation.shared_errors import with_shared_errors
+
+
+def _only_in_pose(cost: Cost, pose: int) -> Cost:
+    """The cost with encoder errors in one pose alone."""
+    at = np.arange(len(cost.blocks.q)) == pose
+    blocks = replace(
+        cost.blocks,
+        position_sd=cost.blocks.position_sd * at[:, None],
+        hidden=cost.blocks.hidden * at[:, None, None],
+    )
+    return Cost(cost.tree, blocks, cost.priors)
+
+
+def _plain(cost: Cost) -> ArrowCovariance:
+    found = replace(calibration().estimate, cost=cost)
+    return observability(found).covariance
+
+
+def test_no_hidden_errors_change_nothing() -> None:
+    cost = _only_in_pose(calibration().estimate.cost, -1)
+    before = _plain(cost)
+    after = with_shared_errors(before, cost, calibration().estimate.state)
+    np.testing.assert_array_equal(after.joint, before.joint)
+    np.testing.assert_array_equal(after.own, before.own)
+
+
+def test_the_covariance_is_that_of_disturbed_targets() -> None:
+    """Against gradients of the cost whose targets are moved by one error at a time."""
+    state = calibration().estimate.state
+    before = _plain(_only_in_pose(calibration().estimate.cost, -1))
+    cost = _only_in_pose(calibration().estimate.cost, 1)
+    blocks = cost.blocks
+    Y = cost.at(state).kin.features()[1]
+    L, U, J = blocks.chains.joint.shape[1], len(blocks.su_joint), len(before.joint)
+    zero = cost.at(state).gradient().flat()
+
+    def score(disturbance: F64) -> F64:
+        """Gradient when the features (U, m, 3) of the pose are off by a disturbance."""
+        target = np.array(blocks.target)
+        target[1] += blocks.W[1] @ disturbance
+        moved = Cost(cost.tree, replace(blocks, target=target), cost.priors)
+        return np.asarray(zero - moved.at(state).gradient().flat())
+
+    D = cost.tree.n_joints
+    dense = before.dense()
+    extra = np.zeros_like(dense)
+    for e in range(D):
+        for d in range(-1, D):
+            sd = blocks.position_sd[1, e] if d < 0 else np.sqrt(blocks.hidden[1, d, e])
+            shared = np.zeros_like(Y)
+            for u in range(U):
+                chain = list(blocks.chains.joint[u, : blocks.chains.length[u]])
+                if e not in chain or (d >= 0 and d not in chain):
+                    continue
+                i = chain.index(e)
+                if d < 0:
+                    shared[u, 0] = sd * Y[u, 1 + i]
+                else:
+                    effect = Y[u, 1 + i] - blocks.omega2[1, d] * Y[u, 1 + L + i]
+                    shared[u, 1 + L + chain.index(d)] = sd * effect
+            if not shared.any():
+                continue
+            g = score(shared)
+            extra += np.outer(g, g)
+            for u in range(U):
+                alone = score(shared * (np.arange(U) == u)[:, None, None])
+                extra -= np.outer(alone, alone)
+    wanted = dense @ extra @ dense
+    after = with_shared_errors(before, cost, state)
+    found = (after.joint - before.joint, after.su() - before.su())
+    scale = np.abs(wanted[:J, :J]).max()
+    np.testing.assert_allclose(found[0], wanted[:J, :J], atol=1e-6 * scale)
+    for u in range(U):
+        at = slice(J + 15 * u, J + 15 * (u + 1))
+        np.testing.assert_allclose(
+            found[1][u], wanted[at, at], atol=1e-6 * max(scale, float(np.abs(wanted[at, at]).max()))
+        )

@@ -1,0 +1,42 @@
+"""Spread of sensor errors learnt from all SUs."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from calibrated import calibration
+
+from skin2urdf.estimation.cost import Priors
+from skin2urdf.estimation.spread import learnt_priors, spread
+
+
+def test_the_next_member_is_as_far_out_as_said() -> None:
+    """Few members, seen through noise: squared errors over the stated variance average 1."""
+    rng = np.random.default_rng(0)
+    ratios = []
+    for _ in range(400):
+        noise = rng.uniform(0.1, 0.6, 20)
+        size = spread(rng.normal(0.0, np.hypot(2.0, noise)), noise**2)
+        ratios.append((rng.normal(0.0, 2.0, 50) / size) ** 2)
+    assert np.mean(ratios) == pytest.approx(1.0, abs=0.06)
+
+
+def test_noise_alone_has_hardly_any_spread() -> None:
+    rng = np.random.default_rng(1)
+    found = [spread(rng.normal(0.0, 0.5, 18), np.full(18, 0.25)) for _ in range(100)]
+    assert np.median(found) < 0.25
+    assert np.mean(np.square(found)) < 0.25**2
+
+
+def test_priors_are_narrowed_to_the_sensors_and_never_widened() -> None:
+    """MEMS sensors of 5 mg bias and no scale error under priors of 50 mg and 3 %."""
+    found = calibration().estimate
+    assert (found.given.bias, found.given.scale) == (Priors().bias, Priors().scale)
+    learnt = found.cost.priors
+    assert 0.005 < learnt.bias < 0.1
+    assert learnt.scale < 0.3 * Priors().scale
+    assert learnt.hidden is not None
+    assert learnt.hidden <= learnt.cross
+    again = learnt_priors(found.cost, found.state, found.free)
+    assert again.bias <= learnt.bias
+    assert again.scale <= learnt.scale

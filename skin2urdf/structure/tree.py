@@ -98,10 +98,10 @@ def nested(
     Raises:
         StructureError: a contradiction that rests on certain bits only.
     """
-    bits = evidence > 0
+    bits, sure = evidence > 0, np.abs(evidence)
     notes: list[str] = []
-    for _ in range(4 * evidence.size + 1):
-        conflict = _worst_conflict(bits, evidence)
+    while True:
+        conflict = _cheapest_conflict(bits, sure)
         if conflict is None:
             return bits, notes
         cost, rows, column, d, e = conflict
@@ -119,33 +119,29 @@ def nested(
             )
         for u in rows:
             bits[u, column] = ~bits[u, column]
+            # Once changed for the sake of the rest it stays, or two repairs would undo each other.
+            sure[u, column] = np.inf
             state = "active" if bits[u, column] else "inactive"
             notes.append(
                 f"{su_names[u]} under {dof_names[column]} was undecided and is taken as {state}, "
                 "which the rest of the activity matrix asks for"
             )
-    raise StructureError(
-        "no kinematic tree explains the activity matrix",
-        "record structural moves of one DoF at a time, by half a radian or more",
-    )
 
 
-def _worst_conflict(bits: Bool, evidence: F64) -> tuple[float, list[int], int, int, int] | None:
+def _cheapest_conflict(bits: Bool, sure: F64) -> tuple[float, list[int], int, int, int] | None:
     """The crossing pair of columns that is cheapest to mend: cost, rows, column, pair."""
     best: tuple[float, list[int], int, int, int] | None = None
-    sure = np.abs(evidence)
-    D = bits.shape[1]
-    for d in range(D):
-        for e in range(d + 1, D):
-            a, b = bits[:, d], bits[:, e]
-            both, only_a, only_b = a & b, a & ~b, b & ~a
-            if not (both.any() and only_a.any() and only_b.any()):
-                continue
-            options = ((both, d), (both, e), (only_a, d), (only_a, e), (only_b, d), (only_b, e))
-            for rows, column in options:
-                cost = float(sure[rows, column].max() + 1e-3 * sure[rows, column].sum())
-                if best is None or cost < best[0]:
-                    best = (cost, [int(u) for u in np.flatnonzero(rows)], column, d, e)
+    shared = bits.T.astype(np.int64) @ bits
+    own = np.diag(shared)
+    crossing = (shared > 0) & (shared < own[:, None]) & (shared < own)
+    for d, e in zip(*np.nonzero(np.triu(crossing)), strict=True):
+        a, b = bits[:, d], bits[:, e]
+        both, only_a, only_b = a & b, a & ~b, b & ~a
+        options = ((both, d), (both, e), (only_a, d), (only_a, e), (only_b, d), (only_b, e))
+        for rows, column in options:
+            cost = float(sure[rows, column].max() + 1e-3 * sure[rows, column].sum())
+            if best is None or cost < best[0]:
+                best = (cost, [int(u) for u in np.flatnonzero(rows)], int(column), int(d), int(e))
     return best
 
 

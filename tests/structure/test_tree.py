@@ -298,3 +298,70 @@ def test_a_lever_of_one_metre_does_not_make_a_joint_slide() -> None:
     features = random_features(rng, tree, replace(state, T_joint_su=T), 6, noise=0.02)
     np.testing.assert_allclose(np.linalg.norm(features.tau[:, 0, 0], axis=1), 1.0, atol=0.05)
     assert kinematic_tree(activity(features), features).joint_types == ("revolute",)
+
+
+def humanoid(seed: int) -> Bool:
+    """(29, 28) activity of a tree of 28 joints with an SU on every segment."""
+    rng = np.random.default_rng(seed)
+    active = np.zeros((29, 28), dtype=bool)
+    for d in range(28):
+        parent = int(rng.integers(-1, d)) if d and rng.random() < 0.25 else d - 1
+        active[d + 1] = active[parent + 1]
+        active[d + 1, d] = True
+    return active
+
+
+NAMES = [f"su{u}" for u in range(29)], [f"j{d}" for d in range(28)]
+
+
+@given(seed=st.integers(0, 10_000), flips=st.integers(1, 4))
+@settings(max_examples=60, deadline=None)
+def test_undecided_bits_of_a_humanoid_never_spoil_right_ones(seed: int, flips: int) -> None:
+    """What the rest decides is repaired; another tree at most keeps what it was given."""
+    rng = np.random.default_rng(seed)
+    truth = humanoid(seed)
+    evidence = np.where(truth, 1, -1) * rng.uniform(1.5, 5.0, truth.shape)
+    changed = np.zeros(truth.size, dtype=bool)
+    changed[rng.choice(truth.size, flips, replace=False)] = True
+    changed = changed.reshape(truth.shape)
+    evidence[changed] *= -rng.uniform(0.0, 0.25, flips)
+    bits, notes = nested(evidence, *NAMES)
+    _assert_nested(bits)
+    assert not (bits != truth)[~changed].any()
+    repaired = (bits == truth) & changed
+    assert len(notes) == repaired.sum()
+    for u, d in zip(*np.nonzero(repaired), strict=True):
+        assert any(note.startswith(f"su{u} under j{d} ") for note in notes)
+
+
+def test_most_undecided_bits_of_a_humanoid_are_decided_by_the_rest() -> None:
+    """The others lead to a tree as good: an SU may as well sit one segment further out."""
+    decided = 0
+    for seed in range(100):
+        rng = np.random.default_rng(seed)
+        truth = humanoid(seed)
+        evidence = np.where(truth, 3.0, -3.0)
+        evidence.flat[rng.integers(truth.size)] *= -0.2
+        decided += bool((nested(evidence, *NAMES)[0] == truth).all())
+    assert decided >= 85
+
+
+@given(st.integers(0, 10_000))
+@settings(max_examples=60, deadline=None)
+def test_a_certain_contradiction_is_refused_with_its_su_and_dof(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    truth = humanoid(seed)
+    evidence = np.where(truth, SURE, -SURE)
+    u, d = int(rng.integers(29)), int(rng.integers(28))
+    evidence[u, d] *= -1
+    refused: list[StructureError] = []
+    try:
+        bits, notes = nested(evidence, *NAMES)
+    except StructureError as error:
+        refused.append(error)
+    if refused:
+        assert f"j{d}" in refused[0].dofs
+        assert refused[0].remedy
+    else:
+        np.testing.assert_array_equal(bits, evidence > 0)
+        assert notes == []

@@ -68,7 +68,6 @@ def check(found: Calibration, folder: Path) -> None:
     [
         (("j0",), ()),  # it only turns the base of everything else
         (("j2",), ("j2", "j3")),  # behind j1, which moves
-        (("k0", "k1"), ("k0", "k1")),
         (("j0", "j1"), ("j0", "k0", "k1")),  # the stem's tip and the branch are on two bases
     ],
 )

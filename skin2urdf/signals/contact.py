@@ -25,6 +25,8 @@ _FALSE_ALARM = 1e-6
 """Probability that noise alone stands out anywhere in the logs, were it steady and normal."""
 _UNSTEADY = 1.5
 """How far noise may stand above its median over seconds: patterns bring the encoders' along."""
+_COHERENT = 3.0
+"""How far rounding of an encoder, which follows the motion, may stand above white noise."""
 _STEADY = 4.0
 """Time over which the noise level is taken [s]."""
 _LONGEST = 1.0
@@ -80,7 +82,7 @@ def disturbances(
         )
         acceleration = regressor_noise(s.motion, s.cutoff)[0][1 + features.n_dofs :]
         for p, begin, residual in _residuals(s, readings, features, curvature, log, taps):
-            rounding = np.sqrt((features.tau[p] ** 2).sum(axis=-1) @ acceleration)
+            rounding = _COHERENT * np.sqrt((features.tau[p] ** 2).sum(axis=-1) @ acceleration)
             for a, b, at, noise, felt in _peaks(residual, rounding, limit, s):
                 out.append(
                     Disturbance(
@@ -122,7 +124,9 @@ def _residuals(
             beyond, _ = curvature(pose.q, dq, qd, qdd, log)
             left = readings[part] - beyond
             left = left - (X @ features.coefficients[p]).swapaxes(0, 1)
-            left *= s.valid[part, :, None] & ~s.computed[part, :, None]
+            # An SU that lost samples here would show what computing them again got wrong.
+            whole = (s.valid[a:b] & ~s.computed[a:b]).all(axis=0)
+            left *= (s.valid[part] & whole)[..., None]
             smooth = filtered(left.reshape(len(left), -1), taps).reshape(left.shape)
             yield p, a, smooth[a - lo : b - lo]
 

@@ -102,7 +102,8 @@ def fit(design: Design, y: F64, independence: float) -> Fit:
     residual = Y - Z @ solution
     rank = int(keep.sum())
     independent = max(N * independence - rank, 1.0)
-    variance = (residual**2).sum(axis=0) * independence / independent
+    # Errors over a deviation that few samples gave are those of Student's t.
+    variance = (residual**2).sum(axis=0) * independence / max(independent - 2.0, independent / 3)
     a, b = corrected[:n, :n], corrected[:n, n:]
     if b.shape[1]:
         mu, W = np.linalg.eigh(corrected[n:, n:])

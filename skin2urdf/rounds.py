@@ -87,15 +87,15 @@ class Rounds:
         seen = activity(features, self.settings.static_threshold)
         return seen, ordered(kinematic_tree(seen, features), features)
 
-    def settled(self, tree: KinematicTree, features: Features) -> tuple[Estimate, Features]:
-        """Relinearise, and look at the structure again where the model does not explain the data.
+    def settled(self, found: Estimate, features: Features) -> tuple[Estimate, Features]:
+        """Look at the structure again where the model does not explain the data.
 
         Args:
-            tree: the structure as the first features show it.
-            features: the first features.
+            found: the estimate of the structure that the first features show.
+            features: its features.
         """
-        best, refined = self.relinearised(tree, features)
-        latest, shown, tried = best, refined, [tree]
+        best, refined = found, features
+        latest, shown, tried = best, refined, [found.tree]
         for _ in range(2):
             felt = set(latest.tree.joint_names)
             seen = activity(shown, self.settings.static_threshold)

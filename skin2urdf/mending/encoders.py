@@ -115,10 +115,10 @@ def solved_with_encoders_corrected(
         try:
             best = solved(now.corrected(), settings, clock)
         except (StructureError, InsufficientDataError):
-            return replace(first, faults=_faults(leaping, first))
+            return replace(first, faults=(*first.faults, *_faults(leaping, first)))
     if now is not leaping and not _better(first.found, best.found):
         now, best = leaping, first
-    return replace(best, faults=_faults(now, best))
+    return replace(best, faults=(*best.faults, *_faults(now, best)))
 
 
 def _with_signs(encoders: Encoders, first: Solution) -> tuple[Encoders, Solution]:

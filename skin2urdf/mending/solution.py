@@ -5,9 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from skin2urdf.calibration import CalibrationSettings
+from skin2urdf.calibration import GOOD_FIT, CalibrationSettings
+from skin2urdf.errors import StructureError
 from skin2urdf.estimation.estimate import Estimate
+from skin2urdf.estimation.health import unlike_the_rest
 from skin2urdf.faults import Fault
+from skin2urdf.mending.slips import slips_parted
+from skin2urdf.mending.swaps import names_agreeing
 from skin2urdf.recording.records import Recording
 from skin2urdf.rounds import Clock, Rounds
 from skin2urdf.signals.records import Features
@@ -67,9 +71,43 @@ def solved(
 ) -> Solution:
     """Look at recordings, and estimate until it settles.
 
+    Names that are swapped between logs come first, since they spoil the structure; then SUs that
+    slipped, since they would make a right structure look wrong.
+
     Raises:
         InsufficientDataError: the logs lack what a calibration needs.
         StructureError: the SUs' activity contradicts every kinematic tree.
     """
-    rounds, features, seen, tree = first_look(recordings, settings, clock)
-    return Solution(rounds, seen, *rounds.settled(tree, features))
+    sampled, su_names = clock.run("sampling", lambda _: sampled_together(recordings))
+    rounds = Rounds(sampled, su_names, settings, clock)
+    try:
+        first = _estimated(rounds)
+    except StructureError:
+        first = None
+        if len(sampled) == 1:
+            raise
+    if first is None or (len(sampled) > 1 and not _explains(first.found)):
+        renamed, swapped = names_agreeing(rounds)
+        if first is None or swapped:
+            first = replace(_estimated(renamed), faults=tuple(swapped))
+    parting = slips_parted(first.rounds, first.found, first.features)
+    found, features = parting.rounds.settled(parting.found, parting.features)
+    return replace(
+        first,
+        rounds=parting.rounds,
+        found=found,
+        features=features,
+        faults=(*first.faults, *parting.faults),
+    )
+
+
+def _estimated(rounds: Rounds) -> Solution:
+    """The estimate of the structure that the first features show."""
+    features = rounds.features()
+    seen, tree = rounds.structure(features)
+    return Solution(rounds, seen, *rounds.relinearised(tree, features))
+
+
+def _explains(found: Estimate) -> bool:
+    """Whether an estimate leaves nothing to explain."""
+    return found.cost_per_dof <= GOOD_FIT and not unlike_the_rest(found)

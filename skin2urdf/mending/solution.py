@@ -87,9 +87,7 @@ def solved(
         if len(sampled) == 1:
             raise
     if first is None or (len(sampled) > 1 and not _explains(first.found)):
-        renamed, swapped = names_agreeing(rounds)
-        if first is None or swapped:
-            first = replace(_estimated(renamed), faults=tuple(swapped))
+        first = _with_names_agreeing(rounds, first)
     parting = slips_parted(first.rounds, first.found, first.features)
     found, features = parting.rounds.settled(parting.found, parting.features)
     return replace(
@@ -106,6 +104,21 @@ def _estimated(rounds: Rounds) -> Solution:
     features = rounds.features()
     seen, tree = rounds.structure(features)
     return Solution(rounds, seen, *rounds.relinearised(tree, features))
+
+
+def _with_names_agreeing(rounds: Rounds, first: Solution | None) -> Solution:
+    """The estimate with the SUs' names made to agree, where that explains the readings better."""
+    renamed, swapped = names_agreeing(rounds)
+    if first is not None and not swapped:
+        return first
+    second = replace(_estimated(renamed), faults=tuple(swapped))
+    if first is None or second.found.cost_per_dof < _BETTER * first.found.cost_per_dof:
+        return second
+    return first
+
+
+_BETTER = 0.5
+"""Cost with other names, over that with the logs' own, below which the names were swapped."""
 
 
 def _explains(found: Estimate) -> bool:

@@ -98,8 +98,8 @@ def stuck(sound: Sound, rng: np.random.Generator) -> Faulty:
 
 
 def saturated(sound: Sound, rng: np.random.Generator) -> Faulty:
-    """An SU whose range ends where 1 to 8 % of its samples lie beyond."""
-    su = _one_of(sound, rng)
+    """An SU on a moving segment whose range ends where 1 to 8 % of its samples lie beyond."""
+    su = _one_of(sound, rng, moving=True)
     size = np.abs(su.specific_force).max(axis=1)
     end = float(np.quantile(size, 1 - rng.uniform(0.01, 0.08)))
     new = replace(su, specific_force=np.clip(su.specific_force, -end, end))

@@ -1,0 +1,182 @@
+"""Faults of SUs: each kind is named, and the rest of the robot is as good as without it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from simulated import held_against
+
+from skin2urdf.calibration import Calibration
+from skin2urdf.estimation.loose import slips
+from skin2urdf.faults import Fault, distinct
+from skin2urdf.pipeline import calibrate
+from skin2urdf.recording.records import Recording, SuStream
+from skin2urdf.recording.retiming import retimed
+from skin2urdf.signals.health import checked, clipping, rest_noise
+from skin2urdf.simulation import Simulation, SimulationSettings, load_robot, simulate
+from skin2urdf.simulation.faults import FAULTS, Faulty, Sound, in_two
+
+SETTINGS = SimulationSettings(n_poses=4, excite="all", seed=1, imu_rate=250.0, joint_rate=125.0)
+
+
+@cache
+def sound() -> Sound:
+    robot = load_robot("panda")
+    return Sound(robot, SETTINGS, simulate(robot, SETTINGS))
+
+
+@cache
+def faulty(kind: str) -> Faulty:
+    return FAULTS[kind](sound(), np.random.default_rng([2, *kind.encode()]))
+
+
+@cache
+def calibrated(kind: str) -> Calibration:
+    if kind == "clean":
+        return calibrate(retimed(sound().recording))
+    return calibrate([retimed(recording) for recording in faulty(kind).recordings])
+
+
+def without(simulation: Simulation, found: Calibration, names: tuple[str, ...], to: Path) -> float:
+    """Root mean square position error of all SUs but some [m]."""
+    sus = held_against(found, simulation.truth.urdf, to).sus
+    errors = [su.position.rms for su in sus if su.name not in names and su.position is not None]
+    return float(np.sqrt(np.mean(np.square(errors))))
+
+
+def test_a_clean_recording_has_no_fault() -> None:
+    found = calibrated("clean")
+    assert found.faults == ()
+    assert found.quality == "good"
+
+
+@pytest.mark.parametrize("kind", list(FAULTS))
+def test_a_fault_is_named_and_costs_the_others_nothing(kind: str, tmp_path: Path) -> None:
+    injected, found = faulty(kind), calibrated(kind)
+    named = {(fault.kind, fault.subject) for fault in found.faults}
+    assert named == {(injected.kind, subject) for subject in injected.subjects}
+    assert found.quality == "fair"
+    truth = sound().simulation
+    error = without(truth, found, injected.subjects, tmp_path)
+    clean = without(truth, calibrated("clean"), injected.subjects, tmp_path)
+    # One recording of four poses: chance alone moves the ratio by some ten per cent.
+    assert error < 1.5 * clean + 1e-5
+
+
+def test_a_slip_is_measured() -> None:
+    """The size in words is that of the simulated slip."""
+    (fault,) = calibrated("loose").faults
+    distance, angle = (float(part.split()[0]) for part in faulty("loose").words.split(", "))
+    words = fault.words.split()
+    assert float(words[words.index("by") + 1]) == pytest.approx(distance, abs=0.5)
+    assert float(words[words.index("mm") + 2]) == pytest.approx(angle, abs=0.15)
+
+
+def test_a_fixed_su_does_not_slip() -> None:
+    found = calibrated("clean")
+    assert slips(found.estimate, np.arange(found.features.n_poses)) == ()
+
+
+def test_the_earlier_placement_of_a_loose_su_is_an_su_of_its_own() -> None:
+    found, (name,) = calibrated("loose"), faulty("loose").subjects
+    tree = found.model.tree
+    joint = dict(zip(tree.su_names, tree.su_joint, strict=True))
+    assert joint[f"{name}_before"] == joint[name]
+
+
+def test_two_logs_of_a_sound_robot_have_no_fault() -> None:
+    assert calibrate([retimed(log) for log in in_two(sound())]).faults == ()
+
+
+# Streams alone.
+
+
+def stream(samples: np.ndarray, name: str = "su") -> SuStream:
+    return SuStream(name, np.arange(len(samples)) / 250.0, samples)
+
+
+def noise(n: int = 5000, sd: float = 0.01, seed: int = 0) -> np.ndarray:
+    return np.random.default_rng(seed).normal(0.0, sd, (n, 3))
+
+
+def kinds(*streams: SuStream) -> list[list[str]]:
+    spans = [(0.0, 20.0)]
+    return [[f.kind for f in c.faults] for c in checked(streams, spans, (0.0, 20.0))]
+
+
+def test_sensors_without_noise_are_not_frozen_while_the_robot_rests() -> None:
+    still = stream(np.ones((5000, 3)))
+    assert kinds(still, still, still) == [[], [], []]
+
+
+def test_a_constant_stream_among_noisy_ones_is_frozen() -> None:
+    constant = np.ones((5000, 3))
+    assert kinds(stream(constant), stream(noise()), stream(noise(seed=1))) == [["frozen"], [], []]
+    assert kinds(stream(0 * constant), stream(noise()), stream(noise(seed=1)))[0] == ["dead"]
+
+
+def test_values_that_every_sensor_repeats_are_no_fault() -> None:
+    """A driver that publishes each sample five times."""
+    slow = [stream(np.repeat(noise(1000, seed=s), 5, axis=0)) for s in range(3)]
+    assert kinds(*slow) == [[], [], []]
+
+
+def test_a_spread_of_noise_is_no_fault() -> None:
+    alike = [stream(noise(sd=0.01 * f, seed=i)) for i, f in enumerate((0.5, 0.8, 1.0, 1.3, 2.0))]
+    assert kinds(*alike) == [[]] * 5
+    assert kinds(*alike, stream(noise(sd=0.1, seed=9)))[-1] == ["noisy"]
+
+
+def test_noise_is_measured_at_rest() -> None:
+    samples = noise(sd=0.02)
+    assert rest_noise(samples, np.ones(len(samples), dtype=bool)) == pytest.approx(0.02, rel=0.05)
+
+
+def test_a_few_lost_samples_are_no_fault_and_many_are() -> None:
+    rng = np.random.default_rng(0)
+    whole = stream(noise())
+
+    def losing(share: float) -> SuStream:
+        kept = rng.random(5000) > share
+        return replace(whole, time=whole.time[kept], specific_force=whole.specific_force[kept])
+
+    assert kinds(losing(0.02), losing(0.3)) == [[], ["intermittent"]]
+
+
+def test_a_stream_that_ends_early_is_dead_from_then_on() -> None:
+    whole = stream(noise())
+    short = replace(whole, time=whole.time[:3000], specific_force=whole.specific_force[:3000])
+    assert kinds(short, whole) == [["dead"], []]
+
+
+def test_only_samples_at_the_end_of_the_range_are_clipped() -> None:
+    wave = 10 * np.sin(np.arange(5000) / 20.0)[:, None] + noise()
+    cut = np.clip(wave, -9.0, 9.0)
+    moving = np.zeros(5000, dtype=bool)
+    np.testing.assert_array_equal(clipping(cut, moving), (np.abs(cut) == 9.0).any(axis=1))
+    assert not clipping(wave, moving).any()
+
+
+def test_each_fault_is_told_once() -> None:
+    a, b = Fault("dead", "su_1", "first log"), Fault("dead", "su_2", "first log")
+    assert distinct([a, b, replace(a, words="second log")]) == (a, b)
+    assert str(replace(a, remedy="mend it")) == "first log: mend it"
+
+
+def test_the_slip_of_a_recording_is_drawn_anew_by_its_generator() -> None:
+    def words(seed: int) -> str:
+        return FAULTS["silent"](sound(), np.random.default_rng(seed)).words
+
+    assert words(0) == words(0) != words(1)
+
+
+def test_two_logs_hold_all_of_the_recording() -> None:
+    first, second = in_two(sound())
+    whole: Recording = sound().recording
+    for i, su in enumerate(whole.sus):
+        assert len(first.sus[i].time) + len(second.sus[i].time) == len(su.time)
+    assert second.joints[0].time[0] >= 0.0

@@ -6,7 +6,7 @@ simulation was made from, never from the package's own kinematics.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -114,8 +114,13 @@ def read_features(simulation: Simulation, features: Features) -> F64:
     return rows
 
 
-def held_against(calibration: Calibration, truth_urdf: str, folder: Path) -> Comparison:
-    """Comparison of a calibration with the truth, unobservable directions left out."""
+def held_against(
+    calibration: Calibration, truth_urdf: str, folder: Path, faulty: Sequence[str] = ()
+) -> Comparison:
+    """Comparison of a calibration with the truth, unobservable directions left out.
+
+    It is aligned by the SUs that are not faulty.
+    """
     estimate, truth = folder / "estimate.urdf", folder / "truth.urdf"
     text = emit(
         calibration.model,
@@ -132,4 +137,6 @@ def held_against(calibration: Calibration, truth_urdf: str, folder: Path) -> Com
     return compare(
         estimate, truth, unobservable=open_, open_directions=calibration.open_directions,
         n_configurations=60, rng=rng,
+        anchors=[n for n, rows in open_.items() if n not in faulty and not len(rows)]
+        if faulty else None,
     )  # fmt: skip

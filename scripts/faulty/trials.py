@@ -244,7 +244,10 @@ def errors(found: Calibration, truth: Truth, without: Sequence[str]) -> tuple[fl
         for name, verdict in zip(tree.su_names, seen.su_verdict, strict=True)
         if verdict == "determined" and name in names
     ]
-    text = emit(found.model, name="estimate", limits=found.limits, velocity=found.velocity)
+    text = emit(
+        found.model, name="estimate", limits=found.limits, velocity=found.velocity,
+        continuous=found.continuous,
+    )  # fmt: skip
     with tempfile.TemporaryDirectory() as folder:
         estimate, true = Path(folder) / "estimate.urdf", Path(folder) / "truth.urdf"
         estimate.write_text(text, encoding="utf-8")
@@ -252,6 +255,7 @@ def errors(found: Calibration, truth: Truth, without: Sequence[str]) -> tuple[fl
         true.write_text(felt, encoding="utf-8")
         comparison = compare(
             estimate, true, unobservable=free, anchors=anchors, sus=names,
+            open_directions=found.open_directions,
             n_configurations=CONFIGURATIONS, rng=np.random.default_rng(0),
         )  # fmt: skip
     sus = [su for su in comparison.sus if su.name in names]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -19,6 +20,7 @@ from skin2urdf.signals.filters import (
     shifted,
 )
 from skin2urdf.signals.motion import Motion
+from skin2urdf.signals.poses import Neighbourhood
 from skin2urdf.signals.records import Features
 from skin2urdf.signals.regression import (
     Design,
@@ -136,6 +138,7 @@ def _poses(s: Sampled, lag: F64, curvature: Curvature | None, log: int) -> list[
         if curvature is not None:
             beyond, expected = curvature(pose.q, dq, qd, qdd, log)
             y = y - beyond
+            _recompute(X, y, s, pose, pieces, taps, reach)
         own = np.concatenate([np.arange(a, b) for a, b in pose.windows])
         still = (np.abs(motion.qd[own]) < _STILL * motion.resolution).mean(axis=0)
         offset = np.where(motion.named, still * motion.noise, np.inf)
@@ -161,6 +164,39 @@ def _poses(s: Sampled, lag: F64, curvature: Curvature | None, log: int) -> list[
         )  # fmt: skip
         out.append(replace(found, noise=found.noise / _measured(ok, np.concatenate(lost))))
     return [p for p in out if np.isfinite(p.noise).any()]
+
+
+def _recompute(
+    X: F64,
+    y: F64,
+    s: Sampled,
+    pose: Neighbourhood,
+    pieces: Sequence[tuple[int, int]],
+    taps: F64,
+    reach: int,
+) -> None:
+    """Compute missing samples of y (N, U, 3) again, in place, now that X alone explains it.
+
+    Regressors are low-passed, the readings can not be while samples are missing: their noise does
+    no harm in a regression, that of the encoders would.
+    """
+    spans = np.concatenate([np.arange(lo, hi) for lo, hi in pieces])
+    if not s.computed[spans].any():
+        return
+    starts = np.cumsum([0, *(hi - lo for lo, hi in pieces)])
+    smooth = np.concatenate([filtered(X[i:j], taps) for i, j in pairwise(starts)])
+    inside = np.concatenate(
+        [(np.arange(*ends) >= a) & (np.arange(*ends) < b)
+         for (a, b), ends in zip(pose.windows, pieces, strict=True)]
+    )  # fmt: skip
+    measured = eroded_columns(s.valid[spans] & ~s.computed[spans], reach)
+    scale = np.sqrt((smooth[inside] ** 2).mean(axis=0))
+    known = scale > 1e-9
+    Z = smooth[:, known] / scale[known]
+    for u in np.flatnonzero(s.computed[spans].any(axis=0)):
+        ok, missing = inside & measured[:, u], inside & s.computed[spans, u]
+        solution = np.linalg.lstsq(Z[ok], y[ok, u], rcond=1e-6)[0]
+        y[missing, u] = Z[missing] @ solution
 
 
 def _measured(used: Bool, computed: Bool) -> F64:

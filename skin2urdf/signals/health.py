@@ -16,6 +16,8 @@ _PLAUSIBLE = (0.6, 1.4)
 """Static readings of a working sensor, in g."""
 _SATURATED = 0.002
 """Share of samples at the ends of the range from which an SU counts as saturated."""
+_DIGIT = 2.5e-3
+"""A digit of a 10 bit sensor, over its range."""
 _FALSE_ALARM = 1e-9
 """Probability that chance alone makes an SU of a log count as frozen."""
 _SHORTEST_FREEZE = 0.25
@@ -221,15 +223,17 @@ def clipping(raw: F64, still: Bool) -> Bool:
     A clipped signal stays at its extreme for several samples in a row, again and again. That is
     judged while the robot moves: a sensor without noise may rest at its extreme.
     """
-    clipped = np.zeros(len(raw), dtype=bool)
+    ends = []
     moving = raw[~still]
     if len(moving) < 100:
-        return clipped
+        return np.zeros(len(raw), dtype=bool)
     for column, motion in zip(raw.T, moving.T, strict=True):
         varied = len(np.unique(motion[:: max(1, len(motion) // 2000)])) > 50
         for end in (column.min(), column.max()):
             at = motion == end
             runs = at[1:] & at[:-1]
             if varied and runs.sum() > 0.5 * at.sum() and at.mean() > _SATURATED:
-                clipped |= column == end
-    return clipped
+                ends.append(abs(float(end)))
+    # One range for all axes, but for the digit that two's complement lacks above zero.
+    limit = min(ends, default=np.inf) * (1 - _DIGIT)
+    return np.asarray((np.abs(raw) >= limit).any(axis=1))

@@ -231,12 +231,18 @@ def _slides_and_turns(rows: F64) -> Iterator[F64]:
 
 
 def _within(tree: KinematicTree, null: F64, limb: int) -> F64:
-    """(m, J) orthonormal basis of what directions (k, J) are within a limb, logs included."""
+    """(m, J) orthonormal basis of the parts of directions (k, J) that concern a limb's SUs.
+
+    These are the joints of the limb and those before it, and the logs' gravity. No reading of the
+    limb tells them either. What is much shorter than the whole direction belongs to other limbs,
+    and to rounding.
+    """
     inside = np.ones(null.shape[1], dtype=bool)
+    before = tree.chain(limb)
     for j in range(tree.n_joints):
-        inside[N_JOINT * j : N_JOINT * (j + 1)] = limb in tree.chain(j)
+        inside[N_JOINT * j : N_JOINT * (j + 1)] = j in before or limb in tree.chain(j)
     _, values, Vt = np.linalg.svd(null * inside, full_matrices=False)
-    return np.asarray(Vt[values > _TINY])
+    return np.asarray(Vt[values > ALIKE])
 
 
 def _followed(

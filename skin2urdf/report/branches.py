@@ -78,8 +78,11 @@ def _of_several(model: KinematicModel, direction: OpenDirection) -> Unknown:
     """Several placements move together."""
     tree = model.tree
     first, *rest = sorted(tree.joint_names.index(name) for name in direction.joints)
+    name = tree.joint_names[first]
+    if tree.parent[first] < 0 and not rest:
+        why = "gravity alone tells it, and the bias of its SUs looks much the same"
+        return Unknown(f"tilt of the axis of {name} against what it carries", why, TILT_REMEDY)
     if all(tree.parent[j] == first for j in rest):
-        name = tree.joint_names[first]
         what = f"one direction of the axis of {name} relative to what it carries"
         return Unknown(what, f"{name} moved too little in this log", more([name]))
     before = sorted({k for j in (first, *rest) for k in tree.chain(j)})

@@ -87,6 +87,8 @@ def misfit(found: Estimate, state: State) -> float:
         (tree_of((-1, 0, 1, 2, 0, 4)), 0.6, (1, 4), 1),  # parallel axes in both branches
         (tree_of((-1, 0, 1, 2, 1, 4), (1,)), 0.6, (), 1),  # a sliding joint between
         (tree_of((-1, 0, 1, 2, 3, 4)), 0.0, (), 0),  # no branch
+        (tree_of((-1, 0, 1, 2, 0, 4, -1, 6, 7, -1)), 0.6, (), 1),  # beside other limbs
+        (tree_of((-1, 0, 1, 2, 3, 0, 5, -1, -1), (0,)), 0.6, (), 0),  # limbs on a slide
         (tree_of((-1, 0, 1, 2, 1, 4)), 0.6, (), 0),  # nothing is open beyond two skew axes
     ],
 )

@@ -97,6 +97,10 @@ def test_an_axis_that_may_be_elsewhere_is_told() -> None:
     (words,) = between_branches(calibration().model, [axis], np.eye(3)[2:])
     assert words.what == f"one direction of the axis of {second} relative to what it carries"
     assert second in words.remedy
+    first, su = calibration().model.tree.joint_names[0], calibration().model.tree.su_names[1]
+    tilt = OpenDirection({first: np.eye(6)[3]}, {su: np.eye(6)[3]})
+    (words,) = between_branches(calibration().model, [tilt], np.eye(3)[2:])
+    assert words.what.startswith(f"tilt of the axis of {first}")
     fourth = calibration().model.tree.joint_names[3]
     several = OpenDirection({second: np.eye(6)[0], fourth: np.eye(6)[1]}, {})
     (words,) = between_branches(calibration().model, [several], np.eye(3)[2:])

@@ -37,6 +37,8 @@ _LEFT = 0.1
 """Share of the misfit that may stay where encoders were its cause."""
 _CERTAIN = 5.0
 """Standard deviations from which an encoder's error is reported."""
+_SMALL = 1e-3
+"""Offset [rad or m] or scale error [1] that sound gears and encoders have as well."""
 _WHOLE_TURN = 1e-3
 """Part of a turn by which a leap may miss whole turns, and still be one of counting."""
 
@@ -107,7 +109,7 @@ def solved_with_encoders_corrected(
     first = solved(leaping.corrected(), settings, clock)
     now, best = _with_signs(leaping, first)
     for _ in range(_PASSES):
-        errors = _diagnosed(best)
+        errors = _diagnosed(best, {error.dof for error in now.errors})
         if not errors:
             break
         for error in errors:
@@ -139,8 +141,13 @@ def _with_signs(encoders: Encoders, first: Solution) -> tuple[Encoders, Solution
     return (now, best) if _better(first.found, best.found) else (encoders, first)
 
 
-def _diagnosed(solution: Solution) -> list[EncoderError]:
-    """Errors of encoders that explain a solution's misfit, found on its features alone."""
+def _diagnosed(solution: Solution, known: set[str]) -> list[EncoderError]:
+    """Errors of encoders that explain a solution's misfit, found on its features alone.
+
+    Args:
+        solution: the solution.
+        known: DoFs whose encoders are wrong already; what is left of their errors may be small.
+    """
     rounds, found, features = solution.rounds, solution.found, solution.features
     errors = list(gross_scales(found)) if _hopeless(found) else []
     for error in errors:
@@ -153,10 +160,18 @@ def _diagnosed(solution: Solution) -> list[EncoderError]:
         enough = _PART_OF_IT if _hopeless(found) else _MOST_OF_IT
         if not any(s.significant and s.share > enough for s in suspects):
             break
+        if _small(suspects[0].error) and suspects[0].error.dof not in known:
+            break
+        known = {*known, suspects[0].error.dof}
         errors.append(suspects[0].error)
         features = corrected_features(features, errors[-1])
         found = rounds.estimated(found.tree, features, found.state)
     return errors
+
+
+def _small(error: EncoderError) -> bool:
+    amount = error.size - 1 if error.kind == "scale" else error.size
+    return abs(amount) < _SMALL
 
 
 def _hopeless(found: Estimate) -> bool:

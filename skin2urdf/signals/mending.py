@@ -106,6 +106,6 @@ def _fitted(X: F64, y: F64, ok: Bool) -> tuple[F64, F64]:
     ridge = 1e-6 * int(ok.sum()) * np.eye(Z.shape[1])
     inverse = np.linalg.inv(products + ridge)
     prediction = Z @ (inverse @ (Z[ok].T @ y[ok]))
-    leverage = np.einsum("ni,ij,nj->n", Z, inverse, Z)
+    leverage = np.einsum("ni,ni->n", Z @ inverse, Z)
     beyond = np.abs(X[:, ~known]).max(axis=1, initial=0.0) > 1e-6
     return prediction, np.where(beyond, np.inf, leverage)

@@ -51,8 +51,10 @@ def reversed_encoders(first: Estimate, features: Features) -> Iterator[EncoderEr
 
 def _poses(features: Features, chosen: Bool) -> Features:
     """The features of some poses, as of a first log."""
-    fields = ("q", "coefficients", "information", "noise", "position_sd", "hidden", "span")
-    parts = {name: getattr(features, name)[chosen] for name in fields}
+    by_pose = (
+        "q", "coefficients", "information", "noise", "position_sd", "hidden", "omega2", "span",
+    )  # fmt: skip
+    parts = {name: getattr(features, name)[chosen] for name in by_pose}
     return replace(features, log=np.zeros(int(chosen.sum()), dtype=np.int64), **parts)
 
 

@@ -7,10 +7,11 @@ from dataclasses import dataclass, replace
 
 from skin2urdf.calibration import GOOD_FIT, CalibrationSettings
 from skin2urdf.errors import StructureError
+from skin2urdf.estimation.encoders import suspicions
 from skin2urdf.estimation.estimate import Estimate
 from skin2urdf.estimation.health import unlike_the_rest
 from skin2urdf.faults import Fault
-from skin2urdf.mending.slips import slips_parted
+from skin2urdf.mending.slips import Parting, slips_parted
 from skin2urdf.mending.swaps import names_agreeing
 from skin2urdf.recording.records import Recording
 from skin2urdf.rounds import Clock, Rounds
@@ -88,7 +89,12 @@ def solved(
             raise
     if first is None or (len(sampled) > 1 and not _explains(first.found)):
         first = _with_names_agreeing(rounds, first)
-    parting = slips_parted(first.rounds, first.found, first.features)
+    # A joint whose encoder jumps turns the SUs beyond it as if they had slipped.
+    parting = (
+        Parting(first.rounds, first.found, first.features)
+        if _an_encoder_jumps(first)
+        else slips_parted(first.rounds, first.found, first.features)
+    )
     found, features = parting.rounds.settled(parting.found, parting.features)
     return replace(
         first,
@@ -119,6 +125,18 @@ def _with_names_agreeing(rounds: Rounds, first: Solution | None) -> Solution:
 
 _BETTER = 0.5
 """Cost with other names, over that with the logs' own, below which the names were swapped."""
+
+
+_NEARLY_ALL = 0.9
+"""Share of the misfit that one offset of an encoder explains where it is the cause."""
+
+
+def _an_encoder_jumps(first: Solution) -> bool:
+    """Whether one number, an encoder's offset, explains nearly all of what an estimate leaves."""
+    suspects = suspicions(first.found, first.features)[:1]
+    return any(
+        s.error.kind == "offset" and s.significant and s.share > _NEARLY_ALL for s in suspects
+    ) and not _explains(first.found)
 
 
 def _explains(found: Estimate) -> bool:

@@ -320,6 +320,14 @@ def test_rests_in_which_joints_still_settle_fit_like_the_others() -> None:
     assert (fit.held_out.per_dof < 4.0).all()
 
 
+def test_rests_that_differ_by_a_milliradian_are_one_pose_with_exact_encoders_too() -> None:
+    """As large numbers that cancel, slopes from such rests would spoil what gravity reads."""
+    made = simulation(
+        "kinova", upright=True, n_poses=5, seed=1007, grade="bma150", encoder_bits=None
+    )
+    assert (calibrate(made.recording).goodness.by_pose.per_dof < 4.0).all()
+
+
 def test_no_log_and_a_missing_one_are_errors_in_words(tmp_path: Path) -> None:
     with pytest.raises(InsufficientDataError, match="no log"):
         calibrate([])

@@ -28,6 +28,7 @@ from skin2urdf.signals.regression import (
     excited,
     fit,
     hidden_motion,
+    informative,
     noise_by_row,
     orthonormal,
     regressors,
@@ -258,12 +259,13 @@ def _regress(
         if not enough(use, rate):
             continue
         Xe = excited(X[use], noise[0])
-        # A DoF that keeps still adds nothing at second order: its nuisances would only fit noise.
-        moves = np.asarray(Xe[:, (n + 1) // 2 :].any(axis=0))
-        Ze = Z[use] * np.tile(moves, Z.shape[1] // max(1, len(moves)))
-        # Motion too small to be fitted, as of a joint that settles, is felt all the same.
-        felt = y[use][:, members] - np.tensordot(X[use] - Xe, expected[:, members], 1)
+        Ze, felt = _regressed(Xe, X[use], Z[use], y[use][:, members], expected[:, members])
         result = fit(Design(Xe, Ze, *noise), felt, independence)
+        known = informative(Xe, result)
+        if (known.any(axis=0) != Xe.any(axis=0)).any():
+            Xe = known
+            Ze, felt = _regressed(Xe, X[use], Z[use], y[use][:, members], expected[:, members])
+            result = fit(Design(Xe, Ze, *noise), felt, independence)
         coefficients[members] = result.coefficients
         basis = orthonormal(np.concatenate([Xe, Ze], axis=1))
         factor = noise_by_row(Xe, basis, result.residual, rate, cutoff, independence)
@@ -284,6 +286,16 @@ def _regress(
         q, log, coefficients, information, deviation, *unseen,
         numerator * scale, denominator * scale,
     )  # fmt: skip
+
+
+def _regressed(Xe: F64, X: F64, Z: F64, y: F64, expected: F64) -> tuple[F64, F64]:
+    """Nuisances (N, k) and readings (N, U, 3) to fit, for the columns Xe (N, n) that X keeps."""
+    D = (X.shape[1] - 1) // 2
+    # A DoF that keeps still adds nothing at second order: its nuisances would only fit noise.
+    moves = np.asarray(Xe[:, 1 + D :].any(axis=0))
+    kept = Z * np.tile(moves, Z.shape[1] // max(1, D))
+    # Motion too small to be fitted, as of a joint that settles, is felt all the same.
+    return kept, y - np.tensordot(X - Xe, expected, 1)
 
 
 def _latency_step(poses: Sequence[_Pose]) -> tuple[F64, F64]:

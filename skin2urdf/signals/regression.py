@@ -118,6 +118,30 @@ def fit(design: Design, y: F64, independence: float) -> Fit:
     )
 
 
+_LARGEST = (9.81, 1.0)
+"""What slopes s [m/s^2/rad] and lever arms tau [m] may be; gravity bounds the former."""
+
+
+def informative(X: F64, found: Fit) -> F64:
+    """X (N, n) with columns set to zero that a fit tells nothing of.
+
+    A joint that comes to rest moves by a milliradian in the samples of several rests at one pose.
+    With fine encoders that counts as excited, but it hardly differs from a constant, and the
+    coefficients, gravity's among them, come out as large numbers that cancel. What is worse known
+    than nature bounds it is better predicted from the rest than fitted.
+    """
+    used = X.any(axis=0)
+    size = np.sqrt(np.diag(found.information)[used])
+    lam, V = np.linalg.eigh(found.information[np.ix_(used, used)] / size / size[:, None])
+    deviation = np.full(X.shape[1], np.inf)
+    deviation[used] = np.sqrt((V**2 / np.maximum(lam, 1e-12)).sum(axis=1)) / size
+    D = (X.shape[1] - 1) // 2
+    useless = deviation * np.median(found.deviation) > np.r_[np.inf, np.repeat(_LARGEST, D)]
+    # Without its acceleration, a DoF's position would stand for both.
+    useless[1 : 1 + D] |= useless[1 + D :]
+    return np.asarray(np.where(useless, 0.0, X))
+
+
 def orthonormal(Z: F64) -> F64:
     """(N, r) orthonormal basis of what the columns of Z (N, k) that are not zero span."""
     basis, _ = np.linalg.qr(Z[:, np.einsum("ni,ni->i", Z, Z) > 0])

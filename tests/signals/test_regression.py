@@ -21,6 +21,7 @@ from skin2urdf.signals.regression import (
     excited,
     fit,
     hidden_motion,
+    informative,
     noise_by_row,
     orthonormal,
     regressors,
@@ -310,3 +311,18 @@ def test_hidden_motion_of_a_joint_that_moves_along() -> None:
     np.testing.assert_allclose(omega2, omega**2, rtol=1e-2)
     wanted = rounded_away(np.array(4.0)) * 1e-8 / (0.05 * omega**2) ** 2
     assert hidden[0, 1] == pytest.approx(wanted, rel=0.3)
+
+
+def test_what_a_fit_tells_nothing_of_is_not_fitted() -> None:
+    """A joint that differs by a milliradian from rest to rest, beside one that has a pattern."""
+    rng = np.random.default_rng(8)
+    t = np.arange(2000) / RATE
+    dq = np.stack([0.04 * np.sin(12 * t), np.repeat([0.0, 1e-3, 5e-4, 2e-4], 500)], axis=1)
+    qdd = np.stack([-144 * dq[:, 0], 1e-3 * rng.standard_normal(2000)], axis=1)
+    X = np.concatenate([np.ones((2000, 1)), np.sin(dq), qdd], axis=1)
+    X[:, 1] *= np.hanning(2000)
+    y = X @ rng.standard_normal((5, 3)) + 0.1 * rng.standard_normal((2000, 3))
+    nothing = Design(X, np.zeros((2000, 0)), np.zeros(5), np.zeros(2))
+    known = informative(X, fit(nothing, y[:, None], INDEPENDENCE))
+    assert known.any(axis=0).tolist() == [True, True, False, True, False]
+    np.testing.assert_array_equal(known[:, [0, 1, 3]], X[:, [0, 1, 3]])

@@ -29,6 +29,8 @@ _COHERENT = 3.0
 """How far rounding of an encoder, which follows the motion, may stand above white noise."""
 _STEADY = 4.0
 """Time over which the noise level is taken [s]."""
+_PARTS = 8
+"""Parts of that time whose medians are taken first."""
 _LONGEST = 1.0
 """Time that readings are disturbed by a contact at most, the filter's reach aside [s]."""
 _TAIL = 2.0
@@ -139,8 +141,7 @@ def _peaks(
     size = np.linalg.norm(residual, axis=-1)
     if len(size) < rate:
         return
-    width = min(len(size), int(_STEADY * rate)) | 1
-    usual = median_filter(size, size=(width, 1), mode="reflect")
+    usual = _level(size, int(rate * _STEADY / _PARTS))
     usual = np.hypot(_UNSTEADY * np.maximum(usual, np.median(size, axis=0)), rounding)
     z = size / np.maximum(usual, 1e-6)
     highest = z.max(axis=1)
@@ -155,6 +156,16 @@ def _peaks(
             max(0, int(a) - margin), min(len(z), int(b) + margin), at, usual[at],
             tuple(int(u) for u in felt),
         )  # fmt: skip
+
+
+def _level(size: F64, part: int) -> F64:
+    """Running medians over seconds of sizes (N, U): medians of the medians of parts."""
+    N = len(size)
+    starts = np.arange(0, max(1, N - part // 2), part)
+    ends = np.append(starts[1:], N)
+    medians = np.array([np.median(size[a:b], axis=0) for a, b in zip(starts, ends, strict=True)])
+    smooth = median_filter(medians, size=(min(_PARTS, len(medians)) | 1, 1), mode="reflect")
+    return np.repeat(smooth, ends - starts, axis=0)
 
 
 def without(sampled: Sequence[Sampled], found: Sequence[Disturbance]) -> list[Sampled]:

@@ -16,6 +16,8 @@ _PLAUSIBLE = (0.6, 1.4)
 """Static readings of a working sensor, in g."""
 _SATURATED = 0.002
 """Share of samples at the ends of the range from which an SU counts as saturated."""
+_PLATEAU = 6
+"""Samples in a row at an extreme from which their sides tell whether it was cut off."""
 _DIGIT = 2.5e-3
 """A digit of a 10 bit sensor, over its range."""
 _FALSE_ALARM = 1e-9
@@ -74,7 +76,7 @@ def checked(
         clipped = clipping(whole.specific_force, still[u][kept])
         if share := float(clipped.mean()) if len(clipped) else 0.0:
             words = (
-                f"{su.name} is at the end of its range in {100 * share:.1f} % of its samples; "
+                f"{su.name} is at the end of its range in {100 * share:.2g} % of its samples; "
                 "they were left out"
             )
             remedy = "use a larger range or weaker patterns"
@@ -220,8 +222,9 @@ def _noisiness(name: str, u: int, noise: F64) -> list[Fault]:
 def clipping(raw: F64, still: Bool) -> Bool:
     """(M,) True for samples (M, 3) at the ends of the sensor's range; all False if it is not met.
 
-    A clipped signal stays at its extreme for several samples in a row, again and again. That is
-    judged while the robot moves: a sensor without noise may rest at its extreme.
+    A clipped signal stays at its extreme for several samples in a row: once for long and with steep
+    sides, or for a few samples again and again. That is judged while the robot moves: a sensor
+    without noise may rest at its extreme.
     """
     ends = []
     moving = raw[~still]
@@ -231,9 +234,34 @@ def clipping(raw: F64, still: Bool) -> Bool:
         varied = len(np.unique(motion[:: max(1, len(motion) // 2000)])) > 50
         for end in (column.min(), column.max()):
             at = motion == end
-            runs = at[1:] & at[:-1]
-            if varied and runs.sum() > 0.5 * at.sum() and at.mean() > _SATURATED:
+            begin, stop = _longest((column == end) & ~still)
+            if stop - begin >= _PLATEAU:
+                cut_off = _steep(column, begin, stop)
+            else:
+                cut_off = (at[1:] & at[:-1]).sum() > 0.5 * at.sum() and at.mean() > _SATURATED
+            if varied and cut_off:
                 ends.append(abs(float(end)))
     # One range for all axes, but for the digit that two's complement lacks above zero.
     limit = min(ends, default=np.inf) * (1 - _DIGIT)
     return np.asarray((np.abs(raw) >= limit).any(axis=1))
+
+
+def _longest(at: Bool) -> tuple[int, int]:
+    """Begin and end of the longest stretch in which ``at`` (M,) holds."""
+    edges = np.flatnonzero(np.diff(np.r_[0, at.astype(np.int8), 0])).reshape(-1, 2)
+    begin, end = max(edges, key=lambda stretch: stretch[1] - stretch[0], default=(0, 0))
+    return int(begin), int(end)
+
+
+def _steep(column: F64, begin: int, end: int) -> bool:
+    """Whether a stretch at an extreme is a cut-off peak.
+
+    A peak that is as wide within one digit drops by four digits, half its width beyond either
+    side; one that was cut off drops by far more.
+    """
+    half = (end - begin) // 2
+    if begin - 1 - half < 0 or end + half >= len(column):
+        return False
+    digit = float(np.diff(np.unique(column)).min())
+    sides = column[[begin - 1 - half, end + half]]
+    return bool(np.abs(sides - column[begin]).min() > 2 * 4 * digit)

@@ -163,6 +163,19 @@ def test_only_samples_at_the_end_of_the_range_are_clipped() -> None:
     assert not clipping(wave, moving).any()
 
 
+def test_one_peak_that_is_cut_off_is_clipped_and_a_flat_one_is_not() -> None:
+    moving = np.zeros(4000, dtype=bool)
+    time = np.arange(4000) / 500
+    wave = 10 * np.sin(2 * np.pi * 0.3 * time) + 6 * np.exp(-(((time - 0.9) / 0.05) ** 2))
+    peaks = np.stack([wave, 0.5 * wave, 0.2 * wave], axis=1)
+    digital = np.round(peaks / 0.04) * 0.04
+    assert not clipping(digital, moving).any()
+    cut = np.minimum(digital, 13.0)
+    np.testing.assert_array_equal(clipping(cut, moving), (cut[:, 0] >= 13.0))
+    slow = np.round(10 * np.sin(2 * np.pi * 0.3 * time[:, None] + [0.0, 1.0, 2.0]) / 0.04) * 0.04
+    assert not clipping(slow, moving).any()
+
+
 def test_each_fault_is_told_once() -> None:
     a, b = Fault("dead", "su_1", "first log"), Fault("dead", "su_2", "first log")
     assert distinct([a, b, replace(a, words="second log")]) == (a, b)

@@ -23,6 +23,8 @@ if TYPE_CHECKING:
 
 _G = 9.81
 _INTERRUPTED = 130
+_TO_REPAIR = 3
+"""The URDF was written, but an SU or an encoder has to be set right before it fits the robot."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -90,7 +92,9 @@ def _calibrate(options: argparse.Namespace) -> int:
         print(as_text(calibration))
         print(f"wrote {_shown(urdf)} and {_shown(beside)} in {time.perf_counter() - begin:.1f} s")
     # Only the paper's method gets here with a bad fit: it was asked for, but is not to be trusted.
-    return 1 if calibration.quality == "bad" else 0
+    if calibration.quality == "bad":
+        return 1
+    return _TO_REPAIR if any(fault.to_repair for fault in calibration.faults) else 0
 
 
 def _calibration_settings(options: argparse.Namespace) -> CalibrationSettings:

@@ -28,6 +28,12 @@ Of joints: an encoder that counts the other way; by another factor; from another
 time on; a joint that something touched."""
 
 
+_TO_REPAIR: tuple[FaultKind, ...] = (
+    "dead", "frozen", "loose", "swapped", "wrong unit",
+    "encoder sign", "encoder scale", "encoder jump",
+)  # fmt: skip
+
+
 @dataclass(frozen=True)
 class Fault:
     """A fault that was found in the logs.
@@ -43,6 +49,11 @@ class Fault:
     subject: str
     words: str
     remedy: str = ""
+
+    @property
+    def to_repair(self) -> bool:
+        """Whether something has to be set right before the URDF fits the robot as it is."""
+        return self.kind in _TO_REPAIR
 
     def __str__(self) -> str:
         """All of it in one line."""

@@ -10,6 +10,7 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import NamedTuple
 
+import numpy as np
 import pytest
 
 from skin2urdf import cli, options, survey, terminal
@@ -17,6 +18,8 @@ from skin2urdf.cli import main
 from skin2urdf.errors import BadFitError, StructureError
 from skin2urdf.estimation.cost import Priors
 from skin2urdf.files import write_atomically
+from skin2urdf.recording.reading import read
+from skin2urdf.recording.writing import write
 
 SHORT = ["--poses", "3", "--imu-rate", "250", "--joint-rate", "125", "--seed", "5"]
 
@@ -64,6 +67,21 @@ def test_calibrate_tells_the_verdict_first_and_the_files_last(
     assert "a.json" in lines[-1]
     assert (tmp_path / "a.json").is_file()
     assert '<robot name="arm">' in (tmp_path / "a.urdf").read_text()
+
+
+def test_an_su_to_be_repaired_is_told_by_verdict_and_exit_status(
+    files: Files, run: Run, tmp_path: Path
+) -> None:
+    recording = read(files.log)
+    dead = recording.sus[3]
+    nothing = replace(dead, specific_force=np.zeros_like(dead.specific_force))
+    sus = tuple(nothing if su is dead else su for su in recording.sus)
+    write(replace(recording, sus=sus), tmp_path / "dead.mcap")
+    status, out, _ = run("calibrate", tmp_path / "dead.mcap", "-o", tmp_path / "a.urdf")
+    assert status == 3
+    assert out.startswith("fair: ")
+    assert f"{dead.name} reads zero" in out
+    assert (tmp_path / "a.urdf").is_file()
 
 
 def test_calibrate_prints_the_json_it_writes(files: Files, run: Run, tmp_path: Path) -> None:

@@ -64,15 +64,15 @@ def computed(
     for a, b, sus in torn:
         part = slice(a, b)
         moving = np.ptp(q[part], axis=0) > excursion
-        for u in sus:
-            ok = valid[part, u]
+        for alike in map(np.array, _alike(valid[part], sus)):
+            ok = valid[part, alike[0]]
             X = _series(q[part, moving], qd[part, moving], qdd[part, moving], int(ok.sum()))
             if X is None:
                 continue
-            prediction, leverage = _fitted(X, readings[part, u], ok)
-            here = ~ok & (leverage < _LEVERAGE)
-            new[part, u][here] = prediction[here]
-            done[part, u] = here
+            prediction, leverage = _fitted(X, readings[part][:, alike], ok)
+            here = a + np.flatnonzero(~ok)[leverage < _LEVERAGE]
+            new[np.ix_(here, alike)] = prediction[leverage < _LEVERAGE]
+            done[np.ix_(here, alike)] = True
     return new, done
 
 
@@ -80,6 +80,14 @@ def _torn(valid: Bool) -> list[int]:
     """SUs with some samples of a window (N, U) missing, but not most of them."""
     share = valid.mean(axis=0) if len(valid) else np.ones(valid.shape[1])
     return [int(u) for u in np.flatnonzero((share >= _LEAST) & (share < 1.0))]
+
+
+def _alike(valid: Bool, sus: Sequence[int]) -> list[list[int]]:
+    """SUs grouped by the samples of a window (N, U) that they lack."""
+    groups: dict[bytes, list[int]] = {}
+    for u in sus:
+        groups.setdefault(valid[:, u].tobytes(), []).append(u)
+    return list(groups.values())
 
 
 def _series(q: F64, qd: F64, qdd: F64, samples: int) -> F64 | None:
@@ -97,15 +105,23 @@ def _series(q: F64, qd: F64, qdd: F64, samples: int) -> F64 | None:
 
 
 def _fitted(X: F64, y: F64, ok: Bool) -> tuple[F64, F64]:
-    """Prediction (N, 3) of all samples from those that are there, and its leverage (N,)."""
+    """Missing samples as those that are there predict them, and their leverage.
+
+    Args:
+        X: (N, k) regressors.
+        y: (N, U, 3) readings.
+        ok: (N,) False for the M samples that are missing.
+
+    Returns:
+        (M, U, 3) and (M,).
+    """
     scale = np.sqrt((X[ok] ** 2).mean(axis=0))
     known = scale > 1e-9
     Z = X[:, known] / scale[known]
-    products = Z[ok].T @ Z[ok]
+    there, missing = Z[ok], Z[~ok]
     # What the missing samples alone would tell must show in the leverage, not be projected away.
-    ridge = 1e-6 * int(ok.sum()) * np.eye(Z.shape[1])
-    inverse = np.linalg.inv(products + ridge)
-    prediction = Z @ (inverse @ (Z[ok].T @ y[ok]))
-    leverage = np.einsum("ni,ni->n", Z @ inverse, Z)
-    beyond = np.abs(X[:, ~known]).max(axis=1, initial=0.0) > 1e-6
-    return prediction, np.where(beyond, np.inf, leverage)
+    ridge = 1e-6 * len(there) * np.eye(Z.shape[1])
+    effect = np.linalg.solve(there.T @ there + ridge, missing.T).T
+    prediction = np.tensordot(effect @ there.T, y[ok], 1)
+    beyond = np.abs(X[~ok][:, ~known]).max(axis=1, initial=0.0) > 1e-6
+    return prediction, np.where(beyond, np.inf, np.einsum("ni,ni->n", effect, missing))

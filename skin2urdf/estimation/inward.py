@@ -9,22 +9,34 @@ one SU at the tip of each limb.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import brentq
 
 from skin2urdf.arrays import F64
 from skin2urdf.estimation.blocks import FeatureBlocks
 from skin2urdf.estimation.cost import Priors
-from skin2urdf.estimation.orientation import ROUGH_BIAS, Orientations, with_all_sus
-from skin2urdf.model.spatial import axis_rotation, cross, frame_with_z, skew, wahba
+from skin2urdf.estimation.orientation import Orientations, with_all_sus
+from skin2urdf.estimation.peeling import Peeled, Readings, candidates
+from skin2urdf.model.spatial import frame_with_z, wahba
 from skin2urdf.structure.records import KinematicTree
 
-_SENSE_EVIDENCE = 30.0
-"""Chi-squared difference below which both senses of an axis are kept as hypotheses."""
-_SENSE_LEVER = 1.5
-"""Gravity across an axis [m/s^2 rms] below which its sense is not taken from gravity's slope."""
 _MOST_HYPOTHESES = 8
+
+
+@dataclass(frozen=True, eq=False)
+class _Limb:
+    """What one SU shows of its chain, in its frame at position zero.
+
+    Attributes:
+        axes: (n, 3) axes.
+        up: (G, 3) unit vectors opposite to gravity; NaN for logs in which it was not heard.
+        misfit: chi-squared that speaks against it.
+    """
+
+    axes: F64
+    up: F64
+    misfit: float
 
 
 def inward_starts(
@@ -36,15 +48,17 @@ def inward_starts(
     that share none keep an arbitrary relative yaw, which nothing in the data determines.
     """
     tips = _tips(tree, blocks)
-    combinations: list[list[tuple[F64, F64]]] = [[]]
+    combinations: list[list[_Limb]] = [[]]
     for su in tips:
-        options = list(_peel(tree, blocks, su))
-        combinations = [[*c, o] for c in combinations for o in options][:_MOST_HYPOTHESES]
+        both = [[*c, limb] for c in combinations for limb in _peel(tree, blocks, su)]
+        both.sort(key=lambda limbs: sum(limb.misfit for limb in limbs))
+        combinations = both[:_MOST_HYPOTHESES]
     for combination in combinations:
         axes = np.full((tree.n_joints, 3), np.nan)
         up = np.zeros((int(blocks.log.max(initial=0)) + 1, 3))
         up[:] = np.nan
-        for su, (k, h) in zip(tips, combination, strict=True):
+        for su, limb in zip(tips, combination, strict=True):
+            k, h = limb.axes, limb.up
             chain = list(tree.chain(int(tree.su_joint[su])))
             R = _onto_base(axes[chain], k, up, h)
             new = np.isnan(axes[chain]).any(axis=1)
@@ -87,71 +101,43 @@ def _onto_base(known: F64, k: F64, up: F64, h: F64) -> F64:
     return R
 
 
-def _peel(tree: KinematicTree, blocks: FeatureBlocks, su: int) -> Iterator[tuple[F64, F64]]:
-    """Axes (n, 3) and up vectors (G, 3), both in the SU's frame at position zero."""
-    chain = list(tree.chain(int(tree.su_joint[su])))
-    ok = np.isfinite(blocks.noise[:, su]).all(axis=1)
-    n, L = len(chain), blocks.chains.joint.shape[1]
-    noise2 = (blocks.noise[ok, su] ** 2).mean(axis=1)
-    y, variance = blocks.coefficients[ok, su], blocks.variance[ok, su] * noise2[:, None]
-    q, log = blocks.q[ok][:, chain], blocks.log[ok]
-    prismatic = tree.prismatic[chain]
+@dataclass(frozen=True, eq=False)
+class _Hypothesis:
+    """Axes (n, 3) of the joints peeled off so far, the last one first, and what speaks against."""
 
-    def inwards(i: int, R: F64, axes: tuple[F64, ...]) -> Iterator[tuple[F64, F64]]:
-        f0 = (R @ y[:, 0, :, None])[..., 0]
-        if i < 0:
-            G = int(blocks.log.max(initial=0)) + 1
-            h = np.full((G, 3), np.nan)
-            for g in np.unique(log):
-                mean = f0[log == g].mean(axis=0)
-                h[g] = mean / np.linalg.norm(mean)
-            yield np.array(axes), h
-            return
-        tau = (R @ y[:, 1 + L + i, :, None])[..., 0]
-        if prismatic[i]:
-            w = 1 / variance[:, 1 + L + i]
-            mean = (tau * w[:, None]).sum(axis=0)
-            yield from inwards(i - 1, R, (mean / np.linalg.norm(mean), *axes))
-            return
-        s = (R @ y[:, 1 + i, :, None])[..., 0]
-        for k in constant_axis(f0, s, tau, variance[:, 1 + i], variance[:, 1 + L + i]):
-            yield from inwards(i - 1, axis_rotation(k, q[:, i]) @ R, (k, *axes))
-
-    identity = np.broadcast_to(np.eye(3), (int(ok.sum()), 3, 3))
-    yield from inwards(n - 1, identity, ())
+    peeled: Peeled
+    axes: tuple[F64, ...]
+    misfit: float
 
 
-def constant_axis(f0: F64, s: F64, tau: F64, var_s: F64, var_tau: F64) -> list[F64]:
-    """The axis that is constant in all poses; both senses where the data leave it open.
+def _peel(tree: KinematicTree, blocks: FeatureBlocks, su: int) -> list[_Limb]:
+    """Axes and up vectors as an SU shows them, the most constant ones first.
 
-    Minimises the misfit of ``s = f0 x k`` and of ``s . k = tau . k = 0`` over unit vectors k.
+    Which sense of an axis is right shows further in: undone in the wrong one, a joint leaves the
+    axes before it, or their lever arms, moving.
     """
-    w_s = np.where(np.isfinite(var_s), 1 / np.maximum(var_s, 1e-300), 0.0)
-    w_tau = np.where(np.isfinite(var_tau), 1 / np.maximum(var_tau, 1e-300), 0.0)
-    w_rough = np.where(w_s > 0, 1 / (np.where(w_s > 0, var_s, 0.0) + ROUGH_BIAS**2), 0.0)
-    S = skew(f0)
-    A = np.einsum("p,pi,pj->ij", w_s, s, s) + np.einsum("p,pi,pj->ij", w_tau, tau, tau)
-    A += np.einsum("p,pji,pjk->ik", w_rough, S, S)
-    b = np.einsum("p,pji,pj->i", w_rough, S, s)
-    k = _least_on_sphere(A, b)
-    lever = np.sqrt(np.mean(np.sum(cross(f0, k[None]) ** 2, axis=-1)))
-    certain = 4 * float(b @ k) > _SENSE_EVIDENCE and lever > _SENSE_LEVER
-    return [k] if certain else [k, -k]
-
-
-def _least_on_sphere(A: F64, b: F64) -> F64:
-    """Unit vector k that minimises ``k.A.k - 2 b.k`` (secular equation of the multiplier)."""
-    lam, Q = np.linalg.eigh(A)
-    beta = Q.T @ b
-    size = float(np.linalg.norm(beta))
-    if size <= 1e-12 * max(float(lam[2]), 1e-300) or abs(beta[0]) < 1e-9 * size:
-        k = Q[:, 0]
-        return np.asarray(k if b @ k >= 0 else -k)
-
-    def excess(shift: float) -> float:
-        return float(np.sum((beta / (lam - lam[0] + shift)) ** 2) - 1.0)
-
-    low = abs(beta[0]) * (1 - 1e-12)
-    shift = brentq(excess, min(low, size) * 1e-3, size * 1.0001, xtol=1e-14 * size)
-    k = Q @ (beta / (lam - lam[0] + shift))
-    return np.asarray(k / np.linalg.norm(k))
+    chain = list(tree.chain(int(tree.su_joint[su])))
+    readings = Readings.of(blocks, su)
+    beam = [_Hypothesis(Peeled.nothing(len(readings.q)), (), 0.0)]
+    for i in reversed(range(len(chain))):
+        slides = bool(tree.prismatic[chain[i]])
+        extended = [
+            _Hypothesis(
+                h.peeled.beyond(c.axis, readings.q[:, i], slides=slides),
+                (*h.axes, c.axis),
+                h.misfit + c.misfit,
+            )
+            for h in beam
+            for c in candidates(readings, i, h.peeled, slides=slides)
+        ]
+        beam = sorted(extended, key=lambda h: h.misfit)[:_MOST_HYPOTHESES]
+    log = blocks.log[np.isfinite(blocks.noise[:, su]).all(axis=1)]
+    limbs = []
+    for h in beam:
+        f0 = (h.peeled.R @ readings.f0[..., None])[..., 0]
+        up = np.full((int(blocks.log.max(initial=0)) + 1, 3), np.nan)
+        for g in np.unique(log):
+            mean = f0[log == g].mean(axis=0)
+            up[g] = mean / np.linalg.norm(mean)
+        limbs.append(_Limb(np.array(h.axes[::-1]).reshape(-1, 3), up, h.misfit))
+    return limbs

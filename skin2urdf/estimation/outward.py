@@ -18,7 +18,8 @@ import numpy as np
 from skin2urdf.arrays import F64, Int
 from skin2urdf.estimation.blocks import FeatureBlocks
 from skin2urdf.estimation.cost import Priors
-from skin2urdf.estimation.orientation import ROUGH_BIAS, Orientations, with_all_sus
+from skin2urdf.estimation.orientation import ROUGH_BIAS, Orientations, su_orientation, with_all_sus
+from skin2urdf.estimation.peeling import Readings, misfit_of
 from skin2urdf.model.spatial import axis_rotation, cross, rotation_exp, skew, wahba
 from skin2urdf.structure.records import KinematicTree
 
@@ -51,10 +52,23 @@ def outward_starts(
     beam = [_Hypothesis((), 0.0)]
     for j in range(tree.n_joints):
         extended = [e for h in beam for e in _extend(tree, blocks, priors, h, j, on_segment[j])]
-        extended.sort(key=lambda h: h.cost)
+        if len(extended) > 1:
+            su = int(on_segment[j][0])
+            extended.sort(key=lambda h: h.cost + _lever_misfit(tree, blocks, priors, h, su))
         beam = extended[:_MOST_HYPOTHESES]
     for h in beam:
         yield with_all_sus(tree, blocks, np.array(h.axes), np.array([[0.0, 0.0, 1.0]]), priors)
+
+
+def _lever_misfit(
+    tree: KinematicTree, blocks: FeatureBlocks, priors: Priors, found: _Hypothesis, su: int
+) -> float:
+    """Chi-squared of an SU's lever arms, which tells the senses of vertical axes apart."""
+    chain = list(tree.chain(int(tree.su_joint[su])))
+    axes, prismatic = np.array(found.axes)[chain], tree.prismatic[chain]
+    up = np.array([[0.0, 0.0, 1.0]])
+    R_base_su, _ = su_orientation(blocks, su, axes, prismatic, up, priors)
+    return misfit_of(Readings.of(blocks, su), axes @ R_base_su, prismatic)
 
 
 def _extend(

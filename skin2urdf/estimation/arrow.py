@@ -64,13 +64,16 @@ class ArrowFactor:
         return self.unwhiten(Step(-z.joints, -z.logs, -z.sus))
 
 
-def factor(equations: NormalEquations, free: Free, damping: float = 0.0) -> ArrowFactor:
+def factor(
+    equations: NormalEquations, free: Free, damping: float = 0.0, stiffness: float = 1.0
+) -> ArrowFactor:
     """Factor normal equations over the free coordinates.
 
     Args:
         equations: the arrow system.
         free: which coordinates may move.
         damping: Levenberg-Marquardt damping relative to each coordinate's own information.
+        stiffness: how many times as much the coordinates of joints and logs are damped as SUs'.
     """
     free_joint = np.concatenate([free.joints.ravel(), free.logs.ravel()])
     su, su_root = _restricted(equations.su, free.sus, damping)
@@ -81,7 +84,7 @@ def factor(equations: NormalEquations, free: Free, damping: float = 0.0) -> Arro
     schur = np.swapaxes(coupled, 1, 2) @ coupling
     np.subtract.at(H, (columns[:, :, None], columns[:, None, :]), schur)
     reference = np.einsum("ii->i", equations.joint)
-    _, joint_root = _restricted(H, free_joint, damping, reference)
+    _, joint_root = _restricted(H, free_joint, damping * stiffness, reference)
     return ArrowFactor(su_root, coupling, joint_root, columns, free_joint, free.sus)
 
 

@@ -8,24 +8,13 @@ second derivative of the residuals along it (geodesic acceleration, Transtrum & 
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
-from skin2urdf.arrays import F64
 from skin2urdf.errors import BadFitError
 from skin2urdf.estimation.arrow import factor
 from skin2urdf.estimation.cost import Cost
-from skin2urdf.estimation.state import (
-    JOINT_COORDINATES,
-    N_PLACEMENT,
-    Free,
-    State,
-    Step,
-    turned_up,
-)
+from skin2urdf.estimation.state import Free, State, screwed
 from skin2urdf.estimation.symbolic_cost import Linearisation, SymbolicCost
-from skin2urdf.model.spatial import placement, rotation_exp, skew
 
 _NEGLIGIBLE = 1e-4
 """Fall of chi-squared, per chi-squared of one measurement, that is not worth another step: it moves
@@ -102,35 +91,4 @@ def _trial(model: Linearisation, free: Free, damping: float) -> State | None:
     straight, bent = step.flat(), bend.flat()
     if not information @ bent**2 <= _MOST_BENDING**2 * (information @ straight**2):
         return None
-    return along_screws(model.state, step.like(straight + bent))
-
-
-def along_screws(state: State, step: Step) -> State:
-    """The state reached by a step, placements moving along screws ``T exp(step)``.
-
-    To first order the same as :func:`skin2urdf.estimation.state.moved`.
-    """
-    joints = np.zeros((len(step.joints), N_PLACEMENT))
-    joints[:, JOINT_COORDINATES] = step.joints
-    return replace(
-        state,
-        T_parent_joint=state.T_parent_joint @ _screw(joints),
-        T_joint_su=state.T_joint_su @ _screw(step.sus[:, :N_PLACEMENT]),
-        up=turned_up(state.up, step.logs),
-        bias=state.bias + step.sus[:, N_PLACEMENT : N_PLACEMENT + 3],
-        shape=state.shape + step.sus[:, N_PLACEMENT + 3 :],
-    )
-
-
-def _screw(x: F64) -> F64:
-    """(N, 4, 4) exponentials of twists x (N, 6): linear [m], angular [rad]."""
-    w = x[:, 3:]
-    angle = np.linalg.norm(w, axis=1)[:, None, None]
-    W = skew(w)
-    # (1 - cos a) / a^2 and (a - sin a) / a^3, by their limits where a is small.
-    cosine = 0.5 * np.sinc(angle / (2 * np.pi)) ** 2
-    small = angle < 1e-3
-    safe = np.where(small, 1.0, angle)
-    sine = np.where(small, 1 / 6, (safe - np.sin(safe)) / safe**3)
-    V = np.eye(3) + cosine * W + sine * (W @ W)
-    return placement(rotation_exp(w), (V @ x[:, :3, None])[..., 0])
+    return screwed(model.state, step.like(straight + bent))

@@ -11,6 +11,7 @@ from skin2urdf.arrays import F64, Int, frozen
 from skin2urdf.errors import InsufficientDataError
 from skin2urdf.estimation.blocks import feature_blocks
 from skin2urdf.estimation.cost import Cost, Priors
+from skin2urdf.estimation.gauss_newton import gauss_newton
 from skin2urdf.estimation.progressive import minimise
 from skin2urdf.estimation.spread import learnt_priors
 from skin2urdf.estimation.starts import followed_starts
@@ -123,7 +124,8 @@ def estimate(
     if settings.intrinsics:
         priors = learnt_priors(cost, state, free)
         plain, cost = (Cost(tree, c.blocks, priors) for c in (plain, cost))
-        state, chi2 = minimise(cost, state, free)
+        # Tight priors bend the valleys of bias and tilt; the joint steps of NLopt stop in them.
+        state, chi2 = gauss_newton(cost, state, free)
     if settings.refine == "casadi":
         from skin2urdf.estimation.casadi_refinement import refine
 

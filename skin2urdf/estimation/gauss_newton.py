@@ -2,9 +2,22 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from skin2urdf.estimation.arrow import factor
 from skin2urdf.estimation.cost import Cost
-from skin2urdf.estimation.state import Free, State, moved
+from skin2urdf.estimation.sensors import sensors_refitted
+from skin2urdf.estimation.state import Free, State, screwed
+
+_STIFFNESS = 100.0
+"""How many times as much joints are damped as SUs.
+
+An SU that turns against the rest about a vertical axis shows in little. It can go round exactly,
+along a screw; the rest can not, for joints lack the coordinates along and about their axes.
+"""
+
+_MOST_SHAPE = 0.5
+"""Scale or cross-axis error that no sensor has; beyond lie the mirror images of placements."""
 
 
 def gauss_newton(
@@ -32,12 +45,11 @@ def gauss_newton(
     for _ in range(iterations):
         equations, gradient = here.normal_equations(), here.gradient()
         while True:
-            step = factor(equations, free, damping).newton_step(gradient)
-            trial_state = moved(state, step)
-            trial = cost.at(trial_state)
-            if trial.chi2 <= here.chi2:
+            step = factor(equations, free, damping, _STIFFNESS).newton_step(gradient)
+            trial_state, trial = sensors_refitted(cost, screwed(state, step), free)
+            if trial.chi2 <= here.chi2 and _is_sensor(trial_state, state):
                 break
-            damping = max(damping * 10, 1e-4)
+            damping = max(damping * 10, 1e-8)
             if damping > 1e8:
                 return state, here.chi2
         gain = here.chi2 - trial.chi2
@@ -46,3 +58,9 @@ def gauss_newton(
         if gain <= tolerance * here.chi2:
             break
     return state, here.chi2
+
+
+def _is_sensor(state: State, before: State) -> bool:
+    """Whether no SU's scales and cross-axis terms have just left what a sensor can have."""
+    largest, earlier = (float(np.abs(s.shape).max(initial=0.0)) for s in (state, before))
+    return largest <= max(_MOST_SHAPE, earlier)

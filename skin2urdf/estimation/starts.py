@@ -87,7 +87,10 @@ def followed_starts(
             "record patterns that move every DoF by 0.05 rad or more around each pose",
         )
     best = min(followed, key=lambda f: f.chi2)
-    state = best.state if _explains(cost, [best]) else progressive(cost, best.state, free)
+    if _explains(cost, [best]):
+        state, _ = gauss_newton(cost, best.state, free, iterations=40)
+    else:
+        state = progressive(cost, best.state, free)
     return state, tuple(f.chi2 for f in followed)
 
 
@@ -102,8 +105,10 @@ def _follow(cost: Cost, free: Free, starts: Iterator[Orientations]) -> list[Foll
     Once one explains the data down to its noise, others are followed only where those two steps
     brought them nearly as far.
     """
-    # Placements first: from far away, a sensor matrix would rather turn itself inside out.
-    placements = Free(free.joints, free.logs, free.sus & (np.arange(N_SU) < N_PLACEMENT))
+    # From far away, a sensor matrix would rather turn itself inside out: it is released last.
+    coordinate = np.arange(N_SU)
+    placements = Free(free.joints, free.logs, free.sus & (coordinate < N_PLACEMENT))
+    unshaped = Free(free.joints, free.logs, free.sus & (coordinate < N_PLACEMENT + 3))
 
     def refined(state: State, steps: int, what: Free) -> Followed:
         return Followed(*gauss_newton(cost, state, what, steps, 1e-2, _CAUTION))
@@ -116,6 +121,7 @@ def _follow(cost: Cost, free: Free, starts: Iterator[Orientations]) -> list[Foll
         if begin.chi2 > _HOPELESS * begun[0].chi2 and followed[0].chi2 < noise:
             break
         nearly = refined(begin.state, 6, placements)
+        nearly = refined(nearly.state, 20, unshaped)
         followed.append(Followed(*gauss_newton(cost, nearly.state, free, 8)))
     return followed
 

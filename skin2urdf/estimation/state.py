@@ -164,6 +164,38 @@ def moved(state: State, step: Step) -> State:
     )
 
 
+def screwed(state: State, step: Step) -> State:
+    """The state reached by a step, placements moving along screws ``T exp(step)``.
+
+    To first order the same as :func:`moved`. Turning about a distant axis is one straight path this
+    way: an SU can go round a vertical axis, which hardly changes its readings.
+    """
+    joints = np.zeros((len(step.joints), N_PLACEMENT))
+    joints[:, JOINT_COORDINATES] = step.joints
+    return replace(
+        state,
+        T_parent_joint=state.T_parent_joint @ _screw(joints),
+        T_joint_su=state.T_joint_su @ _screw(step.sus[:, :N_PLACEMENT]),
+        up=turned_up(state.up, step.logs),
+        bias=state.bias + step.sus[:, N_PLACEMENT : N_PLACEMENT + 3],
+        shape=state.shape + step.sus[:, N_PLACEMENT + 3 :],
+    )
+
+
+def _screw(x: F64) -> F64:
+    """(N, 4, 4) exponentials of twists x (N, 6): linear [m], angular [rad]."""
+    w = x[:, 3:]
+    angle = np.linalg.norm(w, axis=1)[:, None, None]
+    W = skew(w)
+    # (1 - cos a) / a^2 and (a - sin a) / a^3, by their limits where a is small.
+    cosine = 0.5 * np.sinc(angle / (2 * np.pi)) ** 2
+    small = angle < 1e-3
+    safe = np.where(small, 1.0, angle)
+    sine = np.where(small, 1 / 6, (safe - np.sin(safe)) / safe**3)
+    V = np.eye(3) + cosine * W + sine * (W @ W)
+    return placement(rotation_exp(w), (V @ x[:, :3, None])[..., 0])
+
+
 @dataclass(frozen=True, eq=False)
 class Free:
     """Which coordinates may move; arrays of the shapes of :class:`Step`.

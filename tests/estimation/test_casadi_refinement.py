@@ -21,10 +21,10 @@ from synthetic import (
 
 from skin2urdf.errors import BadFitError
 from skin2urdf.estimation.blocks import feature_blocks
-from skin2urdf.estimation.casadi_refinement import along_screws, refine
+from skin2urdf.estimation.casadi_refinement import refine
 from skin2urdf.estimation.cost import Cost, Priors
 from skin2urdf.estimation.gauss_newton import gauss_newton
-from skin2urdf.estimation.state import Free, State, Step, identifiable, moved
+from skin2urdf.estimation.state import Free, State, Step, identifiable, moved, screwed
 from skin2urdf.estimation.symbolic_cost import SymbolicCost
 from skin2urdf.model.spatial import skew
 
@@ -78,14 +78,12 @@ def test_value_and_derivatives_are_those_of_the_cost(
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_bending_is_the_second_derivative_along_screws(
-    problem: tuple[Cost, State], seed: int
-) -> None:
+def test_bending_is_the_second_derivative_screwed(problem: tuple[Cost, State], seed: int) -> None:
     cost, state = problem
     step = random_step(np.random.default_rng(seed), cost, 0.5)
     here = cost.at(state)
     h = 1e-3
-    plus, minus = (cost.at(along_screws(state, step.like(s * h * step.flat()))) for s in (1, -1))
+    plus, minus = (cost.at(screwed(state, step.like(s * h * step.flat()))) for s in (1, -1))
     second = (plus.residual - 2 * here.residual + minus.residual) / h**2
     ends = [e.offsets for e in (plus, here, minus)]
     offsets = tuple((p - 2 * o + m) / h**2 for p, o, m in zip(*ends, strict=True))
@@ -110,16 +108,16 @@ def test_screws_are_exponentials_and_agree_with_steps_to_first_order(
     state = random_state(rng, tree, n_logs=2)
     step = Step(*(rng.standard_normal(shape) for shape in ((2, 4), (1, 2), (2, 15))))
     small = step.like(10.0**exponent * step.flat())
-    screwed, stepped = along_screws(state, small), moved(state, small)
+    turned, stepped = screwed(state, small), moved(state, small)
     for u, x in enumerate(small.sus):
         twist = np.zeros((4, 4))
         twist[:3, :3], twist[:3, 3] = skew(x[3:6]), x[:3]
         np.testing.assert_allclose(
-            screwed.T_joint_su[u], state.T_joint_su[u] @ expm(twist), atol=1e-12
+            turned.T_joint_su[u], state.T_joint_su[u] @ expm(twist), atol=1e-12
         )
     tolerance = 1e-12 + 30 * np.max(small.flat() ** 2)
     for name in ("T_parent_joint", "T_joint_su", "up", "bias", "shape"):
-        np.testing.assert_allclose(getattr(screwed, name), getattr(stepped, name), atol=tolerance)
+        np.testing.assert_allclose(getattr(turned, name), getattr(stepped, name), atol=tolerance)
 
 
 @pytest.mark.parametrize("seed", range(3))

@@ -29,3 +29,13 @@ def frozen(value: ArrayLike, dtype: Any = np.float64) -> NDArray[Any]:
         array = array.copy() if array is value or array.base is not None else array
         array.flags.writeable = False
     return array
+
+
+def keep_freed_memory() -> None:
+    """Let the C library keep freed memory for the next arrays instead of returning it.
+
+    An iteration frees megabytes that the next one asks for again; paging them in anew takes longer
+    than computing them. glibc returns memory above a threshold that follows the largest block
+    freed so far (mallopt(3), ``M_MMAP_THRESHOLD``, at most 32 MB). Elsewhere nothing happens.
+    """
+    np.empty(30 << 20, dtype=np.uint8)

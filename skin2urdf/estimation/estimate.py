@@ -7,7 +7,7 @@ from typing import Literal
 
 import numpy as np
 
-from skin2urdf.arrays import F64, Int, frozen
+from skin2urdf.arrays import F64, Int, frozen, keep_freed_memory
 from skin2urdf.errors import InsufficientDataError
 from skin2urdf.estimation.blocks import feature_blocks
 from skin2urdf.estimation.cost import Cost, Priors
@@ -104,6 +104,7 @@ def estimate(
         InsufficientDataError: no start can be computed from these features, or they are too few.
     """
     settings = settings or EstimationSettings()
+    keep_freed_memory()
     blocks = feature_blocks(features, tree)
     cost = Cost(tree, blocks, settings.priors)
     free = _free(cost, settings)

@@ -23,7 +23,7 @@ from skin2urdf.model.prediction import (
 )
 from skin2urdf.model.spatial import cross
 
-_BLOCKS = 800
+_BLOCKS = 200
 """Blocks, of one SU in one pose each, that are evaluated at once."""
 
 

@@ -26,6 +26,7 @@ from threadpoolctl import threadpool_limits
 from skin2urdf.arrays import F64
 from skin2urdf.estimation.estimate import Estimate, estimate
 from skin2urdf.estimation.observability import observability
+from skin2urdf.signals.information import Information
 from skin2urdf.signals.records import Features, StaticMoves
 from skin2urdf.simulation.mechanism import Mechanism, load_mechanism
 from skin2urdf.simulation.pattern import windowed_pattern
@@ -119,7 +120,7 @@ def synthesised(
         q=q,
         log=np.zeros(n_poses, dtype=np.int64),
         coefficients=rows,
-        information=products / level[..., None, None] ** 2,
+        information=Information.of(products / level[..., None, None] ** 2),
         noise=np.full((n_poses, n_sus, 3), NOISE),
         latency=np.zeros(n_sus),
         latency_sd=np.zeros(n_sus),

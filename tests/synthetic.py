@@ -15,6 +15,7 @@ from skin2urdf.arrays import F64, Int
 from skin2urdf.estimation.blocks import feature_blocks
 from skin2urdf.estimation.cost import Cost, Priors
 from skin2urdf.estimation.state import State, Step
+from skin2urdf.signals.information import Information
 from skin2urdf.signals.records import Features, StaticMoves
 from skin2urdf.structure.records import KinematicTree
 
@@ -173,7 +174,7 @@ def random_features(
         q=q[:, dof],
         log=log,
         coefficients=coefficients[:, su][:, :, rows],
-        information=information[:, su][:, :, rows][..., rows],
+        information=Information.of(information[:, su][:, :, rows][..., rows]),
         noise=np.full((n_poses, U, 3), noise or 0.05),
         latency=np.zeros(U),
         latency_sd=np.zeros(U),

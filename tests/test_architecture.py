@@ -35,7 +35,7 @@ LAYERS: dict[str, tuple[str, ...]] = {
     "signals": (*BASE, "recording"),
     "structure": (*BASE, "signals"),
     "model": (*BASE, "structure.records", "signals.records"),
-    "estimation": (*BASE, "model", "structure", "signals.records"),
+    "estimation": (*BASE, "model", "structure", "signals.records", "signals.information"),
     "urdf": (*BASE, "model", "structure"),
     "simulation": ("arrays", "errors", "recording.records", "recording.writing"),
     "calibration": (*BASE, "model", "structure", "signals.records", "estimation"),

@@ -11,6 +11,7 @@ import pinocchio as pin
 
 from chains.draw import Chain
 from skin2urdf.arrays import F64
+from skin2urdf.signals.information import Information
 from skin2urdf.signals.records import Features, StaticMoves
 
 GRAVITY = 9.81
@@ -85,7 +86,11 @@ def measured(chain: Chain) -> Features:
         q=chain.q[:, dof],
         log=np.zeros(P, dtype=np.int64),
         coefficients=(exact + noise * error)[:, su][:, :, rows],
-        information=np.tile(information[:, None], (1, U, 1, 1))[:, :, rows][..., rows],
+        information=Information(
+            information[:, rows][..., rows],
+            np.tile(np.arange(P)[:, None], U),
+            np.ones((P, U, len(rows))),
+        ),
         noise=np.full((P, U, 3), noise),
         latency=np.zeros(U),
         latency_sd=np.zeros(U),

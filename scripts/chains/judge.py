@@ -20,6 +20,7 @@ from skin2urdf.estimation.observability import UNKNOWN, observability
 from skin2urdf.estimation.order import ordered
 from skin2urdf.estimation.state import N_JOINT, N_PLACEMENT, N_SU, State
 from skin2urdf.model.spatial import frame_with_z, inverse, placement
+from skin2urdf.signals.information import Information
 from skin2urdf.signals.records import Features, StaticMoves
 from skin2urdf.structure.activity import activity
 from skin2urdf.structure.records import KinematicTree
@@ -235,7 +236,8 @@ def _agreement(chain: Chain, found: Estimate, covariance: F64) -> float:
     F, U, n = exact.shape[:3]
     unit = Features(
         tuple(f"su{u}" for u in range(U)), tuple(f"joint{d}" for d in range(chain.n_dofs)),
-        chain.fresh, np.zeros(F, dtype=np.int64), exact, np.tile(np.eye(n), (F, U, 1, 1)),
+        chain.fresh, np.zeros(F, dtype=np.int64), exact,
+        Information.of(np.tile(np.eye(n), (F, U, 1, 1))),
         np.ones((F, U, 3)), np.zeros(U), np.zeros(U),
         StaticMoves(np.zeros(0), np.zeros(0), np.zeros((0, U, 3))),
     )  # fmt: skip

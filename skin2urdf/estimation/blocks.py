@@ -141,18 +141,15 @@ def feature_blocks(features: Features, tree: KinematicTree) -> FeatureBlocks:
     valid = features.valid[:, su] & usable(features, tree)
     noise = np.where(valid[..., None], features.noise[:, su], np.inf)
     position_sd = np.where(np.isfinite(features.position_sd), features.position_sd, 0.0)
+    products = features.information.times(features.coefficients)
     for length in np.unique(chains.length):
         us = np.flatnonzero(chains.length == length)
         own = dof[chains.joint[us, :length]]
         rows = np.concatenate([np.zeros((len(us), 1), np.int64), 1 + own, 1 + D + own], axis=1)
         to = np.r_[0, 1 : 1 + length, 1 + L : 1 + L + length]
-        info = features.information[:, su[us]]
-        products = info @ features.coefficients[:, su[us]]
-        pick = np.arange(len(us))[:, None]
-        eta = products[:, pick, rows] * valid[:, us, None, None]
-        info = info[:, pick[..., None], rows[:, :, None], rows[:, None, :]]
-        info = info * valid[:, us, None, None]
-        measured = features.coefficients[:, su[us]][:, pick, rows]
+        eta = products[:, su[us, None], rows] * valid[:, us, None, None]
+        info = features.information.block(su[us], rows) * valid[:, us, None, None]
+        measured = features.coefficients[:, su[us, None], rows]
         info, eta = _blurred(info, eta, measured, noise[:, us], position_sd[:, own])
         hidden = features.hidden[:, own[:, :, None], own[:, None, :]]
         info, eta = _leaked(info, eta, measured, noise[:, us], hidden, features.omega2[:, own])

@@ -51,11 +51,11 @@ def reversed_encoders(first: Estimate, features: Features) -> Iterator[EncoderEr
 
 def _poses(features: Features, chosen: Bool) -> Features:
     """The features of some poses, as of a first log."""
-    by_pose = (
-        "q", "coefficients", "information", "noise", "position_sd", "hidden", "omega2", "span",
-    )  # fmt: skip
+    by_pose = ("q", "coefficients", "noise", "position_sd", "hidden", "omega2", "span")
     parts = {name: getattr(features, name)[chosen] for name in by_pose}
-    return replace(features, log=np.zeros(int(chosen.sum()), dtype=np.int64), **parts)
+    information = features.information.of_poses(chosen)
+    log = np.zeros(int(chosen.sum()), dtype=np.int64)
+    return replace(features, log=log, information=information, **parts)
 
 
 def _turned(features: Features, names: list[str]) -> Features:
@@ -68,7 +68,7 @@ def _turned(features: Features, names: list[str]) -> Features:
         features,
         q=features.q * sign,
         coefficients=features.coefficients * rows[:, None],
-        information=features.information * rows[:, None] * rows,
+        information=features.information.scaled(rows),
     )
 
 

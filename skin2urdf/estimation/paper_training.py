@@ -15,6 +15,7 @@ import numpy as np
 from skin2urdf.arrays import F64, Int, frozen
 from skin2urdf.estimation.blocks import FeatureBlocks
 from skin2urdf.model.prediction import GRAVITY
+from skin2urdf.signals.information import Information
 from skin2urdf.signals.records import Features, StaticMoves
 from skin2urdf.structure.records import KinematicTree
 
@@ -143,7 +144,7 @@ def training_features(
         q=q,
         log=np.zeros(P, np.int64),
         coefficients=coefficients,
-        information=information,
+        information=Information.of(information),
         noise=np.full((P, U, 3), noise * gravity),
         latency=np.zeros(U),
         latency_sd=np.zeros(U),

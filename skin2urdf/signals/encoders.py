@@ -92,7 +92,7 @@ def corrected_features(features: Features, error: EncoderError) -> Features:
         features,
         q=features.q / scale,
         coefficients=features.coefficients * rows[:, None],
-        information=features.information / rows[:, None] / rows,
+        information=features.information.scaled(1 / rows),
         position_sd=features.position_sd / scale,
         hidden=features.hidden * (scale[:, None] / scale) ** 2,
     )

@@ -19,6 +19,7 @@ from skin2urdf.signals.filters import (
     noise_bandwidth,
     shifted,
 )
+from skin2urdf.signals.information import Information
 from skin2urdf.signals.motion import Motion
 from skin2urdf.signals.poses import Neighbourhood
 from skin2urdf.signals.records import Features
@@ -87,7 +88,7 @@ def extract_features(
         q=np.array([p.q for p in poses]),
         log=np.array([p.log for p in poses]),
         coefficients=np.array([p.coefficients for p in poses]),
-        information=np.array([p.information for p in poses]),
+        information=Information.joined([p.information for p in poses]),
         noise=np.array([p.noise for p in poses]),
         position_sd=np.array([p.offset for p in poses]),
         hidden=np.array([p.hidden for p in poses]),
@@ -106,7 +107,7 @@ class _Pose:
     q: F64
     log: int
     coefficients: F64
-    information: F64
+    information: Information
     noise: F64
     offset: F64
     hidden: F64
@@ -248,7 +249,7 @@ def _regress(
     independence, rate, cutoff = sampling
     U, n = y.shape[1], X.shape[1]
     coefficients = np.zeros((U, n, 3))
-    information = np.zeros((U, n, n))
+    products, which, weight = [np.zeros((n, n))], np.zeros(U, np.int64), np.zeros((U, n))
     deviation = np.full((U, 3), np.inf)
     numerator, denominator = np.zeros(U), np.zeros(U)
     patterns: dict[bytes, list[int]] = {}
@@ -269,8 +270,8 @@ def _regress(
         coefficients[members] = result.coefficients
         basis = orthonormal(np.concatenate([Xe, Ze], axis=1))
         factor = noise_by_row(Xe, basis, result.residual, rate, cutoff, independence)
-        root = np.sqrt(factor)
-        information[members] = result.information / (root[:, :, None] * root[:, None, :])
+        which[members], weight[members] = len(products), 1 / np.sqrt(factor)
+        products.append(result.information)
         deviation[members] = np.hypot(result.deviation, _MODEL_NOISE)
         fitted = np.zeros((len(use), len(members), 3))
         fitted[use] = felt - result.residual
@@ -278,10 +279,11 @@ def _regress(
         slope = slope[use] * eroded(use, 5)[use, None, None]
         flat = slope.reshape(len(slope), -1)
         across = (flat - basis @ (basis.T @ flat)).reshape(slope.shape)
-        weight = 1 / deviation[members] ** 2
-        numerator[members] = -np.einsum("nui,nui,ui->u", result.residual, across, weight)
-        denominator[members] = np.einsum("nui,nui,ui->u", across, across, weight)
+        certain = 1 / deviation[members] ** 2
+        numerator[members] = -np.einsum("nui,nui,ui->u", result.residual, across, certain)
+        denominator[members] = np.einsum("nui,nui,ui->u", across, across, certain)
     scale = independence
+    information = Information(np.array(products), which[None], weight[None])
     return _Pose(
         q, log, coefficients, information, deviation, *unseen,
         numerator * scale, denominator * scale,

@@ -14,6 +14,9 @@ _SHORTEST_REST = 0.25
 _LARGEST_SPEED = 0.05
 _SAME_POSE = 0.03
 _LARGEST_EXCURSION = 0.75
+_SMALL_EXCURSION = 0.25
+"""Excursion [rad or m] that is small however little a joint moves in all: a joint that moves in its
+patterns alone spans no more than they do."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,7 +78,7 @@ def find_neighbourhoods(motion: Motion, rests: tuple[Rest, ...]) -> tuple[Neighb
     """
     span = np.ptp(motion.q, axis=0)
     same = np.minimum(_SAME_POSE, np.maximum(_SAME_POSE * span, 1e-3))
-    largest = np.minimum(_LARGEST_EXCURSION, np.maximum(0.6 * span, 1e-2))
+    largest = np.minimum(_LARGEST_EXCURSION, np.maximum(0.6 * span, _SMALL_EXCURSION))
     groups: list[tuple[list[Rest], list[list[int]]]] = []
     previous: Rest | None = None
     current: int | None = None

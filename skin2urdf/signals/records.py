@@ -9,6 +9,7 @@ import numpy as np
 
 from skin2urdf.arrays import F64, Bool, Int, frozen
 from skin2urdf.faults import Fault
+from skin2urdf.signals.information import Information
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,8 +55,9 @@ class Features:
         log: (P,) index of the log each pose comes from.
         coefficients: (P, U, n, 3) least-squares coefficients in the SU's frame
             [m/s^2, m/s^2/rad, m/rad; per metre for prismatic DoFs].
-        information: (P, U, n, n) regressor products with nuisance regressors projected out; the
-            coefficients' covariance per axis is ``noise**2 * pinv(information)``.
+        information: (n, n) for each of P poses and U SUs: regressor products with nuisance
+            regressors projected out; the coefficients' covariance per axis is
+            ``noise**2 * pinv(information)``.
         noise: (P, U, 3) standard deviation of one independent sample per axis [m/s^2];
             infinite where an SU has no samples around a pose.
         position_sd: (P, D) standard deviation of the reference positions: encoders at rest are off
@@ -78,7 +80,7 @@ class Features:
     q: F64
     log: Int
     coefficients: F64
-    information: F64
+    information: Information
     noise: F64
     latency: F64
     latency_sd: F64
@@ -91,7 +93,7 @@ class Features:
     faults: tuple[Fault, ...] = field(default=())
 
     def __post_init__(self) -> None:
-        for name in ("q", "coefficients", "information", "noise", "latency", "latency_sd"):
+        for name in ("q", "coefficients", "noise", "latency", "latency_sd"):
             object.__setattr__(self, name, frozen(getattr(self, name)))
         object.__setattr__(self, "log", frozen(self.log, np.int64))
         everywhere = np.broadcast_to(np.asarray(self.position_sd, dtype=np.float64), self.q.shape)

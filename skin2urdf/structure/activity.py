@@ -133,7 +133,7 @@ def activity(features: Features, threshold: float = STATIC_THRESHOLD) -> Activit
     patterned, excited = np.zeros((U, D), dtype=bool), np.zeros(D, dtype=bool)
     finite = features.valid
     noise2 = np.where(finite[..., None], features.noise, 0.0) ** 2
-    samples = features.information[:, :, 0, 0] * finite
+    samples = features.information.diagonal()[:, :, 0] * finite
     total = np.maximum(samples.sum(axis=0), 1.0)
     residual2 = (noise2.mean(axis=-1) * samples).sum(axis=0) / total
     floor2 = np.where(finite, noise2.mean(axis=-1), np.inf).min(axis=0)
@@ -177,14 +177,15 @@ def _largest_other(effect: F64) -> F64:
 def own_information(features: Features) -> F64:
     """(P, U, D, 2, 2) information on s_d and tau_d of each DoF, all other coefficients unknown."""
     D = features.n_dofs
-    info = features.information
-    scale = np.sqrt(np.maximum(np.einsum("puii->pui", info), 0.0))
+    products, which = features.information.products, features.information.which
+    scale = np.sqrt(np.maximum(np.einsum("kii->ki", products), 0.0))
     inverse_scale = np.divide(1.0, scale, out=np.zeros_like(scale), where=scale > 0)
-    unit = info * inverse_scale[..., :, None] * inverse_scale[..., None, :]
+    unit = products * inverse_scale[..., :, None] * inverse_scale[..., None, :]
     n = unit.shape[-1]
     unit = unit + np.eye(n) * np.where(scale > 0, 1e-9, 1.0)[..., None]
     covariance = np.linalg.inv(unit)
     rows = np.stack([1 + np.arange(D), 1 + D + np.arange(D)], axis=1)
-    block = covariance[:, :, rows[:, :, None], rows[:, None, :]]
-    root = scale[:, :, rows]
-    return np.asarray(np.linalg.inv(block) * root[..., :, None] * root[..., None, :])
+    block = covariance[:, rows[:, :, None], rows[:, None, :]]
+    # What each SU's noise weighs the rows with scales its information and nothing else.
+    root = (scale[which] * features.information.weight)[:, :, rows]
+    return np.asarray(np.linalg.inv(block)[which] * root[..., :, None] * root[..., None, :])

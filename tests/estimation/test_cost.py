@@ -25,6 +25,7 @@ from skin2urdf.estimation.blocks import FeatureBlocks, feature_blocks
 from skin2urdf.estimation.cost import Cost, NormalEquations, Priors
 from skin2urdf.estimation.gauss_newton import gauss_newton
 from skin2urdf.estimation.state import Free, State, Step, identifiable, moved
+from skin2urdf.signals.information import Information
 from skin2urdf.signals.records import Features, StaticMoves
 from skin2urdf.structure.records import KinematicTree
 
@@ -206,7 +207,7 @@ def regression_features(X: F64, Y: F64, names: tuple[str, ...]) -> Features:
     D = len(names)
     return Features(
         ("su",), names, np.zeros((1, D)), np.zeros(1),
-        np.linalg.lstsq(X, Y, rcond=None)[0][None, None], (X.T @ X)[None, None],
+        np.linalg.lstsq(X, Y, rcond=None)[0][None, None], Information.of((X.T @ X)[None, None]),
         np.full((1, 1, 3), 0.1), np.zeros(1), np.zeros(1),
         StaticMoves(np.zeros(0), np.zeros(0), np.zeros((0, 1, 3))),
     )  # fmt: skip

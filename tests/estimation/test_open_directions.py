@@ -18,6 +18,7 @@ from skin2urdf.estimation.state import State, identifiable
 from skin2urdf.model.records import OpenDirection
 from skin2urdf.model.spatial import axis_rotation
 from skin2urdf.model.twists import exp
+from skin2urdf.signals.information import Information
 from skin2urdf.signals.records import Features, StaticMoves
 from skin2urdf.structure.records import KinematicTree
 
@@ -141,7 +142,7 @@ def at(tree: KinematicTree, state: State, q: np.ndarray, still: int) -> Estimate
     log, per_su = np.zeros(P, dtype=np.int64), np.zeros(U)
     features = Features(
         tree.su_names, tree.joint_names, q, log, exact_coefficients(tree, state, q, log),
-        information, np.full((P, U, 3), 0.02), per_su, per_su,
+        Information.of(information), np.full((P, U, 3), 0.02), per_su, per_su,
         StaticMoves(np.zeros(0), np.zeros(0), np.zeros((0, U, 3))),
     )  # fmt: skip
     cost = Cost(tree, feature_blocks(features, tree), PLAIN.priors)

@@ -15,6 +15,7 @@ from skin2urdf.estimation.order import ordered
 from skin2urdf.estimation.peeling import Peeled, Readings, candidates, misfit_of
 from skin2urdf.estimation.state import State
 from skin2urdf.model.spatial import frame_with_z, inverse, placement
+from skin2urdf.signals.information import Information
 from skin2urdf.signals.records import Features, StaticMoves
 from skin2urdf.structure.records import KinematicTree
 
@@ -51,7 +52,7 @@ def features_of(
     error = np.linalg.solve(np.swapaxes(root, -1, -2), rng.standard_normal(exact.shape))
     return Features(
         tree.su_names, tree.joint_names, q, np.zeros(P), exact + NOISE * error,
-        np.tile(information[:, None], (1, U, 1, 1)), np.full((P, U, 3), NOISE),
+        Information.of(np.tile(information[:, None], (1, U, 1, 1))), np.full((P, U, 3), NOISE),
         np.zeros(U), np.zeros(U), StaticMoves(np.zeros(0), np.zeros(0), np.zeros((0, U, 3))),
     )  # fmt: skip
 
@@ -83,7 +84,7 @@ def test_vertical_axes_turn_in_the_right_senses_without_slopes() -> None:
         tree = serial_tree(4)
         features = features_of(rng, tree, state_of(rng, tree, axes))
         keep = np.r_[1.0, np.zeros(4), np.ones(4)]
-        information = features.information * np.diag(keep)[None, None]
+        information = Information.of(features.information.dense() * np.diag(keep))
         coefficients = features.coefficients * keep[:, None]
         bare = Features(
             **{**vars(features), "information": information, "coefficients": coefficients}

@@ -20,6 +20,7 @@ from skin2urdf.estimation.orientation import Orientations
 from skin2urdf.estimation.outward import fibonacci_sphere, outward_starts
 from skin2urdf.estimation.starts import placed
 from skin2urdf.estimation.state import State, identifiable
+from skin2urdf.signals.information import Information
 from skin2urdf.signals.records import Features, StaticMoves
 from skin2urdf.simulation.paper_case import TRUE_LINKS, TRUE_SUS, acc_matrix, dh_matrix
 from skin2urdf.structure.records import KinematicTree
@@ -60,7 +61,7 @@ def paper_features(tilt: float, seed: int, slopes: bool) -> Features:
     coefficients = exact_coefficients(tree, state, q, log) * (swing > 0)[:, None] + error * inverse
     return Features(
         tree.su_names, tree.joint_names, q, log, coefficients,
-        np.tile(np.diag(swing**2), (20, 7, 1, 1)), np.full((20, 7, 3), NOISE),
+        Information.of(np.tile(np.diag(swing**2), (20, 7, 1, 1))), np.full((20, 7, 3), NOISE),
         np.zeros(7), np.zeros(7), StaticMoves(np.zeros(0), np.zeros(0), np.zeros((0, 7, 3))),
     )  # fmt: skip
 
@@ -69,9 +70,10 @@ def only(features: Features, tree: KinematicTree, sus: list[int]) -> tuple[Featu
     """Some of the SUs alone."""
     names = tuple(tree.su_names[u] for u in sus)
     index = [features.su_names.index(n) for n in names]
-    arrays = {k: getattr(features, k)[:, index] for k in ("coefficients", "information", "noise")}
+    arrays = {k: getattr(features, k)[:, index] for k in ("coefficients", "noise")}
     cut = replace(
-        features, su_names=names, latency=np.zeros(len(sus)), latency_sd=np.zeros(len(sus)),
+        features, information=Information.of(features.information.dense()[:, index]),
+        su_names=names, latency=np.zeros(len(sus)), latency_sd=np.zeros(len(sus)),
         moves=StaticMoves(np.zeros(0), np.zeros(0), np.zeros((0, len(sus), 3))), **arrays,
     )  # fmt: skip
     return cut, replace(tree, su_names=names, su_joint=tree.su_joint[sus])

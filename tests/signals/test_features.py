@@ -38,11 +38,11 @@ def errors(sim: Simulation, features: Features) -> tuple[F64, F64, F64]:
     """Errors of all coefficients (P, U, m, 3), their standard deviations, and what was measured."""
     truth = read_features(sim, features)
     D = features.n_dofs
-    covariance = np.linalg.pinv(features.information, rcond=1e-9, hermitian=True)
+    covariance = np.linalg.pinv(features.information.dense(), rcond=1e-9, hermitian=True)
     variance = np.einsum("puii->pui", covariance)[..., None] * features.noise[:, :, None] ** 2
     slope2 = truth[:, :, 1 : 1 + D] ** 2
     variance[:, :, 0] += np.einsum("pudi,pd->pui", slope2, features.position_sd**2)
-    measured = np.einsum("puii->pui", features.information) > 0
+    measured = features.information.diagonal() > 0
     return features.coefficients - truth, np.sqrt(variance), measured
 
 
@@ -107,7 +107,7 @@ def test_without_a_model_coefficients_are_good_enough_to_start(
     features = features_of(sim.recording)
     error, _, measured = errors(sim, features)
     # Poses of the structural moves excite next to nothing; those with patterns count.
-    sharp = np.einsum("puii->pui", features.information)
+    sharp = features.information.diagonal()
     for kind, limit in limits.items():
         weight = of_kind(sharp[..., None] * np.ones(3), measured, kind)
         size = np.sqrt(np.average(of_kind(error, measured, kind) ** 2, weights=weight))
@@ -117,7 +117,7 @@ def test_without_a_model_coefficients_are_good_enough_to_start(
 def test_a_pose_in_which_nothing_moves_says_all_about_gravity() -> None:
     """Second-order regressors of joints that keep still would take its few samples for noise."""
     features = features_of(simulation("panda", excite="all").recording)
-    sharp = np.einsum("puii->pui", features.information)
+    sharp = features.information.diagonal()
     quiet = ~(sharp[:, :, 1:] > 0).any(axis=(1, 2))
     assert quiet.sum() >= features.n_dofs
     assert sharp[quiet, :, 0].min() > 1.0
@@ -208,7 +208,7 @@ def test_a_gap_costs_its_samples_and_nothing_else() -> None:
         features.coefficients[:, others], plain.coefficients[:, others], atol=1e-6
     )
     u = plain.su_names.index(odd)
-    lost = plain.information[:, u, 0, 0] - features.information[:, u, 0, 0]
+    lost = plain.information.diagonal()[:, u, 0] - features.information.diagonal()[:, u, 0]
     assert (lost > 1.0).sum() <= 1
     assert features.valid[:, u].all()
 
@@ -226,9 +226,9 @@ def test_an_su_that_dies_keeps_what_it_said() -> None:
     valid = features.valid[:, u]
     assert 0 < valid.sum() < plain.n_poses
     assert np.isinf(features.noise[~valid, u]).all()
-    assert not features.information[~valid, u].any()
+    assert not features.information.dense()[~valid, u].any()
     whole = valid & np.isclose(
-        features.information[:, u, 0, 0], plain.information[:, u, 0, 0], 1e-3
+        features.information.diagonal()[:, u, 0], plain.information.diagonal()[:, u, 0], 1e-3
     )
     assert whole.sum() >= valid.sum() - 1
     np.testing.assert_allclose(features.f0[whole, u], plain.f0[whole, u], atol=1e-4)
@@ -272,8 +272,8 @@ def test_a_dof_that_never_moves_is_not_measured() -> None:
 
     features = features_of(changed_joints(sim.recording, frozen))
     d = features.dof_names.index(still)
-    assert not features.information[:, :, 1 + d].any()
-    assert not features.information[:, :, 1 + features.n_dofs + d].any()
+    assert not features.information.diagonal()[:, :, 1 + d].any()
+    assert not features.information.diagonal()[:, :, 1 + features.n_dofs + d].any()
     assert not (features.moves.dof == d).any()
 
 

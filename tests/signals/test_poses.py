@@ -154,3 +154,10 @@ def test_a_robot_that_never_rests_is_an_error_in_words() -> None:
         sample_recording(recording, ("a", "b"), ("su",))
     assert "rest" in caught.value.remedy
     assert "a path made by hand" in str(caught.value)
+
+
+def test_a_joint_that_moves_in_its_patterns_alone_spoils_no_pose() -> None:
+    poses = tuple([*pose, 0.0] for pose in POSES)
+    found_poses = found(visit(poses, size=0.2).motion())
+    assert len(found_poses) == 1 + len(POSES)
+    assert all(seconds(pose) > 10.0 for pose in found_poses[1:])

@@ -131,10 +131,9 @@ def test_an_su_without_a_reading_of_a_move_is_undecided_by_it(quiet: Features) -
 
 
 def test_a_dof_that_never_moved_is_not_excited(quiet: Features) -> None:
-    information = quiet.information.copy()
-    for row in (2, 5):
-        information[:, :, row] = information[:, :, :, row] = 0.0
-    seen = activity(replace(quiet, information=information))
+    moving = np.ones(7)
+    moving[[2, 5]] = 0.0
+    seen = activity(replace(quiet, information=quiet.information.scaled(moving)))
     np.testing.assert_array_equal(seen.excited, [True, False, True])
     assert not seen.matrix[:, 1].any()
 

@@ -95,13 +95,14 @@ def _series(q: F64, qd: F64, qdd: F64, samples: int) -> F64 | None:
 
     All pairs of joints have their products where that leaves samples enough, else each joint alone.
     """
+    most, n = samples // _SAMPLES_PER_COLUMN, q.shape[1]
+    if most < 1 + 4 * n:
+        return None
     dq = q - q.mean(axis=0, keepdims=True)
-    first = [np.ones((len(q), 1)), dq, qdd]
-    i, j = np.triu_indices(q.shape[1])
-    X = np.concatenate([*first, dq[:, i] * dq[:, j], qd[:, i] * qd[:, j]], axis=1)
-    if samples < _SAMPLES_PER_COLUMN * X.shape[1]:
-        X = np.concatenate([*first, dq**2, qd**2], axis=1)
-    return X if samples >= _SAMPLES_PER_COLUMN * X.shape[1] else None
+    pairs = most >= 1 + 2 * n + n * (n + 1)
+    i, j = np.triu_indices(n) if pairs else (np.arange(n), np.arange(n))
+    second = [dq[:, i] * dq[:, j], qd[:, i] * qd[:, j]]
+    return np.concatenate([np.ones((len(q), 1)), dq, qdd, *second], axis=1)
 
 
 def _fitted(X: F64, y: F64, ok: Bool) -> tuple[F64, F64]:

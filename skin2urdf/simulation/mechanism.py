@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import xml.etree.ElementTree as ET
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from typing import Any
@@ -106,7 +106,7 @@ def load_mechanism(spec: RobotSpec, base_rpy: Vector3) -> Mechanism:
         ) from error
     locked = _locked_positions(spec, full, xml)
     ids = [full.getJointId(name) for name in locked]
-    model = pin.buildReducedModel(full, ids, _reference(full, locked)) if ids else full
+    model = _reduced(full, ids, _reference(full, locked)) if ids else full
     if model.njoints == 1:
         raise UsageError(
             f"{spec.name}: no joint is left to move: {_kinds(xml)}",
@@ -192,6 +192,28 @@ def _locked_positions(spec: RobotSpec, full: Any, xml: ET.Element) -> dict[str, 
             value = given[0] if given and given[0] is not None else 0.0
             locked[name] = float(np.clip(value, lower, upper))
     return locked
+
+
+def _reduced(full: Any, ids: Sequence[int], reference: F64) -> Any:
+    """The model without some joints, held as in a configuration.
+
+    Pinocchio looks for the frame of a joint that it locks by name among all frames, links' too,
+    and refuses where a link has the same name: meanwhile, links are called otherwise.
+    """
+    import pinocchio as pin
+
+    def links(model: Any) -> list[Any]:
+        return [frame for frame in model.frames if frame.type == pin.FrameType.BODY]
+
+    for frame in links(full):
+        frame.name = _LINK + frame.name
+    model = pin.buildReducedModel(full, list(ids), reference)
+    for frame in links(model):
+        frame.name = frame.name.removeprefix(_LINK)
+    return model
+
+
+_LINK = "the link "
 
 
 def _reference(full: Any, locked: Mapping[str, float]) -> F64:

@@ -229,3 +229,31 @@ def test_locked_joints_as_a_list(gantry: Path, tmp_path: Path) -> None:
     file.write_text(f'urdf = "{gantry.as_posix()}"\nlocked = ["grip_*"]')
     mechanism = load_mechanism(load_robot(file), UPRIGHT)
     assert mechanism.locked == {"grip_left": 0.01, "grip_right": 0.0}
+
+
+def test_a_locked_joint_may_be_called_like_a_link(tmp_path: Path) -> None:
+    inertial = (
+        '<inertial><mass value="1"/>'
+        '<inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>'
+    )
+    links = "".join(f'<link name="{name}">{inertial}</link>' for name in ("upper", "wrist", "tip"))
+    joints = "".join(
+        f'<joint name="{name}" type="revolute"><parent link="{parent}"/><child link="{child}"/>'
+        '<origin xyz="0 0 0.5"/><axis xyz="0 1 0"/>'
+        '<limit lower="-1" upper="1" effort="1" velocity="1"/></joint>'
+        for name, parent, child in (
+            ("shoulder", "base", "upper"), ("wrist", "upper", "wrist"), ("last", "wrist", "tip"),
+        )
+    )  # fmt: skip
+    path = tmp_path / "robot.urdf"
+    path.write_text(f'<robot name="r"><link name="base"/>{links}{joints}</robot>')
+    robot = replace(load_robot(path), locked={"wrist": 0.3})
+    mechanism = load_mechanism(robot, UPRIGHT)
+    assert mechanism.joint_names == ("shoulder", "last")
+    sus = place_skin(mechanism, replace(robot.skin, sus_per_segment=1), np.random.default_rng(0))
+    # The link between them is rigid with the first joint's, and the second one stands on it.
+    assert {su.joint for su in sus} == {-1, 0, 1}
+    placement = mechanism.model.jointPlacements[2]
+    np.testing.assert_allclose(
+        placement.translation, [0.5 * np.sin(0.3), 0.0, 0.5 + 0.5 * np.cos(0.3)], atol=1e-12
+    )

@@ -1,4 +1,4 @@
-"""Recordings of torque-driven arms from MuJoCo, and their geometry as a URDF.
+"""Recordings of torque-driven robots from MuJoCo, and their geometry as a URDF.
 
 An independent witness: geometry is written down here, dynamics and accelerometers are MuJoCo's.
 Joints are driven by springs and dampers (position control with finite gains), so they sag under
@@ -22,13 +22,17 @@ from skin2urdf.recording.records import JointStream, Recording, SuStream
 STEP = 1e-3
 """Time step of the physics [s]; semi-implicit Euler, so that q's second difference is qdd."""
 G = 9.81
+SLIDE = 0.15
+"""How far a sliding joint moves where a revolute one moves by 1 rad [m]."""
+SLIDE_STIFFNESS = 30.0
+"""Stiffness of sliding drives over that of turning ones [1 / m^2]."""
 
 Vector = tuple[float, float, float]
 
 
 @dataclass(frozen=True)
 class ArmJoint:
-    """A revolute joint and the segment it carries.
+    """A joint and the segment it carries.
 
     Attributes:
         xyz: origin in the parent segment [m].
@@ -37,6 +41,8 @@ class ArmJoint:
         su_xyz: place of the SU on the segment [m].
         su_rpy: its orientation [rad].
         mass: of the segment [kg].
+        parent: number of the joint it stands on, -1 for the base; None for the one before.
+        slides: True for a prismatic joint.
     """
 
     xyz: Vector
@@ -45,18 +51,21 @@ class ArmJoint:
     su_xyz: Vector
     su_rpy: Vector
     mass: float
+    parent: int | None = None
+    slides: bool = False
 
 
 @dataclass(frozen=True)
 class Arm:
-    """An arm on a tilted base.
+    """An arm, or a tree of them, on a tilted base.
 
     Attributes:
-        joints: D joints from the base outwards.
+        joints: D joints, each after the one it stands on.
         base_su: place and orientation of an SU on the base.
         base_rpy: tilt of the base in the world [rad].
-        stiffness: of the joints' drives [N m / rad].
-        friction: dry friction of every joint [N m].
+        stiffness: of the joints' drives [N m / rad]; of sliding ones as many times
+            `SLIDE_STIFFNESS` [N / m].
+        friction: dry friction of every joint [N m or N].
     """
 
     joints: tuple[ArmJoint, ...]
@@ -69,6 +78,16 @@ class Arm:
     def n_joints(self) -> int:
         """Number of DoFs D."""
         return len(self.joints)
+
+    @property
+    def parent(self) -> tuple[int, ...]:
+        """Number of the joint that each joint stands on, -1 for the base."""
+        return tuple(d - 1 if j.parent is None else j.parent for d, j in enumerate(self.joints))
+
+    @property
+    def span(self) -> F64:
+        """(D,) how far joints move where a revolute one moves by 1 rad [rad or m]."""
+        return np.array([SLIDE if joint.slides else 1.0 for joint in self.joints])
 
     @property
     def gravity_base(self) -> F64:
@@ -103,9 +122,10 @@ def truth_urdf(arm: Arm, su_names: Sequence[str], joint_names: Sequence[str]) ->
     parts = ['<robot name="arm"><link name="base"/>']
     places = [("base", *arm.base_su)]
     for d, (joint, name) in enumerate(zip(arm.joints, joint_names, strict=True)):
-        parent = f"link{d - 1}" if d else "base"
+        parent = f"link{arm.parent[d]}" if arm.parent[d] >= 0 else "base"
         parts.append(
-            f'<link name="link{d}"/><joint name="{name}" type="revolute">'
+            f'<link name="link{d}"/>'
+            f'<joint name="{name}" type="{"prismatic" if joint.slides else "revolute"}">'
             f'<parent link="{parent}"/><child link="link{d}"/>{_origin(joint.xyz, joint.rpy)}'
             f'<axis xyz="{_text(joint.axis)}"/>'
             '<limit lower="-3" upper="3" effort="100" velocity="5"/></joint>'
@@ -125,16 +145,17 @@ def excitation(arm: Arm, n_poses: int, at_once: bool, rng: np.random.Generator) 
     path = JointPath([0.0] * D).rest(1.0)
     for joint in range(D):
         away = np.zeros(D)
-        away[joint] = 0.8
+        away[joint] = 0.8 * arm.span[joint]
         path.move(away, 1.6).rest(0.7).move(np.zeros(D), 1.6).rest(0.7)
-    for pose in rng.uniform(-1.4, 1.4, (n_poses, D)):
+    for pose in rng.uniform(-1.4, 1.4, (n_poses, D)) * arm.span:
         path.move(pose, 2.5).rest(1.2)
         if at_once:
-            size = dict(zip(range(D), rng.choice([-1, 1], D) * 0.12, strict=True))
+            size = dict(zip(range(D), rng.choice([-1, 1], D) * 0.12 * arm.span, strict=True))
             path.swing(dict.fromkeys(range(D), 0.0) | size, seconds=14.0, hertz=1.1).rest(0.8)
         else:
             for joint in range(D):
-                path.swing({joint: 0.12 * rng.choice([-1, 1])}, seconds=2.2).rest(0.6)
+                size = 0.12 * arm.span[joint] * rng.choice([-1, 1])
+                path.swing({joint: size}, seconds=2.2).rest(0.6)
     return path
 
 
@@ -159,7 +180,7 @@ def record(
         rng: source of noise, biases, jitter and lags.
         noise: standard deviation of a reading [m/s^2].
         bias: biases are drawn within +- this [m/s^2].
-        bits: resolution of the encoders [bits per revolution].
+        bits: resolution of the encoders [bits per revolution, or per metre].
         lag: clock lags of the SUs are drawn from 0 to this [s].
     """
     model = mujoco.MjModel.from_xml_string(_mjcf(arm))
@@ -175,10 +196,10 @@ def record(
     settled = time > 0.5
 
     joint_at = np.flatnonzero(settled)[::4]
-    step = 2 * np.pi / 2**bits
+    step = np.array([1.0 if joint.slides else 2 * np.pi for joint in arm.joints]) / 2**bits
     stamps = _stamps(time[joint_at], 0.0, rng)
     joints = [
-        JointStream(name, stamps, np.round(q[joint_at, d] / step) * step)
+        JointStream(name, stamps, np.round(q[joint_at, d] / step[d]) * step[d])
         for d, name in enumerate(joint_names)
     ]
     sus = []
@@ -205,6 +226,25 @@ def tracking_errors(arm: Arm, recording: Recording, path: JointPath, names: Sequ
     )
 
 
+def two_arms() -> Arm:
+    """A waist that lifts and turns, and on it two arms, one with a telescope as its last joint.
+
+    Joints are numbered depth first, as MuJoCo orders them.
+    """
+    left, right = random_arm(5, 4).joints[1:], random_arm(6, 4).joints[1:]
+    lift, turn = random_arm(7, 2).joints
+    telescope = replace(left[2], slides=True, axis=(0.0, 0.6, 0.8))
+    return replace(
+        random_arm(7, 2),
+        joints=(
+            replace(lift, slides=True, axis=(0.0, 0.0, 1.0), mass=6.0),
+            replace(turn, rpy=(0.1, -0.2, 0.3), axis=(0.0, 0.0, 1.0)),
+            replace(left[0], xyz=(0.1, 0.2, 0.1)), left[1], telescope,
+            replace(right[0], xyz=(-0.05, -0.25, 0.15), parent=1), *right[1:],
+        ),
+    )  # fmt: skip
+
+
 def upright(arm: Arm) -> Arm:
     """The same arm with its base level."""
     return replace(arm, base_rpy=(0.0, 0.0, 0.0))
@@ -218,32 +258,40 @@ def _stamps(time: F64, lag: float, rng: np.random.Generator) -> F64:
 
 def _mjcf(arm: Arm) -> str:
     """The arm in MuJoCo's language."""
-    body, close, actuators, sensors = [], [], [], ['<accelerometer site="su0"/>']
+    body, actuators, sensors = "", [], ['<accelerometer site="su0"/>']
+    depth: list[int] = []
     for d, joint in enumerate(arm.joints):
-        length = np.linalg.norm(arm.joints[d + 1].xyz) if d + 1 < arm.n_joints else 0.12
-        tip = arm.joints[d + 1].xyz if d + 1 < arm.n_joints else (0.0, 0.0, 0.12)
-        inertia = max(0.05, joint.mass * length**2)
-        damping = 1.6 * np.sqrt(arm.stiffness * inertia)
-        body.append(
+        children = [j for j, parent in zip(arm.joints, arm.parent, strict=True) if parent == d]
+        tip = children[0].xyz if children else (0.0, 0.0, 0.12)
+        inertia = max(0.05, joint.mass * np.linalg.norm(tip) ** 2)
+        stiffness = arm.stiffness
+        if joint.slides:
+            stiffness, inertia = stiffness * SLIDE_STIFFNESS, inertia + 2 * joint.mass
+        damping = 1.6 * np.sqrt(stiffness * inertia)
+        depth.append(depth[arm.parent[d]] + 1 if arm.parent[d] >= 0 else 0)
+        # Bodies stay open until a joint comes that does not stand on them.
+        body += "</body>" * (depth[d - 1] + 1 - depth[d] if d else 0)
+        body += (
             f'<body pos="{_text(joint.xyz)}" quat="{_quat(joint.rpy)}">'
-            f'<joint name="j{d}" axis="{_text(joint.axis)}" armature="0.08" damping="0"'
+            f'<joint name="j{d}" type="{"slide" if joint.slides else "hinge"}"'
+            f' axis="{_text(joint.axis)}" armature="0.08" damping="0"'
             f' frictionloss="{arm.friction}"/>'
             f'<geom type="capsule" size="0.04" fromto="0 0 0 {_text(tip)}" mass="{joint.mass}"'
             ' contype="0" conaffinity="0"/>'
             f'<site name="su{d + 1}" pos="{_text(joint.su_xyz)}" quat="{_quat(joint.su_rpy)}"/>'
         )
-        close.append("</body>")
         actuators.append(
-            f'<general joint="j{d}" gainprm="{arm.stiffness}" biastype="affine"'
-            f' biasprm="0 {-arm.stiffness} {-damping}"/>'
+            f'<general joint="j{d}" gainprm="{stiffness}" biastype="affine"'
+            f' biasprm="0 {-stiffness} {-damping}"/>'
         )
         sensors.append(f'<accelerometer site="su{d + 1}"/>')
+    body += "</body>" * (depth[-1] + 1)
     (xyz, rpy) = arm.base_su
     base = f'<site name="su0" pos="{_text(xyz)}" quat="{_quat(rpy)}"/>'
     return (
         f'<mujoco><option timestep="{STEP}" gravity="{_text(arm.gravity_base)}"'
         ' integrator="Euler"><flag eulerdamp="disable"/></option>'
-        f"<worldbody>{base}{''.join(body)}{''.join(close)}</worldbody>"
+        f"<worldbody>{base}{body}</worldbody>"
         f"<actuator>{''.join(actuators)}</actuator><sensor>{''.join(sensors)}</sensor></mujoco>"
     )
 

@@ -1,4 +1,4 @@
-"""Calibration of arms that MuJoCo moved: an independent witness for the whole way through."""
+"""Calibration of robots that MuJoCo moved: an independent witness for the whole way through."""
 
 from __future__ import annotations
 
@@ -7,7 +7,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from mujoco_robot import Arm, excitation, random_arm, record, tracking_errors, truth_urdf, upright
+from mujoco_robot import (
+    Arm,
+    excitation,
+    random_arm,
+    record,
+    tracking_errors,
+    truth_urdf,
+    two_arms,
+    upright,
+)
 from simulated import held_against
 
 from skin2urdf.arrays import F64
@@ -42,14 +51,16 @@ CASES = {
 
 @pytest.fixture(scope="module", params=CASES, ids=str)
 def witness(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Witness:
-    arm, at_once, bits = CASES[request.param]
+    return witnessed(*CASES[request.param], tmp_path_factory.mktemp("mujoco"))
+
+
+def witnessed(arm: Arm, at_once: bool, bits: int, folder: Path) -> Witness:
     rng = np.random.default_rng(11)
     path = excitation(arm, 5, at_once, rng)
     sus = [f"skin_{n:02x}" for n in rng.permutation(256)[: arm.n_joints + 1]]
     joints = [f"motor_{n}" for n in rng.permutation(arm.n_joints)]
     recording = record(arm, path, sus, joints, rng, bits=bits)
     calibration = calibrate(recording)
-    folder: Path = tmp_path_factory.mktemp("mujoco")
     comparison = held_against(calibration, truth_urdf(arm, sus, joints), folder)
     tracking = tracking_errors(arm, recording, path, joints)
     return Witness(arm, recording, tracking, calibration, comparison)
@@ -86,3 +97,20 @@ def test_only_the_first_segment_and_the_base_are_not_observable(witness: Witness
     for joint, verdict in zip(tree.su_joint, seen.su_verdict, strict=True):
         assert verdict == ("determined" if joint > 0 else "not observable")
     assert all(v == "determined" for v in seen.joint_verdict)
+
+
+def test_a_tree_with_sliding_joints_is_calibrated_as_well(tmp_path: Path) -> None:
+    """A waist that lifts and turns, two arms on it, one of them a telescope."""
+    robot = two_arms()
+    witness = witnessed(robot, False, 17, tmp_path)
+    tree, seen = witness.calibration.model.tree, witness.calibration.observability
+    assert witness.tracking.max() > 2e-3
+    assert witness.comparison.tree_equal, witness.comparison.tree_differences
+    assert tree.prismatic.sum() == sum(joint.slides for joint in robot.joints) == 2
+    assert 0.5 < witness.calibration.estimate.cost_per_dof < 3.0
+    test_everything_is_where_it_really_is(witness)
+    # One arm's place along the waist's axis shows in nothing; what lifts alone turns nothing.
+    assert seen.joint_verdict.count("not observable") == 1
+    beyond = [tree.chain(int(joint)) for joint in tree.su_joint]
+    for chain, verdict in zip(beyond, seen.su_verdict, strict=True):
+        assert verdict == ("determined" if len(chain) > 2 else "not observable")

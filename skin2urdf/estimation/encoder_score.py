@@ -6,9 +6,10 @@ to first order projects the columns J of the estimate's own coordinates out, chi
 
     gain(h) = (h . b)^2 / (h . A h)        at        x = -(h . b) / (h . A h)
 
-with ``A = K'K - K'J (J'J)^-1 J'K`` and ``b = K'r - K'J (J'J)^-1 J'r``. So one matrix decides all
+with ``A = K'K - K'J (J'J)^-1 J'K`` and ``b = K'r - K'J (J'J)^-1 J'r``. So A and b decide all
 hypotheses (Rao 1948). Where the encoders are right, a gain is chi-squared with one degree of
-freedom, and x is normal with variance ``1 / (h . A h)``.
+freedom, and x is normal with variance ``1 / (h . A h)``. Each hypothesis is about one joint, so of
+A only the blocks of single joints are needed.
 """
 
 from __future__ import annotations
@@ -17,9 +18,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from skin2urdf.arrays import F64, Int
+from skin2urdf.arrays import F64
 from skin2urdf.estimation.arrow import ArrowFactor, factor
 from skin2urdf.estimation.estimate import Estimate
+from skin2urdf.estimation.state import N_SU
 
 _BLIND = 1e-6
 """Share of an error's effect that nothing else can imitate, above which the error can be tested;
@@ -28,34 +30,35 @@ far above the damping of the arrow system."""
 
 @dataclass(frozen=True, eq=False)
 class EncoderScores:
-    """The quadratic model of chi-squared in errors of the encoders.
+    """The quadratic model of chi-squared in errors of single encoders.
 
-    Coordinates, N = (P + 1) D: what the model is told of the position of joint d in pose p at
-    ``p D + d``, then the logarithm of the coefficients ``s_d`` and ``tau_d`` at ``P D + d``.
+    Coordinates of each of the D joints, P + 1: what the model is told of its position in each pose,
+    then the logarithm of its coefficients ``s_d`` and ``tau_d``.
 
     Attributes:
-        information: (N, N) the matrix A.
-        score: (N,) the vector b.
-        alone: (N, N) ``K'K``, the information if all else were known.
+        information: (D, P + 1, P + 1) the blocks of the matrix A.
+        score: (D, P + 1) the vector b.
+        alone: (D, P + 1, P + 1) ``K'K``, the information if all else were known.
     """
 
     information: F64
     score: F64
     alone: F64
 
-    def test(self, directions: F64) -> tuple[F64, F64, F64]:
-        """Test H hypotheses.
+    def test(self, joint: int, directions: F64) -> tuple[F64, F64, F64]:
+        """Test H hypotheses about one joint.
 
         Args:
-            directions: (H, N).
+            joint: which.
+            directions: (H, P + 1).
 
         Returns:
             gain (H,) in chi-squared, the size (H,) that is best for the fit, and its standard
             deviation (H,), infinite where the other coordinates can imitate the direction.
         """
-        slope = directions @ self.score
-        known = np.einsum("hi,hi->h", directions @ self.information, directions)
-        alone = np.einsum("hi,hi->h", directions @ self.alone, directions)
+        slope = directions @ self.score[joint]
+        known = np.einsum("hi,hi->h", directions @ self.information[joint], directions)
+        alone = np.einsum("hi,hi->h", directions @ self.alone[joint], directions)
         seen = known > _BLIND * alone
         safe = np.where(seen, known, 1.0)
         gain = np.where(seen, slope**2 / safe, 0.0)
@@ -65,53 +68,62 @@ class EncoderScores:
 def encoder_scores(found: Estimate) -> EncoderScores:
     """The score test at an estimate, with its robust weights."""
     here = found.cost.at(found.state)
-    blocks, free = found.cost.blocks, found.free
-    K = here.encoder_jacobian()
-    J_joint, J_su = here.jacobian()
-    P, U, n_rows = K.shape[:3]
-    D = found.tree.n_joints
-    N = (P + 1) * D
+    chains, free = found.cost.blocks.chains, found.free
+    P, D = found.cost.blocks.q.shape
     arrow = factor(here.normal_equations(), free)
     gradient = arrow.whiten_gradient(here.gradient())
-    residual = here.residual.reshape(P, U, n_rows)
-    alone, eliminated = np.zeros((N, N)), np.zeros((N, N))
-    score = np.zeros(N)
-    mixed = np.zeros((arrow.joint_root.shape[0], N))
-    for u in range(U):
-        own = blocks.chains.joint[u, : blocks.chains.length[u]]
-        columns = _columns(own, P, D)
-        Ku = _stacked(K[:, u], len(own))
-        Jj, Js = J_joint[u], J_su[u, : P * n_rows] * free.sus[u]
-        by_su = Js.T @ Ku
-        white = np.linalg.solve(arrow.su_root[u], by_su)
-        square = np.ix_(columns, columns)
-        alone[square] += Ku.T @ Ku
-        eliminated[square] += white.T @ white
-        score[columns] += Ku.T @ residual[:, u].ravel() - white.T @ gradient.sus[u]
-        left = Jj.T @ Ku - arrow.coupling[u].T @ by_su
-        np.add.at(mixed, (arrow.columns[u][:, None], columns[None]), left)
+    alone, eliminated = np.zeros((2, D, P + 1, P + 1))
+    score = np.zeros((D, P + 1))
+    mixed = np.zeros((D, arrow.joint_root.shape[0], P + 1))
+    for each in here.groups:
+        J, K = each.jacobian(), each.encoder_jacobian()
+        for i, u in enumerate(each.group.sus):
+            own = chains.joint[u, : chains.length[u]]
+            position, scale = (half[..., : len(own)] for half in np.split(K[:, i], 2, axis=-1))
+            of_joints, of_su = np.split(J[i].reshape(P, K.shape[2], -1), [-N_SU], axis=-1)
+            by_su = _products(position, scale, of_su) * free.sus[u]
+            white = np.linalg.solve(arrow.su_root[u], np.swapaxes(by_su, 1, 2))
+            eliminated[own] += np.swapaxes(white, 1, 2) @ white
+            alone[own] += _squares(position, scale)
+            residual = each.residual[:, i].reshape(P, -1, 1)
+            score[own] += _products(position, scale, residual)[..., 0]
+            score[own] -= gradient.sus[u] @ white
+            left = _products(position, scale, of_joints)
+            np.add.at(mixed, (own[:, None], each.group.columns[i]), np.swapaxes(left, 1, 2))
+            back = np.swapaxes(by_su @ arrow.coupling[u], 1, 2)
+            np.subtract.at(mixed, (own[:, None], arrow.columns[u]), back)
     white = _whitened(arrow, mixed)
     by_joints = np.concatenate([gradient.joints.ravel(), gradient.logs.ravel()])
-    information = alone - eliminated - white.T @ white
-    return EncoderScores(information, score - white.T @ by_joints, alone)
+    information = alone - eliminated - np.swapaxes(white, 1, 2) @ white
+    return EncoderScores(information, score - by_joints @ white, alone)
 
 
-def _columns(own: Int, P: int, D: int) -> Int:
-    """Coordinates that a chain of n joints meets: ((P + 1) n,)."""
-    return np.asarray((np.arange(P + 1)[:, None] * D + own).ravel())
+def _products(position: F64, scale: F64, columns: F64) -> F64:
+    """K' times columns (P, r, c), by joint (n, P + 1, c).
+
+    Args:
+        position: (P, r, n) derivatives of each pose's rows in the joints' positions there.
+        scale: (P, r, n) derivatives of the rows in the logarithms of the joints' coefficients.
+        columns: (P, r, c) what to multiply with.
+    """
+    by_pose = np.swapaxes(np.swapaxes(position, 1, 2) @ columns, 0, 1)
+    together = np.tensordot(scale, columns, axes=((0, 1), (0, 1)))
+    return np.concatenate([by_pose, together[:, None]], axis=1)
 
 
-def _stacked(K: F64, n: int) -> F64:
-    """Rows of one SU (P, r, 2 L) as one matrix (P r, (P + 1) n) over the chain's coordinates."""
-    P, r, twice = K.shape
-    out = np.zeros((P, r, P + 1, n))
-    out[np.arange(P), :, np.arange(P)] = K[..., :n]
-    out[:, :, P] = K[..., twice // 2 : twice // 2 + n]
-    return out.reshape(P * r, (P + 1) * n)
+def _squares(position: F64, scale: F64) -> F64:
+    """K'K by joint (n, P + 1, P + 1); rows of one pose feel no other pose's positions."""
+    P, _, n = position.shape
+    out = np.zeros((n, P + 1, P + 1))
+    poses = np.arange(P)
+    out[:, poses, poses] = (position**2).sum(axis=1).T
+    out[:, :P, P] = out[:, P, :P] = (position * scale).sum(axis=1).T
+    out[:, P, P] = (scale**2).sum(axis=(0, 1))
+    return out
 
 
 def _whitened(arrow: ArrowFactor, mixed: F64) -> F64:
-    """Joint part of the projections, in whitened coordinates."""
-    if not mixed.shape[0]:
+    """Joint part of the projections (D, J, P + 1), in whitened coordinates."""
+    if not mixed.shape[1]:
         return mixed
     return np.asarray(np.linalg.solve(arrow.joint_root, mixed * arrow.free_joint[:, None]))

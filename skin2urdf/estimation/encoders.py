@@ -47,11 +47,16 @@ def suspicions(found: Estimate, features: Features) -> tuple[Suspicion, ...]:
         found: the estimate; its blocks list the poses of
         features: the features.
     """
-    hypotheses = list(_hypotheses(found, features))
-    if not hypotheses:
+    if not found.tree.n_joints:
         return ()
-    errors = [error for error, _ in hypotheses]
-    gain, size, deviation = encoder_scores(found).test(np.array([h for _, h in hypotheses]))
+    scores = encoder_scores(found)
+    errors: list[EncoderError] = []
+    results = []
+    for joint in range(found.tree.n_joints):
+        own, directions = zip(*_hypotheses(found, features, joint), strict=True)
+        errors += own
+        results.append(scores.test(joint, np.array(directions)))
+    gain, size, deviation = (np.concatenate(part) for part in zip(*results, strict=True))
     freedom = max(1, found.degrees_of_freedom)
     limit = float(chi_squared.isf(_FALSE_ALARM / len(gain), 1))
     out = []
@@ -106,24 +111,22 @@ def _sized(error: EncoderError, size: float, deviation: float) -> EncoderError:
     return EncoderError(error.kind, error.dof, size, error.log, error.begin, deviation)
 
 
-def _hypotheses(found: Estimate, features: Features) -> Iterator[tuple[EncoderError, F64]]:
-    """Errors of unknown size with their directions in the score test.
+def _hypotheses(
+    found: Estimate, features: Features, joint: int
+) -> Iterator[tuple[EncoderError, F64]]:
+    """Errors of unknown size of one encoder, with their directions (P + 1,) in the score test.
 
     An encoder reports too much by x from a change between two poses on, or in a whole log but the
     first; or it reports 1 + x times the true motion, so that the true coefficients are as much
     larger than those measured.
     """
-    tree, q = found.tree, found.cost.blocks.q
-    P, D = q.shape
-    for d, name in enumerate(tree.joint_names):
-        scale = np.zeros((P + 1, D))
-        scale[:P, d], scale[P, d] = -q[:, d], -1.0
-        yield EncoderError("scale", name, 1.0), scale.ravel()
-        for log in range(found.cost.n_logs):
-            for begin, later in _changes(features, log):
-                offset = np.zeros((P + 1, D))
-                offset[later, d] = -1.0
-                yield EncoderError("offset", name, 0.0, log, begin), offset.ravel()
+    name, q = found.tree.joint_names[joint], found.cost.blocks.q[:, joint]
+    yield EncoderError("scale", name, 1.0), np.append(-q, -1.0)
+    for log in range(found.cost.n_logs):
+        for begin, later in _changes(features, log):
+            offset = np.zeros(len(q) + 1)
+            offset[later] = -1.0
+            yield EncoderError("offset", name, 0.0, log, begin), offset
 
 
 def _changes(features: Features, log: int) -> Iterator[tuple[float, Int]]:

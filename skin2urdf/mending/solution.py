@@ -133,10 +133,12 @@ _NEARLY_ALL = 0.9
 
 def _an_encoder_jumps(first: Solution) -> bool:
     """Whether one number, an encoder's offset, explains nearly all of what an estimate leaves."""
+    if _explains(first.found):
+        return False
     suspects = suspicions(first.found, first.features)[:1]
     return any(
         s.error.kind == "offset" and s.significant and s.share > _NEARLY_ALL for s in suspects
-    ) and not _explains(first.found)
+    )
 
 
 def _explains(found: Estimate) -> bool:

@@ -57,10 +57,10 @@ def fitted(features: Features) -> Estimate:
     return estimate(features, serial_tree(4), SETTINGS)
 
 
-def offset_from(pose: int, joint: int) -> F64:
-    h = np.zeros((11, 4))
-    h[pose:10, joint] = -1.0
-    return h.reshape(1, -1)
+def offset_from(pose: int) -> F64:
+    h = np.zeros((1, 11))
+    h[0, pose:10] = -1.0
+    return h
 
 
 def test_the_size_of_a_small_error_is_found_in_one_step() -> None:
@@ -68,7 +68,7 @@ def test_the_size_of_a_small_error_is_found_in_one_step() -> None:
     q = np.array(features.q)
     q[6:, 2] += 0.01
     found = fitted(replace(features, q=q))
-    gain, size, deviation = encoder_scores(found).test(offset_from(6, 2))
+    gain, size, deviation = encoder_scores(found).test(2, offset_from(6))
     assert size[0] == pytest.approx(0.01, abs=5 * deviation[0] + 2e-4)
     assert gain[0] == pytest.approx((size[0] / deviation[0]) ** 2)
     assert gain[0] > 0.9 * (found.chi2 - found.degrees_of_freedom)
@@ -76,17 +76,59 @@ def test_the_size_of_a_small_error_is_found_in_one_step() -> None:
 
 def test_a_constant_offset_is_no_error() -> None:
     scores = encoder_scores(fitted(chain(0.05)))
-    gain, _, deviation = scores.test(offset_from(0, 1))
+    gain, _, deviation = scores.test(1, offset_from(0))
     assert gain[0] == 0.0
     assert np.isinf(deviation[0])
 
 
 def test_without_errors_gains_are_chi_squared() -> None:
     gains = [
-        encoder_scores(fitted(chain(0.05, seed))).test(
-            np.concatenate([offset_from(p, d) for p in (3, 6, 8) for d in range(4)])
-        )[0]
-        for seed in range(12)
+        scores.test(d, np.concatenate([offset_from(p) for p in (3, 6, 8)]))[0]
+        for scores in (encoder_scores(fitted(chain(0.05, seed))) for seed in range(12))
+        for d in range(4)
     ]
     assert np.mean(gains) == pytest.approx(1.0, abs=0.45)
     assert np.max(gains) < 16
+
+
+def test_scores_are_those_of_all_coordinates_written_out() -> None:
+    """K and J as whole matrices, everything else projected out by least squares."""
+    rng = np.random.default_rng(5)
+    tree = random_tree(rng, 4, 5, prismatic=0.4)
+    features = random_features(rng, tree, random_state(rng, tree, n_logs=2), 8, 0.05, False)
+    found = estimate(features, tree, SETTINGS)
+    scores, here = encoder_scores(found), found.cost.at(found.state)
+    equations, free, K = here.normal_equations(), found.free, here.encoder_jacobian()
+    by_joint, by_su = here.jacobian()
+    P, U, rows = K.shape[:3]
+    D, L, n_joint = tree.n_joints, K.shape[-1] // 2, len(equations.joint)
+    whole_K = np.zeros((U, P, rows, D, P + 1))
+    J = np.zeros((U, P * rows, n_joint + U * by_su.shape[-1]))
+    for u in range(U):
+        for k, d in enumerate(tree.chain(int(tree.su_joint[u]))):
+            whole_K[u, np.arange(P), :, d, np.arange(P)] = K[:, u, :, k]
+            whole_K[u, :, :, d, P] = K[:, u, :, L + k]
+        np.add.at(J[u].T, equations.columns[u], by_joint[u].T)
+        at = n_joint + u * by_su.shape[-1]
+        J[u, :, at : at + by_su.shape[-1]] = by_su[u, : P * rows]
+    moving = np.concatenate([free.joints.ravel(), free.logs.ravel(), free.sus.ravel()])
+    J, r = J.reshape(U * P * rows, -1)[:, moving], np.swapaxes(here.residual, 0, 1).ravel()
+    H = np.zeros((len(moving), len(moving)))
+    H[:n_joint, :n_joint] = equations.joint
+    for u, su in enumerate(np.arange(len(moving) - n_joint).reshape(U, -1) + n_joint):
+        H[np.ix_(su, su)] = equations.su[u]
+        np.add.at(H, (su[:, None], equations.columns[u]), equations.mixed[u])
+        np.add.at(H.T, (su[:, None], equations.columns[u]), equations.mixed[u])
+    g = here.gradient().flat()[moving]
+    known = np.linalg.pinv(H[np.ix_(moving, moving)], rcond=1e-10, hermitian=True)
+    for d in range(D):
+        Kd = whole_K.reshape(U * P * rows, D, P + 1)[:, d]
+        direction = np.append(np.zeros(P), -1.0)[None]
+        A = Kd.T @ Kd - Kd.T @ J @ known @ (J.T @ Kd)
+        b = Kd.T @ r - Kd.T @ J @ known @ g
+        gain, size, _ = scores.test(d, direction)
+        assert scores.alone[d] == pytest.approx(Kd.T @ Kd, rel=1e-9, abs=1e-9)
+        if np.isfinite(scores.test(d, direction)[2][0]):
+            slope, square = direction[0] @ b, direction[0] @ A @ direction[0]
+            assert size[0] == pytest.approx(-slope / square, rel=1e-3)
+            assert gain[0] == pytest.approx(slope**2 / square, rel=1e-3)

@@ -195,10 +195,15 @@ def _recompute(
     scale = np.sqrt((smooth[inside] ** 2).mean(axis=0))
     known = scale > 1e-9
     Z = smooth[:, known] / scale[known]
+    alike: dict[bytes, list[int]] = {}
     for u in np.flatnonzero(s.computed[spans].any(axis=0)):
-        ok, missing = inside & measured[:, u], inside & s.computed[spans, u]
-        solution = np.linalg.lstsq(Z[ok], y[ok, u], rcond=1e-6)[0]
-        y[missing, u] = Z[missing] @ solution
+        lacks = measured[:, u].tobytes() + s.computed[spans, u].tobytes()
+        alike.setdefault(lacks, []).append(int(u))
+    for sus in alike.values():
+        ok, missing = inside & measured[:, sus[0]], inside & s.computed[spans, sus[0]]
+        readings = y[ok][:, sus]
+        solution = np.linalg.lstsq(Z[ok], readings.reshape(len(readings), -1), rcond=1e-6)[0]
+        y[np.ix_(missing, sus)] = (Z[missing] @ solution).reshape(-1, len(sus), 3)
 
 
 def _measured(used: Bool, computed: Bool) -> F64:

@@ -94,7 +94,7 @@ def fit(design: Design, y: F64, independence: float) -> Fit:
     shared = design.noise_cross * N * inverse[slope] * inverse[lever]
     corrected[slope, lever] -= shared
     corrected[lever, slope] -= shared
-    lam, V = np.linalg.eigh(corrected)
+    lam, V = _eigen(corrected)
     keep = lam > 1e-8
     solve = (V[:, keep] / lam[keep]) @ V[:, keep].T
     corrected = (V[:, keep] * lam[keep]) @ V[:, keep].T
@@ -106,7 +106,7 @@ def fit(design: Design, y: F64, independence: float) -> Fit:
     variance = (residual**2).sum(axis=0) * independence / max(independent - 2.0, independent / 3)
     a, b = corrected[:n, :n], corrected[:n, n:]
     if b.shape[1]:
-        mu, W = np.linalg.eigh(corrected[n:, n:])
+        mu, W = _eigen(corrected[n:, n:])
         ok = mu > 1e-8
         a = a - (b @ W[:, ok] / mu[ok]) @ (b @ W[:, ok]).T
     information = a * scale[:n, None] * scale[:n] * independence
@@ -116,6 +116,15 @@ def fit(design: Design, y: F64, independence: float) -> Fit:
         residual.reshape(N, U, 3),
         np.sqrt(variance.reshape(U, 3)),
     )
+
+
+def _eigen(A: F64) -> tuple[F64, F64]:
+    """Eigenvalues (k,) and vectors (n, k) of a symmetric matrix (n, n), without its empty rows."""
+    used = np.flatnonzero(np.diag(A) != 0)
+    lam, V = np.linalg.eigh(A[np.ix_(used, used)])
+    whole = np.zeros((len(A), len(used)))
+    whole[used] = V
+    return lam, whole
 
 
 _LARGEST = (9.81, 1.0)

@@ -9,7 +9,7 @@ import numpy as np
 
 from skin2urdf.arrays import F64, frozen
 from skin2urdf.simulation.mechanism import Mechanism
-from skin2urdf.simulation.pattern import Tones, swing, tone_pairs
+from skin2urdf.simulation.pattern import Tones, distinct_time, swing, tone_pairs
 from skin2urdf.simulation.settings import Excitation, MotionSettings
 from skin2urdf.simulation.trajectory import JointMotion, PathBuilder, Phase
 
@@ -63,6 +63,7 @@ def plan_reference(
     home = lower + (upper - lower) * rng.uniform(0.45, 0.55, mechanism.n_joints)
     poses = _visiting_order(home, rng.uniform(lower, upper, (n_poses, mechanism.n_joints)), speed)
 
+    distinct = settings.ramp + distinct_time(mechanism.n_joints, settings.frequency_band)
     path = PathBuilder(home)
     path.rest(settings.rest)
     for joint, target in enumerate(
@@ -82,7 +83,8 @@ def plan_reference(
             for joint, own in enumerate(signed):
                 path.excite({joint: own}, settings.pattern_time, settings.ramp, p)
         else:
-            path.excite(dict(enumerate(signed)), settings.pattern_time_all, settings.ramp, p)
+            duration = max(settings.pattern_time_all, distinct)
+            path.excite(dict(enumerate(signed)), duration, settings.ramp, p)
         path.rest(0.5 * settings.rest, p)
     return Reference(path.motion(), tuple(path.phases), poses)
 

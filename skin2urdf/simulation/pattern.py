@@ -62,6 +62,23 @@ def swing(tones: Tones) -> float:
     return sum(2.0 * abs(a) / (2 * pi * f) ** 2 for f, a in tones)
 
 
+def distinct_time(n: int, band: tuple[float, float]) -> float:
+    """Time over which the tones of :func:`tone_pairs` are linearly independent [s].
+
+    Cosines that are spaced by f are independent over a time of 1 / (2 f) or more: the sampling
+    theorem, with time and frequency exchanged. In less, some of them are hardly more than sums of
+    others: over 0.4 / f, variances of regression coefficients are thousands of times as large for
+    30 DoFs, and many millions of times for 60; in more there is nothing to be gained. A fifth is
+    added for what the flanks of the pattern's window take.
+
+    Args:
+        n: number of DoFs.
+        band: lowest and highest frequency [Hz].
+    """
+    spacing = (band[1] - band[0]) / (2 * n - 1)
+    return 1.2 * 0.5 / spacing
+
+
 def tone_pairs(n: int, band: tuple[float, float], rng: np.random.Generator) -> F64:
     """Two frequencies for each of n DoFs that move at once, all of them different.
 

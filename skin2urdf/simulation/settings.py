@@ -23,7 +23,8 @@ class MotionSettings:
         frequency: frequency of the pattern with one DoF at a time [Hz].
         frequency_band: lowest and highest frequency with all DoFs at once [Hz].
         pattern_time: duration of the pattern on one DoF, windows included [s].
-        pattern_time_all: duration of the pattern on all DoFs at once [s].
+        pattern_time_all: duration of the pattern on all DoFs at once [s]; longer where there are so
+            many of them (30 and more in a band of 3 Hz) that this does not tell their tones apart.
         ramp: duration of either flank of the pattern's window [s].
         angular_acceleration: bounds of the pattern's peak acceleration 2 pi f A on a revolute
             DoF [rad/s^2]; the paper uses 2 pi.

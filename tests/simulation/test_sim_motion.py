@@ -13,8 +13,15 @@ from skin2urdf.errors import UsageError
 from skin2urdf.simulation import MotionSettings, Simulation, load_robot
 from skin2urdf.simulation.mechanism import Mechanism, load_mechanism
 from skin2urdf.simulation.motion import Reference, plan_reference
-from skin2urdf.simulation.pattern import smooth_step, swing, tone_pairs, windowed_pattern
+from skin2urdf.simulation.pattern import (
+    distinct_time,
+    smooth_step,
+    swing,
+    tone_pairs,
+    windowed_pattern,
+)
 from skin2urdf.simulation.plant import actual_motion
+from skin2urdf.simulation.robots import example_robot_data
 from skin2urdf.simulation.settings import PLANTS, Excitation, PlantSettings
 from skin2urdf.simulation.trajectory import GRID, JointMotion
 
@@ -73,6 +80,33 @@ def test_tone_pairs_differ(n: int, seed: int) -> None:
     assert pairs.shape == (n, 2)
     assert len(np.unique(pairs)) == 2 * n
     assert pairs[:, 0].max() < pairs[:, 1].min()
+
+
+@pytest.mark.parametrize("n", [20, 30, 45])
+def test_tones_are_told_apart_in_the_time_that_they_get(n: int) -> None:
+    def typical_variance(duration: float) -> float:
+        """What the other DoFs' motion makes of the variance of a coefficient."""
+        time = np.arange(0.0, duration, 0.02)
+        pairs = tone_pairs(n, (1.0, 4.0), np.random.default_rng(0))
+        X = np.array([windowed_pattern(time, duration, 0.4, [(f, 1.0)]) for f in pairs.ravel()])
+        X = np.concatenate([np.ones((1, len(time))), X])
+        X /= np.linalg.norm(X, axis=1, keepdims=True)
+        return float(np.median(np.diag(np.linalg.pinv(X @ X.T, rcond=1e-14, hermitian=True))))
+
+    enough = distinct_time(n, (1.0, 4.0))
+    assert typical_variance(0.4 + enough) < 2 * typical_variance(0.4 + 3 * enough)
+    assert typical_variance(0.4 + 0.6 * enough) > 100 * typical_variance(0.4 + enough)
+
+
+def test_many_dofs_at_once_take_longer(gantry: Path) -> None:
+    def seconds(robot: str | Path) -> float:
+        pattern = next(p for p in planned(robot, "all")[1].phases if p.kind == "pattern")
+        return pattern.end - pattern.start
+
+    assert seconds(gantry) == pytest.approx(12.0)
+    assert seconds("panda") == pytest.approx(12.0)
+    humanoid = example_robot_data() / "g1_description/urdf/g1_29dof_with_hand_rev_1_0.urdf"
+    assert seconds(humanoid) == pytest.approx(0.4 + 1.2 * 0.5 * 85 / 3.0, abs=2 * GRID)
 
 
 def test_structural_moves_are_large_and_of_one_dof() -> None:

@@ -23,7 +23,7 @@ from skin2urdf.pipeline import calibrate
 from skin2urdf.recording.records import Recording
 from skin2urdf.recording.retiming import retimed
 from skin2urdf.recording.writing import write
-from skin2urdf.simulation import Simulation, SimulationSettings, Truth, load_robot, simulate
+from skin2urdf.simulation import SimulationSettings, Truth, load_robot, simulate
 from skin2urdf.urdf.compare import compare, random_positions
 from skin2urdf.urdf.emit import emit
 from skin2urdf.urdf.loading import load_robot as load_urdf
@@ -81,14 +81,13 @@ def _figures(case: Case) -> Figures:
         Exception: whatever the package raises.
     """
     begin = time.perf_counter()
-    simulation = simulate(load_robot(case.robot_or_path), settings_of(case))
-    simulated = time.perf_counter()
     settings = CalibrationSettings(estimation=EstimationSettings(refine=case.circumstance.refine))
     with tempfile.TemporaryDirectory() as folder:
-        log = _log(simulation, Path(folder), case.circumstance.through_mcap)
+        log, truth = _recorded(case, Path(folder))
+        simulated = time.perf_counter()
         calibration = calibrate(log, settings)
         calibrated = time.perf_counter()
-        figures = _compared(case, calibration, simulation.truth, Path(folder))
+        figures = _compared(case, calibration, truth, Path(folder))
     seconds = {
         "simulate": simulated - begin,
         **calibration.seconds,
@@ -97,13 +96,17 @@ def _figures(case: Case) -> Figures:
     return replace(figures, seconds=seconds)
 
 
-def _log(simulation: Simulation, folder: Path, through_mcap: bool) -> Recording | Path:
-    """The recording with its times as read from a file, or in a file where asked for."""
-    if not through_mcap:
-        return retimed(simulation.recording)
+def _recorded(case: Case, folder: Path) -> tuple[Recording | Path, Truth]:
+    """The recording with its times as read from a file, or in a file where asked for; its truth.
+
+    Nothing else of the simulation is left: of a hundred DoFs a recording takes gigabytes.
+    """
+    simulation = simulate(load_robot(case.robot_or_path), settings_of(case))
+    if not case.circumstance.through_mcap:
+        return retimed(simulation.recording), simulation.truth
     path = folder / "log.mcap"
     write(simulation.recording, path, joint_order=simulation.joint_order)
-    return path
+    return path, simulation.truth
 
 
 def _compared(case: Case, found: Calibration, truth: Truth, folder: Path) -> Figures:

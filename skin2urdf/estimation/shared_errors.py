@@ -12,9 +12,11 @@ from __future__ import annotations
 import numpy as np
 
 from skin2urdf.arrays import F64, Int
-from skin2urdf.estimation.cost import Cost, Evaluation
+from skin2urdf.estimation.blocks import FeatureBlocks
+from skin2urdf.estimation.cost import Cost
 from skin2urdf.estimation.covariance import ArrowCovariance
-from skin2urdf.estimation.state import State
+from skin2urdf.estimation.residuals import Residuals
+from skin2urdf.estimation.state import N_SU, State
 
 
 def with_shared_errors(covariance: ArrowCovariance, cost: Cost, state: State) -> ArrowCovariance:
@@ -25,59 +27,85 @@ def with_shared_errors(covariance: ArrowCovariance, cost: Cost, state: State) ->
         cost: the cost.
         state: where it was taken.
     """
-    D, P = cost.tree.n_joints, len(cost.blocks.q)
-    n_latent = P * D * (1 + D)
+    number = _numbers(cost.blocks)
     J = len(covariance.joint)
-    if not n_latent or not J:
+    if not J or number.max(initial=-1) < 0:
         return covariance
     here = cost.at(state)
-    joint_rows, su_rows = here.jacobian()
-    total, alone = np.zeros((n_latent, J)), np.zeros((J, J))
+    total, alone = np.zeros((number.max() + 1, J)), np.zeros((J, J))
     pulls = []
-    for u, lean in enumerate(covariance.lean):
-        which, scores = _scores(here, u, joint_rows[u], su_rows[u])
-        pull = np.zeros((len(which), J))
-        C = lean.shape[1]
-        np.add.at(pull.T, covariance.columns[u], (scores[:, :C] + scores[:, C:] @ lean).T)
-        alone += pull.T @ pull
-        np.add.at(total, which, pull)
-        pulls.append((which, pull, scores[:, C:] @ covariance.own[u]))
+    for each in here.groups:
+        jacobian = each.jacobian()
+        for i, u in enumerate(each.group.sus):
+            which, scores = _scores(each, i, jacobian[i], number, cost.blocks)
+            columns = each.group.columns[i]
+            by_joint, by_su = np.split(scores, [-N_SU], axis=1)
+            lean = _placed(covariance.lean[u], len(columns), 2 * (cost.n_logs - 1))
+            pull = by_joint + by_su @ lean
+            np.add.at(alone, (columns[:, None], columns), pull.T @ pull)
+            np.add.at(total, (which[:, None], columns), pull)
+            pulls.append((u, which, columns, lean, pull, by_su @ covariance.own[u]))
     joint = covariance.joint
     moved = total @ joint
     own = np.array(covariance.own)
-    for u, (which, pull, response) in enumerate(pulls):
-        others = (moved[which] - pull @ joint)[:, covariance.columns[u]]
-        cross = covariance.lean[u] @ others.T @ response
+    for u, which, columns, lean, pull, response in pulls:
+        others = moved[which[:, None], columns] - pull @ joint[columns[:, None], columns]
+        cross = lean @ others.T @ response
         own[u] += cross + cross.T
     more = joint @ (total.T @ total - alone) @ joint
     return ArrowCovariance(joint + more, covariance.columns, covariance.lean, own)
 
 
-def _scores(here: Evaluation, u: int, joint_rows: F64, su_rows: F64) -> tuple[Int, F64]:
-    """How one SU's equations are pulled by one standard deviation of each encoder error.
+def _placed(lean: F64, n_columns: int, n_logs: int) -> F64:
+    """How an SU follows its chain (15, C), without the padding between joints and logs."""
+    C = lean.shape[1]
+    return lean[:, np.r_[: n_columns - n_logs, C - n_logs : C]]
+
+
+def _numbers(blocks: FeatureBlocks) -> Int:
+    """Consecutive numbers of the errors that there are, -1 for the others.
 
     Returns:
-        (T,) which errors they are (pose by pose, those at rest before those in step with the
-        pattern of each DoF), and (T, C + 15) gradients in the SU's joint and own coordinates.
+        (P, 1 + D, D): at [p, 0, e] the error of joint e at rest in pose p, at [p, 1 + d, e] that
+        in step with the pattern of d. What no SU feels both of does not count.
     """
-    blocks = here.cost.blocks
-    P, D = len(blocks.q), here.cost.tree.n_joints
-    n, L = int(blocks.chains.length[u]), blocks.chains.joint.shape[1]
-    chain = blocks.chains.joint[u, :n]
-    m = blocks.chains.n_rows
-    rows = np.concatenate([joint_rows, su_rows[: P * m * 3]], axis=1).reshape(P, m, 3, -1)
-    by_row = np.einsum("pkm,pkac->pmac", blocks.W[:, u], rows) / blocks.noise[:, u, None, :, None]
-    Y = here.kin.features()[:, u]
+    D = blocks.q.shape[1]
+    together = np.zeros((D, D), dtype=bool)
+    for chain, n in zip(blocks.chains.joint, blocks.chains.length, strict=True):
+        together[np.ix_(chain[:n], chain[:n])] = True
+    in_step = together & (blocks.hidden > 0)
+    felt = np.concatenate([blocks.position_sd[:, None] > 0, in_step], axis=1)
+    return np.asarray(np.where(felt, felt.cumsum().reshape(felt.shape) - 1, -1))
+
+
+def _scores(
+    here: Residuals, i: int, jacobian: F64, number: Int, blocks: FeatureBlocks
+) -> tuple[Int, F64]:
+    """How one SU's equations are pulled by one standard deviation of each encoder error.
+
+    Args:
+        here: residuals of a group of SUs.
+        i: which of them.
+        jacobian: (P m 3, C + 15) derivatives of its residuals.
+        number: (P, 1 + D, D) numbers of the errors.
+        blocks: all features.
+
+    Returns:
+        (T,) numbers of the errors that the SU feels, and (T, C + 15) gradients in its joint and own
+        coordinates.
+    """
+    group, Y = here.group, here.Y[:, i]
+    P, m = Y.shape[:2]
+    n, L = int(group.chains.length[i]), group.chains.joint.shape[1]
+    chain = group.chains.joint[i, :n]
+    rows = jacobian.reshape(P, m, 3, -1)
+    by_row = np.einsum("pkm,pkac->pmac", group.W[:, i], rows) * group.weight[:, i, None, :, None]
     s, tau = Y[:, 1 : 1 + n], Y[:, 1 + L : 1 + L + n]
     at_rest = np.einsum("pac,pea->pec", by_row[:, 0], s)
     at_rest *= blocks.position_sd[:, chain, None]
     effect = s[:, None] - blocks.omega2[:, chain, None, None] * tau[:, None]
     in_step = np.einsum("pdac,pdea->pdec", by_row[:, 1 + L : 1 + L + n], effect)
     in_step *= np.sqrt(blocks.hidden[:, chain[:, None], chain])[..., None]
-    base = (np.arange(P) * D * (1 + D))[:, None]
-    which = [(base + chain).ravel()]
-    which.append((base[..., None] + D + chain[:, None] * D + chain).ravel())
-    columns = rows.shape[-1]
-    return np.concatenate(which), np.concatenate(
-        [at_rest.reshape(-1, columns), in_step.reshape(-1, columns)]
-    )
+    which = number[:, np.r_[0, 1 + chain][:, None], chain]
+    scores = np.concatenate([at_rest[:, None], in_step], axis=1)
+    return which[which >= 0], scores[which >= 0]

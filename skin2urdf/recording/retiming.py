@@ -23,7 +23,7 @@ def retimed(recording: Recording) -> Recording:
     sus = []
     for su in recording.sus:
         time, kept = _times(su.time, su.specific_force)
-        sus.append(replace(su, time=time, specific_force=su.specific_force[kept]))
+        sus.append(replace(su, time=time, specific_force=_of(su.specific_force, kept)))
     together: dict[bytes, list[JointStream]] = {}
     for joint in recording.joints:
         together.setdefault(joint.time.tobytes(), []).append(joint)
@@ -31,10 +31,17 @@ def retimed(recording: Recording) -> Recording:
     for members in together.values():
         signal = np.stack([j.position for j in members], axis=1)
         time, kept = _times(members[0].time, signal)
-        joints.update({j.name: replace(j, time=time, position=j.position[kept]) for j in members})
+        joints.update(
+            {j.name: replace(j, time=time, position=_of(j.position, kept)) for j in members}
+        )
     return replace(
         recording, joints=tuple(joints[j.name] for j in recording.joints), sus=tuple(sus)
     )
+
+
+def _of(samples: F64, kept: Int) -> F64:
+    """The samples that are kept, without a copy where these are all."""
+    return samples if len(kept) == len(samples) else samples[kept]
 
 
 def _times(stamps: F64, signal: F64) -> tuple[F64, Int]:

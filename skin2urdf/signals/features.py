@@ -199,10 +199,10 @@ def _recompute(
     for u in np.flatnonzero(s.computed[spans].any(axis=0)):
         lacks = measured[:, u].tobytes() + s.computed[spans, u].tobytes()
         alike.setdefault(lacks, []).append(int(u))
-    for sus in alike.values():
+    for sus in map(np.array, alike.values()):
         ok, missing = inside & measured[:, sus[0]], inside & s.computed[spans, sus[0]]
-        readings = y[ok][:, sus]
-        solution = np.linalg.lstsq(Z[ok], readings.reshape(len(readings), -1), rcond=1e-6)[0]
+        readings = y[np.ix_(ok, sus)].reshape(-1, 3 * len(sus))
+        solution = np.linalg.lstsq(Z[ok], readings, rcond=1e-6)[0]
         y[np.ix_(missing, sus)] = (Z[missing] @ solution).reshape(-1, len(sus), 3)
 
 

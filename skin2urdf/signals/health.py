@@ -70,7 +70,9 @@ def checked(
         others = np.delete(at_rest, u)
         chance = float(np.median(others)) if len(others) else 0.0
         kept, faults = _thawed(su, chance)
-        whole = SuStream(su.name, su.time[kept], su.specific_force[kept], su.topic)
+        whole = su
+        if not kept.all():
+            whole = SuStream(su.name, su.time[kept], su.specific_force[kept], su.topic)
         if not faults:
             faults = [*_silences(su, span), *_losses(su), *_noisiness(su.name, u, noise)]
         clipped = clipping(whole.specific_force, still[u][kept])

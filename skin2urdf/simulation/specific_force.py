@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
@@ -17,7 +18,7 @@ _CHUNK = 20_000
 
 def specific_forces(
     mechanism: Mechanism, motion: JointMotion, sus: Sequence[PlacedSu], time: F64
-) -> F64:
+) -> list[F64]:
     """Specific force f = R^T (p_dd - g) of every SU, in its own frame.
 
     Pinocchio's recursive Newton-Euler pass gives every joint frame's spatial velocity and its
@@ -31,9 +32,9 @@ def specific_forces(
         time: (N,) times [s].
 
     Returns:
-        (U, N, 3) specific forces [m/s^2].
+        U arrays (N, 3) of specific forces [m/s^2], on their own so that each can be let go.
     """
-    forces = np.empty((len(sus), time.size, 3))
+    forces = [np.empty((time.size, 3)) for _ in sus]
     joints = sorted({su.joint for su in sus if su.joint >= 0})
     for start in range(0, time.size, _CHUNK):
         chunk = slice(start, start + _CHUNK)
@@ -41,10 +42,10 @@ def specific_forces(
         for u, su in enumerate(sus):
             R = su.T_joint_su[:3, :3]
             if su.joint < 0:
-                forces[u, chunk] = -mechanism.gravity_base @ R
+                forces[u][chunk] = -mechanism.gravity_base @ R
             else:
                 felt = _felt_at(states[:, joints.index(su.joint)], su.T_joint_su[:3, 3])
-                forces[u, chunk] = felt @ R
+                forces[u][chunk] = felt @ R
     return forces
 
 
@@ -55,21 +56,29 @@ def _joint_states(
     import pinocchio as pin
 
     model, data = mechanism.model, mechanism.model.createData()
-    states = np.empty((time.size, len(joints) * 12))
-    # Views into Pinocchio's data: they follow every pass without a new Python object.
-    views = [
-        part
-        for j in joints
-        for twist in (data.v[j + 1], data.a_gf[j + 1])
-        for part in (twist.linear, twist.angular)
-    ]
-    if views:
+    velocities, felt = _rows(data.v), _rows(data.a_gf)
+    states = np.empty((2, time.size, *velocities.shape))
+    if joints:
         position, velocity, acceleration = motion.at(time)
-        rows = zip(mechanism.configuration(position), velocity, acceleration, states, strict=True)
-        for q, v, a, row in rows:
+        rows = zip(mechanism.configuration(position), velocity, acceleration, *states, strict=True)
+        for q, v, a, state_v, state_a in rows:
             pin.rnea(model, data, q, v, a)
-            np.concatenate(views, out=row)
-    return states.reshape(time.size, len(joints), 4, 3)
+            state_v[:], state_a[:] = velocities, felt
+    chosen = states[:, :, np.array(joints, dtype=np.int64) + 1]
+    return np.moveaxis(chosen, 0, 2).reshape(time.size, len(joints), 4, 3)
+
+
+def _rows(twists: Any) -> F64:
+    """(n, 6) view of n twists in Pinocchio's data, linear part first, which follows every pass.
+
+    They lie one after the other in memory, and one view spares a Python object for each.
+    """
+    parts = [part for twist in twists for part in (twist.linear, twist.angular)]
+    at = np.array([part.ctypes.data for part in parts])
+    if (np.diff(at) != parts[0].nbytes).any():
+        raise RuntimeError("Pinocchio's twists do not lie one after the other in memory")
+    shape = (len(parts) // 2, 6)
+    return np.lib.stride_tricks.as_strided(parts[0], shape, (6 * 8, 8), writeable=False)
 
 
 def _felt_at(state: F64, point: F64) -> F64:

@@ -85,8 +85,10 @@ def record_sus(
     phase = draw("phase").uniform(0.0, float(settings.stagger), len(sus)) / settings.imu_rate
     noise, clock = draw("noise"), draw("SU clock")
     streams = []
+    forces.reverse()
     for u, su in enumerate(sus):
-        sampled, force = _shifted(time, forces[u], phase[u])
+        # Of a long recording there is no room for what the SUs feel and what they report.
+        sampled, force = _shifted(time, forces.pop(), phase[u])
         stamps = stamp(sampled, settings.jitter, lag[u], clock)
         streams.append(SuStream(su.name, stamps, sensors[u].read(force, noise), su.topic))
     return tuple(streams)

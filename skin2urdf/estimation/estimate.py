@@ -159,9 +159,11 @@ def _check_amount(cost: Cost, free: Free) -> None:
     if len(excited) < 0.5 * tree.n_joints:
         quiet = [n for j, n in enumerate(tree.joint_names) if j not in excited]
         raise InsufficientDataError(
-            f"no pattern around any pose moves {', '.join(quiet[:6])}"
-            + (" and others" if len(quiet) > 6 else ""),
-            remedy,
+            f"the readings around no pose tell the effects of {', '.join(quiet[:6])}"
+            f"{' and others' if len(quiet) > 6 else ''} apart: no pattern moves them, or so many "
+            "joints move at once that their motions depend on each other",
+            f"{remedy}; joints that move at once need frequencies of their own and time enough "
+            "to tell these apart, half a second for each joint between 1 and 4 Hz",
         )
 
 

@@ -119,10 +119,11 @@ class Rounds:
     def relinearised(self, tree: KinematicTree, features: Features) -> tuple[Estimate, Features]:
         """Estimate, take the features again with what the estimate predicts, until it settles."""
         found = self.estimated(tree, features, None)
-        for _ in range(self.settings.relinearisations):
+        for again in range(self.settings.relinearisations):
             previous = found
             features = self.features(predicted_curvature(found, features), features.latency)
-            found = self.estimated(tree, features, previous.state)
+            # Features that no start explains will have none when they change a little.
+            found = self.estimated(tree, features, previous.state, search=not again)
             gain = previous.cost_per_dof / max(found.cost_per_dof, 1e-12)
             settled = gain < 1.02 and found.cost_per_dof < GOOD_FIT
             hopeless = gain < 2.0 and found.cost_per_dof > BAD_FIT
@@ -130,10 +131,13 @@ class Rounds:
                 break
         return found, features
 
-    def estimated(self, tree: KinematicTree, features: Features, start: State | None) -> Estimate:
+    def estimated(
+        self, tree: KinematicTree, features: Features, start: State | None, *, search: bool = True
+    ) -> Estimate:
         """An estimate from features as they are, with an earlier state as a start if any."""
         return self.clock.run(
-            "estimation", lambda _: estimate(features, tree, self.settings.estimation, start)
+            "estimation",
+            lambda _: estimate(features, tree, self.settings.estimation, start, search=search),
         )
 
 

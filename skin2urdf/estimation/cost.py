@@ -225,8 +225,18 @@ class Evaluation:
             part (U, P m 3 + 12, 15), whose last rows are the priors of bias, shape and offset. The
             priors of the joints' offsets have no rows here.
         """
-        J = self.whole.jacobian()
-        C = J.shape[-1] - N_SU
+        chains, C = self.cost.blocks.chains, self.cost.columns.shape[1]
+        (P, U), L = self.cost.blocks.count.shape, chains.joint.shape[1]
+        n_logs = 2 * (self.cost.n_logs - 1)
+        J = np.zeros((U, P, chains.n_rows, 3, C + N_SU))
+        # Group by group, since on the way there are arrays several times as large as the result.
+        for each in self.groups:
+            length, c = each.group.chains.joint.shape[1], each.group.columns.shape[1]
+            rows = np.r_[0, 1 : 1 + length, 1 + L : 1 + L + length]
+            to = np.r_[: c - n_logs, C - n_logs : C + N_SU]
+            at = np.ix_(each.group.sus, np.arange(P), rows, np.arange(3), to)
+            J[at] = each.jacobian().reshape(*(len(index.ravel()) for index in at))
+        J = J.reshape(U, -1, C + N_SU)
         return J[..., :C], np.concatenate([J[..., C:], self._prior_rows()], axis=1)
 
     def encoder_jacobian(self) -> F64:

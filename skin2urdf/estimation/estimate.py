@@ -91,6 +91,8 @@ def estimate(
     tree: KinematicTree,
     settings: EstimationSettings | None = None,
     start: State | None = None,
+    *,
+    search: bool = True,
 ) -> Estimate:
     """Estimate all placements of a tree from features.
 
@@ -99,6 +101,7 @@ def estimate(
         tree: the structure, with names as in the features.
         settings: how to.
         start: an earlier estimate of the same tree, followed besides the closed-form starts.
+        search: False to follow nothing but that earlier estimate.
 
     Raises:
         InsufficientDataError: no start can be computed from these features, or they are too few.
@@ -109,7 +112,7 @@ def estimate(
     cost = Cost(tree, blocks, settings.priors)
     free = _free(cost, settings)
     _check_amount(cost, free)
-    state, hypotheses = followed_starts(cost, free, start)
+    state, hypotheses = followed_starts(cost, free, start, search)
     weight = np.ones(blocks.count.shape)
     state, chi2 = minimise(cost, state, free)
     plain = cost

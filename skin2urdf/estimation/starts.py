@@ -50,7 +50,7 @@ class Followed:
 
 
 def followed_starts(
-    cost: Cost, free: Free, earlier: State | None
+    cost: Cost, free: Free, earlier: State | None, search: bool = True
 ) -> tuple[State, tuple[float, ...]]:
     """The most promising start, followed to the neighbourhood of its optimum.
 
@@ -63,6 +63,7 @@ def followed_starts(
         cost: the cost.
         free: which coordinates may move.
         earlier: an earlier estimate of the same tree, if there is one.
+        search: look for starts even so, where the earlier estimate does not explain the data.
 
     Returns:
         The best state, and chi-squared of every start that was followed.
@@ -74,7 +75,7 @@ def followed_starts(
     followed: list[Followed] = []
     if earlier is not None:
         followed.append(Followed(*gauss_newton(cost, earlier, free, iterations=8)))
-        if _explains(cost, followed):
+        if _explains(cost, followed) or not search:
             return followed[0].state, (followed[0].chi2,)
     if _slopes_measured(cost):
         followed += _follow(cost, free, inward_starts(tree, blocks, priors))

@@ -171,3 +171,17 @@ def test_the_sphere_is_covered_evenly() -> None:
     angles = np.rad2deg(np.arccos(nearest))
     assert angles.max() < 7.5
     assert angles.min() > 2.0
+
+
+def test_without_a_search_only_the_earlier_estimate_is_followed() -> None:
+    """Readings of two SUs exchanged in half of the poses: nothing explains them."""
+    features = paper_features(0.5, 0, slopes=True)
+    mixed = np.array(features.coefficients)
+    mixed[::2, [2, 5]] = mixed[::2, [5, 2]]
+    hopeless = replace(features, coefficients=mixed)
+    earlier = estimate(features, paper_tree(), SETTINGS).state
+    searched = estimate(hopeless, paper_tree(), SETTINGS, earlier)
+    followed = estimate(hopeless, paper_tree(), SETTINGS, earlier, search=False)
+    assert min(searched.cost_per_dof, followed.cost_per_dof) > 3.0
+    assert len(searched.hypotheses) > 1
+    assert len(followed.hypotheses) == 1

@@ -16,7 +16,6 @@ from skin2urdf.estimation.observability import observability
 from skin2urdf.faults import distinct
 from skin2urdf.mending.contact import with_contacts_left_out
 from skin2urdf.mending.encoders import solved_with_encoders_corrected
-from skin2urdf.mending.mirrored import with_mirrored_negated
 from skin2urdf.mending.solution import Solution, first_look
 from skin2urdf.model.dh import canonical
 from skin2urdf.recording.records import Recording
@@ -56,7 +55,7 @@ def calibrate(
         solution = _by_the_paper(recordings, settings, clock)
     else:
         solution = solved_with_encoders_corrected(recordings, settings, clock)
-        solution = with_contacts_left_out(with_mirrored_negated(solution))
+        solution = with_contacts_left_out(solution)
         cost = solution.found.cost_per_dof
         if not cost <= BAD_FIT:
             raise BadFitError(*why_bad(solution.found, BAD_FIT), cost_per_dof=cost)

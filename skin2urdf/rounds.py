@@ -107,7 +107,7 @@ class Rounds:
                 again = ordered(kinematic_tree(seen.felt_somewhere(deaf), shown), shown)
             except StructureError:
                 break
-            if any(_alike(again, other) for other in tried):
+            if any(alike(again, other) for other in tried):
                 break
             again = replace(again, notes=(*again.notes, _SECOND_LOOK))
             tried.append(again)
@@ -150,7 +150,7 @@ _CLEARLY_BETTER = 0.8
 """Cost of another structure, over the first one's, from which it is preferred."""
 
 
-def _alike(a: KinematicTree, b: KinematicTree) -> bool:
+def alike(a: KinematicTree, b: KinematicTree) -> bool:
     """Whether two trees have the same joints before the same SUs, in the same order."""
 
     def chains(tree: KinematicTree) -> dict[str, list[str]]:

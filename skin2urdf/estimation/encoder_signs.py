@@ -1,8 +1,8 @@
-"""Joints that count the other way in another log than in the first.
+"""Joints that count the other way in another log than in the first, or in part of a log.
 
-In one log the sense of a joint is a convention: axis and joint turn the other way together. Between
-logs it is a contradiction: what the first log says of the robot predicts the others, with the
-sense of every joint as it is, or turned.
+The sense of a joint is a convention: axis and joint turn the other way together. Between logs, and
+between parts of a log, it is a contradiction: what one of them says of the robot predicts the
+others, with the sense of every joint as it is, or turned.
 """
 
 from __future__ import annotations
@@ -12,16 +12,19 @@ from dataclasses import replace
 
 import numpy as np
 
-from skin2urdf.arrays import Bool
+from skin2urdf.arrays import F64, Int
 from skin2urdf.estimation.blocks import feature_blocks
 from skin2urdf.estimation.cost import Cost
 from skin2urdf.estimation.estimate import Estimate
+from skin2urdf.model.spatial import cross
 from skin2urdf.signals.records import EncoderError, Features
 
+_TELLS = 100.0
+"""Chi-squared of both senses together from which an SU tells a joint's sense."""
 _HALF = 0.5
 """Chi-squared with one more joint turned, over that without, from which it is followed."""
-_TENTH = 0.1
-"""Chi-squared with all joints turned, over that with none, from which they are believed."""
+TURNED = 0.1
+"""Chi-squared with joints turned, over that with none, from which they are believed."""
 
 
 def reversed_encoders(first: Estimate, features: Features) -> Iterator[EncoderError]:
@@ -32,7 +35,7 @@ def reversed_encoders(first: Estimate, features: Features) -> Iterator[EncoderEr
         features: of all logs.
     """
     for log in np.unique(features.log[features.log > 0]):
-        here = _poses(features, features.log == log)
+        here = of_poses(features, np.flatnonzero(features.log == log))
         turned: list[str] = []
         before = now = _misfit(first, here)
         for _ in first.tree.joint_names:
@@ -45,16 +48,53 @@ def reversed_encoders(first: Estimate, features: Features) -> Iterator[EncoderEr
             turned.append(left[best])
             if len(turned) == len(first.tree.joint_names):
                 break
-        if now < _TENTH * before:
+        if now < TURNED * before:
             yield from (EncoderError("sign", name, -1.0, int(log)) for name in turned)
 
 
-def _poses(features: Features, chosen: Bool) -> Features:
-    """The features of some poses, as of a first log."""
+def turned_by_pose(known: Estimate, features: Features) -> F64:
+    """(P, D) chi-squared of each joint's effects if it counts the other way, over that as it is.
+
+    As felt by an SU near the joint; NaN where a pose does not tell. Below :data:`TURNED` the joint
+    counts the other way.
+
+    The columns that a joint has in the Jacobian of an SU depend on the joints between the two
+    alone; with gravity as the SU reads it, nothing that lies before the joint matters, the joint's
+    own position included. So an encoder that is mirrored about any value is seen pose by pose.
+
+    Args:
+        known: an estimate from sound poses of the same robot.
+        features: of P poses of one log.
+    """
+    cost = Cost(known.tree, feature_blocks(features, known.tree), known.cost.priors)
+    state, blocks = replace(known.state, up=known.state.up[:1]), cost.blocks
+    kin, M = cost.at(state).kin, state.sensor_matrix()
+    L = blocks.chains.joint.shape[1]
+    seen: F64 = np.array(blocks.coefficients)
+    seen[:, :, 0] -= state.bias
+    seen = np.asarray(np.linalg.solve(M, np.swapaxes(seen, -1, -2))).swapaxes(-1, -2)
+    expected = np.concatenate([cross(seen[:, :, :1], kin.w), kin.v], axis=2)
+    weight = 1 / (blocks.variance[:, :, 1:, None] * blocks.noise[:, :, None] ** 2)
+    misfit = [
+        (weight * (seen[:, :, 1:] - sense * expected) ** 2).sum(axis=-1) for sense in (1.0, -1.0)
+    ]
+    chi2 = np.array([part[:, :, :L] + part[:, :, L:] for part in misfit])
+    ratio = np.full((features.n_poses, known.tree.n_joints), np.nan)
+    u, i = np.nonzero(blocks.chains.present)
+    # Of the SUs beyond a joint, those with the fewest joints in between know it best.
+    for k in np.argsort(i - blocks.chains.length[u], kind="stable"):
+        same, turned = chi2[:, :, u[k], i[k]]
+        tells = same + turned > _TELLS
+        ratio[tells, blocks.chains.joint[u[k], i[k]]] = turned[tells] / same[tells]
+    return ratio
+
+
+def of_poses(features: Features, chosen: Int) -> Features:
+    """The features of some poses of one log, as of a first one."""
     by_pose = ("q", "coefficients", "noise", "position_sd", "hidden", "omega2", "span")
     parts = {name: getattr(features, name)[chosen] for name in by_pose}
     information = features.information.of_poses(chosen)
-    log = np.zeros(int(chosen.sum()), dtype=np.int64)
+    log = np.zeros(len(chosen), dtype=np.int64)
     return replace(features, log=log, information=information, **parts)
 
 

@@ -85,6 +85,15 @@ class Estimate:
         """Chi-squared per degree of freedom; near 1 where the model explains the data."""
         return self.chi2 / max(1, self.degrees_of_freedom)
 
+    @property
+    def misfit(self) -> float:
+        """Chi-squared per measurement with nothing weighed down, priors included.
+
+        Robust weights make half of an SU's poses look harmless: this compares explanations.
+        """
+        hidden = float(((1 - self.weight) * self.chi2_by_block).sum())
+        return (self.chi2 + hidden) / max(1, int(self.count.sum()))
+
 
 def estimate(
     features: Features,

@@ -6,8 +6,12 @@ import numpy as np
 
 from skin2urdf.estimation.estimate import Estimate
 from skin2urdf.estimation.goodness import Goodness, by_block
+from skin2urdf.estimation.inward import inward_starts
 from skin2urdf.estimation.outliers import poses_unlike_the_rest, sus_unlike_the_rest
 
+_HANDED = 30.0
+"""Chi-squared of one image over the other's from which readings tell an SU's handedness; errors of
+``ROUGH_BIAS`` are allowed for."""
 _VERTICAL = 0.05
 """Sine of the angle to gravity up to which an axis counts as vertical."""
 _IMPLAUSIBLE_SHAPE = 0.2
@@ -19,13 +23,23 @@ _IMPLAUSIBLE_BIAS = 4.0
 def mirrored_sus(estimate: Estimate) -> tuple[int, ...]:
     """SUs whose readings are negated or in a left-handed frame, against the majority's.
 
-    To the estimation both look like a sensor matrix with negative determinant: a reflection is a
-    rotation times -1. That all of them are mirrored can not be told from accelerometers.
+    A reflection is a rotation times -1, and no rotation maps gravity and slopes onto their mirror
+    image. The axes are taken from one SU at the tip of each limb, for in an estimate a mirrored SU
+    may have bent them. That all SUs are mirrored can not be told from accelerometers.
+
+    Args:
+        estimate: an estimate, however bad; its tree, its blocks and its sensor matrices count.
     """
-    mirrored = np.linalg.det(estimate.state.sensor_matrix()) < 0
-    on_robot = np.asarray(estimate.tree.su_joint >= 0)
-    odd = mirrored if (mirrored & on_robot).sum() * 2 <= on_robot.sum() else ~mirrored & on_robot
-    return tuple(int(u) for u in np.flatnonzero(odd)) if mirrored.any() else ()
+    blocks = estimate.cost.blocks
+    start = next(inward_starts(estimate.tree, blocks, estimate.given), None)
+    handed = np.zeros(estimate.tree.n_sus) if start is None else start.handed
+    turned = np.linalg.det(estimate.state.sensor_matrix()) < 0
+    tells = np.abs(handed) > _HANDED
+    mirrored = np.where(tells, handed < 0, turned) & (estimate.tree.su_joint >= 0)
+    told = estimate.tree.su_joint >= 0
+    if mirrored.sum() * 2 > told.sum():
+        mirrored = told & ~mirrored
+    return tuple(int(u) for u in np.flatnonzero(mirrored))
 
 
 def unlike_the_rest(estimate: Estimate) -> tuple[int, ...]:

@@ -38,12 +38,15 @@ class Orientations:
         R_base_su: (U, 3, 3) SU orientations.
         up: (G, 3) unit vectors opposite to gravity, per log; the first is z.
         information: (U, 3, 3) on the turns of each SU about the base axes, per pose [1/rad^2].
+        handed: (U,) chi-squared that speaks for right-handed SUs; negative where a mirror image of
+            the readings fits better, 0 where all of them lie in a plane.
     """
 
     axes: F64
     R_base_su: F64
     up: F64
     information: F64
+    handed: F64
 
     def state(self, tree: KinematicTree) -> State:
         """A state with these orientations and every origin in the base's origin."""
@@ -65,7 +68,7 @@ class Orientations:
 
 def su_orientation(
     blocks: FeatureBlocks, su: int, axes: F64, prismatic: Bool, up: F64, priors: Priors
-) -> tuple[F64, F64]:
+) -> tuple[F64, F64, float]:
     """Orientation of one SU at position zero, given the axes of its chain.
 
     Wahba's problem over all poses: static gravity, its change with every revolute DoF, and the
@@ -80,8 +83,8 @@ def su_orientation(
         priors: gravity's magnitude.
 
     Returns:
-        R_base_su (3, 3), and the information (3, 3) on its turns about the base axes [1/rad^2],
-        per pose.
+        R_base_su (3, 3), the information (3, 3) on its turns about the base axes [1/rad^2], per
+        pose, and the chi-squared that a mirror image of the readings would have more.
     """
     n, L = len(axes), blocks.chains.joint.shape[1]
     chain = blocks.chains.joint[su, :n]
@@ -108,10 +111,13 @@ def su_orientation(
         body.append(blocks.coefficients[ok, su, row])
         weights.append(1 / (variance * blocks.variance[ok, su, row] + rough**2))
     known, weight = np.concatenate(reference), np.concatenate(weights)
-    R_ref_body, _ = wahba(np.concatenate(body), known, weight)
+    seen = np.concatenate(body)
+    R_ref_body, singular = wahba(seen, known, weight)
     S = skew(known)
     information = np.einsum("n,nji,njk->ik", weight, S, S) / max(1, len(q))
-    return R_ref_body, information
+    # The last singular value counts for one of the two images, and against the other.
+    fit = np.einsum("n,ni,ij,nj->", weight, known, R_ref_body, seen)
+    return R_ref_body, information, float(4 * (fit - singular[0] - singular[1]))
 
 
 def with_all_sus(
@@ -123,5 +129,5 @@ def with_all_sus(
         su_orientation(blocks, u, axes[list(c)], prismatic[list(c)], up, priors)
         for u, c in enumerate(tree.chain(int(j)) for j in tree.su_joint)
     ]
-    R = np.array([R for R, _ in found]).reshape(-1, 3, 3)
-    return Orientations(axes, R, up, np.array([i for _, i in found]).reshape(-1, 3, 3))
+    R, information, handed = (np.array(part) for part in zip(*found, strict=True))
+    return Orientations(axes, R, up, information, handed)

@@ -67,7 +67,7 @@ def _lever_misfit(
     chain = list(tree.chain(int(tree.su_joint[su])))
     axes, prismatic = np.array(found.axes)[chain], tree.prismatic[chain]
     up = np.array([[0.0, 0.0, 1.0]])
-    R_base_su, _ = su_orientation(blocks, su, axes, prismatic, up, priors)
+    R_base_su, *_ = su_orientation(blocks, su, axes, prismatic, up, priors)
     return misfit_of(Readings.of(blocks, su), axes @ R_base_su, prismatic)
 
 

@@ -120,7 +120,7 @@ def placements(
     up = up / np.linalg.norm(up, axis=1, keepdims=True)
     for su in np.flatnonzero(tree.su_joint < 0):
         no_axes, priors = np.zeros((0, 3)), Priors(gravity=gravity_size)
-        R, _ = su_orientation(blocks, int(su), no_axes, np.zeros(0, bool), up, priors)
+        R, *_ = su_orientation(blocks, int(su), no_axes, np.zeros(0, bool), up, priors)
         T_su[su] = placement(R, np.zeros(3))
     U = tree.n_sus
     return State(T_joint, T_su, up, np.zeros((U, 3)), np.zeros((U, 6)))

@@ -22,7 +22,7 @@ from skin2urdf.faults import Fault
 from skin2urdf.mending.solution import Solution, solved
 from skin2urdf.recording.records import Recording
 from skin2urdf.rounds import Clock
-from skin2urdf.signals.encoders import corrected, corrected_features, leaps
+from skin2urdf.signals.encoders import corrected, corrected_features, leaps, reversal
 from skin2urdf.signals.records import EncoderError, Features
 
 _PASSES = 4
@@ -72,8 +72,10 @@ class Encoders:
             error: as seen in the corrected recordings.
             features: tell which times lie between the same two poses.
         """
+        turned = [i for i, e in enumerate(self.errors) if (e.kind, e.dof) == ("sign", error.dof)]
         for i, old in enumerate(self.errors):
-            if (old.kind, old.dof) != (error.kind, error.dof):
+            # What was taken off before a track was mirrored is of the other sense.
+            if (old.kind, old.dof) != (error.kind, error.dof) or i < max(turned, default=0):
                 continue
             if error.kind == "scale":
                 merged = replace(old, size=old.size * error.size)
@@ -108,6 +110,7 @@ def solved_with_encoders_corrected(
     leaping = Encoders.of(recordings)
     first = solved(leaping.corrected(), settings, clock)
     now, best = _with_signs(leaping, first)
+    steady = not any(fault.kind == "swapped" for fault in first.faults)
     for _ in range(_PASSES):
         errors = _diagnosed(best, {error.dof for error in now.errors})
         if not errors:
@@ -115,7 +118,7 @@ def solved_with_encoders_corrected(
         for error in errors:
             now = now.with_another(error, best.features)
         try:
-            best = solved(now.corrected(), settings, clock)
+            best = solved(now.corrected(), settings, clock, steady=steady)
         except (StructureError, InsufficientDataError):
             return replace(first, faults=(*first.faults, *_faults(leaping, first)))
     if now is not leaping and not _better(first.found, best.found):
@@ -125,6 +128,8 @@ def solved_with_encoders_corrected(
 
 def _with_signs(encoders: Encoders, first: Solution) -> tuple[Encoders, Solution]:
     """With encoders turned that count the other way than in the first log, where there are any."""
+    if first.turns:
+        return _with_turns(encoders, first)
     count = int(first.found.count.sum())
     if len(encoders.recordings) < 2 or first.found.chi2_by_block.sum() <= GOOD_FIT * count:
         return encoders, first
@@ -139,6 +144,31 @@ def _with_signs(encoders: Encoders, first: Solution) -> tuple[Encoders, Solution
     except (StructureError, InsufficientDataError):
         return encoders, first
     return (now, best) if _better(first.found, best.found) else (encoders, first)
+
+
+def _with_turns(encoders: Encoders, first: Solution) -> tuple[Encoders, Solution]:
+    """With encoders mirrored from where their sense changes in a log.
+
+    A leap of the track tells when that was; else the track itself, where it turns round at once.
+    """
+    recordings, errors = encoders.corrected(), list(encoders.errors)
+    for turn in first.turns:
+        begin, end = turn.between
+        leaps = [
+            e for e in encoders.errors
+            if (e.dof, e.log) == (turn.dof, turn.log) and begin < e.begin < end
+        ]  # fmt: skip
+        if leaps:
+            at = max(leaps, key=lambda e: abs(e.size)).begin
+        else:
+            (track,) = (j for j in recordings[turn.log].joints if j.name == turn.dof)
+            at = reversal(track, turn.between)
+        errors.append(EncoderError("sign", turn.dof, -1.0, turn.log, at))
+    now = replace(encoders, errors=tuple(errors))
+    try:
+        return now, solved(now.corrected(), first.rounds.settings, first.rounds.clock)
+    except (StructureError, InsufficientDataError):
+        return encoders, first
 
 
 def _diagnosed(solution: Solution, known: set[str]) -> list[EncoderError]:
@@ -200,7 +230,11 @@ def _faults(encoders: Encoders, last: Solution) -> tuple[Fault, ...]:
     prismatic = dict(zip(joints.joint_names, joints.prismatic, strict=True))
     known = [s.error for s in suspicions(last.found, last.features)]
     out = []
-    for error in _together(encoders.errors, last.features):
+    errors = encoders.errors
+    turned = [e for e in errors if e.kind == "sign"]
+    for error in _together(errors, last.features):
+        if error.kind == "offset" and any(_at_once(error, e, last.features) for e in turned):
+            continue
         same = [k for k in known if _same(k, error, last.features)]
         deviation = min((k.deviation for k in same), default=np.inf)
         if _stands_out(error, deviation):
@@ -230,6 +264,11 @@ def _same(a: EncoderError, b: EncoderError, features: Features) -> bool:
     return a.kind == "scale" or (a.log == b.log and _same_change(a, b, features))
 
 
+def _at_once(offset: EncoderError, sign: EncoderError, features: Features) -> bool:
+    """Whether an offset is part of a change of sense: which value a track is mirrored about."""
+    return (offset.dof, offset.log) == (sign.dof, sign.log) and _same_change(offset, sign, features)
+
+
 def _stands_out(error: EncoderError, deviation: float) -> bool:
     if error.kind == "sign":
         return True
@@ -244,12 +283,21 @@ def _stands_out(error: EncoderError, deviation: float) -> bool:
 def _fault(error: EncoderError, turns: bool) -> Fault:
     """An encoder's error in words."""
     if error.kind == "sign":
+        if not np.isfinite(error.begin):
+            words = (
+                f"{error.dof} counts the other way in log {error.log + 1} than in the first; its "
+                "positions in that log were taken negative"
+            )
+            remedy = "check what changed between the logs: the URDF's axis is for the first log's"
+            return Fault("encoder sign", error.dof, words, f"{remedy} sense")
+        log = f" of log {error.log + 1}" if error.log else ""
         return Fault(
             "encoder sign",
             error.dof,
-            f"{error.dof} counts the other way in log {error.log + 1} than in the first; its "
-            "positions in that log were taken negative",
-            "check what changed between the logs: the URDF's axis is for the first log's sense",
+            f"{error.dof} counts the other way from {error.begin:.2f} s{log} on; its positions "
+            "after it were mirrored",
+            "check the encoder's cables and what changed then: the URDF's axis and zero are those "
+            "of the log's beginning",
         )
     unit, factor = ("deg", np.degrees(1.0)) if turns else ("mm", 1e3)
     if error.kind == "scale":

@@ -7,21 +7,24 @@ from dataclasses import replace
 
 import numpy as np
 
+from skin2urdf.estimation.estimate import Estimate
 from skin2urdf.estimation.health import mirrored_sus
 from skin2urdf.faults import Fault
-from skin2urdf.mending.solution import Solution
+from skin2urdf.rounds import Rounds
 from skin2urdf.signals.sampling import Sampled
 
 
-def with_mirrored_negated(solution: Solution) -> Solution:
-    """The solution for logs in which mirrored SUs are negated."""
-    names = [solution.found.tree.su_names[u] for u in mirrored_sus(solution.found)]
-    if not names:
-        return solution
-    rounds = solution.rounds
+def mirrored_negated(rounds: Rounds, found: Estimate) -> tuple[Rounds, list[Fault]]:
+    """The logs with mirrored SUs negated, and their faults.
+
+    Args:
+        rounds: the logs.
+        found: an estimate from them, however bad.
+    """
+    names = [found.tree.su_names[u] for u in mirrored_sus(found)]
     columns = [rounds.su_names.index(name) for name in names]
     negated = rounds.with_logs([_negated(s, columns) for s in rounds.sampled])
-    return solution.again(negated, [_fault(name) for name in names])
+    return negated, [_fault(name) for name in names]
 
 
 def _negated(sampled: Sampled, sus: Sequence[int]) -> Sampled:

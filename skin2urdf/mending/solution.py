@@ -5,12 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from skin2urdf.calibration import GOOD_FIT, CalibrationSettings
+from skin2urdf.calibration import BAD_FIT, GOOD_FIT, CalibrationSettings
 from skin2urdf.errors import StructureError
 from skin2urdf.estimation.encoders import suspicions
 from skin2urdf.estimation.estimate import Estimate
 from skin2urdf.estimation.health import unlike_the_rest
 from skin2urdf.faults import Fault
+from skin2urdf.mending.changes import Turn, changes_within
+from skin2urdf.mending.mirrored import mirrored_negated
 from skin2urdf.mending.slips import Parting, slips_parted
 from skin2urdf.mending.swaps import names_agreeing
 from skin2urdf.recording.records import Recording
@@ -31,6 +33,8 @@ class Solution:
         found: the estimate.
         features: the features it rests on.
         faults: what was mended.
+        turns: encoders that change their sense within a log; where there are any, the estimate is
+            of no use before they are mended.
     """
 
     rounds: Rounds
@@ -38,6 +42,7 @@ class Solution:
     found: Estimate
     features: Features
     faults: tuple[Fault, ...] = ()
+    turns: tuple[Turn, ...] = ()
 
     def again(self, rounds: Rounds, faults: Sequence[Fault]) -> Solution:
         """The same structure estimated from mended logs.
@@ -68,12 +73,23 @@ def first_look(
 
 
 def solved(
-    recordings: Sequence[Recording], settings: CalibrationSettings, clock: Clock
+    recordings: Sequence[Recording],
+    settings: CalibrationSettings,
+    clock: Clock,
+    *,
+    steady: bool = False,
 ) -> Solution:
     """Look at recordings, and estimate until it settles.
 
-    Names that are swapped between logs come first, since they spoil the structure; then SUs that
-    slipped, since they would make a right structure look wrong.
+    Names that are swapped come first, since they spoil the structure, and encoders that change
+    their sense, which spoil everything; then SUs that slipped, since they would make a right
+    structure look wrong.
+
+    Args:
+        recordings: the logs.
+        settings: choices.
+        clock: runs the stages.
+        steady: whether names and senses are known to stay the same within logs.
 
     Raises:
         InsufficientDataError: the logs lack what a calibration needs.
@@ -85,10 +101,14 @@ def solved(
         first = _estimated(rounds)
     except StructureError:
         first = None
-        if len(sampled) == 1:
+        if steady and len(sampled) == 1:
             raise
-    if first is None or (len(sampled) > 1 and not _explains(first.found)):
+    if len(sampled) > 1 and (first is None or not _explains(first.found)):
         first = _with_names_agreeing(rounds, first)
+    if first is None or not (steady or _explains(first.found)):
+        first = _with_names_kept(first.rounds if first else rounds, first)
+        if first.turns:
+            return first
     # A joint whose encoder jumps turns the SUs beyond it as if they had slipped.
     parting = (
         Parting(first.rounds, first.found, first.features)
@@ -106,25 +126,52 @@ def solved(
 
 
 def _estimated(rounds: Rounds) -> Solution:
-    """The estimate of the structure that the first features show."""
+    """The estimate of the structure that the first features show, mirrored SUs negated."""
     features = rounds.features()
     seen, tree = rounds.structure(features)
-    return Solution(rounds, seen, *rounds.relinearised(tree, features))
-
-
-def _with_names_agreeing(rounds: Rounds, first: Solution | None) -> Solution:
-    """The estimate with the SUs' names made to agree, where that explains the readings better."""
-    renamed, swapped = names_agreeing(rounds)
-    if first is not None and not swapped:
+    first = Solution(rounds, seen, *rounds.relinearised(tree, features))
+    if _explains(first.found):
         return first
-    second = replace(_estimated(renamed), faults=tuple(swapped))
-    if first is None or second.found.cost_per_dof < _BETTER * first.found.cost_per_dof:
+    negated, mirrored = mirrored_negated(rounds, first.found)
+    return _better(first, first.again(negated, mirrored)) if mirrored else first
+
+
+def _with_names_agreeing(rounds: Rounds, first: Solution | None) -> Solution | None:
+    """The estimate with the SUs' names the same in all logs, where that explains them better."""
+    renamed, swapped = names_agreeing(rounds)
+    if not swapped:
+        return first
+    try:
+        second = _estimated(renamed)
+    except StructureError:
+        return first
+    return _better(first, replace(second, faults=(*second.faults, *swapped)))
+
+
+def _with_names_kept(rounds: Rounds, first: Solution | None) -> Solution:
+    """The estimate with the SUs' names kept within logs, where that explains them better.
+
+    Raises:
+        StructureError: there is no estimate even so.
+    """
+    changes = changes_within(rounds, first.found if first else None)
+    if first is None or changes.faults:
+        second = _estimated(changes.rounds)
+        earlier = first.faults if first else ()
+        faults = (*earlier, *second.faults, *changes.faults)
+        first = _better(first, replace(second, faults=faults))
+    return replace(first, turns=changes.turns)
+
+
+def _better(first: Solution | None, second: Solution) -> Solution:
+    """The second solution, if it is clearly better than the first one, or the only one."""
+    if first is None or second.found.misfit < _BETTER * first.found.misfit:
         return second
     return first
 
 
 _BETTER = 0.5
-"""Cost with other names, over that with the logs' own, below which the names were swapped."""
+"""Misfit of mended logs, over that of the logs as they are, below which they were at fault."""
 
 
 _NEARLY_ALL = 0.9
@@ -142,5 +189,6 @@ def _an_encoder_jumps(first: Solution) -> bool:
 
 
 def _explains(found: Estimate) -> bool:
-    """Whether an estimate leaves nothing to explain."""
-    return found.cost_per_dof <= GOOD_FIT and not unlike_the_rest(found)
+    """Whether an estimate leaves nothing to explain, nor weighs down what it does not explain."""
+    fits = found.cost_per_dof <= GOOD_FIT and found.misfit <= BAD_FIT
+    return fits and not unlike_the_rest(found)

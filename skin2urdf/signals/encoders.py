@@ -17,6 +17,8 @@ _LEAP = 10.0
 Motion is smooth at the rate of joint states: where thousands of samples move, the largest change
 stays within a small multiple of that quantile. The readings have the last word on a leap.
 """
+_SHARP = 2.0
+"""Second difference of a track that turns round at once, over their 99.9 % quantile."""
 _STEPS = 3.5
 """Encoder steps that rounding alone can make of one smooth motion between samples, and more."""
 _NEARBY = 4
@@ -43,9 +45,7 @@ def _leaps(joint: JointStream, log: int) -> list[EncoderError]:
     around = np.lib.stride_tricks.sliding_window_view(pad, 2 * _NEARBY + 1)
     sudden = step - np.median(around, axis=1)
     size = np.abs(sudden)
-    changes = np.abs(step[step != 0])
-    finest = float(np.quantile(changes, 0.02)) if changes.size else 0.0
-    limit = max(_LEAP * float(np.quantile(size, 0.999)), _STEPS * finest)
+    limit = max(_LEAP * float(np.quantile(size, 0.999)), _STEPS * _finest(step))
     # Across a gap, a joint can be anywhere.
     whole = period < 1.5 * np.median(period)
     at = np.flatnonzero((size > limit) & whole)
@@ -55,6 +55,34 @@ def _leaps(joint: JointStream, log: int) -> list[EncoderError]:
         EncoderError("offset", joint.name, float(sudden[i]), log, float(t[i] + period[i] / 2))
         for i in at
     ]
+
+
+def reversal(joint: JointStream, between: tuple[float, float]) -> float:
+    """Time at which a joint's track turns round at once, as no joint can; else the middle.
+
+    Mirrored from one sample on, a track changes one of its second differences, from ``b - a`` to
+    ``-b - a`` with the steps a before and b after it: their squares fall by ``-4 a b``.
+
+    Args:
+        joint: the track, without leaps.
+        between: times between which it is [s].
+    """
+    step = np.diff(joint.position)
+    first, last = np.searchsorted(joint.time, between)
+    if last - first < 3:
+        return sum(between) / 2
+    usual = max(_SHARP * float(np.quantile(np.abs(np.diff(step)), 0.999)), _STEPS * _finest(step))
+    gain = -4 * step[first : last - 1] * step[first - 1 : last - 2]
+    i = int(np.argmax(gain))
+    if gain[i] < usual**2:
+        return sum(between) / 2
+    return float(joint.time[first + i : first + i + 2].mean())
+
+
+def _finest(step: F64) -> float:
+    """Smallest change of a track, its encoder's step where it has one."""
+    changes = np.abs(step[step != 0])
+    return float(np.quantile(changes, 0.02)) if changes.size else 0.0
 
 
 def corrected(recordings: Sequence[Recording], errors: Sequence[EncoderError]) -> list[Recording]:
@@ -73,10 +101,19 @@ def _corrected(joint: JointStream, log: int, errors: Sequence[EncoderError]) -> 
         if error.kind == "scale":
             x = x / error.size
         elif error.log == log and error.kind == "sign":
-            x = -x
+            x = _mirrored(joint.time, x, error.begin)
         elif error.log == log:
             x = x - error.size * (joint.time >= error.begin)
     return joint if x is joint.position else replace(joint, position=x)
+
+
+def _mirrored(time: F64, x: F64, begin: float) -> F64:
+    """Positions (N,) with the other sign from a time on, so that they go on as they did before."""
+    i = int(np.searchsorted(time, begin))
+    if not 2 <= i < len(x) - 1:
+        return -x if i < 2 else x
+    step = ((x[i - 1] - x[i - 2]) - (x[i + 1] - x[i])) / 2
+    return np.concatenate([x[:i], x[i - 1] + step + x[i] - x[i:]])
 
 
 def corrected_features(features: Features, error: EncoderError) -> Features:

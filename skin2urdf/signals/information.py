@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from skin2urdf.arrays import F64, Bool, Int, frozen
+from skin2urdf.arrays import F64, Int, frozen
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,6 +82,6 @@ class Information:
         """Information on the coefficients divided by factors (n,), or (P, U, n)."""
         return replace(self, weight=self.weight * factor)
 
-    def of_poses(self, chosen: Bool) -> Information:
-        """That of some poses (P,)."""
+    def of_poses(self, chosen: Int) -> Information:
+        """That of some poses, by their indices."""
         return replace(self, which=self.which[chosen], weight=self.weight[chosen])

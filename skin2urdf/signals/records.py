@@ -148,11 +148,12 @@ class EncoderError:
 
     Attributes:
         kind: ``offset``, added to what it reports from a time on; ``scale``, reported per true
-            position in all logs; ``sign``, the sense of motion of a whole log.
+            position in all logs; ``sign``, the sense of motion from a time on.
         dof: name of the DoF.
         size: the offset [rad or m], or the scale [1]; -1 for a sign.
         log: index of the log in which an offset or a sign holds.
-        begin: time from which an offset holds, on the clock of its log [s]; -inf for the whole log.
+        begin: time from which an offset or a sign holds, on the clock of its log [s]; -inf for the
+            whole log. Positions go on smoothly where a sign changes inside of a log.
         deviation: standard deviation of ``size``; infinite where the readings do not show it.
     """
 

@@ -166,6 +166,25 @@ def swapped(sound: Sound, rng: np.random.Generator) -> Faulty:
     return Faulty(logs, "swapped", (names[a], names[b]), f"{names[a]} and {names[b]}")
 
 
+def renamed(sound: Sound, rng: np.random.Generator) -> Faulty:
+    """Two SUs whose names are exchanged at some time."""
+    sus = sound.recording.sus
+    a, b = (sus[i] for i in rng.choice(len(sus), 2, replace=False))
+    at = rng.uniform(*_WHEN) * sound.recording.duration
+
+    def joined(first: SuStream, then: SuStream) -> SuStream:
+        n, m = (int(np.searchsorted(su.time, at)) for su in (first, then))
+        force = np.concatenate([first.specific_force[:n], then.specific_force[m:]])
+        return replace(
+            first, time=np.concatenate([first.time[:n], then.time[m:]]), specific_force=force
+        )
+
+    new = {a.name: joined(a, b), b.name: joined(b, a)}
+    recording = replace(sound.recording, sus=tuple(new.get(su.name, su) for su in sus))
+    words = f"{a.name} and {b.name} from {at:.1f} s on"
+    return Faulty((recording,), "swapped", (a.name, b.name), words)
+
+
 def mirrored(sound: Sound, rng: np.random.Generator) -> Faulty:
     """An SU on a moving segment that is negated, or left-handed by one axis or two exchanged."""
     su = _one_of(sound, rng, moving=True)
@@ -183,7 +202,8 @@ FAULTS: Mapping[str, Injection] = MappingProxyType(
     {
         function.__name__: function
         for function in (
-            dead, silent, frozen, stuck, saturated, dropouts, gaps, noisy, loose, swapped, mirrored,
+            dead, silent, frozen, stuck, saturated, dropouts, gaps, noisy, loose, swapped, renamed,
+            mirrored,
         )
     }
 )  # fmt: skip

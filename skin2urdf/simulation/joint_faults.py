@@ -75,6 +75,23 @@ def encoder_sign(sound: Sound, rng: np.random.Generator) -> Faulty:
     return Faulty((first, replace(second, joints=joints)), "encoder sign", (joint,), "in log 2")
 
 
+def encoder_turn(sound: Sound, rng: np.random.Generator) -> Faulty:
+    """An encoder that counts the other way from some time on.
+
+    Its position takes the other sign, or goes on from where it is.
+    """
+    joint, at = _one_of(sound, rng), float(rng.uniform(*_WHEN) * _end(sound))
+    goes_on = bool(rng.integers(2))
+
+    def mirrored(t: F64, x: F64) -> F64:
+        begin = int(np.searchsorted(t, at))
+        about = x[begin - 1] if goes_on else 0.0
+        return np.concatenate([x[:begin], 2 * about - x[begin:]])
+
+    words = f"from {at:.2f} s on{'' if goes_on else ', with its sign'}"
+    return _misreported(sound, joint, "encoder sign", words, mirrored)
+
+
 def contact(sound: Sound, rng: np.random.Generator) -> Faulty:
     """A joint that is hit or pushed during a pattern, for 30 to 300 ms.
 
@@ -119,7 +136,8 @@ JOINT_FAULTS: Mapping[str, Injection] = MappingProxyType(
     {
         function.__name__: function
         for function in (
-            encoder_jump, encoder_slip, encoder_scale, gear_ratio, encoder_sign, contact,
+            encoder_jump, encoder_slip, encoder_scale, gear_ratio, encoder_sign,
+            encoder_turn, contact,
         )
     }
 )  # fmt: skip

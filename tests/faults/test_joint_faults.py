@@ -14,7 +14,7 @@ from skin2urdf.arrays import F64
 from skin2urdf.pipeline import calibrate
 from skin2urdf.recording.records import JointStream, Recording
 from skin2urdf.recording.retiming import retimed
-from skin2urdf.signals.encoders import corrected, corrected_features, leaps
+from skin2urdf.signals.encoders import corrected, corrected_features, leaps, reversal
 from skin2urdf.signals.records import EncoderError
 from skin2urdf.simulation import SimulationSettings, load_robot, simulate
 from skin2urdf.simulation.faults import Faulty, Sound
@@ -116,6 +116,39 @@ def test_errors_are_taken_off_their_log_and_joint() -> None:
     assert first.joints[j - 1] is r.joints[j - 1]
 
 
+@pytest.mark.parametrize("goes_on", [False, True])
+def test_a_sense_that_changes_in_a_log_is_named_with_its_time(
+    goes_on: bool, tmp_path: Path
+) -> None:
+    """The position takes the other sign, or is counted backwards from where it is."""
+    r = recording()
+    t = 0.6 * r.duration
+
+    def wrong(time: F64, x: F64) -> F64:
+        about = x[np.searchsorted(time, t) - 1] if goes_on else 0.0
+        return np.where(time < t, x, 2 * about - x)
+
+    turned = misreported(r, wrong)
+    found = calibrate(turned)
+    (fault,) = found.faults
+    assert (fault.kind, fault.subject) == ("encoder sign", JOINT)
+    assert float(fault.words.split(" from ")[1].split()[0]) == pytest.approx(t, abs=0.02)
+    assert fault.to_repair
+    assert position_error(turned, tmp_path) < 1.1 * position_error(r, tmp_path)
+
+
+def test_a_track_is_mirrored_where_it_turns_round() -> None:
+    t = np.arange(0.0, 20.0, 0.008)
+    x = 0.3 * np.sin(2.0 * t)
+    n = 1300
+    joint = JointStream("j", t, np.concatenate([x[:n], 2 * x[n - 1] - x[n:]]))
+    at = reversal(joint, (4.0, 16.0))
+    assert at == pytest.approx(t[n], abs=0.01)
+    mended = corrected([Recording((joint,), ())], [EncoderError("sign", "j", -1.0, 0, at)])
+    assert mended[0].joints[0].position == pytest.approx(x, abs=1e-3)
+    assert reversal(JointStream("j", t, x), (4.0, 16.0)) == pytest.approx(10.0)
+
+
 def faulty(kind: str, seed: int) -> Faulty:
     settings = SimulationSettings(n_poses=4, excite="all", seed=seed)
     robot = load_robot("panda")
@@ -123,7 +156,9 @@ def faulty(kind: str, seed: int) -> Faulty:
     return JOINT_FAULTS[kind](sound, np.random.default_rng(seed))
 
 
-@pytest.mark.parametrize("kind", ["contact", "encoder_sign", "encoder_slip", "gear_ratio"])
+@pytest.mark.parametrize(
+    "kind", ["contact", "encoder_sign", "encoder_slip", "encoder_turn", "gear_ratio"]
+)
 def test_a_simulated_fault_is_named(kind: str) -> None:
     fault = faulty(kind, 1)
     found = calibrate([retimed(r) for r in fault.recordings])

@@ -14,7 +14,7 @@ from skin2urdf.calibration import Calibration
 from skin2urdf.estimation.loose import slips
 from skin2urdf.faults import Fault, distinct
 from skin2urdf.pipeline import calibrate
-from skin2urdf.recording.records import Recording, SuStream
+from skin2urdf.recording.records import JointStream, Recording, SuStream
 from skin2urdf.recording.retiming import retimed
 from skin2urdf.signals.health import checked, clipping, rest_noise
 from skin2urdf.simulation import Simulation, SimulationSettings, load_robot, simulate
@@ -86,6 +86,58 @@ def test_the_earlier_placement_of_a_loose_su_is_an_su_of_its_own() -> None:
     tree = found.model.tree
     joint = dict(zip(tree.su_names, tree.su_joint, strict=True))
     assert joint[f"{name}_before"] == joint[name]
+
+
+@pytest.mark.parametrize("logs", [1, 2])
+def test_names_swapped_on_one_segment_are_set_right(logs: int) -> None:
+    robot = load_robot("so101")
+    robot = replace(robot, skin=replace(robot.skin, sus_per_segment=2))
+    both = Sound(robot, SETTINGS, simulate(robot, SETTINGS))
+    sus = both.simulation.truth.sus
+    names = [su.name for su in sus if su.joint == sus[-1].joint]
+    other = {names[0]: names[1], names[1]: names[0]}
+    first, second = in_two(both)
+    renamed = tuple(replace(su, name=other.get(su.name, su.name)) for su in second.sus)
+    second = replace(second, sus=tuple(sorted(renamed, key=lambda su: su.name)))
+    given = [first, second] if logs == 2 else [joined(first, second)]
+    found = calibrate([retimed(log) for log in given])
+    assert {(f.kind, f.subject) for f in found.faults} == {("swapped", name) for name in names}
+    assert found.estimate.misfit < 1.5
+
+
+def joined(first: Recording, second: Recording) -> Recording:
+    """Two parts of a log as one."""
+    after = second.start - first.start
+
+    def times(a: SuStream | JointStream, b: SuStream | JointStream) -> np.ndarray:
+        return np.concatenate([a.time, b.time + after])
+
+    joints = tuple(
+        replace(a, time=times(a, b), position=np.concatenate([a.position, b.position]))
+        for a, b in zip(first.joints, second.joints, strict=True)
+    )
+    sus = tuple(
+        replace(
+            a,
+            time=times(a, b),
+            specific_force=np.concatenate([a.specific_force, b.specific_force]),
+        )
+        for a, b in zip(first.sus, second.sus, strict=True)
+    )
+    return replace(first, joints=joints, sus=sus)
+
+
+@pytest.mark.parametrize("segment", range(3))
+def test_an_su_may_be_mirrored_on_any_segment(segment: int) -> None:
+    truth = sound().simulation.truth
+    (name,) = (su.name for su in truth.sus if su.joint == segment)
+    log = sound().recording
+    negated = tuple(
+        replace(su, specific_force=-su.specific_force) if su.name == name else su for su in log.sus
+    )
+    found = calibrate(retimed(replace(log, sus=negated)))
+    assert [(f.kind, f.subject) for f in found.faults] == [("mirrored", name)]
+    assert found.estimate.misfit < 1.5
 
 
 def test_two_logs_of_a_sound_robot_have_no_fault() -> None:

@@ -35,6 +35,10 @@ class FeatureBlocks:
         hidden: (P, D, D) mean square motion of joint e that its encoder rounds away, per
             acceleration of joint d, at [d, e]; part of ``W``, like the above.
         omega2: (P, D) squared angular frequency of each joint's pattern [rad^2/s^2].
+        tones: (P, D, 2) squared angular frequencies of two tones that stand for the pattern.
+        energy: (P, D, 2) sum of the squares of their positions over independent samples.
+        white: (P, D, D) variance of the noise of joint e's encoder while the pattern of d runs, at
+            [d, e]; part of ``noise``.
     """
 
     chains: Chains
@@ -50,10 +54,13 @@ class FeatureBlocks:
     position_sd: F64
     hidden: F64
     omega2: F64
+    tones: F64
+    energy: F64
+    white: F64
 
     def __post_init__(self) -> None:
         floats = ("q", "W", "target", "noise", "coefficients", "variance")
-        for name in (*floats, "position_sd", "hidden", "omega2"):
+        for name in (*floats, "position_sd", "hidden", "omega2", "tones", "energy", "white"):
             object.__setattr__(self, name, frozen(getattr(self, name)))
         for name in ("su_joint", "log", "count"):
             object.__setattr__(self, name, frozen(getattr(self, name), np.int64))
@@ -174,4 +181,6 @@ def feature_blocks(features: Features, tree: KinematicTree) -> FeatureBlocks:
         chains, tree.su_joint, features.q[:, dof], features.log, W, target,
         noise, count, coefficients, variance,
         position_sd[:, dof], features.hidden[:, dof[:, None], dof], features.omega2[:, dof],
+        features.tones[:, dof], features.energy[:, dof],
+        features.white[:, dof[:, None], dof],
     )  # fmt: skip

@@ -91,7 +91,10 @@ def turned_by_pose(known: Estimate, features: Features) -> F64:
 
 def of_poses(features: Features, chosen: Int) -> Features:
     """The features of some poses of one log, as of a first one."""
-    by_pose = ("q", "coefficients", "noise", "position_sd", "hidden", "omega2", "span")
+    by_pose = (
+        "q", "coefficients", "noise", "position_sd", "hidden", "omega2", "tones", "energy",
+        "white", "span",
+    )  # fmt: skip
     parts = {name: getattr(features, name)[chosen] for name in by_pose}
     information = features.information.of_poses(chosen)
     log = np.zeros(len(chosen), dtype=np.int64)

@@ -164,4 +164,7 @@ def _restricted(
         blocks.position_sd[:, list(chain)],
         blocks.hidden[:, list(chain)][:, :, list(chain)],
         blocks.omega2[:, list(chain)],
+        blocks.tones[:, list(chain)],
+        blocks.energy[:, list(chain)],
+        blocks.white[:, list(chain)][:, :, list(chain)],
     )

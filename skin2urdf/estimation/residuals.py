@@ -187,6 +187,13 @@ class Residuals:
 
     def jacobian(self) -> F64:
         """(u, P m 3, C + 15) derivatives of the residuals, the joint part's columns first."""
+        raw = self.feature_jacobian()
+        P, u, m, _, n = raw.shape
+        J = (self.group.W @ raw.reshape(P, u, m, 3 * n)).reshape(P, u, m * 3, n)
+        return np.swapaxes(J, 0, 1).reshape(u, P * m * 3, n)
+
+    def feature_jacobian(self) -> F64:
+        """(P, u, m, 3, C + 15) derivatives of the features over the noise, before whitening."""
         group, point = self.group, self.point
         moved, turned = twist_maps(self.kin)
         P, u, m = moved.shape[:3]
@@ -213,8 +220,7 @@ class Residuals:
         for i, (a, b) in enumerate(((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))):
             su[..., a, 9 + i] = self.Y[..., b] * group.weight[:, :, None, a]
             su[..., b, 9 + i] = self.Y[..., a] * group.weight[:, :, None, b]
-        J = (group.W @ raw.reshape(P, u, m, 3 * (C + N_SU))).reshape(P, u, m * 3, C + N_SU)
-        return np.swapaxes(J, 0, 1).reshape(u, P * m * 3, C + N_SU)
+        return raw
 
     def encoder_jacobian(self) -> F64:
         """(P, u, 3 m, 2 L) derivatives of the residuals in what the encoders say.

@@ -1,8 +1,9 @@
 """Errors of the encoders, which all SUs beyond a joint feel at once.
 
-What an encoder rounds away (features: ``position_sd`` and ``hidden``) disturbs the features of
-every SU beyond it in the same way. The weights know how large these errors are for each SU, and
-take those of different SUs as independent; this adds to the covariance what they have in common.
+What an encoder rounds away (features: ``position_sd`` and ``hidden``) and its noise (``white``)
+disturb the features of every SU beyond it in the same way. The weights know how large these errors
+are for each SU, and take those of different SUs as independent; this adds to the covariance what
+they have in common.
 With weights W, Jacobian J and noise of covariance S, the covariance of a weighted least-squares
 estimate is ``C J^T W S W J C`` with ``C = (J^T W J)^-1``.
 """
@@ -35,9 +36,9 @@ def with_shared_errors(covariance: ArrowCovariance, cost: Cost, state: State) ->
     total, alone = np.zeros((number.max() + 1, J)), np.zeros((J, J))
     pulls = []
     for each in here.groups:
-        jacobian = each.jacobian()
+        rows = each.feature_jacobian()
         for i, u in enumerate(each.group.sus):
-            which, scores = _scores(each, i, jacobian[i], number, cost.blocks)
+            which, scores = _scores(each, i, rows[:, i], number, cost.blocks)
             columns = each.group.columns[i]
             by_joint, by_su = np.split(scores, [-N_SU], axis=1)
             lean = _placed(covariance.lean[u], len(columns), 2 * (cost.n_logs - 1))
@@ -66,46 +67,73 @@ def _numbers(blocks: FeatureBlocks) -> Int:
     """Consecutive numbers of the errors that there are, -1 for the others.
 
     Returns:
-        (P, 1 + D, D): at [p, 0, e] the error of joint e at rest in pose p, at [p, 1 + d, e] that
-        in step with the pattern of d. What no SU feels both of does not count.
+        (P, 1 + 3 D, D): at [p, 0, e] the error of joint e at rest in pose p, at [p, 1 + d, e] what
+        is hidden in step with the pattern of d, and behind these the noise in step with each of its
+        two tones. What no SU feels both of does not count.
     """
     D = blocks.q.shape[1]
     together = np.zeros((D, D), dtype=bool)
     for chain, n in zip(blocks.chains.joint, blocks.chains.length, strict=True):
         together[np.ix_(chain[:n], chain[:n])] = True
-    in_step = together & (blocks.hidden > 0)
-    felt = np.concatenate([blocks.position_sd[:, None] > 0, in_step], axis=1)
+    noisy = together & (blocks.white > 0)
+    felt = np.concatenate(
+        [
+            blocks.position_sd[:, None] > 0,
+            together & (blocks.hidden > 0),
+            *(noisy & (blocks.energy[..., k, None] > 0) for k in range(2)),
+        ],
+        axis=1,
+    )
     return np.asarray(np.where(felt, felt.cumsum().reshape(felt.shape) - 1, -1))
 
 
 def _scores(
-    here: Residuals, i: int, jacobian: F64, number: Int, blocks: FeatureBlocks
+    here: Residuals, i: int, rows: F64, number: Int, blocks: FeatureBlocks
 ) -> tuple[Int, F64]:
     """How one SU's equations are pulled by one standard deviation of each encoder error.
 
     Args:
         here: residuals of a group of SUs.
         i: which of them.
-        jacobian: (P m 3, C + 15) derivatives of its residuals.
-        number: (P, 1 + D, D) numbers of the errors.
+        rows: (P, m, 3, C + 15) derivatives of its features, over the noise.
+        number: (P, 1 + 3 D, D) numbers of the errors.
         blocks: all features.
 
     Returns:
         (T,) numbers of the errors that the SU feels, and (T, C + 15) gradients in its joint and own
         coordinates.
     """
-    group, Y = here.group, here.Y[:, i]
-    P, m = Y.shape[:2]
-    n, L = int(group.chains.length[i]), group.chains.joint.shape[1]
+    group, Y, W = here.group, here.Y[:, i], here.group.W[:, i]
+    n, L, D = int(group.chains.length[i]), group.chains.joint.shape[1], blocks.q.shape[1]
     chain = group.chains.joint[i, :n]
-    rows = jacobian.reshape(P, m, 3, -1)
-    by_row = np.einsum("pkm,pkac->pmac", group.W[:, i], rows) * group.weight[:, i, None, :, None]
-    s, tau = Y[:, 1 : 1 + n], Y[:, 1 + L : 1 + L + n]
-    at_rest = np.einsum("pac,pea->pec", by_row[:, 0], s)
+    to_s, to_tau = slice(1, 1 + n), slice(1 + L, 1 + L + n)
+    s, tau = Y[:, to_s], Y[:, to_tau]
+    rows = rows * group.weight[:, i, None, :, None]
+    information = np.swapaxes(W, -1, -2) @ W
+    weighted = np.einsum("pnm,pmac->pnac", information, rows)
+    pairs = np.s_[:, chain[:, None], chain]
+
+    def in_step(omega2: F64, rows: F64, variance: F64) -> F64:
+        """Errors of e in step with a motion of d that enters the equations by rows."""
+        effect = s[:, None] - omega2[..., None, None] * tau[:, None]
+        pulls = np.einsum("pdac,pdea->pdec", rows, effect)
+        return np.asarray(pulls * np.sqrt(variance[pairs])[..., None])
+
+    at_rest = np.einsum("pac,pea->pec", weighted[:, 0], s)
     at_rest *= blocks.position_sd[:, chain, None]
-    effect = s[:, None] - blocks.omega2[:, chain, None, None] * tau[:, None]
-    in_step = np.einsum("pdac,pdea->pdec", by_row[:, 1 + L : 1 + L + n], effect)
-    in_step *= np.sqrt(blocks.hidden[:, chain[:, None], chain])[..., None]
-    which = number[:, np.r_[0, 1 + chain][:, None], chain]
-    scores = np.concatenate([at_rest[:, None], in_step], axis=1)
-    return which[which >= 0], scores[which >= 0]
+    scores = [at_rest[:, None]]
+    scores.append(in_step(blocks.omega2[:, chain], weighted[:, to_tau], blocks.hidden))
+    # What the weights make of the energy of a pattern's position and acceleration.
+    tones, energy = blocks.tones[:, chain], blocks.energy[:, chain]
+    total = np.stack([energy.sum(axis=-1), (energy * tones**2).sum(axis=-1)])
+    kept = np.diagonal(information, axis1=1, axis2=2)
+    kept = np.stack([kept[:, to_s], kept[:, to_tau]]) / np.where(total > 0, total, np.inf)
+    for k in range(2):
+        by_s, by_tau = kept * np.sqrt(energy[..., k])
+        by = by_s[..., None, None] * rows[:, to_s]
+        by -= (tones[..., k] * by_tau)[..., None, None] * rows[:, to_tau]
+        scores.append(in_step(tones[..., k], by, blocks.white))
+    errors = np.r_[0, 1 + chain, 1 + D + chain, 1 + 2 * D + chain]
+    which = number[:, errors[:, None], chain]
+    every = np.concatenate(scores, axis=1)
+    return which[which >= 0], every[which >= 0]

@@ -73,12 +73,17 @@ def spread(x: F64, variance: F64) -> float:
         variance: (n,) of the noise.
 
     Returns:
-        That of the next member; where the sample hardly stands out from its noise, the likeliest
-        one, which may be 0.
+        That of the next member; the likeliest one where the sample hardly stands out from its
+        noise; and 0 where a spread explains no more than one more parameter would by chance
+        (Akaike 1974).
     """
     s2 = 0.0
     for _ in range(50):
         weight = 1 / (s2 + variance) ** 2
         s2 = max(0.0, float(weight @ (x**2 - variance) / weight.sum()))
-    n = s2**2 * float(weight.sum())
+    wider = s2 + variance
+    gain = 0.5 * float((x**2 * (1 / variance - 1 / wider) - np.log(wider / variance)).sum())
+    if gain < 1:
+        return 0.0
+    n = s2**2 * float((1 / wider**2).sum())
     return float(np.sqrt(s2 * n / (n - 2) if n > 4 else s2))

@@ -14,11 +14,12 @@ from scipy.ndimage import median_filter
 from scipy.stats import chi2 as chi_squared
 
 from skin2urdf.arrays import F64
-from skin2urdf.signals.features import Curvature, regressor_noise
+from skin2urdf.signals.features import Curvature
 from skin2urdf.signals.filters import filtered, low_pass, noise_bandwidth, shifted
 from skin2urdf.signals.mending import computed
 from skin2urdf.signals.records import Features
 from skin2urdf.signals.regression import regressors
+from skin2urdf.signals.rounding import regressor_noise
 from skin2urdf.signals.sampling import Sampled
 
 _FALSE_ALARM = 1e-6

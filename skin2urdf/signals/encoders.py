@@ -132,4 +132,6 @@ def corrected_features(features: Features, error: EncoderError) -> Features:
         information=features.information.scaled(1 / rows),
         position_sd=features.position_sd / scale,
         hidden=features.hidden * (scale[:, None] / scale) ** 2,
+        energy=features.energy / scale[:, None] ** 2,
+        white=features.white / scale**2,
     )

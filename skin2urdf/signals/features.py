@@ -11,6 +11,7 @@ import numpy as np
 from skin2urdf.arrays import F64, Bool
 from skin2urdf.errors import InsufficientDataError
 from skin2urdf.faults import distinct
+from skin2urdf.signals.coloured import Coloured
 from skin2urdf.signals.filters import (
     eroded,
     filtered,
@@ -28,12 +29,11 @@ from skin2urdf.signals.regression import (
     enough,
     excited,
     fit,
-    hidden_motion,
     informative,
-    noise_by_row,
     orthonormal,
     regressors,
 )
+from skin2urdf.signals.rounding import hidden_motion, regressor_noise, tones, white_noise
 from skin2urdf.signals.sampling import Sampled, static_moves
 
 Curvature = Callable[[F64, F64, F64, F64, int], tuple[F64, F64]]
@@ -93,6 +93,9 @@ def extract_features(
         position_sd=np.array([p.offset for p in poses]),
         hidden=np.array([p.hidden for p in poses]),
         omega2=np.array([p.omega2 for p in poses]),
+        tones=np.array([p.tones for p in poses]),
+        energy=np.array([p.energy for p in poses]),
+        white=np.array([p.white for p in poses]),
         span=np.array([p.span for p in poses]),
         latency=lag,
         latency_sd=lag_sd,
@@ -112,6 +115,9 @@ class _Pose:
     offset: F64
     hidden: F64
     omega2: F64
+    tones: F64
+    energy: F64
+    white: F64
     span: tuple[float, float]
     lag_numerator: F64
     lag_denominator: F64
@@ -142,8 +148,8 @@ def _poses(s: Sampled, lag: F64, curvature: Curvature | None, log: int) -> list[
             y = y - beyond
             _recompute(X, y, s, pose, pieces, taps, reach)
         own = np.concatenate([np.arange(a, b) for a, b in pose.windows])
-        still = (np.abs(motion.qd[own]) < _STILL * motion.resolution).mean(axis=0)
-        offset = np.where(motion.named, still * motion.noise, np.inf)
+        moving = np.abs(motion.qd) >= _STILL * motion.resolution
+        offset = np.where(motion.named, (~moving[own]).mean(axis=0) * motion.noise, np.inf)
         columns = np.concatenate([X, Z, y.reshape(len(y), -1)], axis=1)
         kept, usable, lost, at = [], [], [], 0
         for (a, b), (lo, hi) in zip(pose.windows, pieces, strict=True):
@@ -158,7 +164,13 @@ def _poses(s: Sampled, lag: F64, curvature: Curvature | None, log: int) -> list[
         span = (motion.grid.time[pose.windows[0][0]], motion.grid.time[pose.windows[-1][1] - 1])
         X, Z, y = np.split(np.concatenate(kept), [X.shape[1], X.shape[1] + Z.shape[1]], axis=1)
         dq, qdd = np.split(X[:, 1:], 2, axis=1)
-        unseen = (offset, *hidden_motion(dq, qdd, motion.resolution), span)
+        moving = np.concatenate([moving[a:b:every] for a, b in pose.windows])
+        white = white_noise(
+            qdd, moving, motion.noise**2 / motion.raw_rate * independence * rate / every
+        )
+        omega2, size = tones(qdd, rate / every, s.cutoff)
+        pattern = omega2, size * independence * len(qdd)
+        unseen = (offset, *hidden_motion(dq, qdd, motion.resolution), *pattern, white, span)
         ok = np.concatenate(usable)
         found = _regress(
             pose.q, log, X, Z, y.reshape(len(y), -1, 3), ok, expected, noise,
@@ -247,7 +259,7 @@ def _regress(
     ok: Bool,
     expected: F64,
     noise: tuple[F64, F64],
-    unseen: tuple[F64, F64, F64, tuple[float, float]],
+    unseen: tuple[F64, F64, F64, F64, F64, F64, tuple[float, float]],
     sampling: tuple[float, float, float],
 ) -> _Pose:
     """Fit all SUs around one pose; SUs with the same valid samples share one factorisation."""
@@ -274,8 +286,9 @@ def _regress(
             result = fit(Design(Xe, Ze, *noise), felt, independence)
         coefficients[members] = result.coefficients
         basis = orthonormal(np.concatenate([Xe, Ze], axis=1))
-        factor = noise_by_row(Xe, basis, result.residual, rate, cutoff, independence)
-        which[members], weight[members] = len(products), 1 / np.sqrt(factor)
+        colour = Coloured.of(result.residual, basis, rate, cutoff, independence)
+        which[members] = len(products)
+        weight[members] = 1 / np.sqrt(colour.by_regressor(Xe))
         products.append(result.information)
         deviation[members] = np.hypot(result.deviation, _MODEL_NOISE)
         fitted = np.zeros((len(use), len(members), 3))
@@ -284,7 +297,7 @@ def _regress(
         slope = slope[use] * eroded(use, 5)[use, None, None]
         flat = slope.reshape(len(slope), -1)
         across = (flat - basis @ (basis.T @ flat)).reshape(slope.shape)
-        certain = 1 / deviation[members] ** 2
+        certain = 1 / deviation[members] ** 2 / colour.by_su(across)[:, None]
         numerator[members] = -np.einsum("nui,nui,ui->u", result.residual, across, certain)
         denominator[members] = np.einsum("nui,nui,ui->u", across, across, certain)
     scale = independence
@@ -306,24 +319,20 @@ def _regressed(Xe: F64, X: F64, Z: F64, y: F64, expected: F64) -> tuple[F64, F64
 
 
 def _latency_step(poses: Sequence[_Pose]) -> tuple[F64, F64]:
-    """Change of each SU's latency [s] and its standard deviation."""
-    numerator = np.sum([p.lag_numerator for p in poses], axis=0)
-    denominator = np.sum([p.lag_denominator for p in poses], axis=0)
-    sd = np.where(denominator > 0, 1 / np.sqrt(np.maximum(denominator, 1e-300)), np.inf)
-    step = np.divide(numerator, denominator, out=np.zeros_like(sd), where=denominator > 0)
+    """Change of each SU's latency [s] and its standard deviation.
+
+    Clocks wander by microseconds from pose to pose, which the noise knows nothing of: deviations
+    are scaled by how much more than it the poses scatter.
+    """
+    by_pose = np.array([p.lag_numerator for p in poses])
+    weight = np.array([p.lag_denominator for p in poses])
+    numerator, denominator = by_pose.sum(axis=0), weight.sum(axis=0)
+    step = np.divide(numerator, denominator, out=np.zeros_like(numerator), where=denominator > 0)
+    seen = weight > 0
+    scatter = ((by_pose - weight * step)[seen] ** 2 / weight[seen]).sum()
+    freedom = seen.sum() - seen.any(axis=0).sum()
+    scale = max(1.0, float(scatter / freedom)) if freedom > 0 else 1.0
+    sd = np.where(denominator > 0, np.sqrt(scale / np.maximum(denominator, 1e-300)), np.inf)
     # A large lag leaves large residuals, hence a large sd: a step of many sd is real all the same.
     known = (sd < 3e-4) | (np.abs(step) > 5 * sd)
     return np.where(known, np.clip(step, -0.03, 0.03), 0.0), np.where(known, sd, np.inf)
-
-
-def regressor_noise(motion: Motion, cutoff: float) -> tuple[F64, F64]:
-    """Variances (1 + 2 D,) of encoder noise in the filtered regressors, covariances (D,)."""
-    f = np.linspace(0.0, 2 * cutoff, 400)
-    taps = low_pass(cutoff, motion.grid.rate)
-    k = np.arange(len(taps))
-    gain = np.abs(np.exp(-2j * np.pi * f[:, None] * k / motion.grid.rate) @ taps) ** 2
-    density = 2 * motion.noise**2 / motion.raw_rate
-    position = np.trapezoid(gain, f) * density
-    acceleration = np.trapezoid(gain * (2 * np.pi * f) ** 4, f) * density
-    both = -np.trapezoid(gain * (2 * np.pi * f) ** 2, f) * density
-    return np.concatenate([[0.0], position, acceleration]), both

@@ -66,6 +66,11 @@ class Features:
             the pattern of DoF d, per mean square acceleration of d, at [d, e].
         omega2: (P, D) squared angular frequency of each DoF's pattern; 0 where it has none
             [rad^2/s^2].
+        tones: (P, D, 2) squared angular frequencies of two tones that stand for each DoF's pattern
+            [rad^2/s^2].
+        energy: (P, D, 2) sum of the squares of their positions over independent samples.
+        white: (P, D, D) variance of the noise of joint e's encoder in an independent sample while
+            the pattern of DoF d runs, at [d, e]; ``noise`` contains it, and SUs share it.
         span: (P, 2) begin of the first and end of the last interval around each pose, on the clock
             of its log [s].
         latency: (U,) time by which each SU's stamps lag the joints' [s].
@@ -88,6 +93,9 @@ class Features:
     position_sd: F64 = field(default_factory=lambda: np.zeros(()))
     hidden: F64 = field(default_factory=lambda: np.zeros(()))
     omega2: F64 = field(default_factory=lambda: np.zeros(()))
+    tones: F64 = field(default_factory=lambda: np.zeros(()))
+    energy: F64 = field(default_factory=lambda: np.zeros(()))
+    white: F64 = field(default_factory=lambda: np.zeros(()))
     span: F64 = field(default_factory=lambda: np.zeros(()))
     notes: tuple[str, ...] = field(default=())
     faults: tuple[Fault, ...] = field(default=())
@@ -96,15 +104,14 @@ class Features:
         for name in ("q", "coefficients", "noise", "latency", "latency_sd"):
             object.__setattr__(self, name, frozen(getattr(self, name)))
         object.__setattr__(self, "log", frozen(self.log, np.int64))
-        everywhere = np.broadcast_to(np.asarray(self.position_sd, dtype=np.float64), self.q.shape)
-        object.__setattr__(self, "position_sd", frozen(everywhere))
         P, D = self.q.shape
-        hidden = np.broadcast_to(np.asarray(self.hidden, dtype=np.float64), (P, D, D))
-        object.__setattr__(self, "hidden", frozen(hidden))
-        omega2 = np.broadcast_to(np.asarray(self.omega2, dtype=np.float64), self.q.shape)
-        object.__setattr__(self, "omega2", frozen(omega2))
-        span = np.broadcast_to(np.asarray(self.span, dtype=np.float64), (P, 2))
-        object.__setattr__(self, "span", frozen(span))
+        shapes = {
+            "position_sd": (P, D), "hidden": (P, D, D), "omega2": (P, D), "tones": (P, D, 2),
+            "energy": (P, D, 2), "white": (P, D, D), "span": (P, 2),
+        }  # fmt: skip
+        for name, shape in shapes.items():
+            value = np.asarray(getattr(self, name), dtype=np.float64)
+            object.__setattr__(self, name, frozen(np.broadcast_to(value, shape)))
 
     @property
     def n_poses(self) -> int:

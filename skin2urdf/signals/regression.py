@@ -12,8 +12,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.ndimage import uniform_filter1d
-from scipy.special import j1
 
 from skin2urdf.arrays import F64, Bool
 
@@ -157,76 +155,6 @@ def orthonormal(Z: F64) -> F64:
     return np.asarray(basis)
 
 
-def noise_by_row(
-    X: F64, basis: F64, residual: F64, rate: float, cutoff: float, independence: float
-) -> F64:
-    """Noise power that each regressor meets, relative to the mean over all samples.
-
-    Residuals are neither white nor steady: what the encoders' rounding adds grows with the fourth
-    power of frequency, and only while a joint moves. A coefficient sees the noise at the
-    frequencies and times of its own regressor, so its variance is that of ordinary least squares
-    times ``sum |X(f)|^2 S(f) / sum |X(f)|^2`` and the same over time (White 1980).
-
-    Args:
-        X: (N, n) filtered regressors; zero columns get 1.
-        basis: (N, r) orthonormal basis of all regressors, nuisances included.
-        residual: (N, U, 3) residuals.
-        rate: samples per second [Hz].
-        cutoff: of the low-pass [Hz].
-        independence: independent samples per sample.
-
-    Returns:
-        (U, n) factors.
-    """
-    N, U, _ = residual.shape
-    f = np.asarray(np.fft.rfftfreq(N, 1 / rate), dtype=np.float64)
-    band = (f > 0.25) & (f < 0.9 * cutoff)
-    power = (np.abs(np.fft.rfft(residual, axis=0)) ** 2).mean(axis=2)[band]
-    level = _spectra((f[band] / cutoff) ** 4, power.T)
-    X_power = np.abs(np.fft.rfft(X, axis=0)) ** 2
-    inside = f < 0.9 * cutoff
-    shape = np.stack([np.ones(int(inside.sum())), (f[inside] / cutoff) ** 4], axis=1)
-    share = X_power[inside].T @ shape
-    total = X_power[inside].sum(axis=0)
-    by_frequency = np.divide(level @ share.T, total, out=np.ones((U, len(total))), where=total > 0)
-    by_frequency /= np.maximum(power.mean(axis=0), 1e-300)[:, None]
-
-    leverage = np.clip(np.einsum("ni,ni->n", basis, basis) / independence, 0.0, 0.8)
-    squared = (residual**2).mean(axis=2) / (1 - leverage)[:, None]
-    span = max(1, int(0.5 * rate))
-    steady = uniform_filter1d(squared, span, axis=0, mode="nearest")
-    energy = X**2
-    sums = energy.sum(axis=0)
-    by_time = np.divide(steady.T @ energy, sums, out=np.ones((U, len(sums))), where=sums > 0)
-    by_time /= np.maximum(steady.mean(axis=0), 1e-300)[:, None]
-    return np.asarray(np.clip(by_frequency * by_time, 1e-3, 1e3))
-
-
-def _spectra(shape: F64, power: F64) -> F64:
-    """Non-negative levels (U, 2) of spectra ``a + b shape``, by iterated weighting.
-
-    Args:
-        shape: (F,) what the second level multiplies.
-        power: (U, F) periodograms; their scatter is proportional to the spectrum.
-    """
-    average = np.maximum(power.mean(axis=1, keepdims=True), 1e-300)
-    power = power / average
-    model = np.ones_like(power)
-    for _ in range(4):
-        w = 1 / model**2
-        aa, ab, bb = w.sum(axis=1), w @ shape, w @ shape**2
-        ay, by = (w * power).sum(axis=1), (w * power) @ shape
-        determinant = np.maximum(aa * bb - ab * ab, 1e-300)
-        a, b = (bb * ay - ab * by) / determinant, (aa * by - ab * ay) / determinant
-        # Where one level would be negative, the other stands alone: the one that gains more.
-        flat = ay**2 * bb >= by**2 * aa
-        alone = (a < 0) | (b < 0)
-        a = np.where(alone, np.where(flat, ay / aa, 0.0), a)
-        b = np.where(alone, np.where(flat, 0.0, by / bb), b)
-        model = np.maximum(a[:, None] + b[:, None] * shape, 1e-3)
-    return np.asarray(np.stack([a, b], axis=1) * average)
-
-
 def regressors(dq: F64, qd: F64, qdd: F64, linear: bool) -> tuple[F64, F64]:
     """Unfiltered regressors of the features (N, 1 + 2 D) and nuisances (N, k).
 
@@ -241,50 +169,6 @@ def regressors(dq: F64, qd: F64, qdd: F64, linear: bool) -> tuple[F64, F64]:
         return np.concatenate([one, dq, qdd], axis=1), np.zeros((len(dq), 0))
     X = np.concatenate([one, np.sin(dq), qdd], axis=1)
     return X, np.concatenate([1 - np.cos(dq), qd**2], axis=1)
-
-
-def hidden_motion(dq: F64, qdd: F64, resolution: F64) -> tuple[F64, F64]:
-    """Motion that encoders round away in step with a DoF's pattern, relative to the pattern.
-
-    While DoF d moves, others move along a little (coupling, sag). What rounding makes of such a
-    motion repeats in every cycle and so does not average out (:func:`rounded_away`).
-
-    Args:
-        dq: (N, D) low-passed positions [rad or m].
-        qdd: (N, D) low-passed accelerations.
-        resolution: (D,) encoder steps [rad or m].
-
-    Returns:
-        (D, D) mean square hidden motion of joint e per mean square acceleration of DoF d, at
-        [d, e], and (D,) squared angular frequencies of the patterns; 0 for DoFs that do not move.
-    """
-    energy = qdd**2
-    total = energy.sum(axis=0)
-    weight = np.divide(energy, total, out=np.zeros_like(energy), where=total > 0)
-    while_moving = weight.T @ energy
-    # A sine's fourth moment over its second is 3/4 of its squared amplitude.
-    peak2 = np.diag(while_moving)[:, None] / 0.75
-    moves = peak2 > 1e-6
-    against = -((dq - dq.mean(axis=0)) * qdd).sum(axis=0)
-    omega2 = np.divide(total, against, out=np.zeros_like(total), where=moves[:, 0] & (against > 0))
-    peak = np.sqrt(while_moving / 0.75)
-    along = np.divide(peak, omega2[:, None], out=np.zeros_like(peak), where=omega2[:, None] > 0)
-    steps = np.divide(along, resolution, out=np.zeros_like(along), where=resolution > 0)
-    hidden = rounded_away(steps) * resolution**2
-    return np.divide(hidden, peak2, out=np.zeros_like(hidden), where=moves), omega2
-
-
-def rounded_away(steps: F64) -> F64:
-    """Mean square error of a sine's amplitude [steps^2] after rounding, by its amplitude [steps].
-
-    Rounding is a Fourier series in the rounded value. Over all positions of the sine's middle
-    between two steps, the error of its amplitude a has the mean square
-    ``sum_n 2 J1(2 pi n a)^2 / (pi n)^2``, near 0.012 / a for many steps. Below a quarter of a step,
-    where the amplitude itself can not be known, the largest error is taken.
-    """
-    n = np.arange(1, 9)
-    series = 2 * j1(2 * np.pi * n * np.maximum(steps, 0.25)[..., None]) ** 2 / (np.pi * n) ** 2
-    return np.asarray(series.sum(axis=-1))
 
 
 def enough(samples: Bool, rate: float) -> bool:

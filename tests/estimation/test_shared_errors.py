@@ -21,6 +21,7 @@ def _only_in_pose(cost: Cost, pose: int) -> Cost:
         cost.blocks,
         position_sd=cost.blocks.position_sd * at[:, None],
         hidden=cost.blocks.hidden * at[:, None, None],
+        white=cost.blocks.white * 0.0,
     )
     return Cost(cost.tree, blocks, cost.priors)
 
@@ -89,3 +90,27 @@ def test_the_covariance_is_that_of_disturbed_targets() -> None:
         np.testing.assert_allclose(
             found[1][u], wanted[at, at], atol=1e-6 * max(scale, float(np.abs(wanted[at, at]).max()))
         )
+
+
+def test_noise_of_an_encoder_counts_as_what_all_sus_feel_at_once() -> None:
+    """One joint, one tone, equal weights: errors of the SUs add up instead of averaging out."""
+    estimate = calibration().estimate
+    blocks = estimate.cost.blocks
+    white = np.zeros_like(blocks.white)
+    white[np.argmax(blocks.energy[:, 0].sum(axis=-1)), 0, 0] = 1e-9
+    energy = np.array(blocks.energy)
+    energy[..., 1] = 0.0
+    nothing = np.zeros_like
+    blocks = replace(
+        blocks, white=white, energy=energy, hidden=nothing(blocks.hidden),
+        position_sd=nothing(blocks.position_sd),
+    )  # fmt: skip
+    cost = Cost(estimate.tree, blocks, estimate.cost.priors)
+    before = _plain(_only_in_pose(estimate.cost, -1))
+    after = with_shared_errors(before, cost, estimate.state)
+    # The joint that all SUs share is less certain, in proportion to the noise.
+    added = after.joint - before.joint
+    assert np.linalg.eigvalsh(added)[-1] > 0
+    twice = Cost(estimate.tree, replace(blocks, white=2 * white), estimate.cost.priors)
+    more = with_shared_errors(before, twice, estimate.state).joint - before.joint
+    np.testing.assert_allclose(more, 2 * added, rtol=1e-6, atol=1e-9 * np.abs(added).max())

@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from skin2urdf.arrays import F64
+from skin2urdf.signals.coloured import Coloured
 from skin2urdf.signals.filters import (
     filtered,
     low_pass,
@@ -20,12 +21,9 @@ from skin2urdf.signals.regression import (
     enough,
     excited,
     fit,
-    hidden_motion,
     informative,
-    noise_by_row,
     orthonormal,
     regressors,
-    rounded_away,
 )
 
 RATE, CUTOFF = 125.0, 10.0
@@ -242,7 +240,8 @@ def z_scores(kind: str, runs: int, seed: int, linear: bool, by_row: bool = True)
         y = filtered(noise, TAPS)[inside]
         result = fitted(Xi, Zi, y)
         basis = orthonormal(np.concatenate([Xi, Zi], axis=1))
-        factor = noise_by_row(Xi, basis, result.residual, RATE, CUTOFF, INDEPENDENCE)
+        colour = Coloured.of(result.residual, basis, RATE, CUTOFF, INDEPENDENCE)
+        factor = colour.by_regressor(Xi)
         root = np.sqrt(factor[0]) if by_row else np.ones(X.shape[1])
         covariance = np.linalg.inv(result.information / (root[:, None] * root))
         sd = np.sqrt(np.diag(covariance))[:, None] * result.deviation[0]
@@ -279,7 +278,8 @@ def test_noise_by_row_is_one_for_noise_without_shape() -> None:
     X, _ = regressors(*swings(3000), linear=True)
     X = filtered(X, TAPS)
     residual = filtered(rng.standard_normal((3000, 2, 3)), TAPS)
-    factor = noise_by_row(X, orthonormal(X), residual, RATE, CUTOFF, INDEPENDENCE)
+    colour = Coloured.of(residual, orthonormal(X), RATE, CUTOFF, INDEPENDENCE)
+    factor = colour.by_regressor(X)
     assert factor.shape == (2, 7)
     # The pass band holds a little more than its share of the noise: the filter's skirt takes some.
     np.testing.assert_allclose(factor, 1.0, atol=0.25)
@@ -290,27 +290,6 @@ def test_a_quarter_of_a_second_is_enough(n: int, is_enough: bool) -> None:
     samples = np.zeros(600, dtype=bool)
     samples[:n] = True
     assert enough(samples, RATE) is is_enough
-
-
-@pytest.mark.parametrize("steps", [0.3, 1.0, 5.0, 30.0])
-def test_rounding_a_sine_hides_as_much_of_it_as_said(steps: float) -> None:
-    """Over all positions of the sine between two steps of the encoder."""
-    phase = np.linspace(0.0, 2 * np.pi, 4000, endpoint=False)
-    amplitude = steps * np.linspace(0.98, 1.02, 5)[:, None, None]
-    value = amplitude * np.sin(phase) + np.linspace(0.0, 1.0, 40, endpoint=False)[:, None]
-    error = 2 * ((np.round(value) - value) @ np.sin(phase)) / len(phase)
-    assert rounded_away(amplitude[:, 0, 0]).mean() == pytest.approx((error**2).mean(), rel=0.25)
-
-
-def test_hidden_motion_of_a_joint_that_moves_along() -> None:
-    t = np.arange(0.0, 2.0, 0.01)
-    omega = 2 * np.pi * 2.0
-    amplitude = np.array([0.05, 4e-4])
-    dq = amplitude * np.sin(omega * t)[:, None]
-    hidden, omega2 = hidden_motion(dq, -(omega**2) * dq, np.array([1e-4, 1e-4]))
-    np.testing.assert_allclose(omega2, omega**2, rtol=1e-2)
-    wanted = rounded_away(np.array(4.0)) * 1e-8 / (0.05 * omega**2) ** 2
-    assert hidden[0, 1] == pytest.approx(wanted, rel=0.3)
 
 
 def test_what_a_fit_tells_nothing_of_is_not_fitted() -> None:

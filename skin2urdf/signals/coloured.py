@@ -1,0 +1,143 @@
+"""Noise that is neither white nor steady, as each regressor meets it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.ndimage import uniform_filter1d
+
+from skin2urdf.arrays import F64, frozen
+
+_LOWEST, _HIGHEST = 0.25, 0.75
+"""Frequencies at which residuals tell the noise: from [Hz], up to the share of the cutoff from
+which the low-pass takes something away."""
+_AT_MOST = 1e3
+"""Largest factor between the noise that a regressor meets and the mean."""
+
+
+@dataclass(frozen=True, eq=False)
+class Coloured:
+    """Noise of U SUs around one pose, relative to its mean over all samples.
+
+    Residuals are neither white nor steady: what the encoders' rounding adds grows with the fourth
+    power of frequency, and only while a joint moves. A coefficient sees the noise at the
+    frequencies and times of its own regressor, so its variance is that of ordinary least squares
+    times ``sum |X(f)|^2 S(f) / sum |X(f)|^2`` and the same over time (White 1980).
+
+    Attributes:
+        level: (U, 2) the spectrum's part that is white, and the one that grows with the fourth
+            power of the frequency over the cutoff.
+        power: (N, U) mean square by time.
+        rate: samples per second [Hz].
+        cutoff: of the low-pass [Hz].
+    """
+
+    level: F64
+    power: F64
+    rate: float
+    cutoff: float
+
+    def __post_init__(self) -> None:
+        for name in ("level", "power"):
+            object.__setattr__(self, name, frozen(getattr(self, name)))
+
+    @classmethod
+    def of(
+        cls, residual: F64, basis: F64, rate: float, cutoff: float, independence: float
+    ) -> Coloured:
+        """The noise that residuals show.
+
+        At rest the encoders add nothing to the sensors' noise, which is white and steady.
+
+        Args:
+            residual: (N, U, 3) residuals.
+            basis: (N, r) orthonormal basis of all regressors, nuisances included.
+            rate: samples per second [Hz].
+            cutoff: of the low-pass [Hz].
+            independence: independent samples per sample.
+        """
+        N, U, _ = residual.shape
+        if basis.shape[1] == 1:
+            return cls(np.tile([1.0, 0.0], (U, 1)), np.ones((N, U)), rate, cutoff)
+        f = _frequencies(N, rate)
+        band = (f > _LOWEST) & (f < _HIGHEST * cutoff)
+        spectrum = (np.abs(np.fft.rfft(residual, axis=0)) ** 2).mean(axis=2)
+        # The regressors have taken their share of the noise, at their frequencies and times.
+        taken = (np.abs(np.fft.rfft(basis, axis=0)) ** 2).sum(axis=1) / len(basis)
+        spectrum /= (1 - np.clip(taken, 0.0, 0.8))[:, None]
+        # White noise of the same power would be as high as this in the whole pass band.
+        mean = spectrum.sum(axis=0) / max(1.0, 0.5 * independence * N)
+        level = _spectra((f[band] / cutoff) ** 4, spectrum[band].T)
+        level /= np.maximum(mean, 1e-300)[:, None]
+        leverage = np.clip(np.einsum("ni,ni->n", basis, basis) / independence, 0.0, 0.8)
+        squared = (residual**2).mean(axis=2) / (1 - leverage)[:, None]
+        power = uniform_filter1d(squared, max(1, int(0.5 * rate)), axis=0, mode="nearest")
+        power /= np.maximum(power.mean(axis=0), 1e-300)
+        return cls(level, power, rate, cutoff)
+
+    def by_regressor(self, X: F64) -> F64:
+        """(U, n) noise power that each regressor of X (N, n) meets; 1 for columns of zeros."""
+        by_frequency = _ratio(self.level @ self._shares(X), (X**2).sum(axis=0))
+        return _clipped(by_frequency * _ratio(self.power.T @ X**2, (X**2).sum(axis=0)))
+
+    def by_su(self, X: F64) -> F64:
+        """(U,) noise power that a regressor X (N, U, 3) meets of which each SU has its own."""
+        energy = (X**2).sum(axis=2)
+        shares = self._shares(X.reshape(len(X), -1)).reshape(2, -1, 3).sum(axis=2)
+        by_frequency = _ratio((self.level.T * shares).sum(axis=0), energy.sum(axis=0))
+        return _clipped(
+            by_frequency * _ratio((self.power * energy).sum(axis=0), energy.sum(axis=0))
+        )
+
+    def _shares(self, X: F64) -> F64:
+        """(2, n) energy of each column of X (N, n), and the same weighted like the second level."""
+        f = _frequencies(len(X), self.rate)
+        inside = f < self.cutoff
+        power = np.abs(np.fft.rfft(X, axis=0)[inside]) ** 2
+        shape = np.stack([np.ones(int(inside.sum())), (f[inside] / self.cutoff) ** 4])
+        shares = shape @ power
+        return np.asarray(_ratio(shares, shares[0], 0.0) * (X**2).sum(axis=0))
+
+
+def _frequencies(n: int, rate: float) -> F64:
+    return np.asarray(np.fft.rfftfreq(n, 1 / rate), dtype=np.float64)
+
+
+def _ratio(x: F64, energy: F64, otherwise: float = 1.0) -> F64:
+    """``x / energy``, and ``otherwise`` where there is no energy."""
+    out: F64 = np.divide(x, energy, out=np.full(x.shape, otherwise), where=energy > 0)
+    return out
+
+
+def _clipped(factor: F64) -> F64:
+    return np.asarray(np.clip(factor, 1 / _AT_MOST, _AT_MOST))
+
+
+def _spectra(shape: F64, power: F64) -> F64:
+    """Non-negative levels (U, 2) of spectra ``a + b shape``, by iterated weighting.
+
+    Args:
+        shape: (F,) what the second level multiplies.
+        power: (U, F) periodograms; their scatter is proportional to the spectrum.
+    """
+    average = np.maximum(power.mean(axis=1, keepdims=True), 1e-300)
+    # A few bins may all be small by chance, and what they stand for would count as exact: one more,
+    # which has the average, keeps the level plausible. It loses its weight where there are many.
+    power = np.concatenate([np.ones_like(average), power / average], axis=1)
+    shape = np.concatenate([[0.0], shape])
+    trust = np.where(np.arange(len(shape)) > 0, 1.0, 0.5 / len(shape))
+    model = np.ones_like(power)
+    for _ in range(4):
+        w = trust / model**2
+        aa, ab, bb = w.sum(axis=1), w @ shape, w @ shape**2
+        ay, by = (w * power).sum(axis=1), (w * power) @ shape
+        determinant = np.maximum(aa * bb - ab * ab, 1e-300)
+        a, b = (bb * ay - ab * by) / determinant, (aa * by - ab * ay) / determinant
+        # Where one level would be negative, the other stands alone: the one that gains more.
+        flat = ay**2 * bb >= by**2 * aa
+        alone = (a < 0) | (b < 0)
+        a = np.where(alone, np.where(flat, ay / aa, 0.0), a)
+        b = np.where(alone, np.where(flat, 0.0, by / bb), b)
+        model = np.maximum(a[:, None] + b[:, None] * shape, 1e-3)
+    return np.asarray(np.stack([a, b], axis=1) * average)

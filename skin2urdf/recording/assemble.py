@@ -32,6 +32,7 @@ class TimedStream(NamedTuple):
         stamped: False where log times stand in for stamps.
         chosen: whether the times are the stamps or were made regular.
         contradicting: samples left out because of their stamps.
+        stamp_noise: scatter of the stamps about the times [s].
     """
 
     name: str
@@ -42,6 +43,7 @@ class TimedStream(NamedTuple):
     stamped: bool
     chosen: Chosen
     contradicting: int
+    stamp_noise: float = 0.0
 
 
 def timed_joints(
@@ -184,7 +186,9 @@ def recorded(
         else []
     )
     return Recording(
-        joints=tuple(JointStream(s.name, seconds[id(s.time)], s.values) for s in joints),
+        joints=tuple(
+            JointStream(s.name, seconds[id(s.time)], s.values, s.stamp_noise) for s in joints
+        ),
         sus=tuple(SuStream(s.name, seconds[id(s.time)], s.values, s.topic) for s in sus),
         start=start / 1e9,
         source=source,
@@ -206,6 +210,7 @@ def _timed(name: str, topic: str, samples: Samples) -> TimedStream:
         stamped=times.stamped,
         chosen=times.chosen,
         contradicting=samples.arrival.size - times.kept.size,
+        stamp_noise=times.noise,
     )
 
 

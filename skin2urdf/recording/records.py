@@ -15,11 +15,13 @@ class JointStream:
         name: joint name as in the log.
         time: (N,) strictly increasing times [s] since the recording's start.
         position: (N,) measured positions [rad, or m for a prismatic joint].
+        stamp_noise: scatter of the stamps, one by one, that the times were made from [s].
     """
 
     name: str
     time: F64
     position: F64
+    stamp_noise: float = 0.0
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "time", frozen(self.time))

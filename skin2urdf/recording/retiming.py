@@ -22,7 +22,7 @@ def retimed(recording: Recording) -> Recording:
     """
     sus = []
     for su in recording.sus:
-        time, kept = _times(su.time, su.specific_force)
+        time, kept, _ = _times(su.time, su.specific_force)
         sus.append(replace(su, time=time, specific_force=_of(su.specific_force, kept)))
     together: dict[bytes, list[JointStream]] = {}
     for joint in recording.joints:
@@ -30,10 +30,10 @@ def retimed(recording: Recording) -> Recording:
     joints = {}
     for members in together.values():
         signal = np.stack([j.position for j in members], axis=1)
-        time, kept = _times(members[0].time, signal)
-        joints.update(
-            {j.name: replace(j, time=time, position=_of(j.position, kept)) for j in members}
-        )
+        time, kept, noise = _times(members[0].time, signal)
+        for j in members:
+            position = _of(j.position, kept)
+            joints[j.name] = replace(j, time=time, position=position, stamp_noise=noise)
     return replace(
         recording, joints=tuple(joints[j.name] for j in recording.joints), sus=tuple(sus)
     )
@@ -44,8 +44,8 @@ def _of(samples: F64, kept: Int) -> F64:
     return samples if len(kept) == len(samples) else samples[kept]
 
 
-def _times(stamps: F64, signal: F64) -> tuple[F64, Int]:
-    """Times (M,) [s] and the numbers (M,) of the samples they belong to."""
+def _times(stamps: F64, signal: F64) -> tuple[F64, Int, float]:
+    """Times (M,) [s], the numbers (M,) of the samples they belong to, and the stamps' noise [s]."""
     ns = np.rint((stamps + 1.0) * NS_PER_S).astype(np.int64)
     found = sample_times(ns, ns, signal)
-    return found.time / NS_PER_S - 1.0, found.kept
+    return found.time / NS_PER_S - 1.0, found.kept, found.noise

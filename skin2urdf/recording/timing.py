@@ -37,6 +37,8 @@ class SampleTimes(NamedTuple):
         chosen: whether the times are the stamps or were made regular.
         stamped: False where no message was stamped and log times stand in.
         clock_offset: stamps minus log times [ns], the median; None where log times do not run.
+        noise: scatter of the stamps about times that were made regular, 0 where they are the times
+            [s].
     """
 
     time: Int
@@ -44,6 +46,7 @@ class SampleTimes(NamedTuple):
     chosen: Chosen
     stamped: bool
     clock_offset: int | None
+    noise: float = 0.0
 
 
 def sample_times(stamp: Int, log_time: Int, signal: F64) -> SampleTimes:
@@ -74,10 +77,12 @@ def sample_times(stamp: Int, log_time: Int, signal: F64) -> SampleTimes:
     if chosen == "regular" and regular is not None:
         rising = _rising(regular, stamps)
         time = origin + np.rint(regular[rising] * NS_PER_S).astype(np.int64)
+        noise = 1.4826 * median_of(np.abs(stamps - regular))
     else:
         rising = _rising(stamps, regular)
         time = clock[rising]
-    return SampleTimes(time, kept[rising], chosen, stamped, offset)
+        noise = 0.0
+    return SampleTimes(time, kept[rising], chosen, stamped, offset, noise)
 
 
 def _clock(stamp: Int, log_time: Int) -> tuple[Int, bool]:

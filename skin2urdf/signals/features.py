@@ -98,7 +98,7 @@ def extract_features(
         white=np.array([p.white for p in poses]),
         span=np.array([p.span for p in poses]),
         latency=lag,
-        latency_sd=lag_sd,
+        latency_sd=np.hypot(lag_sd, _clock_error(sampled)),
         moves=static_moves(sampled),
         notes=notes,
         faults=distinct(f for s in sampled for f in s.faults),
@@ -318,21 +318,33 @@ def _regressed(Xe: F64, X: F64, Z: F64, y: F64, expected: F64) -> tuple[F64, F64
     return kept, y - np.tensordot(X - Xe, expected, 1)
 
 
-def _latency_step(poses: Sequence[_Pose]) -> tuple[F64, F64]:
-    """Change of each SU's latency [s] and its standard deviation.
+def _clock_error(sampled: Sequence[Sampled]) -> float:
+    """Standard deviation of the time by which the joints' own clock is off [s].
 
-    Clocks wander by microseconds from pose to pose, which the noise knows nothing of: deviations
-    are scaled by how much more than it the poses scatter.
+    It is the mean error of the stamps while the joints move, whose errors count with the squares of
+    the accelerations, and goes into the latency of every SU.
     """
-    by_pose = np.array([p.lag_numerator for p in poses])
-    weight = np.array([p.lag_denominator for p in poses])
-    numerator, denominator = by_pose.sum(axis=0), weight.sum(axis=0)
-    step = np.divide(numerator, denominator, out=np.zeros_like(numerator), where=denominator > 0)
-    seen = weight > 0
-    scatter = ((by_pose - weight * step)[seen] ** 2 / weight[seen]).sum()
-    freedom = seen.sum() - seen.any(axis=0).sum()
-    scale = max(1.0, float(scatter / freedom)) if freedom > 0 else 1.0
-    sd = np.where(denominator > 0, np.sqrt(scale / np.maximum(denominator, 1e-300)), np.inf)
+    weights, variances = [0.0], [0.0]
+    for s in sampled:
+        motion = s.motion
+        windows = [np.arange(*w) for pose in s.neighbourhoods for w in pose.windows]
+        square = (motion.qdd[np.concatenate(windows)] ** 2).sum(axis=1) if windows else np.zeros(1)
+        weights.append(float(square.sum()))
+        seconds = weights[-1] ** 2 / max(float((square**2).sum()), 1e-12) / motion.grid.rate
+        noise = float((motion.stamp_noise**2 / motion.raw_rate).max(initial=0.0))
+        variances.append(noise / seconds if seconds > 0 else 0.0)
+    total = max(sum(weights), 1e-12)
+    return float(
+        np.sqrt(sum((w / total) ** 2 * v for w, v in zip(weights, variances, strict=True)))
+    )
+
+
+def _latency_step(poses: Sequence[_Pose]) -> tuple[F64, F64]:
+    """Change of each SU's latency [s] and its standard deviation."""
+    numerator = np.sum([p.lag_numerator for p in poses], axis=0)
+    denominator = np.sum([p.lag_denominator for p in poses], axis=0)
+    sd = np.where(denominator > 0, 1 / np.sqrt(np.maximum(denominator, 1e-300)), np.inf)
+    step = np.divide(numerator, denominator, out=np.zeros_like(sd), where=denominator > 0)
     # A large lag leaves large residuals, hence a large sd: a step of many sd is real all the same.
     known = (sd < 3e-4) | (np.abs(step) > 5 * sd)
     return np.where(known, np.clip(step, -0.03, 0.03), 0.0), np.where(known, sd, np.inf)

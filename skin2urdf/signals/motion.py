@@ -32,6 +32,7 @@ class Motion:
         resolution: (D,) smallest step an encoder makes [rad or m]; 0 where it has none.
         noise: (D,) standard deviation of one raw position sample [rad or m].
         raw_rate: (D,) samples per second of the raw streams [Hz].
+        stamp_noise: (D,) scatter of the stamps that their times were made from [s].
         named: (D,) False for joints that the log lacks; their ``q`` is 0.
         wraps: (D,) True where the log wraps the position into one turn; ``q`` does not.
     """
@@ -45,11 +46,12 @@ class Motion:
     resolution: F64
     noise: F64
     raw_rate: F64
+    stamp_noise: F64
     named: Bool
     wraps: Bool
 
     def __post_init__(self) -> None:
-        for name in ("q", "qd", "qdd", "resolution", "noise", "raw_rate"):
+        for name in ("q", "qd", "qdd", "resolution", "noise", "raw_rate", "stamp_noise"):
             object.__setattr__(self, name, frozen(getattr(self, name)))
         for name in ("named", "wraps"):
             object.__setattr__(self, name, frozen(getattr(self, name), np.bool_))
@@ -84,7 +86,8 @@ def joint_motion(recording: Recording, dof_names: Sequence[str] | None = None) -
     grid = Grid(float(start), GRID_RATE, int((end - start) * GRID_RATE) + 1)
     q = np.zeros((grid.size, len(names)))
     valid = np.ones(grid.size, dtype=bool)
-    resolution, noise, rate = np.zeros(len(names)), np.zeros(len(names)), np.ones(len(names))
+    resolution, noise, stamps = (np.zeros(len(names)) for _ in range(3))
+    rate = np.ones(len(names))
     together: dict[tuple[int, float, float], list[int]] = {}
     for d, name in enumerate(names):
         if name in streams:
@@ -100,13 +103,14 @@ def joint_motion(recording: Recording, dof_names: Sequence[str] | None = None) -
         valid &= ok
         for d, stream in zip(members, same, strict=True):
             resolution[d], noise[d] = encoder_noise(stream)
+            stamps[d] = stream.stamp_noise
             rate[d] = 1 / float(np.median(np.diff(stream.time)))
     smooth = filtered(q, low_pass(GRID_RATE / 5, GRID_RATE))
     named = np.array([name in found for name in names])
     wraps = np.array([name in found and found[name][1] for name in names])
     return Motion(
         grid, names, q, first_derivative(smooth, GRID_RATE), second(smooth, GRID_RATE),
-        valid, resolution, noise, rate, named, wraps,
+        valid, resolution, noise, rate, stamps, named, wraps,
     )  # fmt: skip
 
 

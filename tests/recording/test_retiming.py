@@ -32,6 +32,7 @@ def test_noisy_stamps_of_regular_samples_are_made_regular() -> None:
         error = stream.time - true
         assert np.std(error) < 3e-5
     assert np.array_equal(found.joints[0].time, found.joints[1].time)
+    assert found.joints[0].stamp_noise == pytest.approx(2e-4, rel=0.1)
 
 
 def test_times_are_those_of_the_same_recording_in_a_file(tmp_path) -> None:
@@ -43,9 +44,13 @@ def test_times_are_those_of_the_same_recording_in_a_file(tmp_path) -> None:
     offset = there.start - recording.start
     for a, b in zip((*here.joints, *here.sus), (*there.joints, *there.sus), strict=True):
         assert a.time == pytest.approx(b.time + offset, abs=2e-6)
+    for j, k in zip(here.joints, there.joints, strict=True):
+        assert k.stamp_noise == pytest.approx(j.stamp_noise, rel=0.01)
 
 
 def test_exact_times_stay_as_they_are() -> None:
     recording, true = _noisy(2)
     exact = replace(recording, joints=tuple(replace(j, time=true) for j in recording.joints))
-    assert retimed(exact).joints[0].time == pytest.approx(true, abs=1e-8)
+    found = retimed(exact).joints[0]
+    assert found.time == pytest.approx(true, abs=1e-8)
+    assert found.stamp_noise < 1e-8

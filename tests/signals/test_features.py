@@ -153,6 +153,21 @@ def test_no_lag_is_found_where_there_is_none() -> None:
     assert abs(features.latency).max() < 1e-4
 
 
+def test_noisy_stamps_of_the_joints_make_all_latencies_less_certain() -> None:
+    """In all alike, by the mean error of the stamps while the joints move."""
+    sim, first = simulation("panda"), first_features()
+
+    def noisy(j: JointStream) -> JointStream:
+        return replace(j, stamp_noise=2e-3)
+
+    features = features_of(changed_joints(sim.recording, noisy))
+    known = np.isfinite(first.latency_sd)
+    added = features.latency_sd[known] ** 2 - first.latency_sd[known] ** 2
+    np.testing.assert_allclose(added, added[0], rtol=1e-6)
+    samples = 250.0 * sim.recording.duration
+    assert 2e-3 / np.sqrt(samples) < np.sqrt(added[0]) < 2e-3 / np.sqrt(0.05 * samples)
+
+
 def test_a_start_for_the_latency_does_not_decide_it() -> None:
     sim = simulation("panda")
     names = [s.name for s in sim.recording.sus]

@@ -21,10 +21,10 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from faulty import table
-from faulty.trials import CLEAN, CLEAN_TWO, INJECTIONS, Case, Setting, Trial, perform
-from validation import store, workers
+from faulty.trials import CLEAN, CLEAN_TWO, INJECTIONS, Case, Setting, Trial, died, perform
+from validation import batch
 
-from skin2urdf.errors import Skin2UrdfError, UsageError
+from skin2urdf.errors import UsageError
 from skin2urdf.simulation import GRADES, robot_names
 
 
@@ -75,33 +75,11 @@ def cases_of(options: argparse.Namespace) -> list[Case]:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit status."""
     options = parser().parse_args(arguments)
-    try:
-        return _run(options)
-    except KeyboardInterrupt:
-        print(f"\nstopped; the same command goes on where {options.output} ends", file=sys.stderr)
-        return 130
-    except Skin2UrdfError as error:
-        print(f"faults.py: {error}", file=sys.stderr)
-        if error.remedy:
-            print(f"  {error.remedy}", file=sys.stderr)
-        return error.exit_status
+    return batch.command("faults.py", _run, options)
 
 
 def _run(options: argparse.Namespace) -> int:
-    trials, _ = store.load(options.output, Trial.from_json)
-    if options.summary_only:
-        shown = list(trials.values())
-    else:
-        wanted = cases_of(options)
-        left = [case for case in wanted if case.key not in trials]
-        over = workers.pool(options.workers) if options.workers > 0 else workers.here
-        output = store.Store(options.output)
-        for n, trial in enumerate(over(perform, left), 1):
-            output.append(trial)
-            trials[trial.case.key] = trial
-            if sys.stderr.isatty():
-                print(f"\r{n} of {len(left)}", end="", file=sys.stderr, flush=True)
-        shown = [trials[case.key] for case in wanted]
+    shown = batch.outcomes(options, cases_of, perform, Trial.from_json, died)
     print(table.report(shown), end="")
     return int(not table.complete(shown))
 

@@ -15,20 +15,18 @@ Exit status: 0; 1 where a calibration failed; 2 for bad usage.
 from __future__ import annotations
 
 import argparse
-import multiprocessing
 import sys
-from collections.abc import Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
+from collections.abc import Sequence
 from itertools import product
 from pathlib import Path
 
-from montecarlo.perform import perform
+from montecarlo.perform import died, perform
 from montecarlo.records import Case, Run
 from montecarlo.table import report
-from validation import store
+from validation import batch
 from validation.cases import circumstances, robots_named
 
-from skin2urdf.errors import Skin2UrdfError, UsageError
+from skin2urdf.errors import UsageError
 
 
 def parser() -> argparse.ArgumentParser:
@@ -71,30 +69,13 @@ def cases_of(options: argparse.Namespace) -> list[Case]:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit status."""
     options = parser().parse_args(arguments)
-    try:
-        runs, _ = store.load(options.output, Run.from_json)
-        if not options.summary_only:
-            wanted = cases_of(options)
-            output = store.Store(options.output)
-            for run in _performed([c for c in wanted if c.key not in runs], options.workers):
-                output.append(run)
-                runs[run.case.key] = run
-            runs = {case.key: runs[case.key] for case in wanted}
-    except Skin2UrdfError as error:
-        print(f"monte_carlo.py: {error}\n  {error.remedy}", file=sys.stderr)
-        return error.exit_status
-    print(report(runs.values()), end="")
-    return int(any(run.failure for run in runs.values()))
+    return batch.command("monte_carlo.py", _run, options)
 
 
-def _performed(cases: Sequence[Case], workers: int) -> Iterator[Run]:
-    """Runs as they finish, in order."""
-    if workers < 1:
-        yield from map(perform, cases)
-        return
-    spawn = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(workers, mp_context=spawn) as pool:
-        yield from pool.map(perform, cases)
+def _run(options: argparse.Namespace) -> int:
+    runs = batch.outcomes(options, cases_of, perform, Run.from_json, died)
+    print(report(runs), end="")
+    return int(any(run.failure for run in runs))
 
 
 if __name__ == "__main__":

@@ -26,11 +26,11 @@ from pathlib import Path
 # The matrices are many and small: threads of linear algebra would only wait for each other.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
-from chains.judge import Case, Outcome, judged
+from chains.judge import Case, Outcome, died, judged
 from chains.summary import report
-from validation import store, workers
+from validation import batch
 
-from skin2urdf.errors import Skin2UrdfError, UsageError
+from skin2urdf.errors import UsageError
 
 ALLOWED = 1e-4
 """Share of chains that may miss the optimum."""
@@ -53,36 +53,24 @@ def parser() -> argparse.ArgumentParser:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit status."""
     options = parser().parse_args(arguments)
-    try:
-        return _run(options)
-    except KeyboardInterrupt:
-        print(f"\nstopped; the same command goes on where {options.output} ends", file=sys.stderr)
-        return 130
-    except Skin2UrdfError as error:
-        print(f"random_chains.py: {error}", file=sys.stderr)
-        if error.remedy:
-            print(f"  {error.remedy}", file=sys.stderr)
-        return error.exit_status
+    return batch.command("random_chains.py", _run, options)
+
+
+def cases_of(options: argparse.Namespace) -> list[Case]:
+    """Every chain that was asked for.
+
+    Raises:
+        UsageError: an option can not be used.
+    """
+    if options.chains < 1 or options.first_seed < 0 or options.workers < 0:
+        raise UsageError(
+            "--chains starts at 1, --first-seed and --workers at 0", "give a larger number"
+        )
+    return [Case(options.first_seed + i) for i in range(options.chains)]
 
 
 def _run(options: argparse.Namespace) -> int:
-    outcomes, _ = store.load(options.output, Outcome.from_json)
-    if options.summary_only:
-        shown = list(outcomes.values())
-    else:
-        if options.chains < 1 or options.first_seed < 0 or options.workers < 0:
-            raise UsageError("numbers of chains, seeds and processes are not negative", "")
-        seeds = range(options.first_seed, options.first_seed + options.chains)
-        wanted = [Case(seed) for seed in seeds]
-        left = [case for case in wanted if case.key not in outcomes]
-        over = workers.pool(options.workers) if options.workers else workers.here
-        output = store.Store(options.output)
-        for n, outcome in enumerate(over(judged, left), 1):
-            output.append(outcome)
-            outcomes[outcome.case.key] = outcome
-            if sys.stderr.isatty():
-                print(f"\r{n} of {len(left)}", end="", file=sys.stderr, flush=True)
-        shown = [outcomes[case.key] for case in wanted]
+    shown = batch.outcomes(options, cases_of, judged, Outcome.from_json, died)
     print(report(shown), end="")
     missed = [o for o in shown if o.failed]
     return int(len(missed) > ALLOWED * len(shown) or not all(o.recognised for o in missed))

@@ -25,13 +25,13 @@ from pathlib import Path
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-from validation import plot, store, table, workers
+from validation import batch, plot, store, table, workers
 from validation.cases import TRACKINGS, Case, Circumstance, circumstances, robots_named
 from validation.measure import perform
 from validation.records import Figures, Run
 from validation.summary import converged, shortfalls
 
-from skin2urdf.errors import Skin2UrdfError, UsageError
+from skin2urdf.errors import UsageError
 
 
 def parser() -> argparse.ArgumentParser:
@@ -120,16 +120,7 @@ def cases_of(options: argparse.Namespace) -> list[Case]:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit status."""
     options = parser().parse_args(arguments)
-    try:
-        return _validate(options)
-    except KeyboardInterrupt:
-        print(f"\nstopped; the same command goes on where {options.output} ends", file=sys.stderr)
-        return 130
-    except Skin2UrdfError as error:
-        print(f"validate.py: {error}", file=sys.stderr)
-        if error.remedy:
-            print(f"  {error.remedy}", file=sys.stderr)
-        return error.exit_status
+    return batch.command("validate.py", _validate, options)
 
 
 def _validate(options: argparse.Namespace) -> int:
@@ -166,7 +157,9 @@ def _run(cases: Sequence[Case], options: argparse.Namespace) -> dict[str, Run]:
     if options.scheduler:
         over = workers.cluster(options.scheduler)
     else:
-        over = workers.pool(options.workers) if options.workers > 0 else workers.here
+        over = workers.here
+        if options.workers > 0:
+            over = workers.pool(options.workers, workers.failed)
     output = store.Store(options.output)
     found: dict[str, Run] = {}
     with _progress(len(cases)) as progress:

@@ -276,10 +276,10 @@ def test_a_worker_that_dies_takes_no_other_run_with_it() -> None:
     from dying_worker import work_or_die
     from validation.cases import Case, Circumstance
     from validation.records import Failure
-    from validation.workers import pool
+    from validation.workers import failed, pool
 
     cases = [Case(name, 0, Circumstance()) for name in ("a", "die", "b", "c")]
-    runs = {run.case.robot: run for run in pool(2)(work_or_die, cases)}
+    runs = {run.case.robot: run for run in pool(2, failed)(work_or_die, cases)}
     assert sorted(runs) == ["a", "b", "c", "die"]
     died = runs.pop("die").outcome
     assert isinstance(died, Failure)

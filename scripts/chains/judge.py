@@ -131,14 +131,22 @@ class Outcome:
             raise ValueError(str(error)) from error
 
 
+def died(case: Case, words: str) -> Outcome:
+    """The outcome of a case whose process died."""
+    return replace(_blank(draw(case.seed), case), error=f"its process died: {words}")
+
+
+def _blank(chain: Chain, case: Case) -> Outcome:
+    """The outcome before there is an estimate."""
+    kind = (chain.posture, chain.layout, chain.measured)
+    return Outcome(case.seed, chain.n_dofs, len(chain.su_joint), len(chain.q), kind)
+
+
 def judged(case: Case) -> Outcome:
     """Draw a chain, estimate it, and hold the estimate against the truth."""
-    chain, seed = draw(case.seed), case.seed
+    chain = draw(case.seed)
     features = measured(chain)
-    blank = Outcome(
-        seed, chain.n_dofs, len(chain.su_joint), len(chain.q),
-        (chain.posture, chain.layout, chain.measured),
-    )  # fmt: skip
+    blank = _blank(chain, case)
     tree: bool | None = None
     known = chain.tree
     if chain.measured != "no slopes":

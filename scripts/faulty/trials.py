@@ -194,6 +194,11 @@ def perform(case: Case) -> Trial:
     )
 
 
+def died(case: Case, words: str) -> Trial:
+    """The trial whose process died."""
+    return Trial(case, problem=f"its process died: {words}", code=code_digest())
+
+
 @lru_cache(maxsize=2)
 def _sound(setting: Setting, seed: int) -> Sound:
     settings = SimulationSettings(

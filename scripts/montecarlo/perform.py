@@ -26,3 +26,8 @@ def perform(case: Case) -> Run:
     except Exception as error:
         return Run(case, {}, failure=f"{type(error).__name__}: {error}", code=code_digest())
     return Run(case, blocks, float(found.estimate.cost_per_dof), code=code_digest())
+
+
+def died(case: Case, words: str) -> Run:
+    """The run of a case whose process died."""
+    return Run(case, {}, failure=f"its process died: {words}", code=code_digest())

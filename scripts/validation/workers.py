@@ -9,32 +9,43 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
+from typing import TypeVar
 
 from skin2urdf.errors import UsageError
 from validation.cases import Case
 from validation.records import Failure, Run
 
-Work = Callable[[Case], Run]
-Map = Callable[[Work, Sequence[Case]], Iterator[Run]]
+C = TypeVar("C")
+R = TypeVar("R")
+Map = Callable[[Callable[[C], R], Sequence[C]], Iterator[R]]
 """Does the work on every case and yields the runs as they finish."""
 
 
-def here(work: Work, cases: Sequence[Case]) -> Iterator[Run]:
+def here(work: Callable[[C], R], cases: Sequence[C]) -> Iterator[R]:
     """One after the other in this process."""
     yield from map(work, cases)
 
 
-def pool(workers: int) -> Map:
+def failed(case: Case, words: str) -> Run:
+    """The run of a case whose worker died."""
+    return Run(case, Failure("WorkerDied", words, "its worker process"))
+
+
+def pool(workers: int, died: Callable[[C, str], R]) -> Map[C, R]:
     """A map over a pool of processes on this machine.
 
     A worker that dies takes the pool with it. Then every case it may have died of is run again
     in a process of its own, so that the one to blame is a failure and the others are not.
+
+    Args:
+        workers: number of processes.
+        died: the run of a case whose worker died, with words.
     """
 
-    def over(work: Work, cases: Sequence[Case]) -> Iterator[Run]:
+    def over(work: Callable[[C], R], cases: Sequence[C]) -> Iterator[R]:
         waiting = list(cases)
         while waiting:
-            under_way: dict[Future[Run], Case] = {}
+            under_way: dict[Future[R], C] = {}
             with _executor(min(workers, len(waiting))) as executor:
                 try:
                     while waiting or under_way:
@@ -50,7 +61,7 @@ def pool(workers: int) -> Map:
                     suspects = list(under_way.values())
             if under_way:
                 for case in suspects:
-                    yield _alone(work, case)
+                    yield _alone(work, case, died)
 
     return over
 
@@ -60,16 +71,16 @@ def _executor(workers: int) -> ProcessPoolExecutor:
     return ProcessPoolExecutor(workers, mp_context=multiprocessing.get_context("spawn"))
 
 
-def _alone(work: Work, case: Case) -> Run:
+def _alone(work: Callable[[C], R], case: C, died: Callable[[C, str], R]) -> R:
     """Run a case in a process of its own, which may die."""
     with _executor(1) as executor:
         try:
             return executor.submit(work, case).result()
         except BrokenProcessPool as error:
-            return Run(case, Failure("WorkerDied", str(error), "its worker process"))
+            return died(case, str(error))
 
 
-def cluster(address: str) -> Map:
+def cluster(address: str) -> Map[Case, Run]:
     """A map over the workers of an existing dask.distributed scheduler.
 
     The workers need skin2urdf installed; the code of the validation itself is sent to them.
@@ -81,7 +92,7 @@ def cluster(address: str) -> Map:
         UsageError: dask.distributed is not installed, or nobody answers at the address.
     """
 
-    def over(work: Work, cases: Sequence[Case]) -> Iterator[Run]:
+    def over(work: Callable[[Case], Run], cases: Sequence[Case]) -> Iterator[Run]:
         try:
             from distributed import Client, as_completed
         except ImportError as error:

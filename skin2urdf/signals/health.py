@@ -78,7 +78,7 @@ def checked(
         clipped = clipping(whole.specific_force, still[u][kept])
         if share := float(clipped.mean()) if len(clipped) else 0.0:
             words = (
-                f"{su.name} is at the end of its range in {100 * share:.2g} % of its samples; "
+                f"{su.name} is at the end of its range in {100 * share:.3g} % of its samples; "
                 "they were left out"
             )
             remedy = "use a larger range or weaker patterns"

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
+
 import numpy as np
 
 from skin2urdf.arrays import F64
@@ -11,30 +14,45 @@ from skin2urdf.mending.solution import Solution
 from skin2urdf.model.prediction import Chains
 from skin2urdf.rounds import predicted_curvature
 from skin2urdf.signals.contact import Disturbance, disturbances, without
+from skin2urdf.signals.sampling import Sampled
 
 _PASSES = 3
 """How often, at most, disturbances are looked for: a large one hides a small one."""
+_ROUGH = 0.1
+"""Relative error of what a hit does to a reading at first order."""
 
 
 def with_contacts_left_out(solution: Solution) -> Solution:
     """The solution without the moments in which readings do not follow the joints' motion."""
+    logs = solution.rounds.sampled
     for _ in range(_PASSES):
-        rounds, found, features = solution.rounds, solution.found, solution.features
-        curvature = predicted_curvature(found, features)
-        touched = disturbances(rounds.sampled, features, curvature)
+        touched = _disturbed(solution.rounds.sampled, solution)
         if not touched:
             break
-        several = len(rounds.sampled) > 1
-        faults = [_fault(d, found, features.su_names, several) for d in touched]
-        solution = solution.again(rounds.with_logs(without(rounds.sampled, touched)), faults)
-    return solution
+        rounds = solution.rounds
+        solution = solution.again(rounds.with_logs(without(rounds.sampled, touched)), ())
+    if solution.rounds.sampled is logs:
+        return solution
+    # What hit the robot shows undistorted to an estimate that does not know those moments.
+    faults = [
+        _fault(d, solution.found, solution.features.su_names, len(logs) > 1)
+        for d in _disturbed(logs, solution)
+    ]
+    return replace(solution, faults=(*solution.faults, *faults))
+
+
+def _disturbed(sampled: Sequence[Sampled], solution: Solution) -> tuple[Disturbance, ...]:
+    """Moments in logs that stand out from what a solution explains."""
+    features = solution.features
+    return disturbances(sampled, features, predicted_curvature(solution.found, features))
 
 
 def pushed_joint(touched: Disturbance, found: Estimate, su_names: tuple[str, ...]) -> int:
     """The joint whose motion, unseen by its encoder, explains a disturbance best.
 
     A joint d that moves by b(t) changes every reading by ``s_d b(t) + tau_d b''(t)``. At each
-    moment that is a linear problem in b and its acceleration.
+    moment that is a linear problem in b and its acceleration. Of SUs that a hit may take beyond
+    their range it only counts that they feel it.
 
     Args:
         touched: residuals of U SUs.
@@ -49,26 +67,31 @@ def pushed_joint(touched: Disturbance, found: Estimate, su_names: tuple[str, ...
     kin = found.cost.at(found.state).kin
     rows = kin.features()[touched.pose]
     # An SU that this log lacks has neither residuals nor noise.
-    noise = np.maximum(touched.noise[column, None], 1e-6)
-    y = (touched.residual[:, column] / noise[None]).reshape(len(touched.residual), -1)
-    white = rows / noise[:, None]
-    left = [_unexplained(y, _effects(white, blocks.chains, j)) for j in range(tree.n_joints)]
+    noise = np.maximum(touched.noise[column], 1e-6)
+    residual = touched.residual[:, column]
+    rough = np.where(touched.cut_off[column], 1.0, _ROUGH)
+    doubt = np.hypot(noise, rough * np.linalg.norm(residual, axis=-1))[..., None]
+    left = [
+        _unexplained(residual / doubt, _effects(rows, blocks.chains, j) / doubt[..., None])
+        for j in range(tree.n_joints)
+    ]
     return int(np.argmin(left))
 
 
 def _effects(rows: F64, chains: Chains, j: int) -> F64:
-    """(3 U, 2) change of all readings with position and acceleration of joint j."""
+    """(U, 3, 2) change of all readings with position and acceleration of joint j."""
     U, L = chains.joint.shape
     effects = np.zeros((U, 3, 2))
     for u, i in zip(*np.nonzero((chains.joint == j) & chains.present), strict=True):
         effects[u, :, 0], effects[u, :, 1] = rows[u, 1 + i], rows[u, 1 + L + i]
-    return effects.reshape(3 * U, 2)
+    return effects
 
 
 def _unexplained(y: F64, effects: F64) -> float:
-    """Sum of squares that two effects leave of N moments y (N, 3 U)."""
-    basis, _ = np.linalg.qr(effects)
-    return float(((y - (y @ basis) @ basis.T) ** 2).sum())
+    """Sum of squares that two effects (N, U, 3, 2) leave of N moments y (N, U, 3)."""
+    basis, _ = np.linalg.qr(effects.reshape(len(y), -1, 2))
+    flat = y.reshape(len(y), -1, 1)
+    return float(((flat - basis @ (np.swapaxes(basis, -1, -2) @ flat)) ** 2).sum())
 
 
 def _fault(

@@ -19,6 +19,7 @@ from skin2urdf.estimation.encoder_signs import reversed_encoders
 from skin2urdf.estimation.encoders import gross_scales, suspicions
 from skin2urdf.estimation.estimate import Estimate
 from skin2urdf.faults import Fault
+from skin2urdf.mending.contact import with_contacts_left_out
 from skin2urdf.mending.solution import Solution, solved
 from skin2urdf.recording.records import Recording
 from skin2urdf.rounds import Clock
@@ -178,25 +179,36 @@ def _diagnosed(solution: Solution, known: set[str]) -> list[EncoderError]:
         solution: the solution.
         known: DoFs whose encoders are wrong already; what is left of their errors may be small.
     """
+    hopeless = _hopeless(solution.found)
+    if not hopeless and _suspect(solution.found, solution.features, known):
+        # In the pose in which a joint is hit, its encoder seems to have another zero.
+        solution = with_contacts_left_out(solution)
     rounds, found, features = solution.rounds, solution.found, solution.features
-    errors = list(gross_scales(found)) if _hopeless(found) else []
+    errors = list(gross_scales(found)) if hopeless else []
     for error in errors:
         features = corrected_features(features, error)
     if errors:
         found = rounds.estimated(found.tree, features, None)
     for _ in range(_STEPS):
-        suspects = suspicions(found, features)[:1]
-        # Far from any fit the test is far from linear, and there is nothing to lose.
-        enough = _PART_OF_IT if _hopeless(found) else _MOST_OF_IT
-        if not any(s.significant and s.share > enough for s in suspects):
+        suspect = _suspect(found, features, known)
+        if suspect is None:
             break
-        if _small(suspects[0].error) and suspects[0].error.dof not in known:
-            break
-        known = {*known, suspects[0].error.dof}
-        errors.append(suspects[0].error)
-        features = corrected_features(features, errors[-1])
+        known = {*known, suspect.dof}
+        errors.append(suspect)
+        features = corrected_features(features, suspect)
         found = rounds.estimated(found.tree, features, found.state)
     return errors
+
+
+def _suspect(found: Estimate, features: Features, known: set[str]) -> EncoderError | None:
+    """The error of an encoder that explains an estimate's misfit best, if well enough."""
+    # Far from any fit the test is far from linear, and there is nothing to lose.
+    enough = _PART_OF_IT if _hopeless(found) else _MOST_OF_IT
+    for suspicion in suspicions(found, features)[:1]:
+        small = _small(suspicion.error) and suspicion.error.dof not in known
+        if suspicion.significant and suspicion.share > enough and not small:
+            return suspicion.error
+    return None
 
 
 def _small(error: EncoderError) -> bool:
@@ -274,6 +286,9 @@ def _stands_out(error: EncoderError, deviation: float) -> bool:
         return True
     if error.kind == "scale":
         return abs(error.size - 1) > _CERTAIN * deviation
+    # A joint that is hit leaps, and leaps back.
+    if _small(error):
+        return False
     turns = error.size / (2 * np.pi)
     # A turn more or less is how a continuous joint is counted.
     whole = round(turns) != 0 and abs(turns - round(turns)) < _WHOLE_TURN

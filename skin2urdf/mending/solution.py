@@ -109,6 +109,7 @@ def solved(
         first = _with_names_kept(first.rounds if first else rounds, first)
         if first.turns:
             return first
+    first = _with_all_joints_felt(first)
     # A joint whose encoder jumps turns the SUs beyond it as if they had slipped.
     parting = (
         Parting(first.rounds, first.found, first.features)
@@ -161,6 +162,20 @@ def _with_names_kept(rounds: Rounds, first: Solution | None) -> Solution:
         faults = (*earlier, *second.faults, *changes.faults)
         first = _better(first, replace(second, faults=faults))
     return replace(first, turns=changes.turns)
+
+
+def _with_all_joints_felt(first: Solution) -> Solution:
+    """The solution of a structure in which some SU sits beyond every joint that moves.
+
+    An SU whose readings were lost while a joint moved it by itself is put before that joint, and
+    in its place looks as if it had slipped whenever the joint went elsewhere.
+    """
+    felt = set(first.found.tree.joint_names)
+    moved = zip(first.seen.dof_names, first.seen.excited, strict=True)
+    if _explains(first.found) or all(name in felt for name, excited in moved if excited):
+        return first
+    found, features = first.rounds.settled(first.found, first.features)
+    return replace(first, found=found, features=features) if _explains(found) else first
 
 
 def _better(first: Solution | None, second: Solution) -> Solution:

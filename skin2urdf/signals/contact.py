@@ -13,7 +13,7 @@ import numpy as np
 from scipy.ndimage import median_filter
 from scipy.stats import chi2 as chi_squared
 
-from skin2urdf.arrays import F64
+from skin2urdf.arrays import F64, Bool
 from skin2urdf.signals.features import Curvature
 from skin2urdf.signals.filters import filtered, low_pass, noise_bandwidth, shifted
 from skin2urdf.signals.mending import computed
@@ -26,8 +26,9 @@ _FALSE_ALARM = 1e-6
 """Probability that noise alone stands out anywhere in the logs, were it steady and normal."""
 _UNSTEADY = 1.5
 """How far noise may stand above its median over seconds: patterns bring the encoders' along."""
-_COHERENT = 3.0
-"""How far rounding of an encoder, which follows the motion, may stand above white noise."""
+_COHERENT = 1.0
+"""Share of white noise as large as an encoder's step by which its rounding, which follows the
+motion, may stand above the median."""
 _STEADY = 4.0
 """Time over which the noise level is taken [s]."""
 _PARTS = 8
@@ -36,6 +37,10 @@ _LONGEST = 1.0
 """Time that readings are disturbed by a contact at most, the filter's reach aside [s]."""
 _TAIL = 2.0
 """Usual residuals at which a disturbance begins and ends."""
+_WIDE = 0.2
+"""Cutoff at which short hits show, over the rate of the samples."""
+_LEAST_RANGE = 1.5 * 9.81
+"""Range that every sensor has [m/s^2]."""
 _MARGIN = 0.04
 """Left out before and after [s]."""
 
@@ -50,9 +55,12 @@ class Disturbance:
         begin: first grid sample, and
         end: one past the last.
         time: of the largest residual [s].
-        residual: (N, U, 3) low-passed residuals of these samples [m/s^2].
+        strength: the largest residual, over what is usual.
+        residual: (N, U, 3) low-passed residuals, of these samples or of those among them at which
+            the disturbance is strongest [m/s^2].
         noise: (U,) what is usual for the length of a residual, with some allowance [m/s^2].
         felt: numbers of the SUs whose residuals stand out.
+        cut_off: (U,) True for SUs whose readings may have left their range.
     """
 
     log: int
@@ -60,9 +68,11 @@ class Disturbance:
     begin: int
     end: int
     time: float
+    strength: float
     residual: F64
     noise: F64
     felt: tuple[int, ...]
+    cut_off: Bool
 
 
 def disturbances(
@@ -79,21 +89,48 @@ def disturbances(
     out: list[Disturbance] = []
     for log, s in enumerate(sampled):
         rate = s.motion.grid.rate
-        taps = low_pass(s.cutoff, rate)
         readings = np.stack(
             [shifted(s.readings[:, u], rate, lag) for u, lag in enumerate(features.latency)], axis=1
         )
-        acceleration = regressor_noise(s.motion, s.cutoff)[0][1 + features.n_dofs :]
-        for p, begin, residual in _residuals(s, readings, features, curvature, log, taps):
-            rounding = _COHERENT * np.sqrt((features.tau[p] ** 2).sum(axis=-1) @ acceleration)
-            for a, b, at, noise, felt in _peaks(residual, rounding, limit, s):
-                out.append(
-                    Disturbance(
-                        log, p, begin + a, begin + b, float(s.motion.grid.time[begin + at]),
-                        residual[a:b], noise, felt,
-                    )
-                )  # fmt: skip
-    return tuple(out)
+        for cutoff in _bands(s):
+            acceleration = regressor_noise(s.motion, cutoff)[0][1 + features.n_dofs :]
+            taps = low_pass(cutoff, rate)
+            for p, begin, residual in _residuals(s, readings, features, curvature, log, taps):
+                rounding = _COHERENT * np.sqrt((features.tau[p] ** 2).sum(axis=-1) @ acceleration)
+                for a, b, at, strength, noise, felt in _peaks(residual, rounding, limit, s, cutoff):
+                    out.append(
+                        Disturbance(
+                            log, p, begin + a, begin + b, float(s.motion.grid.time[begin + at]),
+                            strength, residual[a:b], noise, felt,
+                            _cut_off(readings, begin + a, begin + b),
+                        )
+                    )  # fmt: skip
+    return tuple(_merged(out))
+
+
+def _cut_off(readings: F64, begin: int, end: int) -> Bool:
+    """(U,) True for SUs whose readings (N, U, 3) are nowhere as large as in an interval."""
+    size = np.abs(readings).max(axis=2)
+    largest = size[begin:end].max(axis=0)
+    return np.asarray((largest >= size.max(axis=0)) & (largest > _LEAST_RANGE))
+
+
+def _bands(s: Sampled) -> tuple[float, ...]:
+    """Cutoffs [Hz]: a push shows in the band of the patterns, a short hit far beyond it."""
+    return s.cutoff, max(s.cutoff, _WIDE * s.motion.grid.rate)
+
+
+def _merged(found: Sequence[Disturbance]) -> Iterator[Disturbance]:
+    """Disturbances that overlap as one, with the residuals of the strongest."""
+    left = sorted(found, key=lambda d: (d.log, d.begin))
+    while left:
+        first, *left = left
+        group, end = [first], first.end
+        while left and left[0].log == first.log and left[0].begin < end:
+            group.append(left.pop(0))
+            end = max(end, group[-1].end)
+        felt = tuple(sorted({u for d in group for u in d.felt}))
+        yield replace(max(group, key=lambda d: d.strength), begin=first.begin, end=end, felt=felt)
 
 
 def _limit(sampled: Sequence[Sampled], U: int) -> float:
@@ -102,7 +139,9 @@ def _limit(sampled: Sequence[Sampled], U: int) -> float:
     for s in sampled:
         rate = s.motion.grid.rate
         samples = sum(b - a for pose in s.neighbourhoods for a, b in pose.windows)
-        independent += samples * 2 * noise_bandwidth(low_pass(s.cutoff, rate), rate) / rate
+        independent += samples * sum(
+            2 * noise_bandwidth(low_pass(cutoff, rate), rate) / rate for cutoff in _bands(s)
+        )
     chance = _FALSE_ALARM / max(1.0, independent * U)
     return float(np.sqrt(chi_squared.isf(chance, 3) / chi_squared.median(3)))
 
@@ -135,9 +174,13 @@ def _residuals(
 
 
 def _peaks(
-    residual: F64, rounding: F64, limit: float, s: Sampled
-) -> Iterator[tuple[int, int, int, F64, tuple[int, ...]]]:
-    """Intervals of a window's residuals (N, U, 3) that stand out: begin, end, peak, noise, SUs."""
+    residual: F64, rounding: F64, limit: float, s: Sampled, cutoff: float
+) -> Iterator[tuple[int, int, int, float, F64, tuple[int, ...]]]:
+    """Intervals of a window's residuals (N, U, 3) that stand out.
+
+    Returns:
+        Begin, end, peak, its strength, the usual noise, SUs that feel it.
+    """
     rate = s.motion.grid.rate
     size = np.linalg.norm(residual, axis=-1)
     if len(size) < rate:
@@ -150,12 +193,12 @@ def _peaks(
     margin = int(_MARGIN * rate)
     for a, b in edges.reshape(-1, 2):
         at = int(a + highest[a:b].argmax())
-        if highest[at] < limit or (b - a) / rate > _LONGEST + 2 / s.cutoff:
+        if highest[at] < limit or (b - a) / rate > _LONGEST + 2 / cutoff:
             continue
         felt = np.flatnonzero(z[a:b].max(axis=0) > limit)
         yield (
-            max(0, int(a) - margin), min(len(z), int(b) + margin), at, usual[at],
-            tuple(int(u) for u in felt),
+            max(0, int(a) - margin), min(len(z), int(b) + margin), at, float(highest[at]),
+            usual[at], tuple(int(u) for u in felt),
         )  # fmt: skip
 
 

@@ -44,6 +44,9 @@ _MODEL_NOISE = 3e-4
 """Error of interpolating and differentiating sampled signals [m/s^2]; a floor for the noise."""
 _RATE_OVER_CUTOFF = 3.0
 """Samples kept per second over the low-pass' cutoff [Hz]; aliases appear below 2.8."""
+_GREAT, _FELT = 3.0, 0.1
+"""Noise without the regressors that samples do not tell apart, over that with them and in m/s^2,
+from which there is too much motion for so few samples."""
 _STILL = 20.0
 """Encoder steps per second below which rounding does not average out [1/s]."""
 
@@ -283,7 +286,9 @@ def _regress(
         if (known.any(axis=0) != Xe.any(axis=0)).any():
             Xe = known
             Ze, felt = _regressed(Xe, X[use], Z[use], y[use][:, members], expected[:, members])
-            result = fit(Design(Xe, Ze, *noise), felt, independence)
+            whole, result = result, fit(Design(Xe, Ze, *noise), felt, independence)
+            if (result.deviation > np.hypot(_GREAT * whole.deviation, _FELT)).all():
+                continue
         coefficients[members] = result.coefficients
         basis = orthonormal(np.concatenate([Xe, Ze], axis=1))
         colour = Coloured.of(result.residual, basis, rate, cutoff, independence)

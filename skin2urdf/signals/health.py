@@ -7,15 +7,21 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from skin2urdf.arrays import F64, Bool
+from skin2urdf.arrays import F64, Bool, Int
 from skin2urdf.faults import Fault
 from skin2urdf.recording.records import SuStream
 
 CHECK_SENSOR = "check its cable and its driver"
 _PLAUSIBLE = (0.6, 1.4)
 """Static readings of a working sensor, in g."""
-_SATURATED = 0.002
-"""Share of samples at the ends of the range from which an SU counts as saturated."""
+_VARIED = 50
+"""Values that an axis must take to be judged: one that hardly moves has few."""
+_AGAIN = 10
+"""Times a signal must come to its extreme for the number of its samples there to tell."""
+_PILED, _NEIGHBOURS = 6.0, 3
+"""Samples at the extreme over those at each of the next values, from which it is cut off."""
+_BEYOND = 30
+"""Samples that should lie beyond the extreme, from which it is no chance that none does."""
 _PLATEAU = 6
 """Samples in a row at an extreme from which their sides tell whether it was cut off."""
 _DIGIT = 2.5e-3
@@ -224,28 +230,52 @@ def _noisiness(name: str, u: int, noise: F64) -> list[Fault]:
 def clipping(raw: F64, still: Bool) -> Bool:
     """(M,) True for samples (M, 3) at the ends of the sensor's range; all False if it is not met.
 
-    A clipped signal stays at its extreme for several samples in a row: once for long and with steep
-    sides, or for a few samples again and again. That is judged while the robot moves: a sensor
-    without noise may rest at its extreme.
+    A clipped signal stays at its extreme: once for long and with steep sides, or time and again
+    so that its extreme holds far more samples than the values next to it. That is judged while
+    the robot moves: a sensor without noise may rest at its extreme.
     """
     ends = []
-    moving = raw[~still]
+    moving, noise = raw[~still], rest_noise(raw, still)
     if len(moving) < 100:
         return np.zeros(len(raw), dtype=bool)
     for column, motion in zip(raw.T, moving.T, strict=True):
-        varied = len(np.unique(motion[:: max(1, len(motion) // 2000)])) > 50
-        for end in (column.min(), column.max()):
-            at = motion == end
-            begin, stop = _longest((column == end) & ~still)
-            if stop - begin >= _PLATEAU:
-                cut_off = _steep(column, begin, stop)
-            else:
-                cut_off = (at[1:] & at[:-1]).sum() > 0.5 * at.sum() and at.mean() > _SATURATED
-            if varied and cut_off:
-                ends.append(abs(float(end)))
+        values, counts = np.unique(motion, return_counts=True)
+        if values[-1] - values[0] < _LEAST_NOISE:
+            continue
+        for inward in (slice(None), slice(None, None, -1)):
+            end, many = values[inward], counts[inward]
+            begin, stop = _longest((column == end[0]) & ~still)
+            long = len(values) > _VARIED and stop - begin >= _PLATEAU
+            if (long and _steep(column, begin, stop)) or _piled(motion == end[0], end, many, noise):
+                ends.append(abs(float(end[0])))
     # One range for all axes, but for the digit that two's complement lacks above zero.
     limit = min(ends, default=np.inf) * (1 - _DIGIT)
     return np.asarray((np.abs(raw) >= limit).any(axis=1))
+
+
+def _piled(at: Bool, values: F64, counts: Int, noise: float) -> bool:
+    """Whether an extreme holds what should have spread beyond it.
+
+    The peaks of a smooth motion lie within the last digit 2.4 times as often as within the one
+    before (the density of a parabola); a clipped signal leaves at its extreme all that lies
+    beyond. With Gaussian noise the density f of the readings is that of a mixture of Gaussians,
+    and (log f)'' is nowhere below ``-1 / noise^2``: what the last two values hold says how many
+    samples at least there should be one step further out, where there are none.
+
+    Args:
+        at: (M,) True for samples at the extreme.
+        values: (K,) all values that occur, from the extreme on.
+        counts: (K,) how many samples each holds.
+        noise: standard deviation of the sensor's noise.
+    """
+    if len(values) < 2 or (at[1:] > at[:-1]).sum() < _AGAIN:
+        return False
+    if len(values) > _VARIED and counts[0] > _PILED * counts[1 : 1 + _NEIGHBOURS].max():
+        return True
+    if counts[0] < _BEYOND or not noise:
+        return False
+    further = counts[0] ** 2 / counts[1] * np.exp(-(((values[1] - values[0]) / noise) ** 2))
+    return bool(further > _BEYOND)
 
 
 def _longest(at: Bool) -> tuple[int, int]:

@@ -23,7 +23,7 @@ from skin2urdf.signals.filters import (
 from skin2urdf.signals.motion import Motion
 from skin2urdf.signals.poses import Neighbourhood
 
-_LEAST = 0.5
+_LEAST = 0.3
 """Share of a window's samples that must be there."""
 _SAMPLES_PER_COLUMN = 5
 _LEVERAGE = 0.5

@@ -137,7 +137,8 @@ def informative(X: F64, found: Fit) -> F64:
     coefficients, gravity's among them, come out as large numbers that cancel. What is worse known
     than nature bounds it is better predicted from the rest than fitted.
     """
-    used = X.any(axis=0)
+    # Few samples may leave nothing of a column beside the nuisances, or less than nothing.
+    used = X.any(axis=0) & (np.diag(found.information) > 0)
     size = np.sqrt(np.diag(found.information)[used])
     lam, V = np.linalg.eigh(found.information[np.ix_(used, used)] / size / size[:, None])
     deviation = np.full(X.shape[1], np.inf)

@@ -8,6 +8,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from simulated import held_against
 
 from skin2urdf.calibration import Calibration
@@ -213,6 +215,24 @@ def test_only_samples_at_the_end_of_the_range_are_clipped() -> None:
     assert found[(np.abs(cut) == 9.0).any(axis=1)].all()
     assert not found[(np.abs(cut) < 0.997 * 9.0).all(axis=1)].any()
     assert not clipping(wave, moving).any()
+
+
+@given(st.integers(0, 2**32 - 1), st.floats(0.3, 1.2), st.floats(1.0, 3.0))
+def test_a_coarse_noisy_sensor_is_clipped_where_its_noise_ends_too_early(
+    seed: int, depth: float, digits: float
+) -> None:
+    """A motion of one amplitude whose peaks the range cuts within their own noise."""
+    rng, digit = np.random.default_rng(seed), 0.04
+    time = np.arange(60000) / 500
+    wave = 6 * np.sin(2 * np.pi * np.array([0.9, 1.3, 1.7]) * time[:, None])
+    wave[:5000] = wave[5000]
+    wave += rng.normal(scale=digits * digit, size=wave.shape)
+    still = time < 10.0
+    whole = np.round(wave / digit) * digit
+    assert not clipping(whole, still).any()
+    end = digit * np.round((6 - depth * digits * digit) / digit)
+    found = clipping(np.clip(whole, -end, end), still)
+    np.testing.assert_array_equal(found, (np.abs(whole) > end * (1 - 2.5e-3)).any(axis=1))
 
 
 def test_one_peak_that_is_cut_off_is_clipped_and_a_flat_one_is_not() -> None:

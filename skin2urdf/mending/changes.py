@@ -12,21 +12,19 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from skin2urdf.arrays import F64, Bool, Int
-from skin2urdf.calibration import BAD_FIT, GOOD_FIT
+from skin2urdf.calibration import GOOD_FIT
 from skin2urdf.errors import InsufficientDataError, StructureError
 from skin2urdf.estimation.encoder_signs import TURNED, of_poses, turned_by_pose
 from skin2urdf.estimation.estimate import Estimate
 from skin2urdf.faults import Fault
 from skin2urdf.mending.swaps import names_in
-from skin2urdf.rounds import Rounds, alike, predicted_curvature
+from skin2urdf.rounds import Rounds, alike
 from skin2urdf.signals.mending import computed
 from skin2urdf.signals.poses import Neighbourhood
 from skin2urdf.signals.records import Features
 from skin2urdf.signals.sampling import Sampled
 from skin2urdf.structure.records import KinematicTree
 
-_ROUNDS = 2
-"""How often features of a part are taken again before its estimate is given up."""
 _ALLOWANCE = 3.0
 """Time of a change into a pose, over what the pose's misfit says: patterns begin gently."""
 _BLUR = 2
@@ -152,11 +150,11 @@ def _sound_part(alone: Rounds, found: Estimate | None) -> tuple[Estimate, Featur
     half = int(np.searchsorted(np.cumsum(length), length.sum() / 2))
     border = float(features.span[half, 1])
     parts = [replace(alone, sampled=[_part(s, border, late)]) for late in (False, True)]
-    sound = [e for part in parts if found and (e := _explanation(part, found.tree))]
+    sound = [e for part in parts if found and (e := _explanation(part, found.tree, certain=True))]
     if not sound:
         shown = [(part, tree) for part in parts if (tree := _structure(part))]
         new = [(part, tree) for part, tree in shown if not (found and alike(tree, found.tree))]
-        sound = [e for part, tree in new if (e := _explanation(part, tree))]
+        sound = [e for part, tree in new if (e := _explanation(part, tree, certain=False))]
     if not sound:
         return None
     best, latency = min(sound, key=lambda e: e[0].cost_per_dof)
@@ -171,21 +169,23 @@ def _structure(part: Rounds) -> KinematicTree | None:
         return None
 
 
-def _explanation(part: Rounds, tree: KinematicTree) -> tuple[Estimate, F64] | None:
-    """The estimate from a part of a log and the SUs' latencies, where it explains the part."""
+def _explanation(
+    part: Rounds, tree: KinematicTree, *, certain: bool
+) -> tuple[Estimate, F64] | None:
+    """The estimate from a part of a log and the SUs' latencies, where it explains the part.
+
+    Args:
+        part: the part.
+        tree: its structure.
+        certain: False to look at the structure again where it does not explain the part.
+    """
     try:
-        seen = part.features()
-        found = part.estimated(tree, seen, None)
-        for _ in range(_ROUNDS):
-            if found.cost_per_dof > BAD_FIT:
-                return None
-            seen = part.features(predicted_curvature(found, seen), seen.latency)
-            found = part.estimated(tree, seen, found.state)
-            if found.cost_per_dof <= GOOD_FIT:
-                return found, seen.latency
+        found, seen = part.relinearised(tree, part.features())
+        if not certain:
+            found, seen = part.settled(found, seen)
     except InsufficientDataError:
-        pass
-    return None
+        return None
+    return (found, seen.latency) if found.cost_per_dof <= GOOD_FIT else None
 
 
 def _visited(s: Sampled) -> Sampled:

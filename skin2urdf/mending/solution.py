@@ -5,9 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from skin2urdf.calibration import BAD_FIT, GOOD_FIT, CalibrationSettings
 from skin2urdf.errors import StructureError
-from skin2urdf.estimation.encoders import suspicions
+from skin2urdf.estimation.encoders import gross_scales, suspicions
 from skin2urdf.estimation.estimate import Estimate
 from skin2urdf.estimation.health import unlike_the_rest
 from skin2urdf.faults import Fault
@@ -109,11 +111,11 @@ def solved(
         first = _with_names_kept(first.rounds if first else rounds, first)
         if first.turns:
             return first
-    first = _with_all_joints_felt(first)
-    # A joint whose encoder jumps turns the SUs beyond it as if they had slipped.
+    first = _with_structure_settled(first)
+    # A joint whose encoder is wrong turns the SUs beyond it as if they had slipped.
     parting = (
         Parting(first.rounds, first.found, first.features)
-        if _an_encoder_jumps(first)
+        if _an_encoder_errs(first)
         else slips_parted(first.rounds, first.found, first.features)
     )
     found, features = parting.rounds.settled(parting.found, parting.features)
@@ -164,15 +166,12 @@ def _with_names_kept(rounds: Rounds, first: Solution | None) -> Solution:
     return replace(first, turns=changes.turns)
 
 
-def _with_all_joints_felt(first: Solution) -> Solution:
-    """The solution of a structure in which some SU sits beyond every joint that moves.
+def _with_structure_settled(first: Solution) -> Solution:
+    """The solution with another structure, where that is all it takes to explain the readings.
 
-    An SU whose readings were lost while a joint moved it by itself is put before that joint, and
-    in its place looks as if it had slipped whenever the joint went elsewhere.
+    An SU that is put on a wrong joint looks as if it had slipped whenever that joint moved on.
     """
-    felt = set(first.found.tree.joint_names)
-    moved = zip(first.seen.dof_names, first.seen.excited, strict=True)
-    if _explains(first.found) or all(name in felt for name, excited in moved if excited):
+    if _explains(first.found):
         return first
     found, features = first.rounds.settled(first.found, first.features)
     return replace(first, found=found, features=features) if _explains(found) else first
@@ -189,17 +188,18 @@ _BETTER = 0.5
 """Misfit of mended logs, over that of the logs as they are, below which they were at fault."""
 
 
-_NEARLY_ALL = 0.9
-"""Share of the misfit that one offset of an encoder explains where it is the cause."""
+_CAUSE = {"offset": 0.9, "scale": 0.5}
+"""Share of the misfit that one error of an encoder explains where it is the cause. An SU that slips
+about the axis of its joint looks like an offset; nothing that an SU does looks like a scale."""
 
 
-def _an_encoder_jumps(first: Solution) -> bool:
-    """Whether one number, an encoder's offset, explains nearly all of what an estimate leaves."""
+def _an_encoder_errs(first: Solution) -> bool:
+    """Whether one number, an encoder's offset or scale, explains what an estimate leaves."""
     if _explains(first.found):
         return False
     suspects = suspicions(first.found, first.features)[:1]
-    return any(
-        s.error.kind == "offset" and s.significant and s.share > _NEARLY_ALL for s in suspects
+    return bool(gross_scales(first.found)) or any(
+        s.significant and s.share > _CAUSE.get(s.error.kind, np.inf) for s in suspects
     )
 
 

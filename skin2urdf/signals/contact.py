@@ -151,6 +151,8 @@ def _residuals(
 ) -> Iterator[tuple[int, int, F64]]:
     """Pose, first grid sample and low-passed residuals (N, U, 3) of every window."""
     motion, half = s.motion, len(taps) // 2
+    lossy = {fault.subject for fault in s.faults if fault.kind == "intermittent"}
+    witness = np.array([name not in lossy for name in features.su_names])
     number = {tuple(features.q[p]): int(p) for p in np.flatnonzero(features.log == log)}
     for pose in s.neighbourhoods:
         p = number.get(tuple(pose.q))
@@ -166,8 +168,8 @@ def _residuals(
             beyond, _ = curvature(pose.q, dq, qd, qdd, log)
             left = readings[part] - beyond
             left = left - (X @ features.coefficients[p]).swapaxes(0, 1)
-            # An SU that lost samples here would show what computing them again got wrong.
-            whole = (s.valid[a:b] & ~s.computed[a:b]).all(axis=0)
+            # An SU that lost samples would show what computing them again got wrong.
+            whole = witness & (s.valid[a:b] & ~s.computed[a:b]).all(axis=0)
             left *= (s.valid[part] & whole)[..., None]
             smooth = filtered(left.reshape(len(left), -1), taps).reshape(left.shape)
             yield p, a, smooth[a - lo : b - lo]

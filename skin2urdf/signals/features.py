@@ -35,6 +35,7 @@ from skin2urdf.signals.regression import (
 )
 from skin2urdf.signals.rounding import hidden_motion, regressor_noise, tones, white_noise
 from skin2urdf.signals.sampling import Sampled, static_moves
+from skin2urdf.signals.steadiness import moderated
 
 Curvature = Callable[[F64, F64, F64, F64, int], tuple[F64, F64]]
 """(q (D,), dq (N, D), qd, qdd, log) -> (N, U, 3) readings beyond first order around pose q, and
@@ -44,9 +45,9 @@ _MODEL_NOISE = 3e-4
 """Error of interpolating and differentiating sampled signals [m/s^2]; a floor for the noise."""
 _RATE_OVER_CUTOFF = 3.0
 """Samples kept per second over the low-pass' cutoff [Hz]; aliases appear below 2.8."""
-_GREAT, _FELT = 3.0, 0.1
-"""Noise without the regressors that samples do not tell apart, over that with them and in m/s^2,
-from which there is too much motion for so few samples."""
+_SAMPLES_PER_COLUMN, _FELT = 2.0, 0.1
+"""Independent samples per regressor, and noise [m/s^2]: with less of the former, or with samples
+that do not tell regressors apart, more of the latter is motion that could not be explained."""
 _STILL = 20.0
 """Encoder steps per second below which rounding does not average out [1/s]."""
 
@@ -78,7 +79,7 @@ def extract_features(
         lag = np.clip(lag + change, -0.25, 0.25)
         if np.max(np.abs(change), initial=0.0) < 2e-5:
             break
-    poses = [p for part in parts for p in part]
+    poses = _moderated([p for part in parts for p in part])
     if not poses:
         raise InsufficientDataError(
             "no pose with readings around it was found",
@@ -122,6 +123,8 @@ class _Pose:
     energy: F64
     white: F64
     span: tuple[float, float]
+    freedom: F64
+    rests: Bool
     lag_numerator: F64
     lag_denominator: F64
 
@@ -181,6 +184,22 @@ def _poses(s: Sampled, lag: F64, curvature: Curvature | None, log: int) -> list[
         )  # fmt: skip
         out.append(replace(found, noise=found.noise / _measured(ok, np.concatenate(lost))))
     return [p for p in out if np.isfinite(p.noise).any()]
+
+
+def _moderated(poses: Sequence[_Pose]) -> list[_Pose]:
+    """Poses with the noise at rest of each SU as all rests show it together."""
+    if not poses:
+        return []
+    noise = np.array([p.noise for p in poses])
+    heard = np.isfinite(noise).all(axis=2)
+    freedom = np.array([p.freedom for p in poses])
+    variance, freedom = moderated(
+        np.where(heard[..., None], noise, 1.0) ** 2, freedom, heard & [p.rests for p in poses]
+    )
+    # Errors over a deviation that few samples gave are those of Student's t.
+    variance *= (freedom / np.maximum(freedom - 2.0, np.maximum(freedom, 1.0) / 3))[..., None]
+    noise = np.where(heard[..., None], np.sqrt(variance), np.inf)
+    return [replace(p, noise=n) for p, n in zip(poses, noise, strict=True)]
 
 
 def _recompute(
@@ -270,7 +289,8 @@ def _regress(
     U, n = y.shape[1], X.shape[1]
     coefficients = np.zeros((U, n, 3))
     products, which, weight = [np.zeros((n, n))], np.zeros(U, np.int64), np.zeros((U, n))
-    deviation = np.full((U, 3), np.inf)
+    deviation, freedom = np.full((U, 3), np.inf), np.zeros(U)
+    rests = np.zeros(U, dtype=bool)
     numerator, denominator = np.zeros(U), np.zeros(U)
     patterns: dict[bytes, list[int]] = {}
     for u in range(U):
@@ -282,13 +302,16 @@ def _regress(
         Xe = excited(X[use], noise[0])
         Ze, felt = _regressed(Xe, X[use], Z[use], y[use][:, members], expected[:, members])
         result = fit(Design(Xe, Ze, *noise), felt, independence)
+        columns = int(Xe.any(axis=0).sum() + Ze.any(axis=0).sum())
         known = informative(Xe, result)
-        if (known.any(axis=0) != Xe.any(axis=0)).any():
+        useless = bool((known.any(axis=0) != Xe.any(axis=0)).any())
+        few = use.sum() * independence < _SAMPLES_PER_COLUMN * columns
+        if useless:
             Xe = known
             Ze, felt = _regressed(Xe, X[use], Z[use], y[use][:, members], expected[:, members])
-            whole, result = result, fit(Design(Xe, Ze, *noise), felt, independence)
-            if (result.deviation > np.hypot(_GREAT * whole.deviation, _FELT)).all():
-                continue
+            result = fit(Design(Xe, Ze, *noise), felt, independence)
+        if (few or useless) and result.deviation.max() > _FELT:
+            continue
         coefficients[members] = result.coefficients
         basis = orthonormal(np.concatenate([Xe, Ze], axis=1))
         colour = Coloured.of(result.residual, basis, rate, cutoff, independence)
@@ -296,6 +319,7 @@ def _regress(
         weight[members] = 1 / np.sqrt(colour.by_regressor(Xe))
         products.append(result.information)
         deviation[members] = np.hypot(result.deviation, _MODEL_NOISE)
+        freedom[members], rests[members] = result.freedom, basis.shape[1] == 1
         fitted = np.zeros((len(use), len(members), 3))
         fitted[use] = felt - result.residual
         slope = first_derivative(fitted, rate)
@@ -308,7 +332,7 @@ def _regress(
     scale = independence
     information = Information(np.array(products), which[None], weight[None])
     return _Pose(
-        q, log, coefficients, information, deviation, *unseen,
+        q, log, coefficients, information, deviation, *unseen, freedom, rests,
         numerator * scale, denominator * scale,
     )  # fmt: skip
 

@@ -45,12 +45,14 @@ class Fit:
         information: (n, n) regressor products, per independent sample.
         residual: (N, U, 3) what the regressors leave [m/s^2].
         deviation: (U, 3) standard deviation of one independent sample [m/s^2].
+        freedom: degrees of freedom of each deviation.
     """
 
     coefficients: F64
     information: F64
     residual: F64
     deviation: F64
+    freedom: float
 
 
 def excited(X: F64, noise: F64) -> F64:
@@ -99,9 +101,8 @@ def fit(design: Design, y: F64, independence: float) -> Fit:
     solution = (solve @ (Zs.T @ Y)) * inverse[:, None]
     residual = Y - Z @ solution
     rank = int(keep.sum())
-    independent = max(N * independence - rank, 1.0)
-    # Errors over a deviation that few samples gave are those of Student's t.
-    variance = (residual**2).sum(axis=0) * independence / max(independent - 2.0, independent / 3)
+    freedom = max(N * independence - rank, 1.0)
+    variance = (residual**2).sum(axis=0) * independence / freedom
     a, b = corrected[:n, :n], corrected[:n, n:]
     if b.shape[1]:
         mu, W = _eigen(corrected[n:, n:])
@@ -113,6 +114,7 @@ def fit(design: Design, y: F64, independence: float) -> Fit:
         information,
         residual.reshape(N, U, 3),
         np.sqrt(variance.reshape(U, 3)),
+        freedom,
     )
 
 

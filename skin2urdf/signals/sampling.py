@@ -20,6 +20,8 @@ from skin2urdf.signals.records import StaticMoves
 
 STANDARD_GRAVITY = 9.81
 _G_UNITS = (0.5, 2.0)
+_FEWEST = 5
+"""Grid samples of a rest that tell a change of gravity from noise."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -195,8 +197,9 @@ def static_moves(sampled: Sequence[Sampled]) -> StaticMoves:
 
 
 def _mean(s: Sampled, rest: Rest) -> F64:
-    """(U, 3) mean readings over a rest, NaN where an SU has no valid sample."""
+    """(U, 3) mean readings over a rest, NaN where an SU has hardly a valid sample."""
     trim = min(12, (rest.end - rest.begin) // 4)
     part = slice(rest.begin + trim, rest.end - trim)
-    whole = np.asarray(s.valid[part].all(axis=0))
-    return np.where(whole[:, None], s.readings[part].mean(axis=0), np.nan)
+    valid = s.valid[part, :, None]
+    total, number = (s.readings[part] * valid).sum(axis=0), valid.sum(axis=0)
+    return np.where(number >= _FEWEST, total / np.maximum(number, 1), np.nan)

@@ -228,6 +228,44 @@ def test_a_gap_costs_its_samples_and_nothing_else() -> None:
     assert features.valid[:, u].all()
 
 
+def test_an_su_that_hardly_speaks_at_rest_still_tells_what_moves_it() -> None:
+    """Gaps in every rest: what is left of each shows gravity before and after a move."""
+    sim = simulation("panda")
+    odd = sim.recording.sus[2].name
+    rng = np.random.default_rng(0)
+
+    def torn(su: SuStream) -> SuStream:
+        if su.name != odd:
+            return su
+        lost = np.zeros(len(su.time), dtype=bool)
+        for begin in np.arange(su.time[0], su.time[-1], 0.8):
+            lost |= abs(su.time - begin - rng.uniform(0.0, 0.5)) < 0.15
+        return replace(su, time=su.time[~lost], specific_force=su.specific_force[~lost])
+
+    features, plain = features_of(changed_sus(sim.recording, torn)), first_features()
+    u = plain.su_names.index(odd)
+    np.testing.assert_allclose(features.moves.change[:, u], plain.moves.change[:, u], atol=0.02)
+
+
+@pytest.mark.parametrize(("period", "speaks"), [(14.0, 3.9), (6.0, 1.8), (5.2, 1.5), (3.6, 1.05)])
+def test_motion_in_too_few_samples_is_not_taken_for_noise(period: float, speaks: float) -> None:
+    """An SU that speaks for moments of a pattern is not heard there, instead of being misread."""
+    sim = simulation("panda")
+    odd = sim.recording.sus[2].name
+    plain = first_features()
+    u, pose = plain.su_names.index(odd), plain.n_poses - 1
+    begin, end = plain.span[pose]
+
+    def torn(su: SuStream) -> SuStream:
+        if su.name != odd:
+            return su
+        keep = (su.time < begin) | (su.time > end) | ((su.time - begin) % period < speaks)
+        return replace(su, time=su.time[keep], specific_force=su.specific_force[keep])
+
+    noise = features_of(changed_sus(sim.recording, torn)).noise[pose, u]
+    assert np.isinf(noise).all() or (noise < 0.05).all()
+
+
 def test_an_su_that_dies_keeps_what_it_said() -> None:
     sim = simulation("panda")
     odd, half = sim.recording.sus[1].name, 0.6 * sim.recording.duration

@@ -16,7 +16,8 @@ from skin2urdf.estimation.observability import observability
 from skin2urdf.faults import distinct
 from skin2urdf.mending.contact import with_contacts_left_out
 from skin2urdf.mending.encoders import solved_with_encoders_corrected
-from skin2urdf.mending.solution import Solution, first_look
+from skin2urdf.mending.records import Solution
+from skin2urdf.mending.solution import first_look
 from skin2urdf.model.dh import canonical
 from skin2urdf.recording.records import Recording
 from skin2urdf.rounds import Clock, Progress

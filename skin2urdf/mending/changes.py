@@ -17,6 +17,7 @@ from skin2urdf.errors import InsufficientDataError, StructureError
 from skin2urdf.estimation.encoder_signs import TURNED, of_poses, turned_by_pose
 from skin2urdf.estimation.estimate import Estimate
 from skin2urdf.faults import Fault
+from skin2urdf.mending.records import Turn
 from skin2urdf.mending.swaps import names_in
 from skin2urdf.rounds import Rounds, alike
 from skin2urdf.signals.mending import computed
@@ -29,21 +30,6 @@ _ALLOWANCE = 3.0
 """Time of a change into a pose, over what the pose's misfit says: patterns begin gently."""
 _BLUR = 2
 """Grid samples on either side of an exchange that may be of both SUs."""
-
-
-@dataclass(frozen=True)
-class Turn:
-    """An encoder that counts the other way from a moment in a log on.
-
-    Attributes:
-        dof: the joint.
-        log: index of the log.
-        between: times between which it is [s].
-    """
-
-    dof: str
-    log: int
-    between: tuple[float, float]
 
 
 @dataclass(frozen=True, eq=False)

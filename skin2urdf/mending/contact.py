@@ -10,7 +10,7 @@ import numpy as np
 from skin2urdf.arrays import F64
 from skin2urdf.estimation.estimate import Estimate
 from skin2urdf.faults import Fault
-from skin2urdf.mending.solution import Solution
+from skin2urdf.mending.records import Solution
 from skin2urdf.model.prediction import Chains
 from skin2urdf.rounds import predicted_curvature
 from skin2urdf.signals.contact import Disturbance, disturbances, without

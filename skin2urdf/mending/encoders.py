@@ -20,7 +20,8 @@ from skin2urdf.estimation.encoders import gross_scales, suspicions
 from skin2urdf.estimation.estimate import Estimate
 from skin2urdf.faults import Fault
 from skin2urdf.mending.contact import with_contacts_left_out
-from skin2urdf.mending.solution import Solution, solved
+from skin2urdf.mending.records import Solution
+from skin2urdf.mending.solution import solved
 from skin2urdf.recording.records import Recording
 from skin2urdf.rounds import Clock
 from skin2urdf.signals.encoders import corrected, corrected_features, leaps, reversal

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -12,9 +12,10 @@ from skin2urdf.errors import StructureError
 from skin2urdf.estimation.encoders import gross_scales, suspicions
 from skin2urdf.estimation.estimate import Estimate
 from skin2urdf.estimation.health import unlike_the_rest
-from skin2urdf.faults import Fault
-from skin2urdf.mending.changes import Turn, changes_within
+from skin2urdf.mending.changes import changes_within
+from skin2urdf.mending.contact import with_contacts_left_out
 from skin2urdf.mending.mirrored import mirrored_negated
+from skin2urdf.mending.records import Solution
 from skin2urdf.mending.slips import Parting, slips_parted
 from skin2urdf.mending.swaps import names_agreeing
 from skin2urdf.recording.records import Recording
@@ -23,40 +24,6 @@ from skin2urdf.signals.records import Features
 from skin2urdf.signals.sampling import sampled_together
 from skin2urdf.structure.activity import Activity
 from skin2urdf.structure.records import KinematicTree
-
-
-@dataclass(frozen=True, eq=False)
-class Solution:
-    """An estimate with all it came from.
-
-    Attributes:
-        rounds: the logs on their grids, mended.
-        seen: activity in the first features.
-        found: the estimate.
-        features: the features it rests on.
-        faults: what was mended.
-        turns: encoders that change their sense within a log; where there are any, the estimate is
-            of no use before they are mended.
-    """
-
-    rounds: Rounds
-    seen: Activity
-    found: Estimate
-    features: Features
-    faults: tuple[Fault, ...] = ()
-    turns: tuple[Turn, ...] = ()
-
-    def again(self, rounds: Rounds, faults: Sequence[Fault]) -> Solution:
-        """The same structure estimated from mended logs.
-
-        Args:
-            rounds: the mended logs.
-            faults: what was mended in them.
-        """
-        found, features = rounds.relinearised(self.found.tree, rounds.features())
-        return replace(
-            self, rounds=rounds, found=found, features=features, faults=(*self.faults, *faults)
-        )
 
 
 def first_look(
@@ -113,11 +80,12 @@ def solved(
             return first
     first = _with_structure_settled(first)
     # A joint whose encoder is wrong turns the SUs beyond it as if they had slipped.
-    parting = (
-        Parting(first.rounds, first.found, first.features)
-        if _an_encoder_errs(first)
-        else slips_parted(first.rounds, first.found, first.features)
-    )
+    parting = Parting(first.rounds, first.found, first.features)
+    if not _an_encoder_errs(first):
+        parting = slips_parted(first.rounds, first.found, first.features)
+    if parting.parted and (calm := with_contacts_left_out(first)) is not first:
+        # So does something that hits the robot, in that pose.
+        first, parting = calm, slips_parted(calm.rounds, calm.found, calm.features)
     found, features = parting.rounds.settled(parting.found, parting.features)
     return replace(
         first,

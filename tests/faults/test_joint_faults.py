@@ -157,10 +157,19 @@ def faulty(kind: str, seed: int) -> Faulty:
 
 
 @pytest.mark.parametrize(
-    "kind", ["contact", "encoder_sign", "encoder_slip", "encoder_turn", "gear_ratio"]
+    ("kind", "seed"),
+    [
+        *(
+            (k, 1)
+            for k in ("contact", "encoder_sign", "encoder_slip", "encoder_turn", "gear_ratio")
+        ),
+        # Short hits, of which the encoder sees a third.
+        ("contact", 26),
+        ("contact", 41),
+    ],
 )
-def test_a_simulated_fault_is_named(kind: str) -> None:
-    fault = faulty(kind, 1)
+def test_a_simulated_fault_is_named(kind: str, seed: int) -> None:
+    fault = faulty(kind, seed)
     found = calibrate([retimed(r) for r in fault.recordings])
     assert [(f.kind, f.subject) for f in found.faults] == [(fault.kind, fault.subjects[0])]
     assert found.quality == "fair"

@@ -69,12 +69,14 @@ def pushed_joint(touched: Disturbance, found: Estimate, su_names: tuple[str, ...
     # An SU that this log lacks has neither residuals nor noise.
     noise = np.maximum(touched.noise[column], 1e-6)
     residual = touched.residual[:, column]
-    rough = np.where(touched.cut_off[column], 1.0, _ROUGH)
-    doubt = np.hypot(noise, rough * np.linalg.norm(residual, axis=-1))[..., None]
-    left = [
-        _unexplained(residual / doubt, _effects(rows, blocks.chains, j) / doubt[..., None])
-        for j in range(tree.n_joints)
-    ]
+    size = np.linalg.norm(residual, axis=-1)
+    left = []
+    for j in range(tree.n_joints):
+        beyond = ((blocks.chains.joint == j) & blocks.chains.present).any(axis=1)
+        rough = np.where(touched.cut_off[column] & beyond, 1.0, _ROUGH)
+        doubt = np.hypot(noise, rough * size)[..., None]
+        effects = _effects(rows, blocks.chains, j)
+        left.append(_unexplained(residual / doubt, effects / doubt[..., None]))
     return int(np.argmin(left))
 
 

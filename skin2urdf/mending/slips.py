@@ -29,6 +29,8 @@ _STRADDLED = 4.0
 _TURN, _SHIFT, _SHARE = np.deg2rad(0.2), 1e-3, 0.05
 """What an SU may move beside its joint [rad, m, and of the motion with the joint] and still be
 taken for fixed, with the joint's encoder at fault: as much as poor encoders leave uncertain."""
+_LEAST_TURN, _LEAST_SHIFT = np.deg2rad(0.05), 0.3e-3
+"""What a slip exceeds in one or the other [rad, m]."""
 _TICK = 1e-6
 
 
@@ -120,10 +122,27 @@ def _apart(before: Parting, slip: Slip) -> Parting | None:
         if inside is None:
             break
         at = inside
-    if _like_an_encoder(found, name, earlier):
+    if _like_an_encoder(found, name, earlier) or _small(found, name, earlier):
         return None
     part = Parted(name, earlier, at.words(len(rounds.sampled)))
     return Parting(rounds, found, features, (*before.parted, part))
+
+
+def _small(found: Estimate, name: str, earlier: str) -> bool:
+    """Whether an SU moved by less than would matter: something else is wrong."""
+    distance, turn = _moved(found, name, earlier)
+    moving = found.tree.su_joint[found.tree.su_names.index(name)] >= 0
+    return turn < _LEAST_TURN and not (moving and distance > _LEAST_SHIFT)
+
+
+def _moved(found: Estimate, name: str, earlier: str) -> tuple[float, float]:
+    """How far an SU moved [m] and turned [rad] when it slipped."""
+    names = found.tree.su_names
+    before, after = (found.state.T_joint_su[names.index(n)] for n in (earlier, name))
+    return (
+        float(np.linalg.norm(after[:3, 3] - before[:3, 3])),
+        float(np.linalg.norm(rotation_log(before[:3, :3].T @ after[:3, :3]))),
+    )
 
 
 def _like_an_encoder(found: Estimate, name: str, earlier: str) -> bool:
@@ -243,14 +262,11 @@ def _doubled(sampled: Sampled, u: int, log: int, at: _Moment) -> Sampled:
 
 def _fault(found: Estimate, part: Parted) -> Fault:
     """A slip in words, with its size."""
-    names = found.tree.su_names
-    before, after = (found.state.T_joint_su[names.index(n)] for n in (part.earlier, part.name))
-    distance = 1e3 * float(np.linalg.norm(after[:3, 3] - before[:3, 3]))
-    turn = np.rad2deg(np.linalg.norm(rotation_log(before[:3, :3].T @ after[:3, :3])))
-    moving = found.tree.su_joint[names.index(part.name)] >= 0
-    where = f"{distance:.1f} mm and " if moving else ""
+    distance, turn = _moved(found, part.name, part.earlier)
+    moving = found.tree.su_joint[found.tree.su_names.index(part.name)] >= 0
+    where = f"{1e3 * distance:.1f} mm and " if moving else ""
     words = (
-        f"{part.name} is loose: it moved by {where}{turn:.2f} deg {part.when}; its placement "
-        f"is the later one, the earlier one is {part.earlier}"
+        f"{part.name} is loose: it moved by {where}{np.rad2deg(turn):.2f} deg {part.when}; its "
+        f"placement is the later one, the earlier one is {part.earlier}"
     )
     return Fault("loose", part.name, words, "fix it rigidly and record again")

@@ -18,6 +18,8 @@ from skin2urdf.signals.sampling import Sampled
 
 _PASSES = 3
 """How often, at most, disturbances are looked for: a large one hides a small one."""
+_MOST_LEFT = 0.7
+"""Share of the residuals that a joint's motion leaves at most where it is their cause."""
 _ROUGH = 0.1
 """Relative error of what a hit does to a reading at first order."""
 
@@ -42,12 +44,18 @@ def with_contacts_left_out(solution: Solution) -> Solution:
 
 
 def _disturbed(sampled: Sequence[Sampled], solution: Solution) -> tuple[Disturbance, ...]:
-    """Moments in logs that stand out from what a solution explains."""
-    features = solution.features
-    return disturbances(sampled, features, predicted_curvature(solution.found, features))
+    """Moments in logs that stand out from what a solution explains, as a joint's motion would.
+
+    What one SU feels alone, with others on its way from the base, happened to that SU.
+    """
+    found, features = solution.found, solution.features
+    touched = disturbances(sampled, features, predicted_curvature(found, features))
+    return tuple(d for d in touched if pushed_joint(d, found, features.su_names)[1] < _MOST_LEFT)
 
 
-def pushed_joint(touched: Disturbance, found: Estimate, su_names: tuple[str, ...]) -> int:
+def pushed_joint(
+    touched: Disturbance, found: Estimate, su_names: tuple[str, ...]
+) -> tuple[int, float]:
     """The joint whose motion, unseen by its encoder, explains a disturbance best.
 
     A joint d that moves by b(t) changes every reading by ``s_d b(t) + tau_d b''(t)``. At each
@@ -60,7 +68,7 @@ def pushed_joint(touched: Disturbance, found: Estimate, su_names: tuple[str, ...
         su_names: names of the U SUs.
 
     Returns:
-        Its index in the tree.
+        Its index in the tree, and the share of the residuals that its motion leaves.
     """
     tree, blocks = found.tree, found.cost.blocks
     column = np.array([su_names.index(name) for name in tree.su_names], dtype=np.int64)
@@ -70,14 +78,16 @@ def pushed_joint(touched: Disturbance, found: Estimate, su_names: tuple[str, ...
     noise = np.maximum(touched.noise[column], 1e-6)
     residual = touched.residual[:, column]
     size = np.linalg.norm(residual, axis=-1)
-    left = []
+    left: list[float] = []
     for j in range(tree.n_joints):
         beyond = ((blocks.chains.joint == j) & blocks.chains.present).any(axis=1)
         rough = np.where(touched.cut_off[column] & beyond, 1.0, _ROUGH)
         doubt = np.hypot(noise, rough * size)[..., None]
         effects = _effects(rows, blocks.chains, j)
         left.append(_unexplained(residual / doubt, effects / doubt[..., None]))
-    return int(np.argmin(left))
+    best = int(np.argmin(left))
+    whole = ((residual / np.hypot(noise, _ROUGH * size)[..., None]) ** 2).sum()
+    return best, left[best] / max(float(whole), 1e-12)
 
 
 def _effects(rows: F64, chains: Chains, j: int) -> F64:
@@ -100,7 +110,7 @@ def _fault(
     touched: Disturbance, found: Estimate, su_names: tuple[str, ...], several: bool
 ) -> Fault:
     """A disturbance in words."""
-    joint = found.tree.joint_names[pushed_joint(touched, found, su_names)]
+    joint = found.tree.joint_names[pushed_joint(touched, found, su_names)[0]]
     felt = ", ".join(su_names[u] for u in touched.felt[:4])
     more = f" and {len(touched.felt) - 4} others" if len(touched.felt) > 4 else ""
     log = f" of log {touched.log + 1}" if several else ""

@@ -26,9 +26,6 @@ _FALSE_ALARM = 1e-6
 """Probability that noise alone stands out anywhere in the logs, were it steady and normal."""
 _UNSTEADY = 1.5
 """How far noise may stand above its median over seconds: patterns bring the encoders' along."""
-_COHERENT = 1.0
-"""Share of white noise as large as an encoder's step by which its rounding, which follows the
-motion, may stand above the median."""
 _STEADY = 4.0
 """Time over which the noise level is taken [s]."""
 _PARTS = 8
@@ -41,6 +38,8 @@ _WIDE = 0.2
 """Cutoff at which short hits show, over the rate of the samples."""
 _LEAST_RANGE = 1.5 * 9.81
 """Range that every sensor has [m/s^2]."""
+_LATE = 1.6
+"""How much further residuals of that band stand out by chance than normal ones."""
 _MARGIN = 0.04
 """Left out before and after [s]."""
 
@@ -96,7 +95,7 @@ def disturbances(
             acceleration = regressor_noise(s.motion, cutoff)[0][1 + features.n_dofs :]
             taps = low_pass(cutoff, rate)
             for p, begin, residual in _residuals(s, readings, features, curvature, log, taps):
-                rounding = _COHERENT * np.sqrt((features.tau[p] ** 2).sum(axis=-1) @ acceleration)
+                rounding = np.sqrt((features.tau[p] ** 2).sum(axis=-1) @ acceleration)
                 for a, b, at, strength, noise, felt in _peaks(residual, rounding, limit, s, cutoff):
                     out.append(
                         Disturbance(
@@ -180,6 +179,13 @@ def _peaks(
 ) -> Iterator[tuple[int, int, int, float, F64, tuple[int, ...]]]:
     """Intervals of a window's residuals (N, U, 3) that stand out.
 
+    Args:
+        residual: the residuals.
+        rounding: (U,) what the encoders' rounding adds to them.
+        limit: how far residuals stand out by chance, were they normal.
+        s: the log.
+        cutoff: of the low-pass.
+
     Returns:
         Begin, end, peak, its strength, the usual noise, SUs that feel it.
     """
@@ -187,6 +193,8 @@ def _peaks(
     size = np.linalg.norm(residual, axis=-1)
     if len(size) < rate:
         return
+    # Stamps that are late show at the frequencies beyond the patterns', and are not normal.
+    limit *= 1.0 if cutoff == s.cutoff else _LATE
     usual = _level(size, int(rate * _STEADY / _PARTS))
     usual = np.hypot(_UNSTEADY * np.maximum(usual, np.median(size, axis=0)), rounding)
     z = size / np.maximum(usual, 1e-6)

@@ -45,9 +45,9 @@ _MODEL_NOISE = 3e-4
 """Error of interpolating and differentiating sampled signals [m/s^2]; a floor for the noise."""
 _RATE_OVER_CUTOFF = 3.0
 """Samples kept per second over the low-pass' cutoff [Hz]; aliases appear below 2.8."""
-_SAMPLES_PER_COLUMN, _FELT = 2.0, 0.1
-"""Independent samples per regressor, and noise [m/s^2]: with less of the former, or with samples
-that do not tell regressors apart, more of the latter is motion that could not be explained."""
+_GREAT, _FELT = 3.0, 0.1
+"""Noise without the regressors that samples do not tell apart, over that with them and in m/s^2,
+from which there is too much motion for so few samples."""
 _STILL = 20.0
 """Encoder steps per second below which rounding does not average out [1/s]."""
 
@@ -302,16 +302,13 @@ def _regress(
         Xe = excited(X[use], noise[0])
         Ze, felt = _regressed(Xe, X[use], Z[use], y[use][:, members], expected[:, members])
         result = fit(Design(Xe, Ze, *noise), felt, independence)
-        columns = int(Xe.any(axis=0).sum() + Ze.any(axis=0).sum())
         known = informative(Xe, result)
-        useless = bool((known.any(axis=0) != Xe.any(axis=0)).any())
-        few = use.sum() * independence < _SAMPLES_PER_COLUMN * columns
-        if useless:
+        if (known.any(axis=0) != Xe.any(axis=0)).any():
             Xe = known
             Ze, felt = _regressed(Xe, X[use], Z[use], y[use][:, members], expected[:, members])
-            result = fit(Design(Xe, Ze, *noise), felt, independence)
-        if (few or useless) and result.deviation.max() > _FELT:
-            continue
+            whole, result = result, fit(Design(Xe, Ze, *noise), felt, independence)
+            if (result.deviation > np.hypot(_GREAT * whole.deviation, _FELT)).any():
+                continue
         coefficients[members] = result.coefficients
         basis = orthonormal(np.concatenate([Xe, Ze], axis=1))
         colour = Coloured.of(result.residual, basis, rate, cutoff, independence)

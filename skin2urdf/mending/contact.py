@@ -28,7 +28,7 @@ def with_contacts_left_out(solution: Solution) -> Solution:
     """The solution without the moments in which readings do not follow the joints' motion."""
     logs = solution.rounds.sampled
     for _ in range(_PASSES):
-        touched = _disturbed(solution.rounds.sampled, solution)
+        touched = [d for d, _ in _disturbed(solution.rounds.sampled, solution)]
         if not touched:
             break
         rounds = solution.rounds
@@ -36,21 +36,25 @@ def with_contacts_left_out(solution: Solution) -> Solution:
     if solution.rounds.sampled is logs:
         return solution
     # What hit the robot shows undistorted to an estimate that does not know those moments.
+    names, joints = solution.features.su_names, solution.found.tree.joint_names
     faults = [
-        _fault(d, solution.found, solution.features.su_names, len(logs) > 1)
-        for d in _disturbed(logs, solution)
+        _fault(d, joints[pushed], names, len(logs) > 1) for d, pushed in _disturbed(logs, solution)
     ]
     return replace(solution, faults=(*solution.faults, *faults))
 
 
-def _disturbed(sampled: Sequence[Sampled], solution: Solution) -> tuple[Disturbance, ...]:
-    """Moments in logs that stand out from what a solution explains, as a joint's motion would.
+def _disturbed(sampled: Sequence[Sampled], solution: Solution) -> list[tuple[Disturbance, int]]:
+    """Moments in logs that stand out from what a solution explains, and the joint that was pushed.
 
     What one SU feels alone, with others on its way from the base, happened to that SU.
     """
     found, features = solution.found, solution.features
-    touched = disturbances(sampled, features, predicted_curvature(found, features))
-    return tuple(d for d in touched if pushed_joint(d, found, features.su_names)[1] < _MOST_LEFT)
+    out = []
+    for d in disturbances(sampled, features, predicted_curvature(found, features)):
+        joint, left = pushed_joint(d, found, features.su_names)
+        if left < _MOST_LEFT:
+            out.append((d, joint))
+    return out
 
 
 def pushed_joint(
@@ -106,11 +110,8 @@ def _unexplained(y: F64, effects: F64) -> float:
     return float(((flat - basis @ (np.swapaxes(basis, -1, -2) @ flat)) ** 2).sum())
 
 
-def _fault(
-    touched: Disturbance, found: Estimate, su_names: tuple[str, ...], several: bool
-) -> Fault:
+def _fault(touched: Disturbance, joint: str, su_names: tuple[str, ...], several: bool) -> Fault:
     """A disturbance in words."""
-    joint = found.tree.joint_names[pushed_joint(touched, found, su_names)[0]]
     felt = ", ".join(su_names[u] for u in touched.felt[:4])
     more = f" and {len(touched.felt) - 4} others" if len(touched.felt) > 4 else ""
     log = f" of log {touched.log + 1}" if several else ""

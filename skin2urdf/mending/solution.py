@@ -78,7 +78,11 @@ def solved(
         first = _with_names_kept(first.rounds if first else rounds, first)
         if first.turns:
             return first
-    first = _with_structure_settled(first)
+    # An SU on a wrong joint looks as if it had slipped whenever that joint moved on.
+    looked = first.rounds.settled(first.found, first.features)
+    if _explains(looked[0]):
+        first = replace(first, found=looked[0], features=looked[1])
+    seen = first.found
     # A joint whose encoder is wrong turns the SUs beyond it as if they had slipped.
     parting = Parting(first.rounds, first.found, first.features)
     if not _an_encoder_errs(first):
@@ -86,12 +90,13 @@ def solved(
     if parting.parted and (calm := with_contacts_left_out(first)) is not first:
         # So does something that hits the robot, in that pose.
         first, parting = calm, slips_parted(calm.rounds, calm.found, calm.features)
-    found, features = parting.rounds.settled(parting.found, parting.features)
+    if parting.found is not seen:
+        looked = parting.rounds.settled(parting.found, parting.features)
     return replace(
         first,
         rounds=parting.rounds,
-        found=found,
-        features=features,
+        found=looked[0],
+        features=looked[1],
         faults=(*first.faults, *parting.faults),
     )
 
@@ -132,17 +137,6 @@ def _with_names_kept(rounds: Rounds, first: Solution | None) -> Solution:
         faults = (*earlier, *second.faults, *changes.faults)
         first = _better(first, replace(second, faults=faults))
     return replace(first, turns=changes.turns)
-
-
-def _with_structure_settled(first: Solution) -> Solution:
-    """The solution with another structure, where that is all it takes to explain the readings.
-
-    An SU that is put on a wrong joint looks as if it had slipped whenever that joint moved on.
-    """
-    if _explains(first.found):
-        return first
-    found, features = first.rounds.settled(first.found, first.features)
-    return replace(first, found=found, features=features) if _explains(found) else first
 
 
 def _better(first: Solution | None, second: Solution) -> Solution:

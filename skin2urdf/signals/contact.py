@@ -39,7 +39,7 @@ _WIDE = 0.2
 _LEAST_RANGE = 1.5 * 9.81
 """Range that every sensor has [m/s^2]."""
 _LATE = 1.6
-"""How much further residuals of that band stand out by chance than normal ones."""
+"""How much further residuals of that band stand out by chance than normal noise does."""
 _MARGIN = 0.04
 """Left out before and after [s]."""
 
@@ -91,12 +91,14 @@ def disturbances(
         readings = np.stack(
             [shifted(s.readings[:, u], rate, lag) for u, lag in enumerate(features.latency)], axis=1
         )
-        for cutoff in _bands(s):
+        for cutoff, allowance in _bands(s):
             acceleration = regressor_noise(s.motion, cutoff)[0][1 + features.n_dofs :]
             taps = low_pass(cutoff, rate)
             for p, begin, residual in _residuals(s, readings, features, curvature, log, taps):
                 rounding = np.sqrt((features.tau[p] ** 2).sum(axis=-1) @ acceleration)
-                for a, b, at, strength, noise, felt in _peaks(residual, rounding, limit, s, cutoff):
+                for a, b, at, strength, noise, felt in _peaks(
+                    residual, rounding, allowance * limit, s, cutoff
+                ):
                     out.append(
                         Disturbance(
                             log, p, begin + a, begin + b, float(s.motion.grid.time[begin + at]),
@@ -114,9 +116,14 @@ def _cut_off(readings: F64, begin: int, end: int) -> Bool:
     return np.asarray((largest >= size.max(axis=0)) & (largest > _LEAST_RANGE))
 
 
-def _bands(s: Sampled) -> tuple[float, ...]:
-    """Cutoffs [Hz]: a push shows in the band of the patterns, a short hit far beyond it."""
-    return s.cutoff, max(s.cutoff, _WIDE * s.motion.grid.rate)
+def _bands(s: Sampled) -> list[tuple[float, float]]:
+    """Cutoffs [Hz], and how much further than normal noise residuals stand out by chance.
+
+    A push shows in the band of the patterns, a short hit far beyond it. There late stamps show as
+    well, which are not normal.
+    """
+    wide = _WIDE * s.motion.grid.rate
+    return [(s.cutoff, 1.0), *([(wide, _LATE)] if wide > s.cutoff else [])]
 
 
 def _merged(found: Sequence[Disturbance]) -> Iterator[Disturbance]:
@@ -139,7 +146,7 @@ def _limit(sampled: Sequence[Sampled], U: int) -> float:
         rate = s.motion.grid.rate
         samples = sum(b - a for pose in s.neighbourhoods for a, b in pose.windows)
         independent += samples * sum(
-            2 * noise_bandwidth(low_pass(cutoff, rate), rate) / rate for cutoff in _bands(s)
+            2 * noise_bandwidth(low_pass(cutoff, rate), rate) / rate for cutoff, _ in _bands(s)
         )
     chance = _FALSE_ALARM / max(1.0, independent * U)
     return float(np.sqrt(chi_squared.isf(chance, 3) / chi_squared.median(3)))
@@ -182,7 +189,7 @@ def _peaks(
     Args:
         residual: the residuals.
         rounding: (U,) what the encoders' rounding adds to them.
-        limit: how far residuals stand out by chance, were they normal.
+        limit: how far residuals stand out by chance.
         s: the log.
         cutoff: of the low-pass.
 
@@ -193,8 +200,6 @@ def _peaks(
     size = np.linalg.norm(residual, axis=-1)
     if len(size) < rate:
         return
-    # Stamps that are late show at the frequencies beyond the patterns', and are not normal.
-    limit *= 1.0 if cutoff == s.cutoff else _LATE
     usual = _level(size, int(rate * _STEADY / _PARTS))
     usual = np.hypot(_UNSTEADY * np.maximum(usual, np.median(size, axis=0)), rounding)
     z = size / np.maximum(usual, 1e-6)

@@ -264,9 +264,9 @@ def _piled(at: Bool, values: F64, counts: Int, noise: float) -> bool:
 
     Args:
         at: (M,) True for samples at the extreme.
-        values: (K,) all values that occur, from the extreme on.
+        values: (K,) all values that occur, from the extreme on [m/s^2].
         counts: (K,) how many samples each holds.
-        noise: standard deviation of the sensor's noise.
+        noise: standard deviation of the sensor's noise [m/s^2].
     """
     if len(values) < 2 or (at[1:] > at[:-1]).sum() < _AGAIN:
         return False

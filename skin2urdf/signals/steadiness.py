@@ -28,7 +28,7 @@ def moderated(variance: F64, freedom: F64, alike: Bool) -> tuple[F64, F64]:
     they become one; where rests differ, as when a robot is still settling, each keeps its own.
 
     Args:
-        variance: (P, U, 3) estimates.
+        variance: (P, U, 3) estimates [m^2/s^4].
         freedom: (P, U) their degrees of freedom.
         alike: (P, U) True for stretches that may be of one variance.
 

@@ -159,10 +159,11 @@ def faulty(kind: str, seed: int) -> Faulty:
 @pytest.mark.parametrize(
     ("kind", "seed"),
     [
-        *(
-            (k, 1)
-            for k in ("contact", "encoder_sign", "encoder_slip", "encoder_turn", "gear_ratio")
-        ),
+        ("contact", 1),
+        ("encoder_sign", 1),
+        ("encoder_slip", 1),
+        ("encoder_turn", 1),
+        ("gear_ratio", 1),
         # Short hits, of which the encoder sees a third.
         ("contact", 26),
         ("contact", 41),

@@ -43,12 +43,14 @@ class Fault:
         subject: the SU or joint that has it.
         words: a sentence: what, where, and what was done about it.
         remedy: what to check or to record.
+        sus: of a contact the SUs that felt it, of a loose SU its names before and after.
     """
 
     kind: FaultKind
     subject: str
     words: str
     remedy: str = ""
+    sus: tuple[str, ...] = ()
 
     @property
     def to_repair(self) -> bool:
@@ -66,3 +68,10 @@ def distinct(faults: Iterable[Fault]) -> tuple[Fault, ...]:
     for fault in faults:
         seen.setdefault((fault.kind, fault.subject), fault)
     return tuple(seen.values())
+
+
+def without_slips(faults: Iterable[Fault]) -> tuple[Fault, ...]:
+    """Faults without contacts that only SUs which slipped have felt: those were the slips."""
+    faults = tuple(faults)
+    slipped = {su for fault in faults if fault.kind == "loose" for su in fault.sus}
+    return tuple(f for f in faults if f.kind != "contact" or not slipped.issuperset(f.sus))

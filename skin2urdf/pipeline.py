@@ -13,7 +13,7 @@ from skin2urdf.errors import BadFitError, InsufficientDataError
 from skin2urdf.estimation.goodness import goodness
 from skin2urdf.estimation.health import health_notes, why_bad
 from skin2urdf.estimation.observability import observability
-from skin2urdf.faults import distinct
+from skin2urdf.faults import distinct, without_slips
 from skin2urdf.mending.contact import with_contacts_left_out
 from skin2urdf.mending.encoders import solved_with_encoders_corrected
 from skin2urdf.mending.records import Solution
@@ -76,7 +76,7 @@ def calibrate(
         continuous=_endless(sampled, tree, span[:, 1] - span[:, 0]),
         sources=tuple(Source(r.source, r.digest, r.duration) for r in recordings),
         settings=settings,
-        faults=distinct((*features.faults, *solution.faults)),
+        faults=distinct(without_slips((*features.faults, *solution.faults))),
         notes=tuple(
             dict.fromkeys(
                 (

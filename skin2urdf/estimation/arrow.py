@@ -47,6 +47,12 @@ class ArrowFactor:
         xs = xs - (self.coupling @ xj[self.columns][..., None])[..., 0]
         return z.like(np.concatenate([xj, np.where(self.free_su, xs, 0.0).ravel()]))
 
+    def su_variance(self) -> F64:
+        """(U, 15) variances of the SUs' coordinates, those of the joints included."""
+        alone, joint = np.linalg.inv(self.su_root), np.linalg.inv(self.joint_root)
+        follow = np.swapaxes(joint[:, self.columns], 0, 1) @ np.swapaxes(self.coupling, 1, 2)
+        return np.asarray((alone**2).sum(axis=1) + (follow**2).sum(axis=1))
+
     def whiten_gradient(self, g: Step) -> Step:
         """Gradient in z of a function with gradient g in x: T^T g."""
         gs = np.where(self.free_su, g.sus, 0.0)

@@ -182,20 +182,30 @@ def _check_amount(cost: Cost, free: Free) -> None:
 def robust_weights(chi2: F64, count: Int, tuning: float = 3.0) -> F64:
     """(P, U) Cauchy-like weights of blocks from their chi-squared per measurement.
 
-    A block is judged against the median block of its SU, so that a noise level that is misjudged
-    as a whole costs no weight; blocks within ``tuning`` times the median keep weight 1. An SU that
-    is as a whole far worse than the others loses weight all the same.
+    A block is judged against the median of its SU's measurements, so that a noise level that is
+    misjudged as a whole costs no weight, and rests, of many blocks with few measurements, do not
+    outvote patterns; blocks within ``tuning`` times the median keep weight 1. An SU that is as a
+    whole far worse than the others loses weight all the same.
     """
     per = np.divide(chi2, count, out=np.full(chi2.shape, np.nan), where=count > 0)
     if not np.isfinite(per).any():
         return np.ones(chi2.shape)
     heard = np.isfinite(per).any(axis=0)
     typical = np.full(per.shape[1], np.nan)
-    typical[heard] = np.nanmedian(per[:, heard], axis=0)
+    typical[heard] = _weighted_median(per[:, heard], count[:, heard])
     middle = np.nanmedian(typical)
     reference = np.clip(np.where(heard, typical, middle), middle, _WORST_SU * middle) * tuning
     ratio = per / np.maximum(reference, 1e-12)
     return np.where(ratio > 1, 1 / np.maximum(ratio, 1.0), 1.0)
+
+
+def _weighted_median(x: F64, weight: Int) -> F64:
+    """(n,) median of each column of x (P, n), in which a value counts as often as weight says."""
+    order = np.argsort(x, axis=0)
+    x, below = np.take_along_axis(x, order, 0), np.take_along_axis(weight, order, 0).cumsum(axis=0)
+    # An even number has two middle ones.
+    ends = ((2 * below >= below[-1]).argmax(axis=0), (2 * below > below[-1]).argmax(axis=0))
+    return np.asarray(np.mean([np.take_along_axis(x, at[None], 0)[0] for at in ends], axis=0))
 
 
 def _free(cost: Cost, settings: EstimationSettings) -> Free:

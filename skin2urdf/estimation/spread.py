@@ -21,6 +21,9 @@ _ENOUGH = 6
 """Determined coordinates of a kind, two sensors' worth, from which their spread is learnt."""
 DETERMINED = 0.1
 """Variance over the prior's up to which the data determine a coordinate."""
+_GAIN = 2.0
+"""Logarithm of the likelihood that a spread has to gain; chance exceeds it once in forty times
+(Chernoff 1954: half of a chi-squared variable beyond 4)."""
 _BEYOND_NOISE = 10.0
 """A learnt prior over the sample's noise, at least: it is not to decide what the data determine."""
 
@@ -37,9 +40,8 @@ def learnt_priors(cost: Cost, state: State, free: Free) -> Priors:
         free: which coordinates were estimated.
     """
     priors = cost.priors
-    root = factor(cost.at(state).normal_equations(), free).su_root
-    inverse = np.linalg.inv(root)
-    variance = np.einsum("uki,uki->ui", inverse, inverse)[:, N_PLACEMENT:]
+    equations = cost.at(state).normal_equations()
+    variance = factor(equations, free).su_variance()[:, N_PLACEMENT:]
     error = np.concatenate([state.bias, state.shape], axis=1)
     estimated = free.sus[:, N_PLACEMENT:]
     found = {}
@@ -74,8 +76,7 @@ def spread(x: F64, variance: F64) -> float:
 
     Returns:
         That of the next member; the likeliest one where the sample hardly stands out from its
-        noise; and 0 where a spread explains no more than one more parameter would by chance
-        (Akaike 1974).
+        noise; and 0 where sensors without any spread would show as much once in forty robots.
     """
     s2 = 0.0
     for _ in range(50):
@@ -83,7 +84,7 @@ def spread(x: F64, variance: F64) -> float:
         s2 = max(0.0, float(weight @ (x**2 - variance) / weight.sum()))
     wider = s2 + variance
     gain = 0.5 * float((x**2 * (1 / variance - 1 / wider) - np.log(wider / variance)).sum())
-    if gain < 1:
+    if gain < _GAIN:
         return 0.0
     n = s2**2 * float((1 / wider**2).sum())
     return float(np.sqrt(s2 * n / (n - 2) if n > 4 else s2))

@@ -121,4 +121,5 @@ def _fault(touched: Disturbance, joint: str, su_names: tuple[str, ...], several:
         f"something hit or pushed the robot at {touched.time:.1f} s{log}: {joint} moved without "
         f"its encoder seeing all of it, felt by {felt}{more}; those readings are left out",
         "keep people and things away from the robot while it moves",
+        tuple(su_names[u] for u in touched.felt),
     )

@@ -269,4 +269,5 @@ def _fault(found: Estimate, part: Parted) -> Fault:
         f"{part.name} is loose: it moved by {where}{np.rad2deg(turn):.2f} deg {part.when}; its "
         f"placement is the later one, the earlier one is {part.earlier}"
     )
-    return Fault("loose", part.name, words, "fix it rigidly and record again")
+    remedy = "fix it rigidly and record again"
+    return Fault("loose", part.name, words, remedy, (part.name, part.earlier))

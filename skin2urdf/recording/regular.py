@@ -9,14 +9,17 @@ from __future__ import annotations
 from itertools import pairwise
 
 import numpy as np
+from scipy.linalg import solveh_banded
 
 from skin2urdf.arrays import F64
 from skin2urdf.recording.numbering import Numbering, median_of, number_messages
 
-# A line is fitted to every stretch of this many samples and seconds, whichever is longer: long
+# The line may bend after every stretch of this many samples and seconds, whichever is longer: long
 # enough to average the noise of stamps, short enough to follow the drift of a clock.
 STRETCH_SAMPLES = 512
 STRETCH_SECONDS = 2.0
+# By how many squares of the stamps' noise a bend has to improve the fit (one, by chance alone).
+BEND_PRICE = 6.0
 MIN_SAMPLES = 16
 REWEIGHTINGS = 4
 # A fit that stays this far [periods] from the stamps for so many samples has miscounted.
@@ -89,7 +92,11 @@ def _fit(stamp: F64, numbering: Numbering, period: float) -> F64 | None:
 
 
 def _bent_line(number: F64, stamp: F64, period: float) -> F64 | None:
-    """Fit one line per stretch by robust least squares and join the lines into one bent line.
+    """Fit a line with a bend every so often by robust least squares, and no more bends than needed.
+
+    A bend that the clock did not make follows the noise of the stamps, by the same time for all
+    channels of a stream. So bends are taken out, every other one at a time, while the fit gets no
+    worse than by chance.
 
     Args:
         number: (N,) message numbers.
@@ -100,33 +107,67 @@ def _bent_line(number: F64, stamp: F64, period: float) -> F64 | None:
         (N,) fitted times [s], or None where the bent line does not rise throughout.
     """
     stretch = max(STRETCH_SAMPLES, int(STRETCH_SECONDS / period))
-    n_lines = max(1, number.size // stretch)
-    edges = np.linspace(0, number.size, n_lines + 1).astype(np.int64)
-    starts, sizes = edges[:-1], np.diff(edges)
-    middle = 0.5 * (number[starts] + number[edges[1:] - 1])
-    # Numbers and stamps relative to the stretch's own middle and nominal line: well conditioned.
-    u = number - np.repeat(middle, sizes)
+    edges = np.linspace(0, number.size, max(1, number.size // stretch) + 1).astype(np.int64)
+    starts = edges[:-1]
+    knots = np.concatenate([number[starts], number[-1:]])
+    # Numbers relative to the stretch's first and stamps to the nominal line: well conditioned.
+    u = number - np.repeat(number[starts], np.diff(edges))
     deviation = stamp - period * number
     weight = np.ones(number.size)
     for _ in range(REWEIGHTINGS):
-        wu = weight * u
-        s0, su, suu, sr, sur = (
-            np.add.reduceat(term, starts)
-            for term in (weight, wu, wu * u, weight * deviation, wu * deviation)
-        )
-        slope = (s0 * sur - su * sr) / (s0 * suu - su * su)
-        offset = (sr - slope * su) / s0
-        residual = deviation - np.repeat(offset, sizes) - np.repeat(slope, sizes) * u
+        wu, wd = weight * u, weight * deviation
+        products = (weight, wu, wu * u, wd, wd * u, wd * deviation)
+        moments = np.stack([np.add.reduceat(each, starts) for each in products])
+        height, misfit = _joined(knots, moments)
+        residual = deviation - np.interp(number, knots, height)
         scale = 1.4826 * median_of(np.abs(residual))
         weight = 1.0 / (1.0 + np.square(residual / max(2.0 * scale, 1e-9)))
-    knots = np.concatenate([[number[0]], number[edges[1:-1]], [number[-1]]])
-    left = offset + slope * (knots[:-1] - middle)
-    right = offset + slope * (knots[1:] - middle)
-    height = np.concatenate([left[:1], 0.5 * (left[1:] + right[:-1]), right[-1:]])
-    height += period * knots
+    noise = misfit / max(float(moments[0].sum()) - len(knots), 1.0)
+    best, kept = misfit + BEND_PRICE * noise * len(knots), knots
+    while len(knots) > 2:
+        knots, moments = _with_half_the_bends(knots, moments)
+        fewer, misfit = _joined(knots, moments)
+        price = misfit + BEND_PRICE * noise * len(knots)
+        if price > best:
+            break
+        best, height, kept = price, fewer, knots
+    height += period * kept
     if not (np.diff(height) > 0.0).all():
         return None
-    return np.asarray(np.interp(number, knots, height), dtype=np.float64)
+    return np.asarray(np.interp(number, kept, height), dtype=np.float64)
+
+
+def _joined(knots: F64, moments: F64) -> tuple[F64, float]:
+    """Weighted least-squares line with bends.
+
+    Args:
+        knots: (K,) numbers at which it may bend, both ends included.
+        moments: (6, K - 1) sums over each stretch of ``w, w u, w u^2, w d, w d u, w d^2``, where
+            u counts from the knot before, and d is what to fit with weight w.
+
+    Returns:
+        (K,) heights at the knots and the weighted sum of squares that is left.
+    """
+    length = np.diff(knots)
+    w, wu, wuu, d, du, dd = moments
+    wt, wtt, dt = wu / length, wuu / length**2, du / length
+    diagonal, right = np.zeros(len(knots)), np.zeros(len(knots))
+    diagonal[:-1] += w - 2 * wt + wtt
+    diagonal[1:] += wtt
+    right[:-1] += d - dt
+    right[1:] += dt
+    bands = np.stack([np.concatenate([[0.0], wt - wtt]), diagonal])
+    height = np.asarray(solveh_banded(bands, right))
+    return height, float(dd.sum() - height @ right)
+
+
+def _with_half_the_bends(knots: F64, moments: F64) -> tuple[F64, F64]:
+    """Knots and moments (see :func:`_joined`) with pairs of stretches made one."""
+    first = np.arange(0, len(knots) - 1, 2)
+    ahead = knots[:-1] - np.repeat(knots[first], 2)[: len(knots) - 1]
+    w, wu, wuu, d, du, dd = moments
+    moved = np.stack([w, wu + ahead * w, wuu + ahead * (2 * wu + ahead * w), d, du + ahead * d, dd])
+    return np.append(knots[first], knots[-1]), np.add.reduceat(moved, first, axis=1)
 
 
 def _misfit(stamp: F64, fitted: F64) -> float:

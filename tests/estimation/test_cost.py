@@ -161,6 +161,9 @@ def test_the_step_solves_the_system_over_the_free_coordinates() -> None:
     H = H + np.diag((damping + 1e-9) * diagonal)
     expected = -np.linalg.solve(H, gradient.flat()[mask])
     np.testing.assert_allclose(step.flat()[mask], expected, rtol=1e-5, atol=1e-8)
+    stated = factor(equations, free, damping).su_variance()[free.sus]
+    dense = np.linalg.inv(H).diagonal()[-free.sus.sum() :]
+    np.testing.assert_allclose(stated, dense, rtol=1e-5)
 
 
 def polar(equations: NormalEquations, a: Step, b: Step) -> float:

@@ -220,6 +220,15 @@ def test_blocks_without_data_keep_their_weight() -> None:
     np.testing.assert_allclose(weight, [[1, 1], [1, 1], [1, 0.03]])
 
 
+def test_rests_that_fit_do_not_outvote_patterns() -> None:
+    """Patterns hold second-order effects at first; rests of a good sensor hold hardly any noise."""
+    count = np.array([[3]] * 20 + [[45]] * 4)
+    chi2 = count * np.array([[0.01]] * 20 + [[50.0], [60.0], [40.0], [6000.0]])
+    weight = robust_weights(chi2, count)[:, 0]
+    np.testing.assert_array_equal(weight[:23], 1.0)
+    assert weight[23] < 0.1
+
+
 def link_one_yaw_is_open(ups: F64) -> bool:
     """Whether the yaw of the first segment's SU about a vertical axis 1 stays open."""
     rng = np.random.default_rng(2)

@@ -26,6 +26,7 @@ def test_noise_alone_has_hardly_any_spread() -> None:
     found = [spread(rng.normal(0.0, 0.5, 18), np.full(18, 0.25)) for _ in range(100)]
     assert np.median(found) < 0.25
     assert np.mean(np.square(found)) < 0.25**2
+    assert np.count_nonzero(found) < 8
 
 
 def test_priors_are_narrowed_to_the_sensors_and_never_widened() -> None:

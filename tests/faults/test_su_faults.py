@@ -14,7 +14,7 @@ from simulated import held_against
 
 from skin2urdf.calibration import Calibration
 from skin2urdf.estimation.loose import slips
-from skin2urdf.faults import Fault, distinct
+from skin2urdf.faults import Fault, distinct, without_slips
 from skin2urdf.pipeline import calibrate
 from skin2urdf.recording.records import JointStream, Recording, SuStream
 from skin2urdf.recording.retiming import retimed
@@ -252,6 +252,14 @@ def test_each_fault_is_told_once() -> None:
     a, b = Fault("dead", "su_1", "first log"), Fault("dead", "su_2", "first log")
     assert distinct([a, b, replace(a, words="second log")]) == (a, b)
     assert str(replace(a, remedy="mend it")) == "first log: mend it"
+
+
+def test_what_only_a_slipping_su_felt_is_no_contact() -> None:
+    slip = Fault("loose", "su_1", "it slipped", sus=("su_1", "su_1_before"))
+    same = Fault("contact", "joint_7", "a hit", sus=("su_1",))
+    hit = Fault("contact", "joint_2", "a hit", sus=("su_1", "su_2"))
+    assert without_slips([same, slip, hit]) == (slip, hit)
+    assert without_slips([same, hit]) == (same, hit)
 
 
 def test_the_slip_of_a_recording_is_drawn_anew_by_its_generator() -> None:

@@ -16,10 +16,12 @@ from threadpoolctl import threadpool_limits
 
 from skin2urdf.arrays import F64
 from skin2urdf.calibration import BAD_FIT, GOOD_FIT, CalibrationSettings
-from skin2urdf.errors import StructureError
+from skin2urdf.errors import InsufficientDataError, StructureError
+from skin2urdf.estimation.encoder_signs import of_poses
 from skin2urdf.estimation.estimate import Estimate, estimate
 from skin2urdf.estimation.health import unlike_the_rest
 from skin2urdf.estimation.order import ordered
+from skin2urdf.estimation.starts import ups
 from skin2urdf.estimation.state import State
 from skin2urdf.model.specific_force import beyond_first_order, first_order
 from skin2urdf.signals.features import Curvature, extract_features
@@ -119,6 +121,8 @@ class Rounds:
     def relinearised(self, tree: KinematicTree, features: Features) -> tuple[Estimate, Features]:
         """Estimate, take the features again with what the estimate predicts, until it settles."""
         found = self.estimated(tree, features, None)
+        if len(self.sampled) > 1 and found.misfit > BAD_FIT:
+            found = self._led_by_the_first_log(found, features)
         for again in range(self.settings.relinearisations):
             previous = found
             features = self.features(predicted_curvature(found, features), features.latency)
@@ -130,6 +134,20 @@ class Rounds:
             if _moved(previous, found) < 1e-4 or settled or hopeless:
                 break
         return found, features
+
+    def _led_by_the_first_log(self, found: Estimate, features: Features) -> Estimate:
+        """The estimate that starts from what the first log says alone, where that explains more.
+
+        Starts that have to find the other logs' gravity as well may all lead astray.
+        """
+        first = of_poses(features, np.flatnonzero(features.log == 0))
+        try:
+            alone = self.estimated(found.tree, first, None)
+        except InsufficientDataError:
+            return found
+        start = replace(alone.state, up=ups(alone.state, found.cost, features))
+        again = self.estimated(found.tree, features, start, search=False)
+        return again if again.misfit < found.misfit else found
 
     def estimated(
         self, tree: KinematicTree, features: Features, start: State | None, *, search: bool = True

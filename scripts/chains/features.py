@@ -86,10 +86,8 @@ def measured(chain: Chain) -> Features:
         q=chain.q[:, dof],
         log=np.zeros(P, dtype=np.int64),
         coefficients=(exact + noise * error)[:, su][:, :, rows],
-        information=Information(
-            information[:, rows][..., rows],
-            np.tile(np.arange(P)[:, None], U),
-            np.ones((P, U, len(rows))),
+        information=Information.of_products(
+            information[:, rows][..., rows], np.tile(np.arange(P)[:, None], U)
         ),
         noise=np.full((P, U, 3), noise),
         latency=np.zeros(U),

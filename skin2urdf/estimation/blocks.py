@@ -32,6 +32,8 @@ class FeatureBlocks:
         coefficients: (P, U, m, 3) measured coefficients given that only the chain moves the SU.
         variance: (P, U, m) their variances, per unit ``noise**2``; infinite where unexcited.
         position_sd: (P, D) standard deviation of the joints' positions at rest [rad or m].
+        pull: (P, D, 1 + 2 D) what an error of the readings during the rests of a joint does to all
+            coefficients, per its mean; part of ``W``, like the above and the next.
         hidden: (P, D, D) mean square motion of joint e that its encoder rounds away, per
             acceleration of joint d, at [d, e]; part of ``W``, like the above.
         omega2: (P, D) squared angular frequency of each joint's pattern [rad^2/s^2].
@@ -52,6 +54,7 @@ class FeatureBlocks:
     coefficients: F64
     variance: F64
     position_sd: F64
+    pull: F64
     hidden: F64
     omega2: F64
     tones: F64
@@ -60,7 +63,16 @@ class FeatureBlocks:
 
     def __post_init__(self) -> None:
         floats = ("q", "W", "target", "noise", "coefficients", "variance")
-        for name in (*floats, "position_sd", "hidden", "omega2", "tones", "energy", "white"):
+        for name in (
+            *floats,
+            "position_sd",
+            "pull",
+            "hidden",
+            "omega2",
+            "tones",
+            "energy",
+            "white",
+        ):
             object.__setattr__(self, name, frozen(getattr(self, name)))
         for name in ("su_joint", "log", "count"):
             object.__setattr__(self, name, frozen(getattr(self, name), np.int64))
@@ -71,11 +83,36 @@ class FeatureBlocks:
         return replace(self, W=self.W * root, target=self.target * root)
 
 
-def _blurred(info: F64, eta: F64, measured: F64, noise: F64, position_sd: F64) -> tuple[F64, F64]:
-    """Information with f0 blurred by what is not known of the joints' positions at rest.
+def rows_of(dof: Int, n_dofs: int) -> Int:
+    """(..., 1 + 2 L) rows of f0, s and tau of some DoFs (..., L)."""
+    first = np.zeros((*dof.shape[:-1], 1), np.int64)
+    return np.concatenate([first, 1 + dof, 1 + n_dofs + dof], axis=-1)
 
-    A position that is off by a constant shifts f0 by ``s_d`` times that. Slopes that were not
-    measured are taken as gravity's (Sherman-Morrison update, the same for all axes).
+
+def _doubted(info: F64, eta: F64, along: F64, variance: F64) -> tuple[F64, F64]:
+    """Information when the coefficients may be off along a vector (Sherman-Morrison update).
+
+    Args:
+        info: (P, U, m, m) information, and
+        eta: (P, U, m, 3) its product with the coefficients.
+        along: (P, U, m) the vector.
+        variance: (P, U) of how far they are off along it.
+    """
+    seen = np.einsum("puij,puj->pui", info, along)
+    share = (variance / (1 + variance * np.einsum("pui,pui->pu", along, seen)))[..., None, None]
+    return (
+        info - share * seen[..., :, None] * seen[..., None, :],
+        eta - share * seen[..., :, None] * np.einsum("pui,puia->pua", along, eta)[..., None, :],
+    )
+
+
+def _blurred(
+    info: F64, eta: F64, measured: F64, noise: F64, position_sd: F64, pull: F64
+) -> tuple[F64, F64]:
+    """Information with the coefficients blurred by what is not known of the positions at rest.
+
+    A joint d whose encoder is off by a constant while it rests changes the readings by ``s_d``
+    times that. Slopes that were not measured are taken as gravity's.
 
     Args:
         info: (P, U, m, m) information, and
@@ -83,19 +120,17 @@ def _blurred(info: F64, eta: F64, measured: F64, noise: F64, position_sd: F64) -
         measured: (P, U, m, 3) coefficients of f0, s_d, tau_d of the chain.
         noise: (P, U, 3) standard deviation of one sample.
         position_sd: (P, U, n) standard deviation of the chain's positions.
+        pull: (P, U, n, m) what such a change does to the coefficients.
     """
     n = position_sd.shape[-1]
     seen = np.einsum("puii->pui", info)[..., 1 : 1 + n] > 0
     largest = (measured[:, :, :1] ** 2).sum(axis=-1)
     slope2 = np.where(seen, (measured[:, :, 1 : 1 + n] ** 2).sum(axis=-1), largest * 2 / 3) / 3
     variance = np.where(np.isfinite(noise), noise, 1.0) ** 2
-    ratio = (slope2 * position_sd**2).sum(axis=-1) / np.maximum(variance.mean(axis=-1), 1e-300)
-    first = info[..., 0]
-    share = (ratio / (1 + ratio * first[..., 0]))[..., None, None]
-    return (
-        info - share * first[..., :, None] * first[..., None, :],
-        eta - share * first[..., :, None] * eta[..., :1, :],
-    )
+    ratio = slope2 * position_sd**2 / np.maximum(variance.mean(axis=-1), 1e-300)[..., None]
+    for d in range(n):
+        info, eta = _doubted(info, eta, pull[:, :, d], ratio[..., d])
+    return info, eta
 
 
 def _leaked(
@@ -120,11 +155,10 @@ def _leaked(
     variance = np.where(np.isfinite(noise), noise, 1.0) ** 2
     added = (hidden * (effect**2).sum(axis=-1)).sum(axis=-1) / 3
     added /= np.maximum(variance.mean(axis=-1), 1e-300)[..., None]
+    tau_d = np.eye(1 + 2 * n)[1 + n :]
     for d in range(n):
-        column = info[..., 1 + n + d]
-        share = (added[..., d] / (1 + added[..., d] * column[..., 1 + n + d]))[..., None, None]
-        eta = eta - share * column[..., :, None] * eta[..., 1 + n + d, None, :]
-        info = info - share * column[..., :, None] * column[..., None, :]
+        along = np.broadcast_to(tau_d[d], (*added.shape[:2], 1 + 2 * n))
+        info, eta = _doubted(info, eta, along, added[..., d])
     return info, eta
 
 
@@ -152,12 +186,13 @@ def feature_blocks(features: Features, tree: KinematicTree) -> FeatureBlocks:
     for length in np.unique(chains.length):
         us = np.flatnonzero(chains.length == length)
         own = dof[chains.joint[us, :length]]
-        rows = np.concatenate([np.zeros((len(us), 1), np.int64), 1 + own, 1 + D + own], axis=1)
+        rows = rows_of(own, D)
         to = np.r_[0, 1 : 1 + length, 1 + L : 1 + L + length]
         eta = products[:, su[us, None], rows] * valid[:, us, None, None]
         info = features.information.block(su[us], rows) * valid[:, us, None, None]
         measured = features.coefficients[:, su[us, None], rows]
-        info, eta = _blurred(info, eta, measured, noise[:, us], position_sd[:, own])
+        pull = features.pull[:, own[:, :, None], rows[:, None]]
+        info, eta = _blurred(info, eta, measured, noise[:, us], position_sd[:, own], pull)
         hidden = features.hidden[:, own[:, :, None], own[:, None, :]]
         info, eta = _leaked(info, eta, measured, noise[:, us], hidden, features.omega2[:, own])
         scale = np.sqrt(np.maximum(np.einsum("puii->pui", info), 0.0))
@@ -180,7 +215,8 @@ def feature_blocks(features: Features, tree: KinematicTree) -> FeatureBlocks:
     return FeatureBlocks(
         chains, tree.su_joint, features.q[:, dof], features.log, W, target,
         noise, count, coefficients, variance,
-        position_sd[:, dof], features.hidden[:, dof[:, None], dof], features.omega2[:, dof],
+        position_sd[:, dof], features.pull[:, dof][:, :, rows_of(dof, D)],
+        features.hidden[:, dof[:, None], dof], features.omega2[:, dof],
         features.tones[:, dof], features.energy[:, dof],
         features.white[:, dof[:, None], dof],
     )  # fmt: skip

@@ -92,7 +92,7 @@ def turned_by_pose(known: Estimate, features: Features) -> F64:
 def of_poses(features: Features, chosen: Int) -> Features:
     """The features of some poses of one log, as of a first one."""
     by_pose = (
-        "q", "coefficients", "noise", "position_sd", "hidden", "omega2", "tones", "energy",
+        "q", "coefficients", "noise", "position_sd", "pull", "hidden", "omega2", "tones", "energy",
         "white", "span",
     )  # fmt: skip
     parts = {name: getattr(features, name)[chosen] for name in by_pose}

@@ -137,8 +137,8 @@ def estimate(
     if settings.intrinsics:
         priors = learnt_priors(cost, state, free)
         plain, cost = (Cost(tree, c.blocks, priors) for c in (plain, cost))
-        # Tight priors bend the valleys of bias and tilt; the joint steps of NLopt stop in them.
-        state, chi2 = gauss_newton(cost, state, free)
+    # Priors, tight ones of sensors and weak ones of offsets, make valleys in which NLopt stops.
+    state, chi2 = gauss_newton(cost, state, free)
     if settings.refine == "casadi":
         from skin2urdf.estimation.casadi_refinement import refine
 

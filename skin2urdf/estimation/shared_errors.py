@@ -13,7 +13,7 @@ from __future__ import annotations
 import numpy as np
 
 from skin2urdf.arrays import F64, Int
-from skin2urdf.estimation.blocks import FeatureBlocks
+from skin2urdf.estimation.blocks import FeatureBlocks, rows_of
 from skin2urdf.estimation.cost import Cost
 from skin2urdf.estimation.covariance import ArrowCovariance
 from skin2urdf.estimation.residuals import Residuals
@@ -119,7 +119,10 @@ def _scores(
         pulls = np.einsum("pdac,pdea->pdec", rows, effect)
         return np.asarray(pulls * np.sqrt(variance[pairs])[..., None])
 
-    at_rest = np.einsum("pac,pea->pec", weighted[:, 0], s)
+    pull = np.zeros((len(Y), n, Y.shape[1]))
+    places = np.r_[0, to_s, to_tau]
+    pull[:, :, places] = blocks.pull[:, chain][:, :, rows_of(chain, D)]
+    at_rest = np.einsum("pem,pmac,pea->pec", pull, weighted, s, optimize=True)
     at_rest *= blocks.position_sd[:, chain, None]
     scores = [at_rest[:, None]]
     scores.append(in_step(blocks.omega2[:, chain], weighted[:, to_tau], blocks.hidden))

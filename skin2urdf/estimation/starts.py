@@ -18,6 +18,7 @@ from skin2urdf.estimation.outward import outward_starts
 from skin2urdf.estimation.progressive import progressive
 from skin2urdf.estimation.state import N_PLACEMENT, N_SU, Free, State, moved
 from skin2urdf.model.spatial import axis_rotation, placement, skew
+from skin2urdf.signals.records import Features
 from skin2urdf.structure.records import KinematicTree
 
 _EXPLAINED = 10.0
@@ -211,3 +212,23 @@ def _turned_about_gravity(cost: Cost, su: int, w: F64, v: F64, start: Orientatio
         np.concatenate([A, prior]), np.concatenate([b, [certain, 0, 0, 0, 0]]), rcond=1e-12
     )[0]
     return placement(axis_rotation(f, np.arctan2(x[1], x[0])), x[2:])
+
+
+def ups(state: State, cost: Cost, features: Features) -> F64:
+    """(G, 3) directions opposite to gravity that SUs feel in all logs, given that of the first.
+
+    Args:
+        state: placements and sensors, from the first log.
+        cost: of all logs.
+        features: of all logs.
+    """
+    everywhere = replace(state, up=np.tile(state.up[:1], (cost.n_logs, 1)))
+    names = [features.su_names.index(name) for name in cost.tree.su_names]
+    felt = np.linalg.solve(state.sensor_matrix(), (features.f0[:, names] - state.bias)[..., None])
+    up = (cost.at(everywhere).kin.R @ felt)[..., 0]
+    known = np.isfinite(cost.blocks.noise).all(axis=2)
+    # The median SU knows which way gravity points, whatever is wrong with some.
+    middle = [
+        np.median(up[known & (cost.blocks.log == g)[:, None]], axis=0) for g in range(cost.n_logs)
+    ]
+    return np.array([state.up[0], *(each / np.linalg.norm(each) for each in middle[1:])])

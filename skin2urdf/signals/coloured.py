@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 
 from skin2urdf.arrays import F64, frozen
@@ -14,6 +15,8 @@ _LOWEST, _HIGHEST = 0.25, 0.75
 which the low-pass takes something away."""
 _AT_MOST = 1e3
 """Largest factor between the noise that a regressor meets and the mean."""
+_RANK = 1e-9
+"""Relative eigenvalue from which regressors count as independent."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,8 +25,7 @@ class Coloured:
 
     Residuals are neither white nor steady: what the encoders' rounding adds grows with the fourth
     power of frequency, and only while a joint moves. A coefficient sees the noise at the
-    frequencies and times of its own regressor, so its variance is that of ordinary least squares
-    times ``sum |X(f)|^2 S(f) / sum |X(f)|^2`` and the same over time (White 1980).
+    frequencies and times of the regressors that it is told by (White 1980).
 
     Attributes:
         level: (U, 2) the spectrum's part that is white, and the one that grows with the fourth
@@ -76,10 +78,42 @@ class Coloured:
         power /= np.maximum(power.mean(axis=0), 1e-300)
         return cls(level, power, rate, cutoff)
 
-    def by_regressor(self, X: F64) -> F64:
-        """(U, n) noise power that each regressor of X (N, n) meets; 1 for columns of zeros."""
-        by_frequency = _ratio(self.level @ self._shares(X), (X**2).sum(axis=0))
-        return _clipped(by_frequency * _ratio(self.power.T @ X**2, (X**2).sum(axis=0)))
+    def by_time(self, X: F64) -> F64:
+        """(U, n) noise power at the times of each regressor of X (N, n); 1 for columns of zeros.
+
+        At least 1: what makes some times noisier is the encoders' noise, of high frequencies. At
+        low ones, which tell s from tau, quiet times are no quieter than others.
+        """
+        return np.maximum(_clipped(_ratio(self.power.T @ X**2, (X**2).sum(axis=0))), 1.0)
+
+    def factored(self, information: F64, X: F64) -> tuple[F64, F64]:
+        """The information that least squares have where the noise has these spectra.
+
+        Ordinary least squares have the covariance ``I^-1 (a I + b J) I^-1``, where I is the
+        information for white noise and J holds the same products weighted like the second level of
+        the spectrum. I and J are made diagonal together, once for all SUs.
+
+        Args:
+            information: (n, n) for white noise of unit power.
+            X: (N, n) regressors without what nuisances explain, so scaled that ``X^T X`` is the
+                information.
+
+        Returns:
+            (n, n) G and (U, n) gains: the information is ``G diag(gain) G^T``.
+        """
+        n = len(information)
+        used = np.flatnonzero(np.diag(information) > 0)
+        size = np.sqrt(np.diag(information)[used])
+        lam, V = np.linalg.eigh(information[np.ix_(used, used)] / size / size[:, None])
+        lam, V = lam[lam > _RANK], V[:, lam > _RANK]
+        root, back = size[:, None] * V * np.sqrt(lam), (V / np.sqrt(lam)).T / size
+        spectrum, high = self._spectrum(X[:, used])
+        steep = (spectrum.conj().T * high) @ spectrum
+        share, turn = np.linalg.eigh(back @ steep.real @ back.T)
+        G, gain = np.zeros((n, n)), np.zeros((len(self.level), n))
+        G[used, : len(lam)] = root @ turn
+        gain[:, : len(lam)] = 1 / _clipped(self.level @ np.stack([np.ones_like(share), share]))
+        return G, gain
 
     def by_su(self, X: F64) -> F64:
         """(U,) noise power that a regressor X (N, U, 3) meets of which each SU has its own."""
@@ -92,12 +126,20 @@ class Coloured:
 
     def _shares(self, X: F64) -> F64:
         """(2, n) energy of each column of X (N, n), and the same weighted like the second level."""
+        spectrum, high = self._spectrum(X)
+        shares = np.stack([np.ones_like(high), high]) @ np.abs(spectrum) ** 2
+        return np.asarray(_ratio(shares, shares[0], 0.0) * (X**2).sum(axis=0))
+
+    def _spectrum(self, X: F64) -> tuple[NDArray[np.complex128], F64]:
+        """(F, n) spectra whose squares add up to the energies of X (N, n); (F,) the second level.
+
+        They reach up to the cutoff.
+        """
         f = _frequencies(len(X), self.rate)
         inside = f < self.cutoff
-        power = np.abs(np.fft.rfft(X, axis=0)[inside]) ** 2
-        shape = np.stack([np.ones(int(inside.sum())), (f[inside] / self.cutoff) ** 4])
-        shares = shape @ power
-        return np.asarray(_ratio(shares, shares[0], 0.0) * (X**2).sum(axis=0))
+        both_sides = np.where(f[inside] > 0, 2.0, 1.0)[:, None]
+        spectrum = np.fft.rfft(X, axis=0)[inside] * np.sqrt(both_sides / len(X))
+        return spectrum, (f[inside] / self.cutoff) ** 4
 
 
 def _frequencies(n: int, rate: float) -> F64:

@@ -131,6 +131,7 @@ def corrected_features(features: Features, error: EncoderError) -> Features:
         coefficients=features.coefficients * rows[:, None],
         information=features.information.scaled(1 / rows),
         position_sd=features.position_sd / scale,
+        pull=features.pull * rows,
         hidden=features.hidden * (scale[:, None] / scale) ** 2,
         energy=features.energy / scale[:, None] ** 2,
         white=features.white / scale**2,

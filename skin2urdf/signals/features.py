@@ -33,7 +33,7 @@ from skin2urdf.signals.regression import (
     orthonormal,
     regressors,
 )
-from skin2urdf.signals.rounding import hidden_motion, regressor_noise, tones, white_noise
+from skin2urdf.signals.rounding import hidden_motion, regressor_noise, rest_pull, tones, white_noise
 from skin2urdf.signals.sampling import Sampled, static_moves
 from skin2urdf.signals.steadiness import moderated
 
@@ -95,6 +95,7 @@ def extract_features(
         information=Information.joined([p.information for p in poses]),
         noise=np.array([p.noise for p in poses]),
         position_sd=np.array([p.offset for p in poses]),
+        pull=np.array([p.pull for p in poses]),
         hidden=np.array([p.hidden for p in poses]),
         omega2=np.array([p.omega2 for p in poses]),
         tones=np.array([p.tones for p in poses]),
@@ -117,6 +118,7 @@ class _Pose:
     information: Information
     noise: F64
     offset: F64
+    pull: F64
     hidden: F64
     omega2: F64
     tones: F64
@@ -176,7 +178,8 @@ def _poses(s: Sampled, lag: F64, curvature: Curvature | None, log: int) -> list[
         )
         omega2, size = tones(qdd, rate / every, s.cutoff)
         pattern = omega2, size * independence * len(qdd)
-        unseen = (offset, *hidden_motion(dq, qdd, motion.resolution), *pattern, white, span)
+        pull = rest_pull(excited(X, noise[0]), moving)
+        unseen = (offset, pull, *hidden_motion(dq, qdd, motion.resolution), *pattern, white, span)
         ok = np.concatenate(usable)
         found = _regress(
             pose.q, log, X, Z, y.reshape(len(y), -1, 3), ok, expected, noise,
@@ -281,14 +284,15 @@ def _regress(
     ok: Bool,
     expected: F64,
     noise: tuple[F64, F64],
-    unseen: tuple[F64, F64, F64, F64, F64, F64, tuple[float, float]],
+    unseen: tuple[F64, F64, F64, F64, F64, F64, F64, tuple[float, float]],
     sampling: tuple[float, float, float],
 ) -> _Pose:
     """Fit all SUs around one pose; SUs with the same valid samples share one factorisation."""
     independence, rate, cutoff = sampling
     U, n = y.shape[1], X.shape[1]
     coefficients = np.zeros((U, n, 3))
-    products, which, weight = [np.zeros((n, n))], np.zeros(U, np.int64), np.zeros((U, n))
+    factors, which = [np.zeros((n, n))], np.zeros(U, np.int64)
+    gain, weight = np.zeros((U, n)), np.zeros((U, n))
     deviation, freedom = np.full((U, 3), np.inf), np.zeros(U)
     rests = np.zeros(U, dtype=bool)
     numerator, denominator = np.zeros(U), np.zeros(U)
@@ -312,9 +316,10 @@ def _regress(
         coefficients[members] = result.coefficients
         basis = orthonormal(np.concatenate([Xe, Ze], axis=1))
         colour = Coloured.of(result.residual, basis, rate, cutoff, independence)
-        which[members] = len(products)
-        weight[members] = 1 / np.sqrt(colour.by_regressor(Xe))
-        products.append(result.information)
+        which[members], weight[members] = len(factors), 1 / np.sqrt(colour.by_time(Xe))
+        own = Xe - orthonormal(Ze) @ (orthonormal(Ze).T @ Xe)
+        G, gain[members] = colour.factored(result.information, own * np.sqrt(independence))
+        factors.append(G)
         deviation[members] = np.hypot(result.deviation, _MODEL_NOISE)
         freedom[members], rests[members] = result.freedom, basis.shape[1] == 1
         fitted = np.zeros((len(use), len(members), 3))
@@ -327,7 +332,7 @@ def _regress(
         numerator[members] = -np.einsum("nui,nui,ui->u", result.residual, across, certain)
         denominator[members] = np.einsum("nui,nui,ui->u", across, across, certain)
     scale = independence
-    information = Information(np.array(products), which[None], weight[None])
+    information = Information(np.array(factors), which[None], gain[None], weight[None])
     return _Pose(
         q, log, coefficients, information, deviation, *unseen, freedom, rests,
         numerator * scale, denominator * scale,

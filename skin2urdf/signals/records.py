@@ -62,6 +62,9 @@ class Features:
             infinite where an SU has no samples around a pose.
         position_sd: (P, D) standard deviation of the reference positions: encoders at rest are off
             by a constant up to half a step; infinite for joints that a log lacks [rad or m].
+        pull: (P, D, n) what a change of the readings during the rests of joint d does to all
+            coefficients, per its mean over the pose's samples: 1 to f0 and 0 to the others where
+            the joint only rests.
         hidden: (P, D, D) mean square motion of joint e that its encoder rounds away in step with
             the pattern of DoF d, per mean square acceleration of d, at [d, e].
         omega2: (P, D) squared angular frequency of each DoF's pattern; 0 where it has none
@@ -91,6 +94,7 @@ class Features:
     latency_sd: F64
     moves: StaticMoves
     position_sd: F64 = field(default_factory=lambda: np.zeros(()))
+    pull: F64 = field(default_factory=lambda: np.zeros(()))
     hidden: F64 = field(default_factory=lambda: np.zeros(()))
     omega2: F64 = field(default_factory=lambda: np.zeros(()))
     tones: F64 = field(default_factory=lambda: np.zeros(()))
@@ -105,7 +109,10 @@ class Features:
             object.__setattr__(self, name, frozen(getattr(self, name)))
         object.__setattr__(self, "log", frozen(self.log, np.int64))
         P, D = self.q.shape
+        if not self.pull.ndim:
+            object.__setattr__(self, "pull", np.eye(1 + 2 * D)[0])
         shapes = {
+            "pull": (P, D, 1 + 2 * D),
             "position_sd": (P, D), "hidden": (P, D, D), "omega2": (P, D), "tones": (P, D, 2),
             "energy": (P, D, 2), "white": (P, D, D), "span": (P, 2),
         }  # fmt: skip

@@ -32,6 +32,31 @@ def regressor_noise(motion: Motion, cutoff: float) -> tuple[F64, F64]:
     return np.concatenate([[0.0], position, acceleration]), both
 
 
+def rest_pull(X: F64, moving: Bool) -> F64:
+    """What a change of the readings while a joint rests does to all coefficients, per its mean.
+
+    A pattern that swings to one side of the pose leaves f0 to the few samples at rest.
+
+    Args:
+        X: (N, 1 + 2 D) regressors; columns that are not excited are zero.
+        moving: (N, D) True where a joint passes many encoder steps between samples.
+
+    Returns:
+        (D, 1 + 2 D); f0 alone where a joint rests all the time, or never.
+    """
+    out = np.tile(np.eye(X.shape[1])[0], (moving.shape[1], 1))
+    size = np.sqrt((X**2).sum(axis=0))
+    used = np.flatnonzero(size > 0)
+    share = 1 - moving.mean(axis=0)
+    some = np.flatnonzero((share > 0) & (share < 1))
+    if len(used) > 1 and len(some):
+        resting = ~moving[:, some] / share[some]
+        found = np.linalg.lstsq(X[:, used] / size[used], resting, rcond=1e-5)[0]
+        out[some] = 0.0
+        out[np.ix_(some, used)] = (found / size[used, None]).T
+    return out
+
+
 def hidden_motion(dq: F64, qdd: F64, resolution: F64) -> tuple[F64, F64]:
     """Motion that encoders round away in step with a DoF's pattern, relative to the pattern.
 

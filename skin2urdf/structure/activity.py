@@ -176,16 +176,20 @@ def _largest_other(effect: F64) -> F64:
 
 def own_information(features: Features) -> F64:
     """(P, U, D, 2, 2) information on s_d and tau_d of each DoF, all other coefficients unknown."""
-    D = features.n_dofs
-    products, which = features.information.products, features.information.which
-    scale = np.sqrt(np.maximum(np.einsum("kii->ki", products), 0.0))
-    inverse_scale = np.divide(1.0, scale, out=np.zeros_like(scale), where=scale > 0)
-    unit = products * inverse_scale[..., :, None] * inverse_scale[..., None, :]
-    n = unit.shape[-1]
-    unit = unit + np.eye(n) * np.where(scale > 0, 1e-9, 1.0)[..., None]
-    covariance = np.linalg.inv(unit)
+    D, information = features.n_dofs, features.information
     rows = np.stack([1 + np.arange(D), 1 + D + np.arange(D)], axis=1)
-    block = covariance[:, rows[:, :, None], rows[:, None, :]]
-    # What each SU's noise weighs the rows with scales its information and nothing else.
-    root = (scale[which] * features.information.weight)[:, :, rows]
-    return np.asarray(np.linalg.inv(block)[which] * root[..., :, None] * root[..., None, :])
+    size = np.sqrt(np.einsum("kij,kij->ki", information.factor, information.factor))
+    unit = np.divide(information.factor, size[..., None], out=np.zeros_like(information.factor),
+                     where=size[..., None] > 0)  # fmt: skip
+    inverse = np.linalg.pinv(unit, rcond=1e-5)
+    root = (size[information.which] * information.weight)[:, :, rows]
+    out = np.zeros((*information.which.shape, D, 2, 2))
+    known = information.gain > 0
+    spread = np.divide(1.0, information.gain, out=np.zeros_like(information.gain), where=known)
+    for d in range(D):
+        pull = inverse[:, :, rows[d]][information.which]
+        covariance = np.swapaxes(pull, -1, -2) @ (spread[..., None] * pull)
+        own = np.einsum("puii->pui", covariance)
+        covariance = covariance + np.eye(2) * np.where(own > 0, 1e-9 * own, 1.0)[..., None]
+        out[:, :, d] = np.linalg.inv(covariance)
+    return np.asarray(out * root[..., :, None] * root[..., None, :])

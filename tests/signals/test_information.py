@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -10,16 +12,19 @@ def shared() -> Information:
     rng = np.random.default_rng(0)
     X = rng.standard_normal((5, 20, 5))
     which = np.array([[0, 0, 0, 0], [1, 2, 1, 3], [4, 4, 4, 4]])
-    weight = rng.uniform(0.5, 2.0, (3, 4, 5))
+    weight, gain = rng.uniform(0.5, 2.0, (2, 3, 4, 5))
     weight[2, 3] = 0.0
-    return Information(np.swapaxes(X, 1, 2) @ X, which, weight)
+    white = Information.of_products(np.swapaxes(X, 1, 2) @ X, which)
+    np.testing.assert_allclose(white.dense(), (np.swapaxes(X, 1, 2) @ X)[which], rtol=1e-9)
+    return replace(white, gain=gain, weight=weight)
 
 
 def test_sus_that_share_samples_are_weighed_on_their_own(shared: Information) -> None:
     dense = shared.dense()
     for p, u in np.ndindex(3, 4):
         W = np.diag(shared.weight[p, u])
-        expected = W @ shared.products[shared.which[p, u]] @ W
+        G = W @ shared.factor[shared.which[p, u]]
+        expected = G @ np.diag(shared.gain[p, u]) @ G.T
         np.testing.assert_allclose(dense[p, u], expected, rtol=1e-12)
     np.testing.assert_allclose(shared.diagonal(), np.einsum("puii->pui", dense), rtol=1e-12)
     assert not dense[2, 3].any()

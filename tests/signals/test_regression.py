@@ -241,9 +241,11 @@ def z_scores(kind: str, runs: int, seed: int, linear: bool, by_row: bool = True)
         result = fitted(Xi, Zi, y)
         basis = orthonormal(np.concatenate([Xi, Zi], axis=1))
         colour = Coloured.of(result.residual, basis, RATE, CUTOFF, INDEPENDENCE)
-        factor = colour.by_regressor(Xi)
-        root = np.sqrt(factor[0]) if by_row else np.ones(X.shape[1])
-        covariance = np.linalg.inv(result.information / (root[:, None] * root))
+        own = Xi - orthonormal(Zi) @ (orthonormal(Zi).T @ Xi)
+        G, gain = colour.factored(result.information, own * np.sqrt(INDEPENDENCE))
+        G = G / np.sqrt(colour.by_time(Xi))[0, :, None]
+        coloured = (G * gain[0]) @ G.T
+        covariance = np.linalg.inv(coloured if by_row else result.information)
         sd = np.sqrt(np.diag(covariance))[:, None] * result.deviation[0]
         out.append(result.coefficients[0] / sd)
     return np.array(out)
@@ -273,16 +275,19 @@ def test_noise_of_encoders_gives_nearly_the_covariance_that_is_stated() -> None:
     assert ((f0 > 0.55) & (f0 < 1.25)).all()
 
 
-def test_noise_by_row_is_one_for_noise_without_shape() -> None:
+def test_noise_without_shape_is_the_same_for_all_regressors() -> None:
     rng = np.random.default_rng(7)
     X, _ = regressors(*swings(3000), linear=True)
     X = filtered(X, TAPS)
     residual = filtered(rng.standard_normal((3000, 2, 3)), TAPS)
     colour = Coloured.of(residual, orthonormal(X), RATE, CUTOFF, INDEPENDENCE)
-    factor = colour.by_regressor(X)
-    assert factor.shape == (2, 7)
+    assert colour.by_time(X).shape == (2, 7)
+    np.testing.assert_allclose(colour.by_time(X), 1.0, atol=0.25)
+    information = X.T @ X
+    G, gain = colour.factored(information, X)
+    np.testing.assert_allclose(G @ G.T, information, rtol=1e-6, atol=1e-6 * information.max())
     # The pass band holds a little more than its share of the noise: the filter's skirt takes some.
-    np.testing.assert_allclose(factor, 1.0, atol=0.25)
+    np.testing.assert_allclose(gain, 1.0, atol=0.25)
 
 
 @pytest.mark.parametrize(("n", "is_enough"), [(0, False), (31, False), (32, True), (500, True)])

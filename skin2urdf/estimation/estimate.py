@@ -182,17 +182,19 @@ def _check_amount(cost: Cost, free: Free) -> None:
 def robust_weights(chi2: F64, count: Int, tuning: float = 3.0) -> F64:
     """(P, U) Cauchy-like weights of blocks from their chi-squared per measurement.
 
-    A block is judged against the median of its SU's measurements, so that a noise level that is
-    misjudged as a whole costs no weight, and rests, of many blocks with few measurements, do not
-    outvote patterns; blocks within ``tuning`` times the median keep weight 1. An SU that is as a
-    whole far worse than the others loses weight all the same.
+    A block is judged against the median of its SU's blocks, or of its measurements if that is
+    larger, so that a noise level that is misjudged as a whole costs no weight, and rests, of many
+    blocks with few measurements, do not outvote patterns; blocks within ``tuning`` times the median
+    keep weight 1. An SU that is as a whole far worse than the others loses weight all the same.
     """
     per = np.divide(chi2, count, out=np.full(chi2.shape, np.nan), where=count > 0)
     if not np.isfinite(per).any():
         return np.ones(chi2.shape)
     heard = np.isfinite(per).any(axis=0)
     typical = np.full(per.shape[1], np.nan)
-    typical[heard] = _weighted_median(per[:, heard], count[:, heard])
+    typical[heard] = np.maximum(
+        np.nanmedian(per[:, heard], axis=0), _weighted_median(per[:, heard], count[:, heard])
+    )
     middle = np.nanmedian(typical)
     reference = np.clip(np.where(heard, typical, middle), middle, _WORST_SU * middle) * tuning
     ratio = per / np.maximum(reference, 1e-12)

@@ -10,6 +10,7 @@ import numpy as np
 from skin2urdf.arrays import Bool
 from skin2urdf.calibration import BAD_FIT, GOOD_FIT
 from skin2urdf.errors import InsufficientDataError
+from skin2urdf.estimation.arrow import factor
 from skin2urdf.estimation.estimate import Estimate
 from skin2urdf.estimation.loose import Slip, slips
 from skin2urdf.faults import Fault
@@ -29,6 +30,8 @@ _STRADDLED = 4.0
 _TURN, _SHIFT, _SHARE = np.deg2rad(0.2), 1e-3, 0.05
 """What an SU may move beside its joint [rad, m, and of the motion with the joint] and still be
 taken for fixed, with the joint's encoder at fault: as much as poor encoders leave uncertain."""
+_PLACED = 0.01
+"""Standard deviation [m] up to which a place counts as known."""
 _LEAST_TURN, _LEAST_SHIFT = np.deg2rad(0.05), 0.3e-3
 """What a slip exceeds in one or the other [rad, m]."""
 _TICK = 1e-6
@@ -136,13 +139,18 @@ def _small(found: Estimate, name: str, earlier: str) -> bool:
 
 
 def _moved(found: Estimate, name: str, earlier: str) -> tuple[float, float]:
-    """How far an SU moved [m] and turned [rad] when it slipped."""
+    """How far an SU moved [m] and turned [rad] when it slipped.
+
+    The distance is NaN where only rests tell of one of its places: they show orientations.
+    """
     names = found.tree.su_names
-    before, after = (found.state.T_joint_su[names.index(n)] for n in (earlier, name))
-    return (
-        float(np.linalg.norm(after[:3, 3] - before[:3, 3])),
-        float(np.linalg.norm(rotation_log(before[:3, :3].T @ after[:3, :3]))),
-    )
+    both = [names.index(n) for n in (earlier, name)]
+    before, after = found.state.T_joint_su[both]
+    variance = factor(found.cost.at(found.state).normal_equations(), found.free).su_variance()
+    placed = variance[both, :3].max() < _PLACED**2
+    distance = float(np.linalg.norm(after[:3, 3] - before[:3, 3]))
+    turn = float(np.linalg.norm(rotation_log(before[:3, :3].T @ after[:3, :3])))
+    return distance if placed else np.nan, turn
 
 
 def _like_an_encoder(found: Estimate, name: str, earlier: str) -> bool:
@@ -161,6 +169,8 @@ def _like_an_encoder(found: Estimate, name: str, earlier: str) -> bool:
     T = found.state.T_joint_su
     moved = T[second] @ np.linalg.inv(T[first])
     turn, shift = rotation_log(moved[:3, :3]), moved[:3, 3]
+    if np.isnan(_moved(found, name, earlier)[0]):
+        shift = np.zeros(3)
     along = np.array([0.0, 0.0, 1.0])
     allowed = np.array([_TURN, _SHIFT]) + _SHARE * np.array([abs(turn[2]), abs(shift[2])])
     if tree.prismatic[joint]:
@@ -264,7 +274,7 @@ def _fault(found: Estimate, part: Parted) -> Fault:
     """A slip in words, with its size."""
     distance, turn = _moved(found, part.name, part.earlier)
     moving = found.tree.su_joint[found.tree.su_names.index(part.name)] >= 0
-    where = f"{1e3 * distance:.1f} mm and " if moving else ""
+    where = f"{1e3 * distance:.1f} mm and " if moving and np.isfinite(distance) else ""
     words = (
         f"{part.name} is loose: it moved by {where}{np.rad2deg(turn):.2f} deg {part.when}; its "
         f"placement is the later one, the earlier one is {part.earlier}"

@@ -32,8 +32,9 @@ class FeatureBlocks:
         coefficients: (P, U, m, 3) measured coefficients given that only the chain moves the SU.
         variance: (P, U, m) their variances, per unit ``noise**2``; infinite where unexcited.
         position_sd: (P, D) standard deviation of the joints' positions at rest [rad or m].
-        pull: (P, D, 1 + 2 D) what an error of the readings during the rests of a joint does to all
-            coefficients, per its mean; part of ``W``, like the above and the next.
+        pull: (P, U, L, m) what an error of an SU's readings during the rests of a joint of its
+            chain does to the coefficients, per its mean; part of ``W``, like the above and the
+            next.
         hidden: (P, D, D) mean square motion of joint e that its encoder rounds away, per
             acceleration of joint d, at [d, e]; part of ``W``, like the above.
         omega2: (P, D) squared angular frequency of each joint's pattern [rad^2/s^2].
@@ -87,6 +88,15 @@ def rows_of(dof: Int, n_dofs: int) -> Int:
     """(..., 1 + 2 L) rows of f0, s and tau of some DoFs (..., L)."""
     first = np.zeros((*dof.shape[:-1], 1), np.int64)
     return np.concatenate([first, 1 + dof, 1 + n_dofs + dof], axis=-1)
+
+
+def _solved(info: F64, y: F64) -> F64:
+    """(P, U, m, c) coefficients whose product with information (P, U, m, m) is y (P, U, m, c)."""
+    size = np.sqrt(np.maximum(np.einsum("puii->pui", info), 0.0))[..., None]
+    scale = np.divide(1.0, size, out=np.zeros_like(size), where=size > 0)
+    unit = info * scale * np.swapaxes(scale, -1, -2)
+    ridge = np.where(size[..., 0] > 0, _RANK_TOLERANCE, 1.0)[..., None] * np.eye(info.shape[-1])
+    return np.asarray(scale * np.linalg.solve(unit + ridge, scale * y))
 
 
 def _doubted(info: F64, eta: F64, along: F64, variance: F64) -> tuple[F64, F64]:
@@ -175,7 +185,7 @@ def feature_blocks(features: Features, tree: KinematicTree) -> FeatureBlocks:
     m = chains.n_rows
     W = np.zeros((P, U, m, m))
     target = np.zeros((P, U, m, 3))
-    coefficients = np.zeros((P, U, m, 3))
+    coefficients, pull = np.zeros((P, U, m, 3)), np.zeros((P, U, (m - 1) // 2, m))
     variance = np.full((P, U, m), np.inf)
     count = np.zeros((P, U), dtype=np.int64)
     L = chains.joint.shape[1]
@@ -191,8 +201,13 @@ def feature_blocks(features: Features, tree: KinematicTree) -> FeatureBlocks:
         eta = products[:, su[us, None], rows] * valid[:, us, None, None]
         info = features.information.block(su[us], rows) * valid[:, us, None, None]
         measured = features.coefficients[:, su[us, None], rows]
-        pull = features.pull[:, own[:, :, None], rows[:, None]]
-        info, eta = _blurred(info, eta, measured, noise[:, us], position_sd[:, own], pull)
+        # What it does to all coefficients, given that those of other joints are 0.
+        everywhere = np.swapaxes(features.pull[:, own], -1, -2)
+        onto = features.information.of_sus(su[us]).times(everywhere)
+        onto = np.take_along_axis(onto, rows[None, :, :, None], axis=2) * valid[:, us, None, None]
+        along = np.swapaxes(_solved(info, onto), -1, -2)
+        pull[:, us[:, None, None], np.arange(length)[:, None], to] = along
+        info, eta = _blurred(info, eta, measured, noise[:, us], position_sd[:, own], along)
         hidden = features.hidden[:, own[:, :, None], own[:, None, :]]
         info, eta = _leaked(info, eta, measured, noise[:, us], hidden, features.omega2[:, own])
         scale = np.sqrt(np.maximum(np.einsum("puii->pui", info), 0.0))
@@ -215,8 +230,7 @@ def feature_blocks(features: Features, tree: KinematicTree) -> FeatureBlocks:
     return FeatureBlocks(
         chains, tree.su_joint, features.q[:, dof], features.log, W, target,
         noise, count, coefficients, variance,
-        position_sd[:, dof], features.pull[:, dof][:, :, rows_of(dof, D)],
-        features.hidden[:, dof[:, None], dof], features.omega2[:, dof],
+        position_sd[:, dof], pull, features.hidden[:, dof[:, None], dof], features.omega2[:, dof],
         features.tones[:, dof], features.energy[:, dof],
         features.white[:, dof[:, None], dof],
     )  # fmt: skip

@@ -15,7 +15,7 @@ import numpy as np
 
 from skin2urdf.arrays import F64, Int
 from skin2urdf.estimation.arrow import ArrowFactor, factor
-from skin2urdf.estimation.blocks import FeatureBlocks, rows_of
+from skin2urdf.estimation.blocks import FeatureBlocks
 from skin2urdf.estimation.cost import Cost
 from skin2urdf.estimation.state import Free, State, moved
 from skin2urdf.model.prediction import Chains
@@ -162,7 +162,7 @@ def _restricted(
         blocks.coefficients[:, sus][:, :, rows],
         blocks.variance[:, sus][:, :, rows],
         blocks.position_sd[:, list(chain)],
-        blocks.pull[:, list(chain)][:, :, rows_of(np.array(chain, np.int64), blocks.q.shape[1])],
+        blocks.pull[:, sus][:, :, :m, rows],
         blocks.hidden[:, list(chain)][:, :, list(chain)],
         blocks.omega2[:, list(chain)],
         blocks.tones[:, list(chain)],

@@ -13,7 +13,7 @@ from __future__ import annotations
 import numpy as np
 
 from skin2urdf.arrays import F64, Int
-from skin2urdf.estimation.blocks import FeatureBlocks, rows_of
+from skin2urdf.estimation.blocks import FeatureBlocks
 from skin2urdf.estimation.cost import Cost
 from skin2urdf.estimation.covariance import ArrowCovariance
 from skin2urdf.estimation.residuals import Residuals
@@ -120,8 +120,9 @@ def _scores(
         return np.asarray(pulls * np.sqrt(variance[pairs])[..., None])
 
     pull = np.zeros((len(Y), n, Y.shape[1]))
-    places = np.r_[0, to_s, to_tau]
-    pull[:, :, places] = blocks.pull[:, chain][:, :, rows_of(chain, D)]
+    longest = blocks.chains.joint.shape[1]
+    pull[:, :, np.r_[0, to_s]] = blocks.pull[:, group.sus[i], :n, : 1 + n]
+    pull[:, :, to_tau] = blocks.pull[:, group.sus[i], :n, 1 + longest : 1 + longest + n]
     at_rest = np.einsum("pem,pmac,pea->pec", pull, weighted, s, optimize=True)
     at_rest *= blocks.position_sd[:, chain, None]
     scores = [at_rest[:, None]]

@@ -88,7 +88,7 @@ class Information:
     def times(self, x: F64) -> F64:
         """(P, U, n, c) product with vectors x (P, U, n, c)."""
         n, c = x.shape[2:]
-        weighted = (self.weight[..., None] * x).reshape(-1, n, c)
+        weighted = (self.weight[..., None] * x).reshape(self.which.size, n, c)
         gain = self.gain.reshape(-1, n, 1)
         out = np.empty_like(weighted)
         for G, mine in self._users():
@@ -104,6 +104,13 @@ class Information:
         return replace(
             self, which=self.which[chosen], gain=self.gain[chosen], weight=self.weight[chosen]
         )
+
+    def of_sus(self, chosen: Int) -> Information:
+        """That of some SUs, by their indices."""
+        return replace(
+            self, which=self.which[:, chosen], gain=self.gain[:, chosen],
+            weight=self.weight[:, chosen],
+        )  # fmt: skip
 
     def _users(self) -> Iterator[tuple[F64, Int]]:
         """Each factor that is used, and the flat indices of its poses and SUs."""

@@ -8,7 +8,6 @@ import numpy as np
 from calibrated import calibration
 
 from skin2urdf.arrays import F64
-from skin2urdf.estimation.blocks import rows_of
 from skin2urdf.estimation.cost import Cost
 from skin2urdf.estimation.covariance import ArrowCovariance
 from skin2urdf.estimation.observability import observability
@@ -70,9 +69,7 @@ def test_the_covariance_is_that_of_disturbed_targets() -> None:
                     continue
                 i = chain.index(e)
                 if d < 0:
-                    rows = rows_of(np.array(chain), D)
-                    places = np.r_[0, 1 : 1 + len(chain), 1 + L : 1 + L + len(chain)]
-                    shared[u, places] = sd * blocks.pull[1, e, rows][:, None] * Y[u, 1 + i]
+                    shared[u] = sd * blocks.pull[1, u, i][:, None] * Y[u, 1 + i]
                 else:
                     effect = Y[u, 1 + i] - blocks.omega2[1, d] * Y[u, 1 + L + i]
                     shared[u, 1 + L + chain.index(d)] = sd * effect

@@ -21,7 +21,7 @@ from skin2urdf.estimation.estimate import Estimate
 from skin2urdf.faults import Fault
 from skin2urdf.mending.contact import with_contacts_left_out
 from skin2urdf.mending.records import Solution
-from skin2urdf.mending.solution import solved
+from skin2urdf.mending.solution import slips_after_all, solved
 from skin2urdf.recording.records import Recording
 from skin2urdf.rounds import Clock
 from skin2urdf.signals.encoders import corrected, corrected_features, leaps, reversal
@@ -124,7 +124,7 @@ def solved_with_encoders_corrected(
         except (StructureError, InsufficientDataError):
             return replace(first, faults=(*first.faults, *_faults(leaping, first)))
     if now is not leaping and not _better(first.found, best.found):
-        now, best = leaping, first
+        now, best = leaping, slips_after_all(first)
     return replace(best, faults=(*best.faults, *_faults(now, best)))
 
 

@@ -16,7 +16,7 @@ from skin2urdf.mending.changes import changes_within
 from skin2urdf.mending.contact import with_contacts_left_out
 from skin2urdf.mending.mirrored import mirrored_negated
 from skin2urdf.mending.records import Solution
-from skin2urdf.mending.slips import Parting, slips_parted
+from skin2urdf.mending.slips import slips_parted
 from skin2urdf.mending.swaps import names_agreeing
 from skin2urdf.recording.records import Recording
 from skin2urdf.rounds import Clock, Rounds
@@ -82,11 +82,28 @@ def solved(
     looked = first.rounds.settled(first.found, first.features)
     if _explains(looked[0]):
         first = replace(first, found=looked[0], features=looked[1])
-    seen = first.found
     # A joint whose encoder is wrong turns the SUs beyond it as if they had slipped.
-    parting = Parting(first.rounds, first.found, first.features)
-    if not _an_encoder_errs(first):
-        parting = slips_parted(first.rounds, first.found, first.features)
+    if _an_encoder_errs(first):
+        return replace(first, found=looked[0], features=looked[1])
+    return _with_slips_parted(first, looked)
+
+
+def slips_after_all(solution: Solution) -> Solution:
+    """A solution whose misfit looked like an encoder's, which it was not: slips look like that."""
+    if not _an_encoder_errs(solution):
+        return solution
+    return _with_slips_parted(solution, (solution.found, solution.features))
+
+
+def _with_slips_parted(first: Solution, looked: tuple[Estimate, Features]) -> Solution:
+    """A solution with SUs that slipped taken apart.
+
+    Args:
+        first: the solution.
+        looked: its estimate, and the features for it, after a second look at the structure.
+    """
+    seen = first.found
+    parting = slips_parted(first.rounds, first.found, first.features)
     if parting.parted and (calm := with_contacts_left_out(first)) is not first:
         # So does something that hits the robot, in that pose.
         first, parting = calm, slips_parted(calm.rounds, calm.found, calm.features)

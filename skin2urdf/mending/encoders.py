@@ -37,6 +37,8 @@ _PART_OF_IT = 0.2
 """The same where no estimate explains the readings at all."""
 _LEFT = 0.1
 """Share of the misfit that may stay where encoders were its cause."""
+_AS_GOOD = 1.2
+"""Misfit over another explanation's up to which it is as good."""
 _CERTAIN = 5.0
 """Standard deviations from which an encoder's error is reported."""
 _SMALL = 1e-3
@@ -125,6 +127,11 @@ def solved_with_encoders_corrected(
             return replace(first, faults=(*first.faults, *_faults(leaping, first)))
     if now is not leaping and not _better(first.found, best.found):
         now, best = leaping, slips_after_all(first)
+    elif now is not leaping and any(fault.kind == "loose" for fault in best.faults):
+        # A slip is likelier than a slip and an encoder that jumps at the same time.
+        slipped = slips_after_all(first)
+        if slipped.found.misfit < _AS_GOOD * best.found.misfit:
+            now, best = leaping, slipped
     return replace(best, faults=(*best.faults, *_faults(now, best)))
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from skin2urdf.signals.rounding import hidden_motion, rounded_away, tones, white_noise
+from skin2urdf.signals.rounding import hidden_motion, rest_pull, rounded_away, tones, white_noise
 
 
 @pytest.mark.parametrize("steps", [0.3, 1.0, 5.0, 30.0])
@@ -52,3 +52,19 @@ def test_noise_of_a_joint_that_moves_half_of_the_time_of_a_pattern() -> None:
     said = white_noise(qdd, moving, np.array([1e-10, 4e-10]))
     np.testing.assert_allclose(said[0], [1e-10, 2e-10], rtol=0.01)
     assert not said[1].any()
+
+
+def test_an_error_at_rest_bends_the_coefficients_of_a_pattern() -> None:
+    """A pattern that swings to one side: f0 rests on the samples before it, and s leans on them."""
+    t = np.linspace(0.0, 4.0, 800)
+    moving = np.stack([t > 0.5, np.zeros(800, dtype=bool)], axis=1)
+    swing = np.where(moving[:, 0], 1 - np.cos(12 * (t - 0.5)), 0.0)
+    push = np.where(moving[:, 0], 144 * np.cos(12 * (t - 0.5)), 0.0)
+    X = np.stack([np.ones(800), 0.05 * swing, np.zeros(800), 0.05 * push, np.zeros(800)], axis=1)
+    pull = rest_pull(X, moving)
+    error = 1e-3
+    bent = np.linalg.lstsq(X, error * ~moving[:, 0], rcond=None)[0]
+    np.testing.assert_allclose(pull[0] * error * (~moving[:, 0]).mean(), bent, atol=1e-12)
+    assert pull[0, 0] > 3.0
+    # The other joint rests all the time: that is gravity's alone.
+    np.testing.assert_array_equal(pull[1], np.eye(5)[0])

@@ -112,6 +112,7 @@ def _turned(features: Features, names: list[str]) -> Features:
         q=features.q * sign,
         coefficients=features.coefficients * rows[:, None],
         information=features.information.scaled(rows),
+        pull=features.pull * rows,
     )
 
 

@@ -21,7 +21,7 @@ from skin2urdf.estimation.encoder_signs import of_poses
 from skin2urdf.estimation.estimate import Estimate, estimate
 from skin2urdf.estimation.health import unlike_the_rest
 from skin2urdf.estimation.order import ordered
-from skin2urdf.estimation.starts import ups
+from skin2urdf.estimation.starts import felt_up
 from skin2urdf.estimation.state import State
 from skin2urdf.model.specific_force import beyond_first_order, first_order
 from skin2urdf.signals.features import Curvature, extract_features
@@ -140,12 +140,15 @@ class Rounds:
 
         Starts that have to find the other logs' gravity as well may all lead astray.
         """
-        first = of_poses(features, np.flatnonzero(features.log == 0))
+        poses = np.flatnonzero(features.log == 0)
+        if not len(poses):
+            return found
         try:
-            alone = self.estimated(found.tree, first, None)
+            alone = self.estimated(found.tree, of_poses(features, poses), None)
         except InsufficientDataError:
             return found
-        start = replace(alone.state, up=ups(alone.state, found.cost, features))
+        later = felt_up(alone.state, found.cost, features)[1:]
+        start = replace(alone.state, up=np.concatenate([alone.state.up, later]))
         again = self.estimated(found.tree, features, start, search=False)
         return again if again.misfit < found.misfit else found
 

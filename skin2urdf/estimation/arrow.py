@@ -48,7 +48,10 @@ class ArrowFactor:
         return z.like(np.concatenate([xj, np.where(self.free_su, xs, 0.0).ravel()]))
 
     def su_variance(self) -> F64:
-        """(U, 15) variances of the SUs' coordinates, those of the joints included."""
+        """(U, 15) variances of the SUs' coordinates, what the joints leave uncertain included.
+
+        Of the placement [m^2, rad^2], bias [m^2/s^4] and shape [1], in the chart of ``Step``.
+        """
         alone, joint = np.linalg.inv(self.su_root), np.linalg.inv(self.joint_root)
         follow = np.swapaxes(joint[:, self.columns], 0, 1) @ np.swapaxes(self.coupling, 1, 2)
         return np.asarray((alone**2).sum(axis=1) + (follow**2).sum(axis=1))

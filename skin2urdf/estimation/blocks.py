@@ -63,17 +63,9 @@ class FeatureBlocks:
     white: F64
 
     def __post_init__(self) -> None:
-        floats = ("q", "W", "target", "noise", "coefficients", "variance")
-        for name in (
-            *floats,
-            "position_sd",
-            "pull",
-            "hidden",
-            "omega2",
-            "tones",
-            "energy",
-            "white",
-        ):
+        measured = ("q", "W", "target", "noise", "coefficients", "variance")
+        encoders = ("position_sd", "pull", "hidden", "omega2", "tones", "energy", "white")
+        for name in (*measured, *encoders):
             object.__setattr__(self, name, frozen(getattr(self, name)))
         for name in ("su_joint", "log", "count"):
             object.__setattr__(self, name, frozen(getattr(self, name), np.int64))

@@ -214,21 +214,29 @@ def _turned_about_gravity(cost: Cost, su: int, w: F64, v: F64, start: Orientatio
     return placement(axis_rotation(f, np.arctan2(x[1], x[0])), x[2:])
 
 
-def ups(state: State, cost: Cost, features: Features) -> F64:
-    """(G, 3) directions opposite to gravity that SUs feel in all logs, given that of the first.
+def felt_up(state: State, cost: Cost, features: Features) -> F64:
+    """Direction opposite to gravity that the SUs feel at rest in each log.
+
+    The median SU knows it, whatever is wrong with some.
 
     Args:
-        state: placements and sensors, from the first log.
+        state: placements and sensors, whose own directions do not count.
         cost: of all logs.
         features: of all logs.
+
+    Returns:
+        (G, 3) unit vectors in the base frame; the state's first one for a log in which no SU of the
+        tree is heard.
     """
     everywhere = replace(state, up=np.tile(state.up[:1], (cost.n_logs, 1)))
     names = [features.su_names.index(name) for name in cost.tree.su_names]
     felt = np.linalg.solve(state.sensor_matrix(), (features.f0[:, names] - state.bias)[..., None])
     up = (cost.at(everywhere).kin.R @ felt)[..., 0]
     known = np.isfinite(cost.blocks.noise).all(axis=2)
-    # The median SU knows which way gravity points, whatever is wrong with some.
-    middle = [
-        np.median(up[known & (cost.blocks.log == g)[:, None]], axis=0) for g in range(cost.n_logs)
-    ]
-    return np.array([state.up[0], *(each / np.linalg.norm(each) for each in middle[1:])])
+    out = np.array(everywhere.up)
+    for g in range(cost.n_logs):
+        heard = up[known & (cost.blocks.log == g)[:, None]]
+        if len(heard):
+            middle = np.median(heard, axis=0)
+            out[g] = middle / np.linalg.norm(middle)
+    return out

@@ -17,6 +17,7 @@ from skin2urdf.errors import InsufficientDataError, StructureError
 from skin2urdf.estimation.blocks import feature_blocks
 from skin2urdf.estimation.cost import Cost
 from skin2urdf.estimation.estimate import Estimate
+from skin2urdf.estimation.starts import felt_up
 from skin2urdf.faults import Fault
 from skin2urdf.rounds import Rounds
 from skin2urdf.signals.records import Features
@@ -107,11 +108,7 @@ def misfit(found: Estimate, features: Features) -> F64:
             priors,
         )
         if shift == 0:
-            columns = [features.su_names.index(name) for name in names]
-            up = cost.at(state).kin.R @ features.f0[:, columns, :, None]
-            # The median SU knows which way gravity points, whatever some are called.
-            middle = np.median(up[features.valid[:, columns]][..., 0], axis=0)
-            state = replace(state, up=middle[None] / np.linalg.norm(middle))
+            state = replace(state, up=felt_up(state, cost, features))
         chi2 = cost.at(state).chi2_by_block().sum(axis=0)
         count = cost.blocks.count.sum(axis=0)
         u = np.arange(U)

@@ -56,8 +56,8 @@ class Features:
         coefficients: (P, U, n, 3) least-squares coefficients in the SU's frame
             [m/s^2, m/s^2/rad, m/rad; per metre for prismatic DoFs].
         information: (n, n) for each of P poses and U SUs: regressor products with nuisance
-            regressors projected out; the coefficients' covariance per axis is
-            ``noise**2 * pinv(information)``.
+            regressors projected out, as far as the noise's spectrum lets them count; the
+            coefficients' covariance per axis is ``noise**2 * pinv(information)``.
         noise: (P, U, 3) standard deviation of one independent sample per axis [m/s^2];
             infinite where an SU has no samples around a pose.
         position_sd: (P, D) standard deviation of the reference positions: encoders at rest are off

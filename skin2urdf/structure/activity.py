@@ -177,19 +177,23 @@ def _largest_other(effect: F64) -> F64:
 def own_information(features: Features) -> F64:
     """(P, U, D, 2, 2) information on s_d and tau_d of each DoF, all other coefficients unknown."""
     D, information = features.n_dofs, features.information
+    G, gain = information.factor, information.gain
+    size = np.sqrt(np.einsum("kij,kij->ki", G, G))
+    unit = np.divide(G, size[..., None], out=np.zeros_like(G), where=size[..., None] > 0)
+    inverse = np.linalg.pinv(unit, rcond=_DEPENDENT)
+    spread = np.divide(1.0, gain, out=np.zeros_like(gain), where=gain > 0)[..., None]
     rows = np.stack([1 + np.arange(D), 1 + D + np.arange(D)], axis=1)
-    size = np.sqrt(np.einsum("kij,kij->ki", information.factor, information.factor))
-    unit = np.divide(information.factor, size[..., None], out=np.zeros_like(information.factor),
-                     where=size[..., None] > 0)  # fmt: skip
-    inverse = np.linalg.pinv(unit, rcond=1e-5)
-    root = (size[information.which] * information.weight)[:, :, rows]
     out = np.zeros((*information.which.shape, D, 2, 2))
-    known = information.gain > 0
-    spread = np.divide(1.0, information.gain, out=np.zeros_like(information.gain), where=known)
     for d in range(D):
-        pull = inverse[:, :, rows[d]][information.which]
-        covariance = np.swapaxes(pull, -1, -2) @ (spread[..., None] * pull)
+        back = inverse[:, :, rows[d]][information.which]
+        covariance = np.swapaxes(back, -1, -2) @ (spread * back)
+        # Rows of s and tau that are one and the same to the eye still have an inverse.
         own = np.einsum("puii->pui", covariance)
-        covariance = covariance + np.eye(2) * np.where(own > 0, 1e-9 * own, 1.0)[..., None]
-        out[:, :, d] = np.linalg.inv(covariance)
+        ridge = np.where(own > 0, _DEPENDENT**2 * own, 1.0)
+        out[:, :, d] = np.linalg.inv(covariance + ridge[..., None] * np.eye(2))
+    root = (size[information.which] * information.weight)[:, :, rows]
     return np.asarray(out * root[..., :, None] * root[..., None, :])
+
+
+_DEPENDENT = 3e-5
+"""Relative size of a combination of regressors below which it counts as not excited."""

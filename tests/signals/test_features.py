@@ -109,7 +109,8 @@ def test_without_a_model_coefficients_are_good_enough_to_start(
     sim = simulation("panda", **options)
     features = features_of(sim.recording)
     error, _, measured = errors(sim, features)
-    # Poses of the structural moves excite next to nothing; those with patterns count.
+    # Poses of the structural moves excite next to nothing; those with patterns count, whatever
+    # noise they meet.
     sharp = replace(features.information, gain=features.information.gain > 0).diagonal()
     for kind, limit in limits.items():
         weight = of_kind(sharp[..., None] * np.ones(3), measured, kind)

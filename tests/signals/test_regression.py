@@ -271,7 +271,7 @@ def test_noise_of_encoders_gives_nearly_the_covariance_that_is_stated() -> None:
     assert ordinary.min() < 0.35
     # Lever arms matter most; little is lost where f0 and s are taken for less certain than true.
     assert ((tau > 0.75) & (tau < 1.25)).all()
-    assert ((s > 0.55) & (s < 1.25)).all()
+    assert ((s > 0.75) & (s < 1.25)).all()
     assert ((f0 > 0.55) & (f0 < 1.25)).all()
 
 

@@ -251,7 +251,7 @@ def test_an_su_that_hardly_speaks_at_rest_still_tells_what_moves_it() -> None:
     np.testing.assert_allclose(features.moves.change[:, u], plain.moves.change[:, u], atol=0.02)
 
 
-@pytest.mark.parametrize(("period", "speaks"), [(14.0, 3.9), (6.0, 1.8), (3.6, 1.05)])
+@pytest.mark.parametrize(("period", "speaks"), [(14.0, 3.9), (6.0, 1.8), (5.2, 1.5), (3.6, 1.05)])
 def test_motion_in_too_few_samples_is_not_taken_for_noise(period: float, speaks: float) -> None:
     """An SU that speaks for moments of a pattern is not heard there, instead of being misread."""
     sim = simulation("panda")

@@ -132,7 +132,32 @@ def solved_with_encoders_corrected(
         slipped = slips_after_all(first)
         if slipped.found.misfit < _AS_GOOD * best.found.misfit:
             now, best = leaping, slipped
+    now, best = sized_by_the_fit(now, best)
     return replace(best, faults=(*best.faults, *_faults(now, best)))
+
+
+def sized_by_the_fit(encoders: Encoders, solution: Solution) -> tuple[Encoders, Solution]:
+    """Errors as large as the fit says, once it is known which encoders are wrong.
+
+    Steps that look for errors end where chance could explain what they leave.
+
+    Args:
+        encoders: with the errors known.
+        solution: for the corrected logs.
+
+    Returns:
+        Both with what is left of each error taken off the errors' sizes and the features.
+    """
+    found, features = solution.found, solution.features
+    for error in encoders.errors:
+        alike = [s.error for s in suspicions(found, features) if _same(s.error, error, features)]
+        left = min(alike, key=lambda e: e.deviation, default=error)
+        if left is error or not np.isfinite(left.deviation):
+            continue
+        encoders = encoders.with_another(left, features)
+        features = corrected_features(features, left)
+        found = solution.rounds.estimated(found.tree, features, found.state, search=False)
+    return encoders, replace(solution, found=found, features=features)
 
 
 def _with_signs(encoders: Encoders, first: Solution) -> tuple[Encoders, Solution]:

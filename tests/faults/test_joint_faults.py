@@ -11,9 +11,14 @@ import pytest
 from simulated import changed_joints, features_of, held_against, simulation
 
 from skin2urdf.arrays import F64
+from skin2urdf.calibration import CalibrationSettings
+from skin2urdf.estimation.encoders import suspicions
+from skin2urdf.mending.encoders import Encoders, sized_by_the_fit
+from skin2urdf.mending.solution import solved
 from skin2urdf.pipeline import calibrate
 from skin2urdf.recording.records import JointStream, Recording
 from skin2urdf.recording.retiming import retimed
+from skin2urdf.rounds import Clock
 from skin2urdf.signals.encoders import corrected, corrected_features, leaps, reversal
 from skin2urdf.signals.records import EncoderError
 from skin2urdf.simulation import SimulationSettings, load_robot, simulate
@@ -58,6 +63,27 @@ def test_a_jump_is_named_with_its_time_and_size(degrees: float, at: float, tmp_p
     assert found.quality == "fair"
     assert found.estimate.cost_per_dof < 1.3
     assert position_error(wrong, tmp_path) < 1.1 * position_error(r, tmp_path)
+
+
+def test_a_wrong_encoder_is_corrected_by_as_much_as_the_fit_says() -> None:
+    """Also by what chance could have brought about, once it is known to be wrong."""
+    r = recording()
+    solution = solved([r], CalibrationSettings(), Clock(lambda _stage, _share: None))
+    begin, size = 0.6 * r.duration, 8e-5
+    q = np.array(solution.features.q)
+    later = solution.features.span.mean(axis=1) >= begin
+    q[later, solution.features.dof_names.index(JOINT)] += size
+    features = replace(solution.features, q=q)
+    found = solution.rounds.estimated(solution.found.tree, features, solution.found.state)
+    known = Encoders([r], (EncoderError("offset", JOINT, 0.1, 0, begin),))
+    disturbed = replace(solution, found=found, features=features)
+    after, mended = sized_by_the_fit(known, disturbed)
+    (error,) = after.errors
+    assert error.size == pytest.approx(0.1 + size, abs=size / 2)
+    np.testing.assert_allclose(mended.features.q, solution.features.q, atol=size / 2)
+    score = {s.error.begin: s.gain for s in suspicions(mended.found, mended.features)
+             if (s.error.kind, s.error.dof) == ("offset", JOINT)}  # fmt: skip
+    assert score[min(score, key=lambda t: abs(t - begin))] < 0.01
 
 
 @pytest.mark.parametrize("factor", [1.02])

@@ -19,6 +19,12 @@ from skin2urdf.estimation.covariance import ArrowCovariance
 from skin2urdf.estimation.residuals import Residuals
 from skin2urdf.estimation.state import N_SU, State
 
+_RESTS = 0.9
+"""Error at rest over a joint's largest from which it rests all the time: in patterns, it turns
+round in many places."""
+_THERE = 0.5
+"""Distance from which two places are not the same, over the standard deviation of rounding."""
+
 
 def with_shared_errors(covariance: ArrowCovariance, cost: Cost, state: State) -> ArrowCovariance:
     """A covariance with the correlation between SUs that the encoders' errors bring about.
@@ -52,9 +58,18 @@ def with_shared_errors(covariance: ArrowCovariance, cost: Cost, state: State) ->
     for u, which, columns, lean, pull, response in pulls:
         others = moved[which[:, None], columns] - pull @ joint[columns[:, None], columns]
         cross = lean @ others.T @ response
-        own[u] += cross + cross.T
+        again = _added_up(response, which)
+        own[u] += cross + cross.T + again.T @ again - response.T @ response
     more = joint @ (total.T @ total - alone) @ joint
     return ArrowCovariance(joint + more, covariance.columns, covariance.lean, own)
+
+
+def _added_up(rows: F64, which: Int) -> F64:
+    """Rows (T, n) of the same error added up."""
+    number, place = np.unique(which, return_inverse=True)
+    out = np.zeros((len(number), rows.shape[1]))
+    np.add.at(out, place, rows)
+    return out
 
 
 def _placed(lean: F64, n_columns: int, n_logs: int) -> F64:
@@ -84,7 +99,28 @@ def _numbers(blocks: FeatureBlocks) -> Int:
         ],
         axis=1,
     )
-    return np.asarray(np.where(felt, felt.cumsum().reshape(felt.shape) - 1, -1))
+    number = np.where(felt, felt.cumsum().reshape(felt.shape) - 1, -1)
+    first = _first_there(blocks)
+    number[:, 0] = np.where(felt[:, 0], number[first, 0, np.arange(D)], -1)
+    return np.asarray(number)
+
+
+def _first_there(blocks: FeatureBlocks) -> Int:
+    """(P, D) the first pose in which a joint rests where it rests in a pose; else the pose.
+
+    What an encoder rounds away is the same whenever the joint comes back to a place.
+    """
+    P, D = blocks.q.shape
+    first = np.tile(np.arange(P)[:, None], D)
+    sd = blocks.position_sd
+    rests = (sd > 0) & (sd > _RESTS * sd.max(axis=0, initial=0.0))
+    for joint in range(D):
+        poses = np.flatnonzero(rests[:, joint])
+        poses = poses[np.argsort(blocks.q[poses, joint], kind="stable")]
+        apart = np.diff(blocks.q[poses, joint]) > _THERE * sd[poses[1:], joint]
+        for place in np.split(poses, np.flatnonzero(apart) + 1):
+            first[place, joint] = place.min(initial=P)
+    return first
 
 
 def _scores(

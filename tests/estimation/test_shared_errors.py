@@ -92,6 +92,51 @@ def test_the_covariance_is_that_of_disturbed_targets() -> None:
         )
 
 
+def test_what_is_rounded_away_is_the_same_where_a_joint_comes_back() -> None:
+    """One joint rests at one place in two poses, and elsewhere in a third."""
+    estimate = calibration().estimate
+    state, blocks, joint = estimate.state, estimate.cost.blocks, 0
+    before = _plain(_only_in_pose(estimate.cost, -1))
+    rests = np.flatnonzero((blocks.position_sd > 0)[:, joint])[:3]
+    sd, q = np.zeros_like(blocks.position_sd), np.array(blocks.q)
+    sd[rests, joint] = 1e-4
+    q[rests, joint] += [0.3 - q[rests[0], joint], 0.3 + 1e-6 - q[rests[1], joint], 0.1]
+    nothing = np.zeros_like
+    blocks = replace(
+        blocks, q=q, position_sd=sd, hidden=nothing(blocks.hidden), white=nothing(blocks.white)
+    )
+    cost = Cost(estimate.tree, blocks, estimate.cost.priors)
+    here = cost.at(state)
+    Y, zero = here.kin.features(), here.gradient().flat()
+    U, J, dense = len(blocks.su_joint), len(before.joint), before.dense()
+    each = {}
+    for pose in rests:
+        for u in range(U):
+            chain = list(blocks.chains.joint[u, : blocks.chains.length[u]])
+            if joint not in chain:
+                continue
+            i = chain.index(joint)
+            target = np.array(blocks.target)
+            shift = 1e-4 * blocks.pull[pose, u, i][:, None] * Y[pose, u, 1 + i]
+            target[pose, u] += blocks.W[pose, u] @ shift
+            moved = Cost(cost.tree, replace(blocks, target=target), cost.priors)
+            each[pose, u] = zero - moved.at(state).gradient().flat()
+    together = [
+        sum(g for (pose, _), g in each.items() if pose in place)
+        for place in (set(rests[:2]), {rests[2]})
+    ]
+    extra = sum(np.outer(g, g) for g in together) - sum(np.outer(g, g) for g in each.values())
+    wanted = dense @ extra @ dense
+    after = with_shared_errors(before, cost, state)
+    scale = float(np.abs(wanted).max())
+    np.testing.assert_allclose(after.joint - before.joint, wanted[:J, :J], atol=1e-6 * scale)
+    for u in range(U):
+        at = slice(J + 15 * u, J + 15 * (u + 1))
+        np.testing.assert_allclose(
+            after.su()[u] - before.su()[u], wanted[at, at], atol=1e-6 * scale
+        )
+
+
 def test_noise_of_an_encoder_counts_as_what_all_sus_feel_at_once() -> None:
     """One joint, one tone, equal weights: errors of the SUs add up instead of averaging out."""
     estimate = calibration().estimate

@@ -65,11 +65,12 @@ class Coloured:
         f = _frequencies(N, rate)
         band = (f > _LOWEST) & (f < _HIGHEST * cutoff)
         spectrum = (np.abs(np.fft.rfft(residual, axis=0)) ** 2).mean(axis=2)
+        # White noise that leaves residuals of this power would be as high in the whole pass band.
+        freedom = max(1.0, independence * N - basis.shape[1])
+        mean = spectrum.sum(axis=0) / (0.5 * freedom)
         # The regressors have taken their share of the noise, at their frequencies and times.
         taken = (np.abs(np.fft.rfft(basis, axis=0)) ** 2).sum(axis=1) / len(basis)
         spectrum /= (1 - np.clip(taken, 0.0, 0.8))[:, None]
-        # White noise of the same power would be as high as this in the whole pass band.
-        mean = spectrum.sum(axis=0) / max(1.0, 0.5 * independence * N)
         level = _spectra((f[band] / cutoff) ** 4, spectrum[band].T)
         level /= np.maximum(mean, 1e-300)[:, None]
         leverage = np.clip(np.einsum("ni,ni->n", basis, basis) / independence, 0.0, 0.8)

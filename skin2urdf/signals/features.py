@@ -199,8 +199,10 @@ def _moderated(poses: Sequence[_Pose]) -> list[_Pose]:
     variance, freedom = moderated(
         np.where(heard[..., None], noise, 1.0) ** 2, freedom, heard & [p.rests for p in poses]
     )
-    # Errors over a deviation that few samples gave are those of Student's t.
-    variance *= (freedom / np.maximum(freedom - 2.0, np.maximum(freedom, 1.0) / 3))[..., None]
+    # Errors over a deviation that few samples gave are those of Student's t, and weights that are
+    # wrong by chance cost precision (Kackar & Harville 1984).
+    least = np.maximum(freedom, 1.0)
+    variance *= ((freedom + 2.0) / np.maximum(freedom - 2.0, least / 3))[..., None]
     noise = np.where(heard[..., None], np.sqrt(variance), np.inf)
     return [replace(p, noise=n) for p, n in zip(poses, noise, strict=True)]
 

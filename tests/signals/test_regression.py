@@ -290,6 +290,27 @@ def test_noise_without_shape_is_the_same_for_all_regressors() -> None:
     np.testing.assert_allclose(gain, 1.0, atol=0.25)
 
 
+def test_many_regressors_leave_the_noise_of_encoders_as_it_is() -> None:
+    """They take low frequencies, of which such noise has little."""
+    rng = np.random.default_rng(8)
+    n, t = 1100, np.arange(1100) / RATE
+    raw = rng.standard_normal((n + 400, 40, 3))
+    noise = filtered(np.diff(raw, n=2, axis=0, prepend=0.0, append=0.0), TAPS)[200:-200]
+
+    def density(n_tones: int) -> F64:
+        """Level of the steep part in units of the readings, as a fit with some tones finds it."""
+        f = 0.3 + np.arange(n_tones) / 9.0
+        phase = 2 * np.pi * f * t[:, None]
+        basis = orthonormal(np.concatenate([np.sin(phase), np.cos(phase)], axis=1))
+        residual = noise - np.tensordot(basis, np.tensordot(basis.T, noise, 1), 1)
+        freedom = n * INDEPENDENCE - basis.shape[1]
+        variance = (residual**2).mean(axis=2).sum(axis=0) * INDEPENDENCE / freedom
+        level = Coloured.of(residual, basis, RATE, CUTOFF, INDEPENDENCE).level
+        return level[:, 1] * variance
+
+    assert np.mean(density(20)) == pytest.approx(np.mean(density(1)), rel=0.1)
+
+
 @pytest.mark.parametrize(("n", "is_enough"), [(0, False), (31, False), (32, True), (500, True)])
 def test_a_quarter_of_a_second_is_enough(n: int, is_enough: bool) -> None:
     samples = np.zeros(600, dtype=bool)

@@ -39,7 +39,8 @@ class FeatureBlocks:
             acceleration of joint d, at [d, e]; part of ``W``, like the above.
         omega2: (P, D) squared angular frequency of each joint's pattern [rad^2/s^2].
         tones: (P, D, 2) squared angular frequencies of two tones that stand for the pattern.
-        energy: (P, D, 2) sum of the squares of their positions over independent samples.
+        products: (P, 2 D, 2 D) products of the joints' positions and accelerations in patterns,
+            summed over independent samples.
         white: (P, D, D) variance of the noise of joint e's encoder while the pattern of d runs, at
             [d, e]; part of ``noise``.
     """
@@ -59,12 +60,12 @@ class FeatureBlocks:
     hidden: F64
     omega2: F64
     tones: F64
-    energy: F64
+    products: F64
     white: F64
 
     def __post_init__(self) -> None:
         measured = ("q", "W", "target", "noise", "coefficients", "variance")
-        encoders = ("position_sd", "pull", "hidden", "omega2", "tones", "energy", "white")
+        encoders = ("position_sd", "pull", "hidden", "omega2", "tones", "products", "white")
         for name in (*measured, *encoders):
             object.__setattr__(self, name, frozen(getattr(self, name)))
         for name in ("su_joint", "log", "count"):
@@ -219,10 +220,11 @@ def feature_blocks(features: Features, tree: KinematicTree) -> FeatureBlocks:
         spread = np.einsum("puij,puij->pui", unwhite, unwhite)
         variance[:, us[:, None], to] = np.where(seen & (scale > 0), spread, np.inf)
         count[:, us] = 3 * excited.sum(axis=-1)
+    both = np.concatenate([dof, D + dof])
     return FeatureBlocks(
         chains, tree.su_joint, features.q[:, dof], features.log, W, target,
         noise, count, coefficients, variance,
         position_sd[:, dof], pull, features.hidden[:, dof[:, None], dof], features.omega2[:, dof],
-        features.tones[:, dof], features.energy[:, dof],
+        features.tones[:, dof], features.products[:, both[:, None], both],
         features.white[:, dof[:, None], dof],
     )  # fmt: skip

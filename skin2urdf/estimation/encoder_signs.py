@@ -92,8 +92,8 @@ def turned_by_pose(known: Estimate, features: Features) -> F64:
 def of_poses(features: Features, chosen: Int) -> Features:
     """The features of some poses of one log, as of a first one."""
     by_pose = (
-        "q", "coefficients", "noise", "position_sd", "pull", "hidden", "omega2", "tones", "energy",
-        "white", "span",
+        "q", "coefficients", "noise", "position_sd", "pull", "hidden", "omega2", "tones",
+        "products", "white", "span",
     )  # fmt: skip
     parts = {name: getattr(features, name)[chosen] for name in by_pose}
     information = features.information.of_poses(chosen)
@@ -113,6 +113,7 @@ def _turned(features: Features, names: list[str]) -> Features:
         coefficients=features.coefficients * rows[:, None],
         information=features.information.scaled(rows),
         pull=features.pull * rows,
+        products=features.products * rows[1:] * rows[1:, None],
     )
 
 

@@ -150,6 +150,7 @@ def _restricted(
     )
     m = max(n, 1)
     rows = np.r_[0, 1 : 1 + m, 1 + L : 1 + L + m]
+    both = np.r_[list(chain), [blocks.q.shape[1] + joint for joint in chain]].astype(np.int64)
     return part, FeatureBlocks(
         Chains.of(part),
         part.su_joint,
@@ -166,6 +167,6 @@ def _restricted(
         blocks.hidden[:, list(chain)][:, :, list(chain)],
         blocks.omega2[:, list(chain)],
         blocks.tones[:, list(chain)],
-        blocks.energy[:, list(chain)],
+        blocks.products[:, both[:, None], both],
         blocks.white[:, list(chain)][:, :, list(chain)],
     )

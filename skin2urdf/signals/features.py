@@ -33,7 +33,14 @@ from skin2urdf.signals.regression import (
     orthonormal,
     regressors,
 )
-from skin2urdf.signals.rounding import hidden_motion, regressor_noise, rest_pull, tones, white_noise
+from skin2urdf.signals.rounding import (
+    hidden_motion,
+    pattern_products,
+    regressor_noise,
+    rest_pull,
+    tones,
+    white_noise,
+)
 from skin2urdf.signals.sampling import Sampled, static_moves
 from skin2urdf.signals.steadiness import moderated
 
@@ -99,7 +106,7 @@ def extract_features(
         hidden=np.array([p.hidden for p in poses]),
         omega2=np.array([p.omega2 for p in poses]),
         tones=np.array([p.tones for p in poses]),
-        energy=np.array([p.energy for p in poses]),
+        products=np.array([p.products for p in poses]),
         white=np.array([p.white for p in poses]),
         span=np.array([p.span for p in poses]),
         latency=lag,
@@ -122,7 +129,7 @@ class _Pose:
     hidden: F64
     omega2: F64
     tones: F64
-    energy: F64
+    products: F64
     white: F64
     span: tuple[float, float]
     freedom: F64
@@ -176,8 +183,9 @@ def _poses(s: Sampled, lag: F64, curvature: Curvature | None, log: int) -> list[
         white = white_noise(
             qdd, moving, motion.noise**2 / motion.raw_rate * independence * rate / every
         )
-        omega2, size = tones(qdd, rate / every, s.cutoff)
-        pattern = omega2, size * independence * len(qdd)
+        squares = tones(qdd, rate / every, s.cutoff)
+        moved = qdd * (squares[:, 0] > 0)
+        pattern = squares, independence * pattern_products(dq, moved)
         pull = rest_pull(excited(X, noise[0]), moving)
         unseen = (offset, pull, *hidden_motion(dq, qdd, motion.resolution), *pattern, white, span)
         ok = np.concatenate(usable)

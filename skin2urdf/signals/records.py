@@ -71,7 +71,8 @@ class Features:
             [rad^2/s^2].
         tones: (P, D, 2) squared angular frequencies of two tones that stand for each DoF's pattern
             [rad^2/s^2].
-        energy: (P, D, 2) sum of the squares of their positions over independent samples.
+        products: (P, 2 D, 2 D) products of the DoFs' positions and accelerations while their
+            patterns run, summed over independent samples; 0 for DoFs without a pattern.
         white: (P, D, D) variance of the noise of joint e's encoder in an independent sample while
             the pattern of DoF d runs, at [d, e]; ``noise`` contains it, and SUs share it.
         span: (P, 2) begin of the first and end of the last interval around each pose, on the clock
@@ -98,7 +99,7 @@ class Features:
     hidden: F64 = field(default_factory=lambda: np.zeros(()))
     omega2: F64 = field(default_factory=lambda: np.zeros(()))
     tones: F64 = field(default_factory=lambda: np.zeros(()))
-    energy: F64 = field(default_factory=lambda: np.zeros(()))
+    products: F64 = field(default_factory=lambda: np.zeros(()))
     white: F64 = field(default_factory=lambda: np.zeros(()))
     span: F64 = field(default_factory=lambda: np.zeros(()))
     notes: tuple[str, ...] = field(default=())
@@ -114,7 +115,7 @@ class Features:
         shapes = {
             "pull": (P, D, 1 + 2 * D),
             "position_sd": (P, D), "hidden": (P, D, D), "omega2": (P, D), "tones": (P, D, 2),
-            "energy": (P, D, 2), "white": (P, D, D), "span": (P, 2),
+            "products": (P, 2 * D, 2 * D), "white": (P, D, D), "span": (P, 2),
         }  # fmt: skip
         for name, shape in shapes.items():
             value = np.asarray(getattr(self, name), dtype=np.float64)

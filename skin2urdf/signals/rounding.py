@@ -88,7 +88,18 @@ def hidden_motion(dq: F64, qdd: F64, resolution: F64) -> tuple[F64, F64]:
     return np.divide(hidden, peak2, out=np.zeros_like(hidden), where=moves), omega2
 
 
-def tones(qdd: F64, rate: float, cutoff: float) -> tuple[F64, F64]:
+def pattern_products(dq: F64, qdd: F64) -> F64:
+    """(2 D, 2 D) products of positions about their mean and accelerations, summed over samples.
+
+    Args:
+        dq: (N, D) low-passed positions [rad or m].
+        qdd: (N, D) low-passed accelerations; those of DoFs without a pattern are 0.
+    """
+    both = np.concatenate([(dq - dq.mean(axis=0)) * qdd.any(axis=0), qdd], axis=1)
+    return np.asarray(both.T @ both)
+
+
+def tones(qdd: F64, rate: float, cutoff: float) -> F64:
     """Two tones that stand for the spectrum of each DoF's pattern (Gaussian quadrature).
 
     Their first four moments in the squared frequency are those of the pattern. That is as exact as
@@ -100,14 +111,14 @@ def tones(qdd: F64, rate: float, cutoff: float) -> tuple[F64, F64]:
         cutoff: of the low-pass [Hz].
 
     Returns:
-        (D, 2) squared angular frequencies, and (D, 2) mean squares of the tones' positions, 0 for
-        tones that are not there.
+        (D, 2) squared angular frequencies, the same twice for a single tone; 0 for DoFs that have
+        no pattern.
     """
     f = np.fft.rfftfreq(len(qdd), 1 / rate)
     band = (f > _SLOWEST) & (f < 0.9 * cutoff)
     x = (2 * np.pi * f[band]) ** 2
     power = 2 * np.abs(np.fft.rfft(qdd, axis=0)[band] / len(qdd)) ** 2
-    squares, sizes = np.zeros((qdd.shape[1], 2)), np.zeros((qdd.shape[1], 2))
+    squares = np.zeros((qdd.shape[1], 2))
     for d in np.flatnonzero(_moves(qdd)):
         loud = power[:, d] > _LOUD * power[:, d].max(initial=0.0)
         if not loud.any():
@@ -117,13 +128,11 @@ def tones(qdd: F64, rate: float, cutoff: float) -> tuple[F64, F64]:
         mean = float(density @ y) / total
         m2, m3 = (float(density @ (y - mean) ** k) / total for k in (2, 3))
         if m2 < _ONE_TONE**2 * mean**2:
-            squares[d], sizes[d] = mean, (total, 0.0)
+            squares[d] = mean
             continue
         half, root = m3 / m2 / 2, np.sqrt((m3 / m2 / 2) ** 2 + m2)
-        low, high = half - root, half + root
-        squares[d] = mean + low, mean + high
-        sizes[d] = total * np.array([high, -low]) / (high - low)
-    return squares, sizes
+        squares[d] = mean + half - root, mean + half + root
+    return squares
 
 
 def white_noise(qdd: F64, moving: Bool, variance: F64) -> F64:

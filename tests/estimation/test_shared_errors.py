@@ -137,25 +137,61 @@ def test_what_is_rounded_away_is_the_same_where_a_joint_comes_back() -> None:
         )
 
 
-def test_noise_of_an_encoder_counts_as_what_all_sus_feel_at_once() -> None:
-    """One joint, one tone, equal weights: errors of the SUs add up instead of averaging out."""
+def test_noise_of_encoders_is_that_of_disturbed_samples() -> None:
+    """Against one disturbed sample after the other, with patterns that have tones in common."""
     estimate = calibration().estimate
-    blocks = estimate.cost.blocks
+    state, blocks, pose, n = estimate.state, estimate.cost.blocks, 1, 60
+    before = _plain(_only_in_pose(estimate.cost, -1))
+    U, D, L = len(blocks.su_joint), estimate.tree.n_joints, blocks.chains.joint.shape[1]
+    omega2 = (2 * np.pi * (3.0 + np.stack([np.arange(D), 1.0 + np.arange(D)]))) ** 2
+    phase = np.sqrt(omega2) * np.arange(n)[:, None, None] / n + np.stack([np.arange(D)] * 2)
+    twice = np.fft.fft(np.eye(n), axis=0) * -((2 * np.pi * np.fft.fftfreq(n, 1 / n)) ** 2)[:, None]
+    twice = np.fft.ifft(twice, axis=0).real
+    X = np.concatenate([np.cos(phase).sum(axis=1), -(omega2 * np.cos(phase)).sum(axis=1)], axis=1)
+
+    def chain(u: int) -> list[int]:
+        return list(blocks.chains.joint[u, : blocks.chains.length[u]])
+
+    W, rows, columns = np.array(blocks.W), [], []
+    for u in range(U):
+        k = len(chain(u))
+        rows.append(np.r_[1 : 1 + k, 1 + L : 1 + L + k])
+        columns.append(X[:, [*chain(u), *(D + j for j in chain(u))]])
+        W[pose, u] = 0.0
+        W[pose, u, 0, 0] = np.sqrt(n)
+        W[pose, u][np.ix_(rows[u], rows[u])] = np.linalg.cholesky(columns[u].T @ columns[u]).T
+    at = np.arange(len(blocks.q)) == pose
     white = np.zeros_like(blocks.white)
-    white[np.argmax(blocks.energy[:, 0].sum(axis=-1)), 0, 0] = 1e-9
-    energy = np.array(blocks.energy)
-    energy[..., 1] = 0.0
+    white[pose] = np.square(1e-5 * (1.0 + np.arange(D)))
     nothing = np.zeros_like
     blocks = replace(
-        blocks, white=white, energy=energy, hidden=nothing(blocks.hidden),
+        blocks, W=W, white=white, products=(X.T @ X) * at[:, None, None],
+        tones=np.tile(omega2.T, (len(at), 1, 1)), hidden=nothing(blocks.hidden),
         position_sd=nothing(blocks.position_sd),
     )  # fmt: skip
     cost = Cost(estimate.tree, blocks, estimate.cost.priors)
-    before = _plain(_only_in_pose(estimate.cost, -1))
-    after = with_shared_errors(before, cost, estimate.state)
-    # The joint that all SUs share is less certain, in proportion to the noise.
-    added = after.joint - before.joint
-    assert np.linalg.eigvalsh(added)[-1] > 0
-    twice = Cost(estimate.tree, replace(blocks, white=2 * white), estimate.cost.priors)
-    more = with_shared_errors(before, twice, estimate.state).joint - before.joint
-    np.testing.assert_allclose(more, 2 * added, rtol=1e-6, atol=1e-9 * np.abs(added).max())
+    here = cost.at(state)
+    Y, zero, dense = here.kin.features()[pose], here.gradient().flat(), before.dense()
+    J, extra = len(before.joint), np.zeros_like(dense)
+    for e in range(D):
+        each = np.zeros((U, n, len(zero)))
+        for u in (u for u in range(U) if e in chain(u)):
+            i = chain(u).index(e)
+            readings = np.eye(n)[..., None] * Y[u, 1 + i] + twice[..., None] * Y[u, 1 + L + i]
+            found = np.linalg.lstsq(columns[u], readings.reshape(n, -1), rcond=None)[0]
+            for k, shift in enumerate(np.moveaxis(found.reshape(-1, n, 3), 1, 0)):
+                target = np.array(blocks.target)
+                moved = 1e-5 * (1.0 + e) * shift
+                target[pose, u] += W[pose, u][:, rows[u]] @ moved
+                disturbed = Cost(cost.tree, replace(blocks, target=target), cost.priors)
+                each[u, k] = zero - disturbed.at(state).gradient().flat()
+        together = each.sum(axis=0)
+        extra += together.T @ together - sum(g.T @ g for g in each)
+    wanted = dense @ extra @ dense
+    after = with_shared_errors(before, cost, state)
+    scale = float(np.abs(wanted[:J, :J]).max())
+    np.testing.assert_allclose(after.joint - before.joint, wanted[:J, :J], atol=1e-5 * scale)
+    for u in range(U):
+        own = slice(J + 15 * u, J + 15 * (u + 1))
+        added, size = after.su()[u] - before.su()[u], float(np.abs(wanted[own, own]).max())
+        np.testing.assert_allclose(added, wanted[own, own], atol=1e-5 * max(size, scale))

@@ -37,12 +37,10 @@ def test_two_tones_are_found_as_they_are() -> None:
     waves = size * np.sin(omega * t[:, None] + [0.3, 1.1]) * window[:, None]
     one = -(omega[1] ** 2) * waves[:, 1]
     both = -(waves @ omega**2)
-    squares, found = tones(np.stack([both, one, np.zeros(len(t))], axis=1), 25.0, 10.0)
+    squares = tones(np.stack([both, one, np.zeros(len(t))], axis=1), 25.0, 10.0)
     np.testing.assert_allclose(squares[0], omega**2, rtol=0.02)
-    np.testing.assert_allclose(found[0], (waves**2).mean(axis=0), rtol=0.06)
     np.testing.assert_allclose(squares[1], omega[1] ** 2, rtol=0.02)
-    np.testing.assert_allclose(found[1], [(waves[:, 1] ** 2).mean(), 0.0], rtol=0.06)
-    assert not found[2].any()
+    assert not squares[2].any()
 
 
 def test_noise_of_a_joint_that_moves_half_of_the_time_of_a_pattern() -> None:

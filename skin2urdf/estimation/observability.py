@@ -162,8 +162,11 @@ def _marginal(H: F64, free: Bool) -> tuple[F64, F64, F64]:
     placed = free & (np.arange(N_SU) < N_PLACEMENT)
     sensor = free & ~placed
     across = H[np.ix_(placed, sensor)]
-    own = np.asarray(np.linalg.inv(H[np.ix_(sensor, sensor)]), dtype=np.float64)
-    return H[np.ix_(placed, placed)] - across @ own @ across.T, own, -own @ across.T
+    # By the root: a difference of large numbers keeps only what no inverse has rounded.
+    root = np.linalg.cholesky(H[np.ix_(sensor, sensor)])
+    left = np.linalg.solve(root, across.T)
+    back = np.linalg.solve(root, np.eye(len(root)))
+    return H[np.ix_(placed, placed)] - left.T @ left, back.T @ back, -back.T @ left
 
 
 def _su_inverse(H: F64, free: Bool) -> F64:
@@ -173,7 +176,9 @@ def _su_inverse(H: F64, free: Bool) -> F64:
     """
     marginal, own, follow = _marginal(H, free)
     lam, V = np.linalg.eigh(marginal)
-    some = lam > _TINY * lam.max(initial=0.0)
+    # What the sensor's errors explain cancels, up to rounding of what was there before.
+    whole = np.diag(H)[:N_PLACEMENT][free[:N_PLACEMENT]]
+    some = lam > _TINY * whole.max(initial=0.0)
     P = (V[:, some] / lam[some]) @ V[:, some].T
     index = np.flatnonzero(free)
     out = np.zeros((N_SU, N_SU))

@@ -53,9 +53,10 @@ def found(
     setting: EstimationSettings = PLAIN,
     tree: KinematicTree = TREE,
     n_poses: int = 12,
+    noise: float = NOISE,
 ) -> tuple[Estimate, Observability]:
     rng = np.random.default_rng(1000 + seed)
-    features = random_features(rng, tree, state, n_poses, noise=NOISE, shuffle=False)
+    features = random_features(rng, tree, state, n_poses, noise=noise, shuffle=False)
     estimated = estimate(features, tree, setting)
     return estimated, observability(estimated)
 
@@ -208,3 +209,16 @@ def test_bounds_agree_with_the_errors_of_many_runs(tmp_path: Path, tilt: float) 
     overall = np.sqrt((measured**2).mean(axis=0)) / np.sqrt((expected**2).mean(axis=0))
     np.testing.assert_allclose(overall, 1.0, atol=0.2)
     np.testing.assert_allclose(measured / expected, 1.0, atol=0.35)
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_what_the_bias_of_an_su_at_rest_explains_leaves_nothing_but_rounding(seed: int) -> None:
+    """It cancels from numbers of 1e12, and what is left is no knowledge."""
+    setting = EstimationSettings(priors=replace(SENSORS.priors, cross=0.01))
+    _, seen = found(robot(seed, 0.6), seed, setting, noise=1e-6, n_poses=24)
+    base = seen.covariance.own[0]
+    assert len(seen.su_unobservable[0]) > 3
+    assert set(seen.joint_verdict) == {"determined"}
+    assert not seen.open_directions
+    assert base[:3, :3].max() == 0.0
+    assert np.linalg.eigvalsh(seen.covariance.joint).min() >= -1e-12

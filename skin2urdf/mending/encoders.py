@@ -149,7 +149,10 @@ def sized_by_the_fit(encoders: Encoders, solution: Solution) -> tuple[Encoders, 
         Both with what is left of each error taken off the errors' sizes and the features.
     """
     found, features = solution.found, solution.features
-    for error in encoders.errors:
+    for error in _together(encoders.errors, features):
+        # A joint that is hit leaps, and leaps back.
+        if _small(error):
+            continue
         alike = [s.error for s in suspicions(found, features) if _same(s.error, error, features)]
         left = min(alike, key=lambda e: e.deviation, default=error)
         if left is error or not np.isfinite(left.deviation):

@@ -159,9 +159,9 @@ def _residuals(
     motion, half = s.motion, len(taps) // 2
     lossy = {fault.subject for fault in s.faults if fault.kind == "intermittent"}
     witness = np.array([name not in lossy for name in features.su_names])
-    number = {tuple(features.q[p]): int(p) for p in np.flatnonzero(features.log == log)}
+    number = {tuple(features.span[p]): int(p) for p in np.flatnonzero(features.log == log)}
     for pose in s.neighbourhoods:
-        p = number.get(tuple(pose.q))
+        p = number.get(pose.span(motion.grid))
         if p is None:
             continue
         for begin, end in pose.windows:

@@ -176,7 +176,7 @@ def _poses(s: Sampled, lag: F64, curvature: Curvature | None, log: int) -> list[
             usable.append((ok & eroded_columns(s.valid[lo:hi], half + reach))[inside])
             lost.append(s.computed[a:b:every])
             at += hi - lo
-        span = (motion.grid.time[pose.windows[0][0]], motion.grid.time[pose.windows[-1][1] - 1])
+        span = pose.span(motion.grid)
         X, Z, y = np.split(np.concatenate(kept), [X.shape[1], X.shape[1] + Z.shape[1]], axis=1)
         dq, qdd = np.split(X[:, 1:], 2, axis=1)
         moving = np.concatenate([moving[a:b:every] for a, b in pose.windows])

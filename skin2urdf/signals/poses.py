@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from skin2urdf.arrays import F64, frozen
-from skin2urdf.signals.filters import filtered, first_derivative, low_pass
+from skin2urdf.signals.filters import Grid, filtered, first_derivative, low_pass
 from skin2urdf.signals.motion import Motion
 
 _SHORTEST_REST = 0.25
@@ -51,6 +51,10 @@ class Neighbourhood:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "q", frozen(self.q))
+
+    def span(self, grid: Grid) -> tuple[float, float]:
+        """Begin of the first interval and end of the last [s]; no other pose has both."""
+        return float(grid.time[self.windows[0][0]]), float(grid.time[self.windows[-1][1] - 1])
 
 
 def find_rests(motion: Motion) -> tuple[Rest, ...]:

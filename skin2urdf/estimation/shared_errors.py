@@ -76,7 +76,7 @@ def with_shared_errors(covariance: ArrowCovariance, cost: Cost, state: State) ->
 
 
 def _added_up(rows: F64, which: Int) -> F64:
-    """Rows (T, n) of the same error added up."""
+    """(E, n) rows (T, n) added up by the E different errors, numbered by which (T,)."""
     number, place = np.unique(which, return_inverse=True)
     out = np.zeros((len(number), rows.shape[1]))
     np.add.at(out, place, rows)
@@ -224,14 +224,17 @@ def _noise_scores(
     errors: _Errors,
     blocks: FeatureBlocks,
 ) -> tuple[Int, F64]:
-    """The same for the white noise of the encoders of an SU's n joints.
+    """How white noise of its joints' encoders pulls one SU's equations.
 
     Args:
         by: (P, n, 3, C + 15) information on its s and tau, times their derivatives.
-        effects: (P, n, 3) s and tau.
+        effects: (P, n, 3) s [m/s^2/rad] and tau [m/rad], in the SU's frame.
         chain: (n,) its joints.
         errors: all errors.
         blocks: all features.
+
+    Returns:
+        (T,) numbers of the errors, and (T, C + 15) gradients, per standard deviation of each.
     """
     D = blocks.q.shape[1]
     size = np.diagonal(blocks.products, axis1=1, axis2=2)[:, np.r_[chain, D + chain]]

@@ -14,6 +14,7 @@ from skin2urdf.mending.records import Solution
 from skin2urdf.model.prediction import Chains
 from skin2urdf.rounds import predicted_curvature
 from skin2urdf.signals.contact import Disturbance, disturbances, without
+from skin2urdf.signals.records import Features
 from skin2urdf.signals.sampling import Sampled
 
 _PASSES = 3
@@ -51,47 +52,45 @@ def _disturbed(sampled: Sequence[Sampled], solution: Solution) -> list[tuple[Dis
     found, features = solution.found, solution.features
     out = []
     for d in disturbances(sampled, features, predicted_curvature(found, features)):
-        joint, left = pushed_joint(d, found, features.su_names)
+        joint, left = pushed_joint(d, found, features)
         if left < _MOST_LEFT:
             out.append((d, joint))
     return out
 
 
-def pushed_joint(
-    touched: Disturbance, found: Estimate, su_names: tuple[str, ...]
-) -> tuple[int, float]:
+def pushed_joint(touched: Disturbance, found: Estimate, features: Features) -> tuple[int, float]:
     """The joint whose motion, unseen by its encoder, explains a disturbance best.
 
     A joint d that moves by b(t) changes every reading by ``s_d b(t) + tau_d b''(t)``. At each
-    moment that is a linear problem in b and its acceleration. Of SUs that a hit may take beyond
-    their range it only counts that they feel it.
+    moment that is a linear problem in b and its acceleration, in the noise of the SUs and of the
+    other encoders. Of SUs that a hit may take beyond their range it only counts that they feel it.
 
     Args:
-        touched: residuals of U SUs.
-        found: an estimate; its tree may have fewer SUs.
-        su_names: names of the U SUs.
+        touched: residuals of the features' SUs.
+        found: an estimate; its tree may have fewer SUs and joints.
+        features: what the residuals are of.
 
     Returns:
         Its index in the tree, and the share of the residuals that its motion leaves.
     """
-    tree, blocks = found.tree, found.cost.blocks
-    column = np.array([su_names.index(name) for name in tree.su_names], dtype=np.int64)
-    kin = found.cost.at(found.state).kin
-    rows = kin.features()[touched.pose]
-    # An SU that this log lacks has neither residuals nor noise.
-    noise = np.maximum(touched.noise[column], 1e-6)
+    tree, chains = found.tree, found.cost.blocks.chains
+    column = [features.su_names.index(name) for name in tree.su_names]
+    dof = [features.dof_names.index(name) for name in tree.joint_names]
+    rows = found.cost.at(found.state).kin.features()[touched.pose]
+    effects = np.stack([_effects(rows, chains, j) for j in range(tree.n_joints)])
+    encoders = effects[..., 1] * touched.encoder_noise[dof, None, None]
     residual = touched.residual[:, column]
     size = np.linalg.norm(residual, axis=-1)
     left: list[float] = []
     for j in range(tree.n_joints):
-        beyond = ((blocks.chains.joint == j) & blocks.chains.present).any(axis=1)
+        beyond = effects[j].any(axis=(1, 2))
         rough = np.where(touched.cut_off[column] & beyond, 1.0, _ROUGH)
-        doubt = np.hypot(noise, rough * size)[..., None]
-        effects = _effects(rows, blocks.chains, j)
-        left.append(_unexplained(residual / doubt, effects / doubt[..., None]))
+        noise = np.hypot(touched.noise[column], rough * size)
+        left.append(_unexplained(residual, noise, encoders, effects[j]))
     best = int(np.argmin(left))
-    whole = ((residual / np.hypot(noise, _ROUGH * size)[..., None]) ** 2).sum()
-    return best, left[best] / max(float(whole), 1e-12)
+    noise = np.hypot(touched.noise[column], _ROUGH * size)
+    whole = _unexplained(residual, noise, encoders, np.zeros_like(effects[0]))
+    return best, left[best] / max(whole, 1e-12)
 
 
 def _effects(rows: F64, chains: Chains, j: int) -> F64:
@@ -103,11 +102,27 @@ def _effects(rows: F64, chains: Chains, j: int) -> F64:
     return effects
 
 
-def _unexplained(y: F64, effects: F64) -> float:
-    """Sum of squares that two effects (N, U, 3, 2) leave of N moments y (N, U, 3)."""
-    basis, _ = np.linalg.qr(effects.reshape(len(y), -1, 2))
-    flat = y.reshape(len(y), -1, 1)
-    return float(((flat - basis @ (np.swapaxes(basis, -1, -2) @ flat)) ** 2).sum())
+def _unexplained(y: F64, noise: F64, shared: F64, effects: F64) -> float:
+    """Weighted sum of squares that two effects leave of N moments.
+
+    Args:
+        y: (N, U, 3) readings.
+        noise: (N, U) of each of them.
+        shared: (J, U, 3) what each of J independent noises of variance 1 adds to all readings.
+        effects: (U, 3, 2) the effects, of any size at each moment.
+    """
+    N = len(y)
+    weight = np.repeat(1 / noise**2, 3, axis=1)
+    flat, S = y.reshape(N, -1, 1), shared.reshape(len(shared), -1)
+    columns = np.broadcast_to(effects.reshape(1, -1, 2), (N, flat.shape[1], 2))
+    both = np.concatenate([flat, columns], axis=2)
+    weighted = weight[..., None] * both
+    among = np.eye(len(S)) + (S * weight[:, None]) @ S.T
+    seen = S @ weighted
+    # Products in the inverse of the noise's covariance, by Woodbury's identity.
+    Q = both.swapaxes(1, 2) @ weighted - seen.swapaxes(1, 2) @ np.linalg.solve(among, seen)
+    explained = Q[:, :1, 1:] @ np.linalg.pinv(Q[:, 1:, 1:], hermitian=True) @ Q[:, 1:, :1]
+    return float((Q[:, 0, 0] - explained[:, 0, 0]).sum())
 
 
 def _fault(touched: Disturbance, joint: str, su_names: tuple[str, ...], several: bool) -> Fault:

@@ -1,7 +1,9 @@
 """Moments in which readings do not follow the motion of the joints: something touched the robot.
 
-Around a pose, what the features and the model leave of the low-passed readings is noise. A hit or
-a push moves a joint without its encoder seeing all of it, and stands out for a moment.
+Around a pose, what the features and the model leave of the low-passed readings is noise: of the
+SUs, and of the encoders, which all SUs beyond a joint feel alike. A hit or a push moves a joint
+without its encoder seeing all of it. All SUs together tell that from the noise of other encoders,
+which hides it in each of them alone.
 """
 
 from __future__ import annotations
@@ -10,8 +12,9 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.ndimage import median_filter
+from scipy.ndimage import maximum_filter1d, median_filter
 from scipy.stats import chi2 as chi_squared
+from scipy.stats import norm
 
 from skin2urdf.arrays import F64, Bool
 from skin2urdf.signals.features import Curvature
@@ -26,6 +29,12 @@ _FALSE_ALARM = 1e-6
 """Probability that noise alone stands out anywhere in the logs, were it steady and normal."""
 _UNSTEADY = 1.5
 """How far noise may stand above its median over seconds: patterns bring the encoders' along."""
+_EXPECTED = 2.0
+"""How far it may stand above what is expected of it: rounding of slow joints is not white."""
+_LEAST_OWN = 0.05
+"""Share of the power of an SU's residuals that is at least its own noise."""
+_LEAST_NOISE = 1e-6
+"""Noise that every SU has [m/s^2]."""
 _STEADY = 4.0
 """Time over which the noise level is taken [s]."""
 _PARTS = 8
@@ -33,7 +42,9 @@ _PARTS = 8
 _LONGEST = 1.0
 """Time that readings are disturbed by a contact at most, the filter's reach aside [s]."""
 _TAIL = 2.0
-"""Usual residuals at which a disturbance begins and ends."""
+"""Usual deviations at which a disturbance begins and ends."""
+_PLAIN = 5.0
+"""Residual over the median from which an SU is said to feel a disturbance."""
 _WIDE = 0.2
 """Cutoff at which short hits show, over the rate of the samples."""
 _LEAST_RANGE = 1.5 * 9.81
@@ -53,11 +64,12 @@ class Disturbance:
         pose: index of the pose in the features.
         begin: first grid sample, and
         end: one past the last.
-        time: of the largest residual [s].
-        strength: the largest residual, over what is usual.
+        time: at which it is strongest [s].
+        strength: how far it stands out there, over what is usual.
         residual: (N, U, 3) low-passed residuals, of these samples or of those among them at which
             the disturbance is strongest [m/s^2].
-        noise: (U,) what is usual for the length of a residual, with some allowance [m/s^2].
+        noise: (U,) each SU's own noise in a residual, per axis, with some allowance [m/s^2].
+        encoder_noise: (D,) noise of the joints' accelerations [rad/s^2 or m/s^2].
         felt: numbers of the SUs whose residuals stand out.
         cut_off: (U,) True for SUs whose readings may have left their range.
     """
@@ -70,6 +82,7 @@ class Disturbance:
     strength: float
     residual: F64
     noise: F64
+    encoder_noise: F64
     felt: tuple[int, ...]
     cut_off: Bool
 
@@ -84,29 +97,81 @@ def disturbances(
         features: their features.
         curvature: predicts what readings hold beyond first order around a pose.
     """
-    limit = _limit(sampled, features.n_sus)
+    limit = _limit(sampled, features.n_dofs)
     out: list[Disturbance] = []
     for log, s in enumerate(sampled):
-        rate = s.motion.grid.rate
+        grid = s.motion.grid
         readings = np.stack(
-            [shifted(s.readings[:, u], rate, lag) for u, lag in enumerate(features.latency)], axis=1
+            [shifted(s.readings[:, u], grid.rate, v) for u, v in enumerate(features.latency)],
+            axis=1,
         )
         for cutoff, allowance in _bands(s):
-            acceleration = regressor_noise(s.motion, cutoff)[0][1 + features.n_dofs :]
-            taps = low_pass(cutoff, rate)
+            variance = regressor_noise(s.motion, cutoff)[0][1 + features.n_dofs :]
+            taps = low_pass(cutoff, grid.rate)
             for p, begin, residual in _residuals(s, readings, features, curvature, log, taps):
-                rounding = np.sqrt((features.tau[p] ** 2).sum(axis=-1) @ acceleration)
-                for a, b, at, strength, noise, felt in _peaks(
-                    residual, rounding, allowance * limit, s, cutoff
-                ):
+                own = _own_noise(residual, features.tau[p], variance)
+                pushes = _pushes(residual, features.tau[p], variance, own)
+                for a, b, at, strength in _peaks(pushes, allowance * limit, grid.rate, cutoff):
                     out.append(
                         Disturbance(
-                            log, p, begin + a, begin + b, float(s.motion.grid.time[begin + at]),
-                            strength, residual[a:b], noise, felt,
+                            log, p, begin + a, begin + b, float(grid.time[begin + at]), strength,
+                            residual[a:b], _UNSTEADY * own, np.sqrt(variance),
+                            _felt_by(residual, a, b),
                             _cut_off(readings, begin + a, begin + b),
                         )
                     )  # fmt: skip
     return tuple(_merged(out))
+
+
+def _own_noise(residual: F64, tau: F64, variance: F64) -> F64:
+    """(U,) noise per axis of residuals (N, U, 3) that the encoders do not bring [m/s^2].
+
+    Args:
+        residual: of a window; 0 for SUs that are not there.
+        tau: (U, D, 3) reading per acceleration of each joint.
+        variance: (D,) of the encoders' noise in the accelerations.
+
+    Returns:
+        The noise, infinite for SUs that are not there.
+    """
+    whole = np.median(np.linalg.norm(residual, axis=-1), axis=0) ** 2 / chi_squared.median(3)
+    shared = (tau**2).sum(axis=-1) @ variance / 3
+    own = np.sqrt(np.maximum(whole - shared, _LEAST_OWN * whole))
+    return np.where(whole > 0, np.maximum(own, _LEAST_NOISE), np.inf)
+
+
+def _pushes(residual: F64, tau: F64, variance: F64, own: F64) -> F64:
+    """Signed square roots of what accelerations that encoders do not see would explain.
+
+    The likelihood ratio of an acceleration of one joint in Gaussian noise: of each SU, and of all
+    encoders ``v``, which enters the residuals as ``sum_d tau_d v_d``.
+
+    Args:
+        residual: (N, U, 3) of a window.
+        tau: (U, D, 3) reading per acceleration of each joint.
+        variance: (D,) of the encoders' noise in the accelerations.
+        own: (U,) of the SUs' noise.
+
+    Returns:
+        (N, J) of the J joints that any SU feels; of variance 1 where nothing is pushed and all
+        noise is as expected.
+    """
+    weighted = tau / own[:, None, None] ** 2
+    M = np.tensordot(weighted, tau, axes=([0, 2], [0, 2]))
+    # The inverse of the residuals' covariance, by Woodbury's identity.
+    among_noise = np.linalg.inv(np.eye(len(M)) + M * variance)
+    expected = np.diagonal(among_noise @ M)
+    score = np.tensordot(residual, weighted, axes=([1, 2], [0, 2])) @ among_noise.T
+    felt = expected > 0
+    return np.asarray(score[:, felt] / np.sqrt(expected[felt]))
+
+
+def _felt_by(residual: F64, begin: int, end: int) -> tuple[int, ...]:
+    """Numbers of the SUs whose residuals (N, U, 3) stand out in an interval, one at least."""
+    size = np.linalg.norm(residual, axis=-1)
+    usual = np.median(size, axis=0)
+    out = np.divide(size[begin:end].max(axis=0), usual, out=np.zeros_like(usual), where=usual > 0)
+    return tuple(int(u) for u in np.flatnonzero(out >= min(_PLAIN, float(out.max()))))
 
 
 def _cut_off(readings: F64, begin: int, end: int) -> Bool:
@@ -139,8 +204,8 @@ def _merged(found: Sequence[Disturbance]) -> Iterator[Disturbance]:
         yield replace(max(group, key=lambda d: d.strength), begin=first.begin, end=end, felt=felt)
 
 
-def _limit(sampled: Sequence[Sampled], U: int) -> float:
-    """Residual's length, over its median, that noise does not reach."""
+def _limit(sampled: Sequence[Sampled], D: int) -> float:
+    """Deviation, over the standard deviation, that normal noise does not reach."""
     independent = 0.0
     for s in sampled:
         rate = s.motion.grid.rate
@@ -148,8 +213,7 @@ def _limit(sampled: Sequence[Sampled], U: int) -> float:
         independent += samples * sum(
             2 * noise_bandwidth(low_pass(cutoff, rate), rate) / rate for cutoff, _ in _bands(s)
         )
-    chance = _FALSE_ALARM / max(1.0, independent * U)
-    return float(np.sqrt(chi_squared.isf(chance, 3) / chi_squared.median(3)))
+    return float(norm.isf(_FALSE_ALARM / max(1.0, independent * D) / 2))
 
 
 def _residuals(
@@ -182,39 +246,32 @@ def _residuals(
 
 
 def _peaks(
-    residual: F64, rounding: F64, limit: float, s: Sampled, cutoff: float
-) -> Iterator[tuple[int, int, int, float, F64, tuple[int, ...]]]:
-    """Intervals of a window's residuals (N, U, 3) that stand out.
+    pushes: F64, limit: float, rate: float, cutoff: float
+) -> Iterator[tuple[int, int, int, float]]:
+    """Intervals of a window in which something stands out.
 
     Args:
-        residual: the residuals.
-        rounding: (U,) what the encoders' rounding adds to them.
-        limit: how far residuals stand out by chance.
-        s: the log.
-        cutoff: of the low-pass.
+        pushes: (N, J) of variance 1 where nothing does.
+        limit: how far noise stands out by chance.
+        rate: samples per second [Hz].
+        cutoff: of the low-pass [Hz].
 
     Returns:
-        Begin, end, peak, its strength, the usual noise, SUs that feel it.
+        Begin, end, peak, and how far it stands out over what is usual.
     """
-    rate = s.motion.grid.rate
-    size = np.linalg.norm(residual, axis=-1)
-    if len(size) < rate:
+    if len(pushes) < rate or not pushes.size:
         return
+    size = np.abs(pushes)
     usual = _level(size, int(rate * _STEADY / _PARTS))
-    usual = np.hypot(_UNSTEADY * np.maximum(usual, np.median(size, axis=0)), rounding)
-    z = size / np.maximum(usual, 1e-6)
-    highest = z.max(axis=1)
-    edges = np.flatnonzero(np.diff(np.r_[False, highest > _TAIL, False].astype(np.int8)))
-    margin = int(_MARGIN * rate)
-    for a, b in edges.reshape(-1, 2):
+    usual = np.maximum(usual, np.median(size, axis=0)) / norm.isf(0.25)
+    highest = (size / np.hypot(_UNSTEADY * usual, _EXPECTED)).max(axis=1)
+    # A swing goes through zero.
+    reach = int(rate * max(_MARGIN, 0.5 / cutoff))
+    outside = np.r_[False, maximum_filter1d(highest, 2 * reach + 1) > _TAIL, False]
+    for a, b in np.flatnonzero(np.diff(outside.astype(np.int8))).reshape(-1, 2):
         at = int(a + highest[a:b].argmax())
-        if highest[at] < limit or (b - a) / rate > _LONGEST + 2 / cutoff:
-            continue
-        felt = np.flatnonzero(z[a:b].max(axis=0) > limit)
-        yield (
-            max(0, int(a) - margin), min(len(z), int(b) + margin), at, float(highest[at]),
-            usual[at], tuple(int(u) for u in felt),
-        )  # fmt: skip
+        if highest[at] > limit and (b - a - 2 * reach) / rate < _LONGEST + 2 / cutoff:
+            yield int(a), int(b), at, float(highest[at])
 
 
 def _level(size: F64, part: int) -> F64:

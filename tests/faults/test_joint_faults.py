@@ -97,7 +97,10 @@ def test_a_wrong_scale_is_named_with_its_size(factor: float, tmp_path: Path) -> 
     assert position_error(wrong, tmp_path) < 1.1 * position_error(r, tmp_path)
 
 
-@pytest.mark.parametrize("options", [{}, {"grade": "bma150"}, {"encoder_bits": 12}])
+@pytest.mark.parametrize(
+    "options",
+    [{}, {"grade": "bma150"}, {"encoder_bits": 12}, {"encoder_bits": 12, "excite": "one"}],
+)
 def test_right_encoders_are_not_named(options: dict[str, object]) -> None:
     assert not calibrate(recording(**options)).faults
 
@@ -175,11 +178,11 @@ def test_a_track_is_mirrored_where_it_turns_round() -> None:
     assert reversal(JointStream("j", t, x), (4.0, 16.0)) == pytest.approx(10.0)
 
 
-def faulty(kind: str, seed: int) -> Faulty:
-    settings = SimulationSettings(n_poses=4, excite="all", seed=seed)
+def faulty(kind: str, seed: int, struck: int | list[int] | None = None, poses: int = 4) -> Faulty:
+    settings = SimulationSettings(n_poses=poses, excite="all", seed=seed)
     robot = load_robot("panda")
     sound = Sound(robot, settings, simulate(robot, settings))
-    return JOINT_FAULTS[kind](sound, np.random.default_rng(seed))
+    return JOINT_FAULTS[kind](sound, np.random.default_rng(seed if struck is None else struck))
 
 
 @pytest.mark.parametrize(
@@ -201,3 +204,11 @@ def test_a_simulated_fault_is_named(kind: str, seed: int) -> None:
     assert [(f.kind, f.subject) for f in found.faults] == [(fault.kind, fault.subjects[0])]
     assert found.quality == "fair"
     assert found.estimate.cost_per_dof < 1.3
+
+
+def test_a_hit_that_the_noise_of_other_encoders_hides_in_its_only_su_is_named() -> None:
+    """Readings of that SU alone stay within what they do without a hit."""
+    fault = faulty("contact", 10105, [10105, *b"contact"], 6)
+    found = calibrate([retimed(r) for r in fault.recordings])
+    assert fault.subjects == ("panda_joint7",)
+    assert [(f.kind, f.subject) for f in found.faults] == [("contact", "panda_joint7")]

@@ -42,7 +42,7 @@ from skin2urdf.signals.rounding import (
     white_noise,
 )
 from skin2urdf.signals.sampling import Sampled, static_moves
-from skin2urdf.signals.steadiness import moderated
+from skin2urdf.signals.steadiness import allowance, moderated
 
 Curvature = Callable[[F64, F64, F64, F64, int], tuple[F64, F64]]
 """(q (D,), dq (N, D), qd, qdd, log) -> (N, U, 3) readings beyond first order around pose q, and
@@ -207,10 +207,7 @@ def _moderated(poses: Sequence[_Pose]) -> list[_Pose]:
     variance, freedom = moderated(
         np.where(heard[..., None], noise, 1.0) ** 2, freedom, heard & [p.rests for p in poses]
     )
-    # Errors over a deviation that few samples gave are those of Student's t, and weights that are
-    # wrong by chance cost precision (Kackar & Harville 1984).
-    least = np.maximum(freedom, 1.0)
-    variance *= ((freedom + 2.0) / np.maximum(freedom - 2.0, least / 3))[..., None]
+    variance *= allowance(freedom)[..., None]
     noise = np.where(heard[..., None], np.sqrt(variance), np.inf)
     return [replace(p, noise=n) for p, n in zip(poses, noise, strict=True)]
 

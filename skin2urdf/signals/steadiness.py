@@ -58,6 +58,18 @@ def moderated(variance: F64, freedom: F64, alike: Bool) -> tuple[F64, F64]:
     )
 
 
+def allowance(freedom: F64) -> F64:
+    """Factor on variances that are estimated, for means that are weighted by them.
+
+    Errors over a deviation that few samples gave are those of Student's t, and weights that are
+    wrong by chance cost precision (Kackar & Harville 1984). Both add 2 / freedom, at first order.
+
+    Args:
+        freedom: degrees of freedom of the estimates.
+    """
+    return np.asarray((freedom + 2) / np.maximum(freedom - 2, np.maximum(freedom, 1.0) / 3))
+
+
 def _inverse_trigamma(value: float) -> float:
     """Argument at which the trigamma function has a value; large where that is not positive."""
     if value <= polygamma(1, _MOST):

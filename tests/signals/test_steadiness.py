@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from skin2urdf.signals.steadiness import moderated
+from skin2urdf.signals.steadiness import allowance, moderated
 
 P, U = 16, 6
 
@@ -47,6 +47,23 @@ def test_weights_keep_what_they_promise() -> None:
     alone, together = (float(np.mean(np.square(z[k::2]))) for k in (0, 1))
     assert alone > 1.3
     assert abs(together - 1) < 0.08
+
+
+@pytest.mark.parametrize("freedom", [15.0, 60.0])
+def test_means_weighted_by_estimates_keep_what_they_promise(freedom: float) -> None:
+    """Without the allowance their errors squared are 4 / freedom too large."""
+    rng = np.random.default_rng(3)
+    variance = rng.chisquare(freedom, size=(20, 100_000)) / freedom
+    weight = 1 / (variance * allowance(np.asarray(freedom)))
+    z = (rng.standard_normal(variance.shape) * weight).sum(axis=0) / np.sqrt(weight.sum(axis=0))
+    assert np.mean(z**2) == pytest.approx(1.0, abs=0.3 * 4 / freedom)
+
+
+def test_the_allowance_is_finite() -> None:
+    values = allowance(np.array([0.0, 1.0, 2.0, 3.0, 1e4]))
+    assert (values >= 1).all()
+    assert values.max() < 10
+    assert values[-1] < 1.001
 
 
 def test_rests_that_differ_keep_their_own() -> None:

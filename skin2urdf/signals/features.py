@@ -11,28 +11,13 @@ import numpy as np
 from skin2urdf.arrays import F64, Bool
 from skin2urdf.errors import InsufficientDataError
 from skin2urdf.faults import distinct
-from skin2urdf.signals.coloured import Coloured
-from skin2urdf.signals.filters import (
-    eroded,
-    filtered,
-    first_derivative,
-    low_pass,
-    noise_bandwidth,
-    shifted,
-)
+from skin2urdf.signals.filters import eroded, filtered, low_pass, noise_bandwidth, shifted
 from skin2urdf.signals.information import Information
 from skin2urdf.signals.motion import Motion
+from skin2urdf.signals.pose_fit import PoseFit, Samples, pose_fit
 from skin2urdf.signals.poses import Neighbourhood
 from skin2urdf.signals.records import Features
-from skin2urdf.signals.regression import (
-    Design,
-    enough,
-    excited,
-    fit,
-    informative,
-    orthonormal,
-    regressors,
-)
+from skin2urdf.signals.regression import excited, regressors
 from skin2urdf.signals.rounding import (
     hidden_motion,
     pattern_products,
@@ -48,13 +33,8 @@ Curvature = Callable[[F64, F64, F64, F64, int], tuple[F64, F64]]
 """(q (D,), dq (N, D), qd, qdd, log) -> (N, U, 3) readings beyond first order around pose q, and
 (1 + 2 D, U, 3) the coefficients that the first order should have."""
 
-_MODEL_NOISE = 3e-4
-"""Error of interpolating and differentiating sampled signals [m/s^2]; a floor for the noise."""
 _RATE_OVER_CUTOFF = 3.0
 """Samples kept per second over the low-pass' cutoff [Hz]; aliases appear below 2.8."""
-_GREAT, _FELT = 3.0, 0.1
-"""Noise without the regressors that samples do not tell apart, over that with them and in m/s^2,
-from which there is too much motion for so few samples."""
 _STILL = 20.0
 """Encoder steps per second below which rounding does not average out [1/s]."""
 
@@ -98,9 +78,9 @@ def extract_features(
         dof_names=sampled[0].motion.dof_names,
         q=np.array([p.q for p in poses]),
         log=np.array([p.log for p in poses]),
-        coefficients=np.array([p.coefficients for p in poses]),
-        information=Information.joined([p.information for p in poses]),
-        noise=np.array([p.noise for p in poses]),
+        coefficients=np.array([p.fit.coefficients for p in poses]),
+        information=Information.joined([p.fit.information for p in poses]),
+        noise=np.array([p.fit.noise for p in poses]),
         position_sd=np.array([p.offset for p in poses]),
         pull=np.array([p.pull for p in poses]),
         hidden=np.array([p.hidden for p in poses]),
@@ -121,9 +101,7 @@ def extract_features(
 class _Pose:
     q: F64
     log: int
-    coefficients: F64
-    information: Information
-    noise: F64
+    fit: PoseFit
     offset: F64
     pull: F64
     hidden: F64
@@ -132,10 +110,6 @@ class _Pose:
     products: F64
     white: F64
     span: tuple[float, float]
-    freedom: F64
-    rests: Bool
-    lag_numerator: F64
-    lag_denominator: F64
 
 
 def _poses(s: Sampled, lag: F64, curvature: Curvature | None, log: int) -> list[_Pose]:
@@ -176,7 +150,6 @@ def _poses(s: Sampled, lag: F64, curvature: Curvature | None, log: int) -> list[
             usable.append((ok & eroded_columns(s.valid[lo:hi], half + reach))[inside])
             lost.append(s.computed[a:b:every])
             at += hi - lo
-        span = pose.span(motion.grid)
         X, Z, y = np.split(np.concatenate(kept), [X.shape[1], X.shape[1] + Z.shape[1]], axis=1)
         dq, qdd = np.split(X[:, 1:], 2, axis=1)
         moving = np.concatenate([moving[a:b:every] for a, b in pose.windows])
@@ -186,30 +159,37 @@ def _poses(s: Sampled, lag: F64, curvature: Curvature | None, log: int) -> list[
         squares = tones(qdd, rate / every, s.cutoff)
         moved = qdd * (squares[:, 0] > 0)
         pattern = squares, independence * pattern_products(dq, moved)
-        pull = rest_pull(excited(X, noise[0]), moving)
-        unseen = (offset, pull, *hidden_motion(dq, qdd, motion.resolution), *pattern, white, span)
         ok = np.concatenate(usable)
-        found = _regress(
-            pose.q, log, X, Z, y.reshape(len(y), -1, 3), ok, expected, noise,
-            unseen, (independence, rate / every, s.cutoff),
+        found = pose_fit(
+            Samples(
+                X, Z, y.reshape(len(y), -1, 3), ok, expected, noise,
+                independence, rate / every, s.cutoff,
+            )
         )  # fmt: skip
-        out.append(replace(found, noise=found.noise / _measured(ok, np.concatenate(lost))))
-    return [p for p in out if np.isfinite(p.noise).any()]
+        measured = _measured(ok, np.concatenate(lost))
+        out.append(
+            _Pose(
+                pose.q, log, replace(found, noise=found.noise / measured), offset,
+                rest_pull(excited(X, noise[0]), moving),
+                *hidden_motion(dq, qdd, motion.resolution), *pattern, white, pose.span(motion.grid),
+            )
+        )  # fmt: skip
+    return [p for p in out if np.isfinite(p.fit.noise).any()]
 
 
 def _moderated(poses: Sequence[_Pose]) -> list[_Pose]:
     """Poses with the noise at rest of each SU as all rests show it together."""
     if not poses:
         return []
-    noise = np.array([p.noise for p in poses])
+    noise = np.array([p.fit.noise for p in poses])
     heard = np.isfinite(noise).all(axis=2)
-    freedom = np.array([p.freedom for p in poses])
+    freedom = np.array([p.fit.freedom for p in poses])
     variance, freedom = moderated(
-        np.where(heard[..., None], noise, 1.0) ** 2, freedom, heard & [p.rests for p in poses]
+        np.where(heard[..., None], noise, 1.0) ** 2, freedom, heard & [p.fit.rests for p in poses]
     )
     variance *= allowance(freedom)[..., None]
     noise = np.where(heard[..., None], np.sqrt(variance), np.inf)
-    return [replace(p, noise=n) for p, n in zip(poses, noise, strict=True)]
+    return [replace(p, fit=replace(p.fit, noise=n)) for p, n in zip(poses, noise, strict=True)]
 
 
 def _recompute(
@@ -282,81 +262,6 @@ def eroded_columns(valid: Bool, reach: int) -> Bool:
     return np.stack([eroded(column, reach) for column in valid.T], axis=1)
 
 
-def _regress(
-    q: F64,
-    log: int,
-    X: F64,
-    Z: F64,
-    y: F64,
-    ok: Bool,
-    expected: F64,
-    noise: tuple[F64, F64],
-    unseen: tuple[F64, F64, F64, F64, F64, F64, F64, tuple[float, float]],
-    sampling: tuple[float, float, float],
-) -> _Pose:
-    """Fit all SUs around one pose; SUs with the same valid samples share one factorisation."""
-    independence, rate, cutoff = sampling
-    U, n = y.shape[1], X.shape[1]
-    coefficients = np.zeros((U, n, 3))
-    factors, which = [np.zeros((n, n))], np.zeros(U, np.int64)
-    gain, weight = np.zeros((U, n)), np.zeros((U, n))
-    deviation, freedom = np.full((U, 3), np.inf), np.zeros(U)
-    rests = np.zeros(U, dtype=bool)
-    numerator, denominator = np.zeros(U), np.zeros(U)
-    patterns: dict[bytes, list[int]] = {}
-    for u in range(U):
-        patterns.setdefault(ok[:, u].tobytes(), []).append(u)
-    for members in patterns.values():
-        use = ok[:, members[0]]
-        if not enough(use, rate):
-            continue
-        Xe = excited(X[use], noise[0])
-        Ze, felt = _regressed(Xe, X[use], Z[use], y[use][:, members], expected[:, members])
-        result = fit(Design(Xe, Ze, *noise), felt, independence)
-        known = informative(Xe, result)
-        if (known.any(axis=0) != Xe.any(axis=0)).any():
-            Xe = known
-            Ze, felt = _regressed(Xe, X[use], Z[use], y[use][:, members], expected[:, members])
-            whole, result = result, fit(Design(Xe, Ze, *noise), felt, independence)
-            if (result.deviation > np.hypot(_GREAT * whole.deviation, _FELT)).any():
-                continue
-        coefficients[members] = result.coefficients
-        basis = orthonormal(np.concatenate([Xe, Ze], axis=1))
-        colour = Coloured.of(result.residual, basis, rate, cutoff, independence)
-        which[members], weight[members] = len(factors), 1 / np.sqrt(colour.by_time(Xe))
-        nuisance = orthonormal(Ze)
-        own = Xe - nuisance @ (nuisance.T @ Xe)
-        G, gain[members] = colour.factored(result.information, own * np.sqrt(independence))
-        factors.append(G)
-        deviation[members] = np.hypot(result.deviation, _MODEL_NOISE)
-        freedom[members], rests[members] = result.freedom, basis.shape[1] == 1
-        fitted = np.zeros((len(use), len(members), 3))
-        fitted[use] = felt - result.residual
-        slope = first_derivative(fitted, rate)
-        slope = slope[use] * eroded(use, 5)[use, None, None]
-        flat = slope.reshape(len(slope), -1)
-        across = (flat - basis @ (basis.T @ flat)).reshape(slope.shape)
-        certain = 1 / deviation[members] ** 2 / colour.by_su(across)[:, None]
-        numerator[members] = -np.einsum("nui,nui,ui->u", result.residual, across, certain)
-        denominator[members] = np.einsum("nui,nui,ui->u", across, across, certain)
-    scale = independence
-    information = Information(np.array(factors), which[None], gain[None], weight[None])
-    return _Pose(
-        q, log, coefficients, information, deviation, *unseen, freedom, rests,
-        numerator * scale, denominator * scale,
-    )  # fmt: skip
-
-
-def _regressed(Xe: F64, X: F64, Z: F64, y: F64, expected: F64) -> tuple[F64, F64]:
-    """Nuisances (N, k) and readings (N, U, 3) to fit, for the columns Xe (N, n) that X keeps."""
-    D = (X.shape[1] - 1) // 2
-    # A DoF that keeps still adds nothing at second order: its nuisances would only fit noise.
-    moves = np.asarray(Xe[:, 1 + D :].any(axis=0))
-    kept = Z * np.tile(moves, Z.shape[1] // max(1, D))
-    # Motion too small to be fitted, as of a joint that settles, is felt all the same.
-    return kept, y - np.tensordot(X - Xe, expected, 1)
-
-
 def _clock_error(sampled: Sequence[Sampled]) -> float:
     """Standard deviation of the time by which the joints' own clock is off [s].
 
@@ -380,8 +285,8 @@ def _clock_error(sampled: Sequence[Sampled]) -> float:
 
 def _latency_step(poses: Sequence[_Pose]) -> tuple[F64, F64]:
     """Change of each SU's latency [s] and its standard deviation."""
-    numerator = np.sum([p.lag_numerator for p in poses], axis=0)
-    denominator = np.sum([p.lag_denominator for p in poses], axis=0)
+    numerator = np.sum([p.fit.lag_numerator for p in poses], axis=0)
+    denominator = np.sum([p.fit.lag_denominator for p in poses], axis=0)
     sd = np.where(denominator > 0, 1 / np.sqrt(np.maximum(denominator, 1e-300)), np.inf)
     step = np.divide(numerator, denominator, out=np.zeros_like(sd), where=denominator > 0)
     # A large lag leaves large residuals, hence a large sd: a step of many sd is real all the same.

@@ -41,10 +41,11 @@ def outward_starts(
 ) -> Iterator[Orientations]:
     """Starts for trees of revolute joints with an SU on every segment, best first.
 
-    Yields nothing where a segment carries no SU or a joint is prismatic: their axes can not be
-    found from gravity in the next segment.
+    Yields nothing where a segment carries no SU that is heard or a joint is prismatic: their axes
+    can not be found from gravity in the next segment.
     """
-    on_segment = [np.flatnonzero(tree.su_joint == j) for j in range(tree.n_joints)]
+    heard = np.isfinite(blocks.noise).all(axis=2).any(axis=0)
+    on_segment = [np.flatnonzero(heard & (tree.su_joint == j)) for j in range(tree.n_joints)]
     if not tree.n_joints or tree.prismatic.any() or any(not len(u) for u in on_segment):
         return
     if blocks.log.max(initial=0) > 0:

@@ -20,6 +20,7 @@ from skin2urdf.estimation.encoders import gross_scales, suspicions
 from skin2urdf.estimation.estimate import Estimate
 from skin2urdf.faults import Fault
 from skin2urdf.mending.contact import with_contacts_left_out
+from skin2urdf.mending.mirrored import negated
 from skin2urdf.mending.records import Solution
 from skin2urdf.mending.solution import slips_after_all, solved
 from skin2urdf.recording.records import Recording
@@ -173,7 +174,10 @@ def _with_signs(encoders: Encoders, first: Solution) -> tuple[Encoders, Solution
     settings, clock = first.rounds.settings, first.rounds.clock
     try:
         alone = solved(encoders.corrected()[:1], settings, clock)
-        turned = tuple(reversed_encoders(alone.found, first.rounds.features()))
+        # An encoder that counts the other way may make SUs look mirrored.
+        differently = _mirrored(first) ^ _mirrored(alone)
+        features = negated(first.rounds, differently).features()
+        turned = tuple(reversed_encoders(alone.found, features))
         if not turned:
             return encoders, first
         now = replace(encoders, errors=(*encoders.errors, *turned))
@@ -181,6 +185,11 @@ def _with_signs(encoders: Encoders, first: Solution) -> tuple[Encoders, Solution
     except (StructureError, InsufficientDataError):
         return encoders, first
     return (now, best) if _better(first.found, best.found) else (encoders, first)
+
+
+def _mirrored(solution: Solution) -> set[str]:
+    """Names of the SUs that were negated for a solution."""
+    return {fault.subject for fault in solution.faults if fault.kind == "mirrored"}
 
 
 def _with_turns(encoders: Encoders, first: Solution) -> tuple[Encoders, Solution]:

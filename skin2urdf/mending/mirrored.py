@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -22,9 +22,13 @@ def mirrored_negated(rounds: Rounds, found: Estimate) -> tuple[Rounds, list[Faul
         found: an estimate from them, however bad.
     """
     names = [found.tree.su_names[u] for u in mirrored_sus(found)]
-    columns = [rounds.su_names.index(name) for name in names]
-    negated = rounds.with_logs([_negated(s, columns) for s in rounds.sampled])
-    return negated, [_fault(name) for name in names]
+    return negated(rounds, names), [_fault(name) for name in names]
+
+
+def negated(rounds: Rounds, names: Iterable[str]) -> Rounds:
+    """The logs with the readings of some SUs negated, of those that they have."""
+    columns = [rounds.su_names.index(name) for name in names if name in rounds.su_names]
+    return rounds.with_logs([_negated(s, columns) for s in rounds.sampled]) if columns else rounds
 
 
 def _negated(sampled: Sampled, sus: Sequence[int]) -> Sampled:

@@ -156,6 +156,14 @@ def test_both_senses_of_a_vertical_axis_are_tried() -> None:
     assert (axes[:, 2] < -0.9).any()
 
 
+def test_an_su_that_is_never_heard_leaves_its_segment_bare() -> None:
+    features = paper_features(0.5, 0, False)
+    noise = np.array(features.noise)
+    noise[:, 3] = np.inf
+    blocks = feature_blocks(replace(features, noise=noise), paper_tree())
+    assert not list(outward_starts(paper_tree(), blocks, PRIORS))
+
+
 def test_a_bare_segment_without_slopes_is_an_error_in_words() -> None:
     features, tree = only(paper_features(0.5, 0, False), paper_tree(), [0, 1, 3, 6])
     with pytest.raises(InsufficientDataError, match="segment carries no SU") as caught:

@@ -212,3 +212,11 @@ def test_a_hit_that_the_noise_of_other_encoders_hides_in_its_only_su_is_named() 
     found = calibrate([retimed(r) for r in fault.recordings])
     assert fault.subjects == ("panda_joint7",)
     assert [(f.kind, f.subject) for f in found.faults] == [("contact", "panda_joint7")]
+
+
+def test_an_encoder_that_makes_an_su_look_mirrored_is_named() -> None:
+    """The first log alone fits as it is, both together fit better with an SU negated."""
+    fault = faulty("encoder_sign", 10212, [10212, *b"encoder_sign"], 6)
+    found = calibrate([retimed(r) for r in fault.recordings])
+    assert [(f.kind, f.subject) for f in found.faults] == [("encoder sign", "panda_joint1")]
+    assert found.estimate.cost_per_dof < 1.3

@@ -21,6 +21,8 @@ _LARGEST_SCALE = 2.0
 
 _GROSS = 0.25
 """Logarithm of a scale that slopes, noisy as they are, tell from 1."""
+_CAUSE = 0.1
+"""Misfit of slopes with a scale, over that without, from which the scale is its cause."""
 
 
 @dataclass(frozen=True)
@@ -95,10 +97,12 @@ def gross_scales(found: Estimate) -> tuple[EncoderError, ...]:
                 continue
             f0, s = blocks.coefficients[known, u, 0], blocks.coefficients[known, u, row]
             weight = blocks.variance[known, u, row, None] ** -0.5
-            w, *_ = np.linalg.lstsq(
-                (skew(f0) * weight[..., None]).reshape(-1, 3), (s * weight).ravel(), rcond=None
-            )
-            scales.append(1 / max(float(np.linalg.norm(w)), 1e-6))
+            A, y = (skew(f0) * weight[..., None]).reshape(-1, 3), (s * weight).ravel()
+            w, *_ = np.linalg.lstsq(A, y, rcond=None)
+            size = max(float(np.linalg.norm(w)), 1e-6)
+            left, without = (float(((y - A @ v) ** 2).sum()) for v in (w, w / size))
+            # An SU that slips has no constant axis of any length.
+            scales.append(1 / size if left < _CAUSE * without else 1.0)
         middle = float(np.median(scales)) if scales else 1.0
         if abs(np.log(middle)) > _GROSS:
             out.append(EncoderError("scale", name, middle))

@@ -272,8 +272,9 @@ def _better(before: Estimate, after: Estimate) -> bool:
     def excess(found: Estimate) -> float:
         return float(found.chi2_by_block.sum()) - found.degrees_of_freedom
 
+    # Robust weights may make a fit look good whose misfit is still there.
     good = after.cost_per_dof <= GOOD_FIT and after.cost_per_dof < before.cost_per_dof
-    return good or excess(after) < _LEFT * excess(before)
+    return excess(after) < (1 - _MOST_OF_IT if good else _LEFT) * excess(before)
 
 
 def _faults(encoders: Encoders, last: Solution) -> tuple[Fault, ...]:

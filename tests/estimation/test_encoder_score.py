@@ -11,7 +11,9 @@ from synthetic import GRAVITY, random_cost, random_features, random_state, rando
 from skin2urdf.arrays import F64
 from skin2urdf.estimation.cost import Cost, Priors
 from skin2urdf.estimation.encoder_score import encoder_scores
+from skin2urdf.estimation.encoders import gross_scales
 from skin2urdf.estimation.estimate import Estimate, EstimationSettings, estimate
+from skin2urdf.model.spatial import rotation_exp
 from skin2urdf.signals.records import Features
 
 SETTINGS = EstimationSettings(Priors(gravity=GRAVITY), robust=False)
@@ -132,3 +134,25 @@ def test_scores_are_those_of_all_coordinates_written_out() -> None:
             slope, square = direction[0] @ b, direction[0] @ A @ direction[0]
             assert size[0] == pytest.approx(-slope / square, rel=1e-3)
             assert gain[0] == pytest.approx(slope**2 / square, rel=1e-3)
+
+
+def test_a_gross_scale_is_seen_in_the_slopes() -> None:
+    features = chain(0.05)
+    x = np.array(features.coefficients)
+    x[:, :, 1 + 2] /= 2.0
+    (error,) = gross_scales(fitted(replace(features, coefficients=x)))
+    assert (error.kind, error.dof) == ("scale", serial_tree(4).joint_names[2])
+    assert error.size == pytest.approx(2.0, rel=0.1)
+    assert not gross_scales(fitted(features))
+
+
+def test_an_su_that_slips_is_no_gross_scale() -> None:
+    """Its axis is another one later, and the mean of both is shorter than either."""
+    features = chain(0.05)
+    su = int(np.flatnonzero(serial_tree(4).su_joint == 2)[0])
+    x = np.array(features.coefficients)
+    x[5:, su] = x[5:, su] @ rotation_exp(np.array([[0.0, 2.2, 0.0]]))[0].T
+    slipped = fitted(replace(features, coefficients=x))
+    axes = slipped.cost.blocks.coefficients[:, su]
+    assert np.abs(axes[5:] - axes[:5]).max() > 1.0
+    assert not gross_scales(slipped)

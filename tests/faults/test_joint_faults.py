@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,7 +15,7 @@ from simulated import changed_joints, features_of, held_against, simulation
 from skin2urdf.arrays import F64
 from skin2urdf.calibration import CalibrationSettings
 from skin2urdf.estimation.encoders import suspicions
-from skin2urdf.mending.encoders import Encoders, sized_by_the_fit
+from skin2urdf.mending.encoders import Encoders, _better, sized_by_the_fit
 from skin2urdf.mending.solution import solved
 from skin2urdf.pipeline import calibrate
 from skin2urdf.recording.records import JointStream, Recording
@@ -84,6 +86,26 @@ def test_a_wrong_encoder_is_corrected_by_as_much_as_the_fit_says() -> None:
     score = {s.error.begin: s.gain for s in suspicions(mended.found, mended.features)
              if (s.error.kind, s.error.dof) == ("offset", JOINT)}  # fmt: skip
     assert score[min(score, key=lambda t: abs(t - begin))] < 0.01
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "better"),
+    [
+        # Cost with robust weights, and chi-squared without, per degree of freedom.
+        ((30.0, 30.0), (1.0, 1.0), True),
+        ((1.9, 4.0), (1.1, 1.2), True),
+        ((1.38, 4000.0), (1.37, 3999.0), False),
+        ((30.0, 30.0), (20.0, 20.0), False),
+    ],
+)
+def test_encoders_were_wrong_where_their_misfit_is_gone(
+    before: tuple[float, float], after: tuple[float, float], better: bool
+) -> None:
+    def found(cost: float, misfit: float) -> Any:
+        chi2 = np.full((10, 100), misfit)
+        return SimpleNamespace(cost_per_dof=cost, chi2_by_block=chi2, degrees_of_freedom=1000)
+
+    assert _better(found(*before), found(*after)) == better
 
 
 @pytest.mark.parametrize("factor", [1.02])

@@ -7,7 +7,7 @@ that features taken again are exact, and show the structure more clearly where i
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import TypeVar
 
@@ -116,7 +116,31 @@ class Rounds:
             latest, shown = self.relinearised(again, features)
             if latest.cost_per_dof < _CLEARLY_BETTER * best.cost_per_dof:
                 best, refined = latest, shown
-        return best, refined
+        return self._with_an_su_elsewhere(best, refined, features)
+
+    def _with_an_su_elsewhere(
+        self, found: Estimate, refined: Features, features: Features
+    ) -> tuple[Estimate, Features]:
+        """With an SU that does not fit one joint further out or in, where all fits then.
+
+        Gaps may leave so little of an SU that the activity of its last joint is missed.
+        """
+        odd = unlike_the_rest(found)
+        if not odd:
+            return found, refined
+        seen = activity(refined, self.settings.static_threshold)
+        for su, joint, moved in _next_to(found.tree, odd):
+            try:
+                again = kinematic_tree(seen.moved_by(su, joint, moved), refined)
+            except StructureError:
+                continue
+            again = ordered(again, refined)
+            if alike(again, found.tree):
+                continue
+            latest, shown = self.relinearised(again, features)
+            if latest.misfit <= GOOD_FIT and not unlike_the_rest(latest):
+                return latest, shown
+        return found, refined
 
     def relinearised(self, tree: KinematicTree, features: Features) -> tuple[Estimate, Features]:
         """Estimate, take the features again with what the estimate predicts, until it settles."""
@@ -181,6 +205,16 @@ def alike(a: KinematicTree, b: KinematicTree) -> bool:
         }
 
     return chains(a) == chains(b)
+
+
+def _next_to(tree: KinematicTree, sus: Sequence[int]) -> Iterator[tuple[str, str, bool]]:
+    """SUs, and the joints next to theirs: those beyond, which would move them, and their own."""
+    for u in sus:
+        own = int(tree.su_joint[u])
+        for j in np.flatnonzero(tree.parent == own):
+            yield tree.su_names[u], tree.joint_names[j], True
+        if own >= 0:
+            yield tree.su_names[u], tree.joint_names[own], False
 
 
 def predicted_curvature(found: Estimate, features: Features) -> Curvature:

@@ -107,6 +107,14 @@ class Activity:
             dynamic[u, d] = np.fmax(dynamic[u, d], 1.01)
         return replace(self, dynamic=dynamic)
 
+    def moved_by(self, su: str, dof: str, moved: bool) -> Activity:
+        """The same evidence, with one SU certainly moved by a DoF, or certainly not."""
+        u, d = self.su_names.index(su), self.dof_names.index(dof)
+        static, dynamic = np.array(self.static), np.array(self.dynamic)
+        static[u, d] = np.nan
+        dynamic[u, d] = np.exp(2 * CERTAIN if moved else -2 * CERTAIN)
+        return replace(self, static=static, dynamic=dynamic)
+
 
 def activity(features: Features, threshold: float = STATIC_THRESHOLD) -> Activity:
     """Evidence for every SU and DoF.

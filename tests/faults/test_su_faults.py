@@ -78,14 +78,24 @@ def test_a_slip_is_measured() -> None:
     assert float(words[words.index("mm") + 2]) == pytest.approx(angle, abs=0.15)
 
 
+def of_six_poses(kind: str, seed: int) -> tuple[Faulty, Calibration]:
+    robot = load_robot("panda")
+    settings = SimulationSettings(n_poses=6, excite="all", seed=seed)
+    whole = Sound(robot, settings, simulate(robot, settings))
+    injected = FAULTS[kind](whole, np.random.default_rng([seed, *kind.encode()]))
+    return injected, calibrate([retimed(recording) for recording in injected.recordings])
+
+
 def test_a_slip_on_an_upright_first_joint_is_not_its_encoders_scale() -> None:
     """Gravity hardly moves there, and robust weights make the fit of the others look good."""
-    robot = load_robot("panda")
-    settings = SimulationSettings(n_poses=6, excite="all", seed=10244)
-    whole = Sound(robot, settings, simulate(robot, settings))
-    injected = FAULTS["loose"](whole, np.random.default_rng([10244, *b"loose"]))
-    found = calibrate([retimed(recording) for recording in injected.recordings])
+    injected, found = of_six_poses("loose", 10244)
     assert [(f.kind, f.subject) for f in found.faults] == [("loose", injected.subjects[0])]
+
+
+def test_an_su_whose_last_joint_was_missed_in_gaps_is_put_beyond_it() -> None:
+    injected, found = of_six_poses("gaps", 10282)
+    assert [(f.kind, f.subject) for f in found.faults] == [(injected.kind, injected.subjects[0])]
+    assert found.estimate.misfit < 1.3
 
 
 def test_a_fixed_su_does_not_slip() -> None:

@@ -14,7 +14,7 @@ from skin2urdf.arrays import Bool
 from skin2urdf.recording.records import SuStream
 from skin2urdf.signals.records import Features, StaticMoves
 from skin2urdf.simulation import Simulation
-from skin2urdf.structure.activity import STATIC_THRESHOLD, activity
+from skin2urdf.structure.activity import CERTAIN, STATIC_THRESHOLD, activity
 
 
 def true_activity(sim: Simulation, features: Features) -> Bool:
@@ -53,6 +53,18 @@ def test_a_vertical_axis_is_seen_by_its_pattern_only() -> None:
     moving = [u for u, n in enumerate(features.su_names) if _joint(sim, n) >= 0]
     assert np.nanmax(seen.static[:, first]) < 1.0
     assert (seen.dynamic[moving, first] > 1.0).all()
+
+
+@pytest.mark.parametrize("moved", [True, False])
+def test_what_is_certain_outweighs_the_evidence(moved: bool) -> None:
+    features = features_of(simulation("ur5").recording)
+    seen = activity(features)
+    su, dof = (int(i[0]) for i in np.nonzero(seen.matrix != moved))
+    told = seen.moved_by(features.su_names[su], features.dof_names[dof], moved)
+    changed = told.matrix != seen.matrix
+    assert changed[su, dof]
+    assert changed.sum() == 1
+    assert abs(told.evidence[su, dof]) > CERTAIN
 
 
 def _joint(sim: Simulation, name: str) -> int:

@@ -131,13 +131,12 @@ class Rounds:
         seen = activity(refined, self.settings.static_threshold)
         for su, joint, moved in _next_to(found.tree, odd):
             try:
-                again = kinematic_tree(seen.moved_by(su, joint, moved), refined)
-            except StructureError:
+                again = ordered(kinematic_tree(seen.moved_by(su, joint, moved), refined), refined)
+                if alike(again, found.tree):
+                    continue
+                latest, shown = self.relinearised(again, features)
+            except (StructureError, InsufficientDataError):
                 continue
-            again = ordered(again, refined)
-            if alike(again, found.tree):
-                continue
-            latest, shown = self.relinearised(again, features)
             if latest.misfit <= GOOD_FIT and not unlike_the_rest(latest):
                 return latest, shown
         return found, refined

@@ -159,7 +159,10 @@ def _pushes(residual: F64, tau: F64, variance: F64, own: F64) -> F64:
     weighted = tau / own[:, None, None] ** 2
     M = np.tensordot(weighted, tau, axes=([0, 2], [0, 2]))
     # The inverse of the residuals' covariance, by Woodbury's identity.
-    among_noise = np.linalg.inv(np.eye(len(M)) + M * variance)
+    sd = np.sqrt(variance)
+    lam, V = np.linalg.eigh(sd[:, None] * M * sd)
+    known = (V / (1 + np.maximum(lam, 0.0))) @ V.T
+    among_noise = np.eye(len(M)) - (M * sd) @ known * sd
     expected = np.diagonal(among_noise @ M)
     score = np.tensordot(residual, weighted, axes=([1, 2], [0, 2])) @ among_noise.T
     felt = expected > 0

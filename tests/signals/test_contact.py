@@ -73,6 +73,14 @@ def test_sus_that_are_not_there_and_joints_that_no_su_feels_have_no_part() -> No
     np.testing.assert_allclose(pushes, expected, rtol=1e-9)
 
 
+@pytest.mark.parametrize("size", [1e-12, 1e12])
+def test_pushes_are_finite_whatever_readings_owe_to_the_joints(size: float) -> None:
+    tau = responses() * size
+    tau[:, 1] = tau[:, 0]
+    pushes = _pushes(noise(20), tau, VARIANCE, np.full(3, 1e-6))
+    assert np.isfinite(pushes).all()
+
+
 def test_own_noise_is_what_encoders_do_not_bring() -> None:
     own = np.array([1.0, 2.0])
     rng = np.random.default_rng(3)

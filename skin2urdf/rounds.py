@@ -132,6 +132,7 @@ class Rounds:
         for su, joint, moved in _next_to(found.tree, odd):
             try:
                 again = ordered(kinematic_tree(seen.moved_by(su, joint, moved), refined), refined)
+                again = replace(again, notes=(*again.notes, _elsewhere(su, joint, moved)))
                 if alike(again, found.tree):
                     continue
                 latest, shown = self.relinearised(again, features)
@@ -214,6 +215,15 @@ def _next_to(tree: KinematicTree, sus: Sequence[int]) -> Iterator[tuple[str, str
             yield tree.su_names[u], tree.joint_names[j], True
         if own >= 0:
             yield tree.su_names[u], tree.joint_names[own], False
+
+
+def _elsewhere(su: str, joint: str, moved: bool) -> str:
+    """A note on an SU that is placed against the evidence of its activity."""
+    return (
+        f"{su} is taken {'to move' if moved else 'not to move'} with {joint}, for only then its "
+        f"readings fit, though their activity says otherwise: record {joint} moving by itself to "
+        "make it certain"
+    )
 
 
 def predicted_curvature(found: Estimate, features: Features) -> Curvature:

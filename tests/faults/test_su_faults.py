@@ -96,6 +96,9 @@ def test_an_su_whose_last_joint_was_missed_in_gaps_is_put_beyond_it() -> None:
     injected, found = of_six_poses("gaps", 10282)
     assert [(f.kind, f.subject) for f in found.faults] == [(injected.kind, injected.subjects[0])]
     assert found.estimate.misfit < 1.3
+    (note,) = (n for n in found.notes if n.startswith(injected.subjects[0]))
+    assert "taken to move with panda_joint5" in note
+    assert "record panda_joint5 moving by itself" in note
 
 
 def test_a_fixed_su_does_not_slip() -> None:

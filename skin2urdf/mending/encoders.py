@@ -177,6 +177,9 @@ def _with_signs(encoders: Encoders, first: Solution) -> tuple[Encoders, Solution
         # An encoder that counts the other way may make SUs look mirrored.
         differently = _mirrored(first) ^ _mirrored(alone)
         features = negated(first.rounds, differently).features()
+        if not set(alone.found.tree.su_names) <= set(features.su_names):
+            # An SU that slipped in the first log is two there.
+            return encoders, first
         turned = tuple(reversed_encoders(alone.found, features))
         if not turned:
             return encoders, first
@@ -267,7 +270,7 @@ def _hopeless(found: Estimate) -> bool:
 
 
 def _better(before: Estimate, after: Estimate) -> bool:
-    """Whether the misfit is gone, or nearly."""
+    """Whether the misfit is gone, or nearly; of a fit that is good without it, half is enough."""
 
     def excess(found: Estimate) -> float:
         return float(found.chi2_by_block.sum()) - found.degrees_of_freedom

@@ -106,9 +106,9 @@ def _unexplained(y: F64, noise: F64, shared: F64, effects: F64) -> float:
     """Weighted sum of squares that two effects leave of N moments.
 
     Args:
-        y: (N, U, 3) readings.
-        noise: (N, U) of each of them.
-        shared: (J, U, 3) what each of J independent noises of variance 1 adds to all readings.
+        y: (N, U, 3) readings [m/s^2].
+        noise: (N, U) standard deviation per axis of each of them [m/s^2].
+        shared: (J, U, 3) what each of J independent noises of variance 1 adds to all [m/s^2].
         effects: (U, 3, 2) the effects, of any size at each moment.
     """
     N = len(y)

@@ -127,9 +127,9 @@ def _own_noise(residual: F64, tau: F64, variance: F64) -> F64:
     """(U,) noise per axis of residuals (N, U, 3) that the encoders do not bring [m/s^2].
 
     Args:
-        residual: of a window; 0 for SUs that are not there.
-        tau: (U, D, 3) reading per acceleration of each joint.
-        variance: (D,) of the encoders' noise in the accelerations.
+        residual: of a window, in the SUs' frames; 0 for SUs that are not there [m/s^2].
+        tau: (U, D, 3) reading per acceleration of each joint, in the SUs' frames [m/rad].
+        variance: (D,) of the encoders' noise in the accelerations [rad^2/s^4].
 
     Returns:
         The noise, infinite for SUs that are not there.
@@ -143,14 +143,15 @@ def _own_noise(residual: F64, tau: F64, variance: F64) -> F64:
 def _pushes(residual: F64, tau: F64, variance: F64, own: F64) -> F64:
     """Signed square roots of what accelerations that encoders do not see would explain.
 
-    The likelihood ratio of an acceleration of one joint in Gaussian noise: of each SU, and of all
-    encoders ``v``, which enters the residuals as ``sum_d tau_d v_d``.
+    A matched filter at each moment: the likelihood ratio of an acceleration of one joint in
+    Gaussian noise, of each SU and of all encoders ``v``, which enters the residuals as
+    ``sum_d tau_d v_d``.
 
     Args:
-        residual: (N, U, 3) of a window.
-        tau: (U, D, 3) reading per acceleration of each joint.
-        variance: (D,) of the encoders' noise in the accelerations.
-        own: (U,) of the SUs' noise.
+        residual: (N, U, 3) of a window, in the SUs' frames [m/s^2].
+        tau: (U, D, 3) reading per acceleration of each joint, in the SUs' frames [m/rad].
+        variance: (D,) of the encoders' noise in the accelerations [rad^2/s^4].
+        own: (U,) standard deviation of the SUs' noise per axis [m/s^2].
 
     Returns:
         (N, J) of the J joints that any SU feels; of variance 1 where nothing is pushed and all
@@ -270,8 +271,8 @@ def _peaks(
     highest = (size / np.hypot(_UNSTEADY * usual, _EXPECTED)).max(axis=1)
     # A swing goes through zero.
     reach = int(rate * max(_MARGIN, 0.5 / cutoff))
-    outside = np.r_[False, maximum_filter1d(highest, 2 * reach + 1) > _TAIL, False]
-    for a, b in np.flatnonzero(np.diff(outside.astype(np.int8))).reshape(-1, 2):
+    beyond = np.r_[False, maximum_filter1d(highest, 2 * reach + 1) > _TAIL, False]
+    for a, b in np.flatnonzero(np.diff(beyond.astype(np.int8))).reshape(-1, 2):
         at = int(a + highest[a:b].argmax())
         if highest[at] > limit and (b - a - 2 * reach) / rate < _LONGEST + 2 / cutoff:
             yield int(a), int(b), at, float(highest[at])

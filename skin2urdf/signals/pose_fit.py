@@ -61,8 +61,9 @@ class PoseFit:
             have too few samples.
         freedom: (U,) degrees of freedom of the noise.
         rests: (U,) True for SUs around which nothing moves.
-        lag_numerator: (U,) change of each SU's latency that explains most, times
-        lag_denominator: (U,) the information on it [1/s^2].
+        lag_numerator: (U,) change of each SU's latency that explains most, times the information
+            on it [1/s].
+        lag_denominator: (U,) that information [1/s^2].
     """
 
     coefficients: F64

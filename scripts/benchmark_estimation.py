@@ -24,8 +24,8 @@ import pinocchio as pin
 from threadpoolctl import threadpool_limits
 
 from skin2urdf.arrays import F64
-from skin2urdf.estimation.estimate import Estimate, estimate
-from skin2urdf.estimation.observability import observability
+from skin2urdf.estimation.solve.estimate import Estimate, estimate
+from skin2urdf.estimation.uncertainty.observability import observability
 from skin2urdf.signals.information import Information
 from skin2urdf.signals.records import Features, StaticMoves
 from skin2urdf.simulation.mechanism import Mechanism, load_mechanism

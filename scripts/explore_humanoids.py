@@ -22,18 +22,18 @@ from pathlib import Path
 import numpy as np
 
 from skin2urdf.arrays import Bool
+from skin2urdf.paper.exploration import (
+    Exploration,
+    explore,
+    or_combination,
+    static_activity,
+)
 from skin2urdf.report.figures import draw_exploration
 from skin2urdf.signals.features import extract_features
 from skin2urdf.signals.sampling import Sampled, sample_recording, static_moves
 from skin2urdf.simulation import SimulationSettings, load_robot, simulate
 from skin2urdf.simulation.mechanism import load_mechanism
 from skin2urdf.structure.activity import activity
-from skin2urdf.structure.exploration import (
-    Exploration,
-    explore,
-    or_combination,
-    static_activity,
-)
 from skin2urdf.structure.tree import nested
 
 ROBOTS = ("talos", "romeo", "icub", "simple_humanoid", "g1", "panda")

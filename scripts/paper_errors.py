@@ -7,18 +7,18 @@ from dataclasses import dataclass
 import numpy as np
 
 from skin2urdf.arrays import F64
-from skin2urdf.estimation.blocks import feature_blocks
-from skin2urdf.estimation.cost import Cost, Priors
-from skin2urdf.estimation.estimate import Estimate
-from skin2urdf.estimation.paper_method import PaperResult
-from skin2urdf.estimation.paper_model import link_transform, su_transform
-from skin2urdf.estimation.paper_placements import DhTable, dh_table
-from skin2urdf.estimation.state import N_SU, State, Step, identifiable, moved
+from skin2urdf.estimation.problem.blocks import feature_blocks
+from skin2urdf.estimation.problem.cost import Cost, Priors
+from skin2urdf.estimation.problem.state import N_SU, State, Step, identifiable, moved
+from skin2urdf.estimation.solve.estimate import Estimate
+from skin2urdf.geometry.spatial import rotation_log
 from skin2urdf.model.dh import screw
 from skin2urdf.model.records import KinematicModel
-from skin2urdf.model.spatial import rotation_log
+from skin2urdf.paper.case import N_DOFS, TRUE_LINKS, TRUE_SUS, PaperTraining
+from skin2urdf.paper.method import PaperResult
+from skin2urdf.paper.model import link_transform, su_transform
+from skin2urdf.paper.placements import DhTable, dh_table
 from skin2urdf.signals.records import Features
-from skin2urdf.simulation.paper_case import N_DOFS, TRUE_LINKS, TRUE_SUS, PaperTraining
 from skin2urdf.structure.records import JointType, KinematicTree
 
 _REVOLUTE: JointType = "revolute"

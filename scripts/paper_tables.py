@@ -21,9 +21,9 @@ from paper_errors import (
 )
 
 from skin2urdf.arrays import F64
-from skin2urdf.estimation.paper_method import PaperSettings
-from skin2urdf.estimation.paper_placements import DhTable
-from skin2urdf.simulation import paper_case as case
+from skin2urdf.paper import case
+from skin2urdf.paper.method import PaperSettings
+from skin2urdf.paper.placements import DhTable
 
 SUSPECT = 0.1
 """Deviation [m or rad] from the truth that the paper highlights."""

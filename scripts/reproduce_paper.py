@@ -37,12 +37,12 @@ from paper_tables import (
     summary,
 )
 
-from skin2urdf.estimation.estimate import estimate
-from skin2urdf.estimation.paper_method import PaperSettings, estimate_paper
-from skin2urdf.estimation.paper_placements import DhTable
-from skin2urdf.estimation.paper_search import SearchSettings
-from skin2urdf.estimation.paper_training import MotionPattern, training_features
-from skin2urdf.simulation import paper_case as case
+from skin2urdf.estimation.solve.estimate import estimate
+from skin2urdf.paper import case
+from skin2urdf.paper.method import PaperSettings, estimate_paper
+from skin2urdf.paper.placements import DhTable
+from skin2urdf.paper.search import SearchSettings
+from skin2urdf.paper.training import MotionPattern, training_features
 
 
 def run(seed: int, settings: PaperSettings, tilt: float, default_only: bool) -> Run:

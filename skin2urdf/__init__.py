@@ -14,15 +14,15 @@ __version__ = "0.1.0"
 __all__ = ["Calibration", "CalibrationSettings", "__version__", "calibrate", "compare", "save"]
 
 if TYPE_CHECKING:
-    from skin2urdf.calibration import Calibration, CalibrationSettings
+    from skin2urdf.calibration.pipeline import calibrate
+    from skin2urdf.calibration.result import Calibration, CalibrationSettings
     from skin2urdf.output import save
-    from skin2urdf.pipeline import calibrate
     from skin2urdf.urdf.compare import compare
 
 _HOMES = {
-    "Calibration": "skin2urdf.calibration",
-    "CalibrationSettings": "skin2urdf.calibration",
-    "calibrate": "skin2urdf.pipeline",
+    "Calibration": "skin2urdf.calibration.result",
+    "CalibrationSettings": "skin2urdf.calibration.result",
+    "calibrate": "skin2urdf.calibration.pipeline",
     "compare": "skin2urdf.urdf.compare",
     "save": "skin2urdf.output",
 }

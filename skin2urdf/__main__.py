@@ -2,6 +2,6 @@
 
 import sys
 
-from skin2urdf.cli import main
+from skin2urdf.cli.main import main
 
 sys.exit(main())

@@ -9,7 +9,7 @@ import secrets
 from pathlib import Path
 from typing import Any
 
-from skin2urdf.calibration import Calibration
+from skin2urdf.calibration.result import Calibration
 from skin2urdf.errors import UsageError
 from skin2urdf.files import check_target, write_atomically
 from skin2urdf.report.document import as_document, dumps

@@ -16,7 +16,9 @@ from skin2urdf.errors import (
     StructureError,
     UnreadableInputError,
 )
-from skin2urdf.estimation.order import ordered
+from skin2urdf.estimation.start.order import ordered
+from skin2urdf.paper.exploration import Exploration
+from skin2urdf.paper.exploration import explore as run_algorithm_1
 from skin2urdf.recording.inventory import LogInventory
 from skin2urdf.recording.reading import inventory, read
 from skin2urdf.recording.records import Recording
@@ -24,8 +26,6 @@ from skin2urdf.signals.features import extract_features
 from skin2urdf.signals.records import Features
 from skin2urdf.signals.sampling import Sampled, sampled_together
 from skin2urdf.structure.activity import STATIC_THRESHOLD, Activity, activity
-from skin2urdf.structure.exploration import Exploration
-from skin2urdf.structure.exploration import explore as run_algorithm_1
 from skin2urdf.structure.records import KinematicTree
 from skin2urdf.structure.tree import kinematic_tree, nested
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from functools import cache
 
-from skin2urdf.calibration import Calibration
-from skin2urdf.pipeline import calibrate
+from skin2urdf.calibration.pipeline import calibrate
+from skin2urdf.calibration.result import Calibration
 from skin2urdf.simulation import Simulation, SimulationSettings, load_robot, simulate
 
 

@@ -16,7 +16,7 @@ import numpy as np
 import pinocchio as pin
 
 from skin2urdf.arrays import F64
-from skin2urdf.calibration import Calibration
+from skin2urdf.calibration.result import Calibration
 from skin2urdf.recording.records import JointStream, Recording, SuStream
 from skin2urdf.signals.features import extract_features
 from skin2urdf.signals.records import Features

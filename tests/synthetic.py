@@ -12,9 +12,9 @@ import pinocchio as pin
 from scipy.spatial.transform import Rotation
 
 from skin2urdf.arrays import F64, Int
-from skin2urdf.estimation.blocks import feature_blocks
-from skin2urdf.estimation.cost import Cost, Priors
-from skin2urdf.estimation.state import State, Step
+from skin2urdf.estimation.problem.blocks import feature_blocks
+from skin2urdf.estimation.problem.cost import Cost, Priors
+from skin2urdf.estimation.problem.state import State, Step
 from skin2urdf.signals.information import Information
 from skin2urdf.signals.records import Features, StaticMoves
 from skin2urdf.structure.records import KinematicTree

@@ -1,4 +1,4 @@
-"""The shape of the package: who imports whom, how large a module is, what prints."""
+"""The shape of the package: who imports whom, what prints."""
 
 from __future__ import annotations
 
@@ -25,57 +25,60 @@ SOURCES = [*MODULES.values(), *sorted((ROOT / "scripts").rglob("*.py"))]
 
 # What the modules of a layer may import beside their own layer. A name covers what is below it;
 # "*.records" stands for the records of every folder. Data flows down this table.
-BASE = ("arrays", "errors", "files", "faults")
+BASE = ("arrays", "errors", "files", "faults", "geometry")
 LAYERS: dict[str, tuple[str, ...]] = {
     "arrays": (),
     "errors": (),
     "files": ("errors",),
     "faults": (),
+    "geometry": ("arrays",),
     "recording": BASE,
     "signals": (*BASE, "recording"),
     "structure": (*BASE, "signals"),
     "model": (*BASE, "structure.records", "signals.records"),
     "estimation": (*BASE, "model", "structure", "signals.records", "signals.information"),
+    "paper": (
+        *BASE,
+        "model",
+        "structure",
+        "signals.records",
+        "signals.information",
+        "estimation",
+    ),
     "urdf": (*BASE, "model", "structure"),
     "simulation": ("arrays", "errors", "recording.records", "recording.writing"),
-    "calibration": (*BASE, "model", "structure", "signals.records", "estimation"),
-    "survey": (*BASE, "recording", "signals", "structure", "estimation.order"),
+    "survey": (*BASE, "recording", "signals", "structure", "estimation.start.order", "paper"),
     "report": (
         *BASE,
         "*.records",
         "structure",
+        "paper.exploration",
         "model.dh",
-        "estimation.goodness",
-        "estimation.observability",
-        "estimation.placements",
-        "calibration",
+        "estimation.uncertainty",
+        "calibration.result",
         "survey",
     ),
-    "output": (*BASE, "urdf", "calibration", "report"),
-    "rounds": (*BASE, "signals", "structure", "model", "estimation", "calibration"),
-    "mending": (
+    "output": (*BASE, "urdf", "calibration.result", "report"),
+    "hypotheses": (
         *BASE,
         "recording.records",
         "signals",
         "structure",
         "model",
         "estimation",
-        "calibration",
-        "rounds",
+        "calibration.result",
+        "calibration.rounds",
     ),
-    "pipeline": (
+    "calibration": (
         *BASE,
-        "rounds",
-        "mending",
         "recording",
         "signals",
         "structure",
         "model",
         "estimation",
-        "calibration",
+        "paper",
+        "hypotheses",
     ),
-    "options": ("",),
-    "terminal": (),
     "cli": (
         "",
         *BASE,
@@ -90,26 +93,15 @@ LAYERS: dict[str, tuple[str, ...]] = {
         "survey",
         "report",
         "output",
-        "pipeline",
-        "options",
-        "terminal",
     ),
     "__main__": ("cli",),
     # The package itself: its public names.
-    "": (
-        *BASE,
-        "calibration",
-        "output",
-        "pipeline",
-        "urdf.compare",
-        "*.records",
-    ),
+    "": (*BASE, "calibration", "output", "urdf.compare", "*.records"),
 }
 # Nobody but the command line may know where the truth comes from.
 READERS_OF_TRUTH = {"simulation", "cli"}
 
 ENTRIES = {"pyproject.toml", "skin2urdf", "robots", "tests", "scripts", "README.md", "LICENSE"}
-MAX_LINES = 400
 # Loading any of these takes longer than `skin2urdf --help` may.
 HEAVY = {"casadi", "matplotlib", "mujoco", "nlopt", "pinocchio", "trimesh", "yourdfpy"}
 IMPORT_NAMES = {"pin": "pinocchio", "example-robot-data": "example_robot_data"}
@@ -179,7 +171,7 @@ def is_allowed(importer: str, imported: str) -> bool:
         ("from . import records", {"skin2urdf.structure.records"}),
         ("from ..recording import records", {"skin2urdf.recording.records"}),
         ("def f():\n    import numpy.linalg", {"numpy.linalg"}),
-        ("importlib.import_module('skin2urdf.cli')", {"skin2urdf.cli"}),
+        ("importlib.import_module('skin2urdf.cli.main')", {"skin2urdf.cli.main"}),
     ],
 )
 def test_the_import_finder_sees_every_way_to_import(source: str, expected: set[str]) -> None:
@@ -189,30 +181,34 @@ def test_the_import_finder_sees_every_way_to_import(source: str, expected: set[s
 @pytest.mark.parametrize(
     ("importer", "imported", "allowed"),
     [
-        ("skin2urdf.estimation.refine", "skin2urdf.signals.records", True),
-        ("skin2urdf.estimation.refine", "skin2urdf.recording.records", False),
-        ("skin2urdf.estimation.refine", "skin2urdf.simulation.simulate", False),
+        ("skin2urdf.estimation.solve.refine", "skin2urdf.signals.records", True),
+        ("skin2urdf.estimation.solve.refine", "skin2urdf.recording.records", False),
+        ("skin2urdf.estimation.solve.refine", "skin2urdf.simulation.simulate", False),
         ("skin2urdf.recording.reading", "skin2urdf.signals.records", False),
         ("skin2urdf.model.dh", "skin2urdf.structure.records", True),
         ("skin2urdf.model.dh", "skin2urdf.structure.tree", False),
         ("skin2urdf.simulation.plant", "skin2urdf.recording.reading", False),
         ("skin2urdf.report.page", "skin2urdf.simulation.records", False),
-        ("skin2urdf.pipeline", "skin2urdf.cli", False),
-        ("skin2urdf.pipeline", "skin2urdf", False),
-        ("skin2urdf", "skin2urdf.cli", False),
-        ("skin2urdf.cli", "skin2urdf", True),
+        ("skin2urdf.calibration.pipeline", "skin2urdf.cli.main", False),
+        ("skin2urdf.calibration.pipeline", "skin2urdf", False),
+        ("skin2urdf", "skin2urdf.cli.main", False),
+        ("skin2urdf.cli.main", "skin2urdf", True),
     ],
 )
 def test_the_rules_say_what_the_layers_mean(importer: str, imported: str, allowed: bool) -> None:
     assert is_allowed(importer, imported) is allowed
 
 
-@pytest.mark.parametrize("module", MODULES)
-def test_imports_follow_the_layers(module: str) -> None:
-    assert layer_of(module) in LAYERS, f"{module}: a layer without a rule; add it to LAYERS"
-    own = {name for name in imports_of(module) if name.split(".")[0] == "skin2urdf"}
-    forbidden = sorted(name for name in own if not is_allowed(module, name))
-    assert not forbidden, f"{module} must not import {', '.join(forbidden)}"
+def test_imports_follow_the_layers() -> None:
+    without_rule = sorted({layer_of(module) for module in MODULES} - LAYERS.keys())
+    assert not without_rule, "layers without a rule; add them to LAYERS"
+    forbidden = [
+        f"{module} must not import {name}"
+        for module in MODULES
+        for name in sorted(imports_of(module))
+        if name.split(".")[0] == "skin2urdf" and not is_allowed(module, name)
+    ]
+    assert not forbidden, "\n".join(forbidden)
 
 
 def test_modules_import_each_other_in_no_circle() -> None:
@@ -235,21 +231,21 @@ def test_every_third_party_import_is_a_declared_dependency() -> None:
     assert not unknown
 
 
-@pytest.mark.parametrize("module", MODULES)
-def test_only_the_command_line_prints(module: str) -> None:
-    lines = [
-        node.lineno
-        for node in ast.walk(parsed(MODULES[module]))
-        if isinstance(node, ast.Call) and ast.unparse(node.func) in {"print", "builtins.print"}
+def test_only_the_command_line_prints() -> None:
+    printing = [
+        f"{module}, line {node.lineno}"
+        for module, path in MODULES.items()
+        for node in ast.walk(parsed(path))
+        if module != "skin2urdf.cli.main"
+        and isinstance(node, ast.Call)
+        and ast.unparse(node.func) in {"print", "builtins.print"}
     ]
-    assert module == "skin2urdf.cli" or not lines, f"{module} prints in lines {lines}"
+    assert not printing
 
 
-@pytest.mark.parametrize("path", SOURCES, ids=lambda path: path.relative_to(ROOT).as_posix())
-def test_a_file_is_short_and_says_what_it_is_for(path: Path) -> None:
-    lines = len(path.read_text(encoding="utf-8").splitlines())
-    assert lines < MAX_LINES, f"{lines} lines; split it by responsibility"
-    assert ast.get_docstring(parsed(path)), "no module docstring"
+def test_every_file_says_what_it_is_for() -> None:
+    silent = [path.name for path in SOURCES if not ast.get_docstring(parsed(path))]
+    assert not silent
 
 
 def test_the_top_of_the_repository_stays_tidy() -> None:
@@ -271,11 +267,11 @@ def test_the_top_of_the_repository_stays_tidy() -> None:
 
 
 def test_the_command_line_loads_heavy_packages_only_where_needed() -> None:
-    probe = "import json, sys, skin2urdf.cli; print(json.dumps(sorted(sys.modules)))"
+    probe = "import json, sys, skin2urdf.cli.main; print(json.dumps(sorted(sys.modules)))"
     done = subprocess.run(  # noqa: S603 - our own words
         [sys.executable, "-c", probe], cwd=ROOT, capture_output=True, text=True, check=False
     )
     assert done.returncode == 0, done.stderr
     loaded = set(json.loads(done.stdout.splitlines()[-1]))
-    assert "skin2urdf.cli" in loaded
+    assert "skin2urdf.cli.main" in loaded
     assert not HEAVY & loaded

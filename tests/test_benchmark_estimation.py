@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from skin2urdf.estimation.estimate import estimate
+from skin2urdf.estimation.solve.estimate import estimate
 from skin2urdf.simulation import load_robot
 from skin2urdf.simulation.mechanism import load_mechanism
 

@@ -10,10 +10,10 @@ import pytest
 from random_robots import Joint, chain, robot_of
 from simulated import changed_joints, held_against
 
-from skin2urdf.calibration import Calibration
+from skin2urdf.calibration.pipeline import calibrate
+from skin2urdf.calibration.result import Calibration
 from skin2urdf.errors import InsufficientDataError
 from skin2urdf.output import render
-from skin2urdf.pipeline import calibrate
 from skin2urdf.simulation import RobotSpec, Simulation, SimulationSettings, simulate
 from skin2urdf.simulation.robots import GivenSu, SkinLayout
 from skin2urdf.simulation.settings import MotionSettings

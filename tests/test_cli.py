@@ -14,9 +14,9 @@ import numpy as np
 import pytest
 
 from skin2urdf import cli, options, survey, terminal
-from skin2urdf.cli import main
+from skin2urdf.cli.main import main
 from skin2urdf.errors import BadFitError, StructureError
-from skin2urdf.estimation.cost import Priors
+from skin2urdf.estimation.problem.cost import Priors
 from skin2urdf.files import write_atomically
 from skin2urdf.recording.reading import read
 from skin2urdf.recording.writing import write
@@ -234,7 +234,7 @@ def test_a_bad_fit_writes_nothing(
     def fail(*_: object, **__: object) -> None:
         raise BadFitError("no robot explains this", "look again", 900.0)
 
-    monkeypatch.setattr("skin2urdf.pipeline.calibrate", fail)
+    monkeypatch.setattr("skin2urdf.calibration.pipeline.calibrate", fail)
     status, out, err = run("calibrate", files.log, "-o", tmp_path / "a.urdf")
     assert (status, out, err) == (1, "", "error: no robot explains this\n  -> look again\n")
     assert not list(tmp_path.iterdir())

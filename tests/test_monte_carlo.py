@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 from simulated import simulation, true_features
 
-from skin2urdf.calibration import Calibration
-from skin2urdf.estimation.state import State, Step, moved
-from skin2urdf.pipeline import calibrate
+from skin2urdf.calibration.pipeline import calibrate
+from skin2urdf.calibration.result import Calibration
+from skin2urdf.estimation.problem.state import State, Step, moved
 from skin2urdf.simulation import Simulation
 
 SCRIPTS = Path(__file__).resolve().parents[1] / "scripts"

@@ -20,8 +20,8 @@ from mujoco_robot import (
 from simulated import held_against
 
 from skin2urdf.arrays import F64
-from skin2urdf.calibration import Calibration
-from skin2urdf.pipeline import calibrate
+from skin2urdf.calibration.pipeline import calibrate
+from skin2urdf.calibration.result import Calibration
 from skin2urdf.recording.records import Recording
 from skin2urdf.urdf.records import Comparison
 

@@ -13,7 +13,8 @@ import pytest
 from simulated import changed_joints, changed_sus, held_against, simulation
 
 import skin2urdf
-from skin2urdf.calibration import Calibration, CalibrationSettings
+from skin2urdf.calibration.pipeline import calibrate
+from skin2urdf.calibration.result import Calibration, CalibrationSettings
 from skin2urdf.errors import (
     BadFitError,
     InsufficientDataError,
@@ -21,9 +22,8 @@ from skin2urdf.errors import (
     StructureError,
     UnreadableInputError,
 )
-from skin2urdf.estimation.cost import Priors
-from skin2urdf.estimation.estimate import EstimationSettings
-from skin2urdf.pipeline import calibrate
+from skin2urdf.estimation.problem.cost import Priors
+from skin2urdf.estimation.solve.estimate import EstimationSettings
 from skin2urdf.recording.records import JointStream, Recording, SuStream
 from skin2urdf.recording.writing import write
 from skin2urdf.simulation import Simulation

@@ -9,7 +9,7 @@ import pytest
 from random_robots import Joint, random_joints, robot_of
 from simulated import features_of, held_against, tree_of
 
-from skin2urdf.pipeline import calibrate
+from skin2urdf.calibration.pipeline import calibrate
 from skin2urdf.recording.retiming import retimed
 from skin2urdf.simulation import Simulation, SimulationSettings, simulate
 from skin2urdf.simulation.settings import Excitation

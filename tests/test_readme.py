@@ -16,7 +16,7 @@ import pytest
 ROOT = Path(__file__).resolve().parents[1]
 FENCE = re.compile(r"^```sh\s*\n(.*?)^```\s*$", re.MULTILINE | re.DOTALL)
 OPTION = re.compile(r"--?[A-Za-z][\w-]*")
-ENTRY = "import sys; from skin2urdf.cli import main; sys.exit(main())"
+ENTRY = "import sys; from skin2urdf.cli.main import main; sys.exit(main())"
 
 
 def shell_commands(markdown: str) -> Iterator[list[str]]:

@@ -13,9 +13,9 @@ import pytest
 from random_robots import chain, robot_of
 from simulated import changed_sus, features_of, held_against, tree_of
 
-from skin2urdf.calibration import Calibration
+from skin2urdf.calibration.pipeline import calibrate
+from skin2urdf.calibration.result import Calibration
 from skin2urdf.errors import InsufficientDataError
-from skin2urdf.pipeline import calibrate
 from skin2urdf.recording.records import Recording
 from skin2urdf.simulation import Simulation, SimulationSettings, simulate
 from skin2urdf.simulation.robots import GivenSu, SkinLayout

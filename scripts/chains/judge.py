@@ -12,14 +12,14 @@ from chains.draw import Chain, draw
 from chains.features import coefficients, measured
 from skin2urdf.arrays import F64
 from skin2urdf.errors import Skin2UrdfError
-from skin2urdf.estimation.blocks import feature_blocks
-from skin2urdf.estimation.cost import Cost
-from skin2urdf.estimation.estimate import Estimate, estimate
-from skin2urdf.estimation.gauss_newton import gauss_newton
-from skin2urdf.estimation.observability import UNKNOWN, observability
-from skin2urdf.estimation.order import ordered
-from skin2urdf.estimation.state import N_JOINT, N_PLACEMENT, N_SU, State
-from skin2urdf.model.spatial import frame_with_z, inverse, placement
+from skin2urdf.estimation.problem.blocks import feature_blocks
+from skin2urdf.estimation.problem.cost import Cost
+from skin2urdf.estimation.problem.state import N_JOINT, N_PLACEMENT, N_SU, State
+from skin2urdf.estimation.solve.estimate import Estimate, estimate
+from skin2urdf.estimation.solve.gauss_newton import gauss_newton
+from skin2urdf.estimation.start.order import ordered
+from skin2urdf.estimation.uncertainty.observability import UNKNOWN, observability
+from skin2urdf.geometry.spatial import frame_with_z, inverse, placement
 from skin2urdf.signals.information import Information
 from skin2urdf.signals.records import Features, StaticMoves
 from skin2urdf.structure.activity import activity

@@ -17,9 +17,9 @@ import numpy as np
 from validation.measure import code_digest, sensor_rotations, truth_as_felt
 from validation.records import rms
 
-from skin2urdf.calibration import Calibration
+from skin2urdf.calibration.pipeline import calibrate
+from skin2urdf.calibration.result import Calibration
 from skin2urdf.errors import InsufficientDataError
-from skin2urdf.pipeline import calibrate
 from skin2urdf.recording.records import Recording
 from skin2urdf.recording.retiming import retimed
 from skin2urdf.simulation import SimulationSettings, Truth, load_robot, simulate

@@ -1,9 +1,9 @@
 """The truth in the coordinates of an estimate.
 
-The estimation's coordinates (:class:`skin2urdf.estimation.state.Step`) are displacements of each
-estimated frame. The truth is the displacement that leads from the estimate to the true robot; what
-no log can know (yaw and origin of the base, where along and how turned about its axis a joint's
-frame lies) is taken over from the estimate on the way from the base outwards.
+The estimation's coordinates (:class:`skin2urdf.estimation.problem.state.Step`) are displacements of
+each estimated frame. The truth is the displacement that leads from the estimate to the true robot;
+what no log can know (yaw and origin of the base, where along and how turned about its axis a
+joint's frame lies) is taken over from the estimate on the way from the base outwards.
 """
 
 from __future__ import annotations
@@ -14,8 +14,8 @@ import numpy as np
 from scipy.linalg import polar
 
 from skin2urdf.arrays import F64
-from skin2urdf.estimation.state import N_JOINT, State, Step, joint_motion
-from skin2urdf.model.spatial import axis_rotation, frame_with_z, inverse, placement
+from skin2urdf.estimation.problem.state import N_JOINT, State, Step, joint_motion
+from skin2urdf.geometry.spatial import axis_rotation, frame_with_z, inverse, placement
 from skin2urdf.simulation import Truth
 from skin2urdf.structure.records import KinematicTree
 

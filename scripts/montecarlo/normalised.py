@@ -9,10 +9,10 @@ import numpy as np
 from montecarlo.chart import displacement, true_robot
 from montecarlo.records import BLOCKS, Block
 from skin2urdf.arrays import F64
-from skin2urdf.calibration import Calibration
-from skin2urdf.estimation.observability import ARM
-from skin2urdf.estimation.spread import DETERMINED
-from skin2urdf.estimation.state import N_JOINT
+from skin2urdf.calibration.result import Calibration
+from skin2urdf.estimation.problem.state import N_JOINT
+from skin2urdf.estimation.solve.spread import DETERMINED
+from skin2urdf.estimation.uncertainty.observability import ARM
 from skin2urdf.simulation import Truth
 
 _RANK = 1e-7

@@ -6,7 +6,7 @@ from validation.measure import code_digest
 
 from montecarlo.normalised import blocks_of
 from montecarlo.records import Case, Run
-from skin2urdf.pipeline import calibrate
+from skin2urdf.calibration.pipeline import calibrate
 from skin2urdf.recording.retiming import retimed
 from skin2urdf.simulation import SimulationSettings, load_robot, simulate
 

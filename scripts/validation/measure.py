@@ -16,10 +16,10 @@ import numpy as np
 
 import skin2urdf
 from skin2urdf.arrays import F64
-from skin2urdf.calibration import Calibration, CalibrationSettings
-from skin2urdf.estimation.estimate import EstimationSettings
-from skin2urdf.estimation.observability import aligned_deviations
-from skin2urdf.pipeline import calibrate
+from skin2urdf.calibration.pipeline import calibrate
+from skin2urdf.calibration.result import Calibration, CalibrationSettings
+from skin2urdf.estimation.solve.estimate import EstimationSettings
+from skin2urdf.estimation.uncertainty.observability import aligned_deviations
 from skin2urdf.recording.records import Recording
 from skin2urdf.recording.retiming import retimed
 from skin2urdf.recording.writing import write

@@ -19,8 +19,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from skin2urdf.arrays import F64, Bool, frozen
+from skin2urdf.geometry.spatial import inverse
 from skin2urdf.model.records import KinematicModel
-from skin2urdf.model.spatial import inverse
 
 PARALLEL_SINE = 0.05
 """Below this sine of the angle between two z axes (about 3 deg) they count as nearly parallel.

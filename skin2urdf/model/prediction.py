@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from skin2urdf.arrays import F64, Bool, Int
-from skin2urdf.model.spatial import cross, skew
+from skin2urdf.geometry.spatial import cross, skew
 from skin2urdf.structure.records import KinematicTree
 
 GRAVITY = 9.81

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from skin2urdf.arrays import F64
+from skin2urdf.geometry.spatial import skew
 from skin2urdf.model.kinematics import PinocchioTree
 from skin2urdf.model.prediction import Chains, su_kinematics
 from skin2urdf.model.records import KinematicModel
-from skin2urdf.model.spatial import skew
 
 
 def specific_forces(model: KinematicModel, q: F64, qd: F64, qdd: F64, gravity_up: F64) -> F64:

@@ -7,13 +7,13 @@ from pathlib import Path
 
 import numpy as np
 
+from skin2urdf.paper.exploration.records import Exploration, Group, Violation
 from skin2urdf.report.canvas import page
 from skin2urdf.report.labels import joint_id, numbers, segment_id, wrapped
 from skin2urdf.report.matrix_panel import MatrixPanel
 from skin2urdf.report.panels import Column, Headed, Panel, Row, Text
 from skin2urdf.report.style import FAINT, INK, NORMAL, TITLE, WARNING
 from skin2urdf.report.tree_panel import TreePanel
-from skin2urdf.structure.exploration.records import Exploration, Group, Violation
 
 _MARGIN = 0.35
 _GAP = 0.45

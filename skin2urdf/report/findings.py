@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from skin2urdf.arrays import F64, frozen
-from skin2urdf.calibration import Calibration
-from skin2urdf.estimation.observability import aligned_deviations
-from skin2urdf.estimation.placements import joint_placement_covariance
+from skin2urdf.calibration.result import Calibration
+from skin2urdf.estimation.uncertainty.observability import aligned_deviations
+from skin2urdf.estimation.uncertainty.placements import joint_placement_covariance
 from skin2urdf.report.branches import between_branches
 from skin2urdf.report.verdict import verdict
 from skin2urdf.report.words import Unknown, unknowns

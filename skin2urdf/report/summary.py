@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from skin2urdf.calibration import Calibration
+from skin2urdf.calibration.result import Calibration
 from skin2urdf.report.findings import Findings, findings
 from skin2urdf.report.tables import bullets, number, span, table
 

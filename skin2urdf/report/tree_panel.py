@@ -8,6 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from skin2urdf.paper.exploration.records import Exploration
 from skin2urdf.report.canvas import Canvas, Point, line_height, text_width
 from skin2urdf.report.labels import joint_id, numbers, segment_id, shortened, wrapped
 from skin2urdf.report.style import (
@@ -22,7 +23,6 @@ from skin2urdf.report.style import (
     SMALL,
     WARNING,
 )
-from skin2urdf.structure.exploration.records import Exploration
 
 _RADIUS = 0.14
 _STUB = 0.12

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from skin2urdf.calibration import BAD_FIT, GOOD_FIT, Calibration
-from skin2urdf.estimation.observability import Verdict
+from skin2urdf.calibration.result import BAD_FIT, GOOD_FIT, Calibration
+from skin2urdf.estimation.uncertainty.observability import Verdict
 from skin2urdf.report.tables import number
 
 _MM, _DEG = 1e3, float(np.rad2deg(1.0))

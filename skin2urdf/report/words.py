@@ -49,7 +49,8 @@ def unknowns(
     Args:
         model: D joints and U SUs.
         unobservable: per SU (k, 6) orthonormal twists in its own frame, (linear [m], angular times
-            :data:`ARM`), as :class:`skin2urdf.estimation.observability.Observability` has them.
+            :data:`ARM`), as
+            :class:`skin2urdf.estimation.uncertainty.observability.Observability` has them.
         up: (G, 3) unit vector opposite to gravity in the base frame, per log.
 
     Returns:

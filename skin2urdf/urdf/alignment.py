@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from skin2urdf.arrays import F64, Bool
-from skin2urdf.model import twists
-from skin2urdf.model.spatial import inverse
+from skin2urdf.geometry import twists
+from skin2urdf.geometry.spatial import inverse
 
 ARM = 0.1
 """Lever arm that makes lengths of angles [m/rad]: 1 deg weighs as much as 1.75 mm."""

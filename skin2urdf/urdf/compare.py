@@ -15,7 +15,7 @@ import numpy as np
 
 from skin2urdf.arrays import F64
 from skin2urdf.errors import InsufficientDataError, UsageError
-from skin2urdf.model import twists
+from skin2urdf.geometry import twists
 from skin2urdf.model.records import OpenDirection
 from skin2urdf.urdf.axes import AxisErrors, axis_errors
 from skin2urdf.urdf.differences import tree_differences

@@ -14,9 +14,9 @@ import numpy as np
 
 from skin2urdf.arrays import F64, Bool, Int
 from skin2urdf.errors import UsageError
-from skin2urdf.model import twists
+from skin2urdf.geometry import twists
+from skin2urdf.geometry.spatial import inverse
 from skin2urdf.model.records import OpenDirection
-from skin2urdf.model.spatial import inverse
 from skin2urdf.urdf.alignment import ARM, displace, kabsch, projector
 from skin2urdf.urdf.kinematics import kinematics, placements
 from skin2urdf.urdf.loading import Robot

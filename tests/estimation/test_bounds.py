@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from skin2urdf.estimation.bounds import Align, expected_errors, limbs_of
-from skin2urdf.estimation.covariance import ArrowCovariance
-from skin2urdf.estimation.state import N_JOINT, N_SU, State, Step, moved
+from skin2urdf.estimation.problem.state import N_JOINT, N_SU, State, Step, moved
+from skin2urdf.estimation.uncertainty.bounds import Align, expected_errors, limbs_of
+from skin2urdf.estimation.uncertainty.covariance import ArrowCovariance
+from skin2urdf.geometry.spatial import inverse
+from skin2urdf.geometry.twists import adjoint, exp
 from skin2urdf.model.prediction import Chains
 from skin2urdf.model.records import OpenDirection
-from skin2urdf.model.spatial import inverse
-from skin2urdf.model.twists import adjoint, exp
 from skin2urdf.structure.records import KinematicTree
 from skin2urdf.urdf.compare import compare, random_positions
 from skin2urdf.urdf.emit import emit

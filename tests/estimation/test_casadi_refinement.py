@@ -20,13 +20,13 @@ from synthetic import (
 )
 
 from skin2urdf.errors import BadFitError
-from skin2urdf.estimation.blocks import feature_blocks
-from skin2urdf.estimation.casadi_refinement import refine
-from skin2urdf.estimation.cost import Cost, Priors
-from skin2urdf.estimation.gauss_newton import gauss_newton
-from skin2urdf.estimation.state import Free, State, Step, identifiable, moved, screwed
-from skin2urdf.estimation.symbolic_cost import SymbolicCost
-from skin2urdf.model.spatial import skew
+from skin2urdf.estimation.problem.blocks import feature_blocks
+from skin2urdf.estimation.problem.cost import Cost, Priors
+from skin2urdf.estimation.problem.state import Free, State, Step, identifiable, moved, screwed
+from skin2urdf.estimation.solve.casadi_refinement import refine
+from skin2urdf.estimation.solve.gauss_newton import gauss_newton
+from skin2urdf.estimation.solve.symbolic_cost import SymbolicCost
+from skin2urdf.geometry.spatial import skew
 
 PRIORS = Priors(gravity=GRAVITY, position=0.02)
 

@@ -19,12 +19,12 @@ from synthetic import (
 )
 
 from skin2urdf.arrays import F64
-from skin2urdf.estimation import residuals
-from skin2urdf.estimation.arrow import factor
-from skin2urdf.estimation.blocks import FeatureBlocks, feature_blocks
-from skin2urdf.estimation.cost import Cost, NormalEquations, Priors
-from skin2urdf.estimation.gauss_newton import gauss_newton
-from skin2urdf.estimation.state import Free, State, Step, identifiable, moved
+from skin2urdf.estimation.problem import residuals
+from skin2urdf.estimation.problem.blocks import FeatureBlocks, feature_blocks
+from skin2urdf.estimation.problem.cost import Cost, NormalEquations, Priors
+from skin2urdf.estimation.problem.state import Free, State, Step, identifiable, moved
+from skin2urdf.estimation.solve.arrow import factor
+from skin2urdf.estimation.solve.gauss_newton import gauss_newton
 from skin2urdf.signals.information import Information
 from skin2urdf.signals.records import Features, StaticMoves
 from skin2urdf.structure.records import KinematicTree

@@ -20,10 +20,15 @@ from synthetic import (
 )
 
 from skin2urdf.arrays import F64
-from skin2urdf.estimation.cost import Priors
-from skin2urdf.estimation.estimate import Estimate, EstimationSettings, estimate, robust_weights
-from skin2urdf.estimation.observability import observability
-from skin2urdf.estimation.state import State, moved
+from skin2urdf.estimation.problem.cost import Priors
+from skin2urdf.estimation.problem.state import State, moved
+from skin2urdf.estimation.solve.estimate import (
+    Estimate,
+    EstimationSettings,
+    estimate,
+    robust_weights,
+)
+from skin2urdf.estimation.uncertainty.observability import observability
 from skin2urdf.signals.records import Features
 from skin2urdf.structure.records import KinematicTree
 

@@ -9,9 +9,9 @@ import pytest
 from scipy import stats
 from synthetic import GRAVITY, random_features, random_state, random_tree, serial_tree
 
-from skin2urdf.estimation.cost import Priors
-from skin2urdf.estimation.estimate import Estimate, EstimationSettings, estimate
-from skin2urdf.estimation.goodness import Goodness, Share, goodness
+from skin2urdf.estimation.problem.cost import Priors
+from skin2urdf.estimation.solve.estimate import Estimate, EstimationSettings, estimate
+from skin2urdf.estimation.uncertainty.goodness import Goodness, Share, goodness
 from skin2urdf.signals.records import Features
 from skin2urdf.structure.records import KinematicTree
 

@@ -8,8 +8,8 @@ import numpy as np
 from calibrated import calibration
 
 from skin2urdf.arrays import F64
-from skin2urdf.estimation.goodness import Goodness, Share
-from skin2urdf.estimation.health import health_notes, unlike_the_rest
+from skin2urdf.estimation.uncertainty.goodness import Goodness, Share
+from skin2urdf.estimation.uncertainty.health import health_notes, unlike_the_rest
 
 
 def with_misfit(factors: F64) -> Goodness:

@@ -10,10 +10,15 @@ import pytest
 from synthetic import GRAVITY, random_features, random_state, random_tree, serial_tree
 
 from skin2urdf.arrays import F64
-from skin2urdf.estimation.cost import Priors
-from skin2urdf.estimation.estimate import Estimate, EstimationSettings, estimate
-from skin2urdf.estimation.observability import ARM, Observability, aligned_deviations, observability
-from skin2urdf.estimation.state import State
+from skin2urdf.estimation.problem.cost import Priors
+from skin2urdf.estimation.problem.state import State
+from skin2urdf.estimation.solve.estimate import Estimate, EstimationSettings, estimate
+from skin2urdf.estimation.uncertainty.observability import (
+    ARM,
+    Observability,
+    aligned_deviations,
+    observability,
+)
 from skin2urdf.model.dh import canonical
 from skin2urdf.structure.records import KinematicTree
 from skin2urdf.urdf.compare import compare

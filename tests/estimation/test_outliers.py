@@ -6,8 +6,12 @@ import numpy as np
 import pytest
 
 from skin2urdf.arrays import F64, Bool
-from skin2urdf.estimation.goodness import Share
-from skin2urdf.estimation.outliers import Unlike, poses_unlike_the_rest, sus_unlike_the_rest
+from skin2urdf.estimation.uncertainty.goodness import Share
+from skin2urdf.estimation.uncertainty.outliers import (
+    Unlike,
+    poses_unlike_the_rest,
+    sus_unlike_the_rest,
+)
 
 P, U = 14, 8
 PATTERNED: Bool = np.arange(P) >= 6

@@ -12,32 +12,32 @@ from hypothesis import strategies as st
 
 from skin2urdf.arrays import F64
 from skin2urdf.errors import InsufficientDataError, StructureError
-from skin2urdf.estimation.blocks import feature_blocks
-from skin2urdf.estimation.cost import Cost, Priors
-from skin2urdf.estimation.paper_method import (
+from skin2urdf.estimation.problem.blocks import feature_blocks
+from skin2urdf.estimation.problem.cost import Cost, Priors
+from skin2urdf.estimation.solve.progressive import minimise
+from skin2urdf.model.dh import screw
+from skin2urdf.model.records import KinematicModel
+from skin2urdf.paper import case
+from skin2urdf.paper.method import (
     PaperSettings,
     as_estimate,
     estimate_paper,
 )
-from skin2urdf.estimation.paper_model import (
+from skin2urdf.paper.model import (
     error_function,
     link_transform,
     mean_gravity,
     su_transform,
 )
-from skin2urdf.estimation.paper_placements import dh_table, placements
-from skin2urdf.estimation.paper_search import SearchSettings, search
-from skin2urdf.estimation.paper_training import (
+from skin2urdf.paper.placements import dh_table, placements
+from skin2urdf.paper.search import SearchSettings, search
+from skin2urdf.paper.training import (
     MotionPattern,
     SuTraining,
     su_training,
     training_features,
 )
-from skin2urdf.estimation.progressive import minimise
-from skin2urdf.model.dh import screw
-from skin2urdf.model.records import KinematicModel
 from skin2urdf.signals.records import Features
-from skin2urdf.simulation import paper_case as case
 from skin2urdf.structure.records import KinematicTree
 
 TREE = synthetic.serial_tree(case.N_DOFS)

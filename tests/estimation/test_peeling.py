@@ -8,13 +8,13 @@ from scipy.spatial.transform import Rotation
 from synthetic import GRAVITY, exact_coefficients, serial_tree
 
 from skin2urdf.arrays import F64
-from skin2urdf.estimation.blocks import feature_blocks
-from skin2urdf.estimation.cost import Priors
-from skin2urdf.estimation.estimate import EstimationSettings, estimate
-from skin2urdf.estimation.order import ordered
-from skin2urdf.estimation.peeling import Peeled, Readings, candidates, misfit_of
-from skin2urdf.estimation.state import State
-from skin2urdf.model.spatial import frame_with_z, inverse, placement
+from skin2urdf.estimation.problem.blocks import feature_blocks
+from skin2urdf.estimation.problem.cost import Priors
+from skin2urdf.estimation.problem.state import State
+from skin2urdf.estimation.solve.estimate import EstimationSettings, estimate
+from skin2urdf.estimation.start.order import ordered
+from skin2urdf.estimation.start.peeling import Peeled, Readings, candidates, misfit_of
+from skin2urdf.geometry.spatial import frame_with_z, inverse, placement
 from skin2urdf.signals.information import Information
 from skin2urdf.signals.records import Features, StaticMoves
 from skin2urdf.structure.records import KinematicTree

@@ -8,8 +8,8 @@ import numpy as np
 from calibrated import calibration
 from scipy.linalg import logm
 
-from skin2urdf.estimation.placements import joint_placement_covariance
-from skin2urdf.estimation.state import joint_motion
+from skin2urdf.estimation.problem.state import joint_motion
+from skin2urdf.estimation.uncertainty.placements import joint_placement_covariance
 
 
 def test_a_moved_axis_is_the_twist_that_the_covariance_speaks_of() -> None:

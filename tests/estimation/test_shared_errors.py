@@ -8,10 +8,10 @@ import numpy as np
 from calibrated import calibration
 
 from skin2urdf.arrays import F64
-from skin2urdf.estimation.cost import Cost
-from skin2urdf.estimation.covariance import ArrowCovariance
-from skin2urdf.estimation.observability import observability
-from skin2urdf.estimation.shared_errors import with_shared_errors
+from skin2urdf.estimation.problem.cost import Cost
+from skin2urdf.estimation.uncertainty.covariance import ArrowCovariance
+from skin2urdf.estimation.uncertainty.observability import observability
+from skin2urdf.estimation.uncertainty.shared_errors import with_shared_errors
 
 
 def _only_in_pose(cost: Cost, pose: int) -> Cost:

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from calibrated import calibration
 
-from skin2urdf.estimation.cost import Priors
-from skin2urdf.estimation.spread import learnt_priors, spread
+from skin2urdf.estimation.problem.cost import Priors
+from skin2urdf.estimation.solve.spread import learnt_priors, spread
 
 
 def test_the_next_member_is_as_far_out_as_said() -> None:

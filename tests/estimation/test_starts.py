@@ -11,18 +11,18 @@ from synthetic import GRAVITY, exact_coefficients, random_features, random_state
 
 from skin2urdf.arrays import F64
 from skin2urdf.errors import InsufficientDataError
-from skin2urdf.estimation.blocks import FeatureBlocks, feature_blocks
-from skin2urdf.estimation.cost import Cost, Priors
-from skin2urdf.estimation.estimate import EstimationSettings, estimate
-from skin2urdf.estimation.gauss_newton import gauss_newton
-from skin2urdf.estimation.inward import inward_starts
-from skin2urdf.estimation.orientation import Orientations
-from skin2urdf.estimation.outward import fibonacci_sphere, outward_starts
-from skin2urdf.estimation.starts import felt_up, placed
-from skin2urdf.estimation.state import State, identifiable
+from skin2urdf.estimation.problem.blocks import FeatureBlocks, feature_blocks
+from skin2urdf.estimation.problem.cost import Cost, Priors
+from skin2urdf.estimation.problem.state import State, identifiable
+from skin2urdf.estimation.solve.estimate import EstimationSettings, estimate
+from skin2urdf.estimation.solve.gauss_newton import gauss_newton
+from skin2urdf.estimation.start.inward import inward_starts
+from skin2urdf.estimation.start.orientation import Orientations
+from skin2urdf.estimation.start.outward import fibonacci_sphere, outward_starts
+from skin2urdf.estimation.start.starts import felt_up, placed
+from skin2urdf.paper.case import TRUE_LINKS, TRUE_SUS, acc_matrix, dh_matrix
 from skin2urdf.signals.information import Information
 from skin2urdf.signals.records import Features, StaticMoves
-from skin2urdf.simulation.paper_case import TRUE_LINKS, TRUE_SUS, acc_matrix, dh_matrix
 from skin2urdf.structure.records import KinematicTree
 
 TILTS = {"upright": 0.0, "2 deg": np.deg2rad(2.0), "29 deg": 0.5}

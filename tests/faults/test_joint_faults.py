@@ -13,14 +13,14 @@ import pytest
 from simulated import changed_joints, features_of, held_against, simulation
 
 from skin2urdf.arrays import F64
-from skin2urdf.calibration import CalibrationSettings
-from skin2urdf.estimation.encoders import suspicions
-from skin2urdf.mending.encoders import Encoders, _better, sized_by_the_fit
-from skin2urdf.mending.solution import solved
-from skin2urdf.pipeline import calibrate
+from skin2urdf.calibration.pipeline import calibrate
+from skin2urdf.calibration.result import CalibrationSettings
+from skin2urdf.calibration.rounds import Clock
+from skin2urdf.hypotheses.encoders import Encoders, _better, sized_by_the_fit
+from skin2urdf.hypotheses.solution import solved
+from skin2urdf.hypotheses.suspicions import suspicions
 from skin2urdf.recording.records import JointStream, Recording
 from skin2urdf.recording.retiming import retimed
-from skin2urdf.rounds import Clock
 from skin2urdf.signals.encoders import corrected, corrected_features, leaps, reversal
 from skin2urdf.signals.records import EncoderError
 from skin2urdf.simulation import SimulationSettings, load_robot, simulate

@@ -12,10 +12,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from simulated import held_against
 
-from skin2urdf.calibration import Calibration
-from skin2urdf.estimation.loose import slips
+from skin2urdf.calibration.pipeline import calibrate
+from skin2urdf.calibration.result import Calibration
 from skin2urdf.faults import Fault, distinct, without_slips
-from skin2urdf.pipeline import calibrate
+from skin2urdf.hypotheses.loose import slips
 from skin2urdf.recording.records import JointStream, Recording, SuStream
 from skin2urdf.recording.retiming import retimed
 from skin2urdf.signals.health import checked, clipping, rest_noise

@@ -17,7 +17,7 @@ from synthetic import (
 )
 
 from skin2urdf.arrays import F64
-from skin2urdf.estimation.state import State, local_motion
+from skin2urdf.estimation.problem.state import State, local_motion
 from skin2urdf.model.kinematics import PinocchioTree, to_pinocchio
 from skin2urdf.model.prediction import (
     Chains,

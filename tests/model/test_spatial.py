@@ -11,7 +11,7 @@ from scipy.linalg import expm
 from scipy.spatial.transform import Rotation
 
 from skin2urdf.arrays import F64
-from skin2urdf.model.spatial import (
+from skin2urdf.geometry.spatial import (
     axis_rotation,
     cross,
     frame_with_z,

@@ -8,7 +8,7 @@ import pytest
 from synthetic import pinocchio_jacobians, pinocchio_model, random_state, random_tree
 
 from skin2urdf.arrays import F64
-from skin2urdf.estimation.state import State
+from skin2urdf.estimation.problem.state import State
 from skin2urdf.model.specific_force import beyond_first_order, specific_forces
 from skin2urdf.structure.records import KinematicTree
 

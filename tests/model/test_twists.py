@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from skin2urdf.model import twists
+from skin2urdf.geometry import twists
 
 DIRECTIONS = arrays(float, 6, elements=st.floats(-1, 1))
 SIZES = st.one_of(st.sampled_from([0.0, 1e-12, 1e-5, 1e-4, 1.1e-4]), st.floats(0, 3.0))

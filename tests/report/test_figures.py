@@ -12,11 +12,11 @@ import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 from skin2urdf.errors import UsageError
+from skin2urdf.paper.exploration import Exploration, explore
 from skin2urdf.report import figures
 from skin2urdf.report.canvas import Canvas, text_width
 from skin2urdf.report.figures import draw_exploration
 from skin2urdf.report.labels import numbers, shortened, wrapped
-from skin2urdf.structure.exploration import Exploration, explore
 
 SVG = "{http://www.w3.org/2000/svg}"
 
@@ -150,7 +150,7 @@ def test_another_process_draws_the_same(tmp_path: Path) -> None:
     code = (
         "import numpy as np, sys\n"
         "from skin2urdf.report.figures import draw_exploration\n"
-        "from skin2urdf.structure.exploration import explore\n"
+        "from skin2urdf.paper.exploration import explore\n"
         "rows = np.array([[0, 0], [1, 0], [0, 1], [1, 1]], dtype=bool)\n"
         "draw_exploration(explore(rows, list('abcd'), list('xy')), sys.argv[1])\n"
         "assert 'matplotlib.pyplot' not in sys.modules\n"

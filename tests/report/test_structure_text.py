@@ -8,10 +8,10 @@ from dataclasses import replace
 import numpy as np
 
 from skin2urdf.errors import StructureError
+from skin2urdf.paper.exploration import explore
 from skin2urdf.report.document import dumps
 from skin2urdf.report.exploration import as_document, as_text, limbs
 from skin2urdf.structure.activity import Activity
-from skin2urdf.structure.exploration import explore
 from skin2urdf.structure.records import KinematicTree
 from skin2urdf.survey import Explored
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from calibrated import calibration
 
-from skin2urdf.calibration import Calibration
+from skin2urdf.calibration.result import Calibration
 from skin2urdf.model.records import OpenDirection
 from skin2urdf.report.branches import between_branches
 from skin2urdf.report.findings import findings

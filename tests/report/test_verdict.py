@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from calibrated import calibration
 
-from skin2urdf.calibration import Calibration
-from skin2urdf.estimation.goodness import Share
+from skin2urdf.calibration.result import Calibration
+from skin2urdf.estimation.uncertainty.goodness import Share
 from skin2urdf.faults import Fault
 from skin2urdf.report.findings import findings
 

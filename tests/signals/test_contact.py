@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from skin2urdf.arrays import F64
-from skin2urdf.mending.contact import _unexplained
+from skin2urdf.hypotheses.contact import _unexplained
 from skin2urdf.signals.contact import _felt_by, _own_noise, _peaks, _pushes
 
 RATE, CUTOFF, LIMIT = 125.0, 9.0, 7.0

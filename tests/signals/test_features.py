@@ -18,8 +18,8 @@ from simulated import (
 )
 
 from skin2urdf.arrays import F64
+from skin2urdf.calibration.pipeline import calibrate
 from skin2urdf.errors import InsufficientDataError
-from skin2urdf.pipeline import calibrate
 from skin2urdf.recording.records import JointStream, SuStream
 from skin2urdf.signals.features import extract_features
 from skin2urdf.signals.records import Features

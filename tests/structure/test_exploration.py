@@ -9,8 +9,7 @@ from hypothesis import strategies as st
 
 from skin2urdf.arrays import Bool
 from skin2urdf.errors import StructureError, UsageError
-from skin2urdf.signals.records import StaticMoves
-from skin2urdf.structure.exploration import (
+from skin2urdf.paper.exploration import (
     Exploration,
     connection_sequences,
     end_effectors,
@@ -26,6 +25,7 @@ from skin2urdf.structure.exploration import (
     static_activity,
     triangular_form,
 )
+from skin2urdf.signals.records import StaticMoves
 
 G = 9.81
 

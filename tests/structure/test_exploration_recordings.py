@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from skin2urdf.arrays import Bool
+from skin2urdf.paper.exploration import explore, or_combination, static_activity
 from skin2urdf.signals.features import extract_features
 from skin2urdf.signals.sampling import sample_recording, static_moves
 from skin2urdf.simulation import SimulationSettings, load_robot, simulate
 from skin2urdf.simulation.mechanism import load_mechanism
 from skin2urdf.structure.activity import activity
-from skin2urdf.structure.exploration import explore, or_combination, static_activity
 from skin2urdf.structure.tree import nested
 
 BASES = tuple((radians(roll), radians(15.0), 0.0) for roll in (25.0, 115.0))

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from skin2urdf.model import twists
+from skin2urdf.geometry import twists
 from skin2urdf.urdf.alignment import ARM, align, kabsch
 
 SCALE = np.array([1, 1, 1, ARM, ARM, ARM])

@@ -14,10 +14,10 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from skin2urdf.errors import InsufficientDataError, UsageError
-from skin2urdf.model import twists
+from skin2urdf.geometry import twists
+from skin2urdf.geometry.spatial import inverse
 from skin2urdf.model.dh import canonical, screw
 from skin2urdf.model.records import KinematicModel
-from skin2urdf.model.spatial import inverse
 from skin2urdf.urdf.alignment import ARM
 from skin2urdf.urdf.compare import compare, random_positions
 from skin2urdf.urdf.emit import emit

@@ -13,10 +13,10 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from skin2urdf.errors import InsufficientDataError, UsageError
-from skin2urdf.model import twists
+from skin2urdf.geometry import twists
+from skin2urdf.geometry.spatial import inverse
 from skin2urdf.model.dh import screw
 from skin2urdf.model.records import KinematicModel
-from skin2urdf.model.spatial import inverse
 from skin2urdf.urdf.compare import compare
 from skin2urdf.urdf.emit import emit
 from skin2urdf.urdf.records import Comparison

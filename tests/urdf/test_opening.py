@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from skin2urdf.errors import UsageError
+from skin2urdf.geometry.spatial import inverse
+from skin2urdf.geometry.twists import adjoint, exp
 from skin2urdf.model.records import KinematicModel, OpenDirection
-from skin2urdf.model.spatial import inverse
-from skin2urdf.model.twists import adjoint, exp
 from skin2urdf.urdf.compare import compare
 from skin2urdf.urdf.emit import emit
 from skin2urdf.urdf.records import Comparison

@@ -6,8 +6,8 @@ from collections.abc import Callable
 
 import numpy as np
 
+from skin2urdf.geometry.spatial import inverse
 from skin2urdf.model.records import KinematicModel
-from skin2urdf.model.spatial import inverse
 from skin2urdf.urdf.visuals import COLOURS, link_shapes, su_shapes, thickness
 
 

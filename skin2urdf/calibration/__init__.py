@@ -1,0 +1,1 @@
+"""The way from logs to a calibrated robot."""

@@ -1,0 +1,149 @@
+"""calibrate(): the way from logs to a calibrated robot, in one screen."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from skin2urdf.arrays import F64, Bool
+from skin2urdf.calibration.result import BAD_FIT, Calibration, CalibrationSettings, Source
+from skin2urdf.calibration.rounds import Clock, Progress
+from skin2urdf.errors import BadFitError, InsufficientDataError
+from skin2urdf.estimation.uncertainty.goodness import goodness
+from skin2urdf.estimation.uncertainty.health import health_notes, why_bad
+from skin2urdf.estimation.uncertainty.observability import observability
+from skin2urdf.faults import distinct, without_slips
+from skin2urdf.hypotheses.contact import with_contacts_left_out
+from skin2urdf.hypotheses.encoders import solved_with_encoders_corrected
+from skin2urdf.hypotheses.records import Solution
+from skin2urdf.hypotheses.solution import first_look
+from skin2urdf.model.dh import canonical
+from skin2urdf.recording.records import Recording
+from skin2urdf.signals.sampling import Sampled
+from skin2urdf.structure.records import KinematicTree
+from skin2urdf.structure.unknown_positions import unknown_position_notes
+
+
+def calibrate(
+    logs: str | Path | Recording | Sequence[str | Path | Recording],
+    settings: CalibrationSettings | None = None,
+    *,
+    progress: Progress | None = None,
+) -> Calibration:
+    """Calibrate a robot from one or several logs.
+
+    Args:
+        logs: paths of ROS 2 MCAP logs (or bag folders), or recordings already read; several logs
+            are of one robot, each with its own orientation of the base.
+        settings: choices; the defaults suit robots with MEMS accelerometers.
+        progress: told how far each stage is.
+
+    Returns:
+        The calibrated robot with everything known about how good it is.
+
+    Raises:
+        UnreadableInputError: a log can not be read.
+        InsufficientDataError: the logs lack what a calibration needs.
+        StructureError: the SUs' activity contradicts every kinematic tree.
+        BadFitError: no model explains the readings.
+    """
+    settings = settings or CalibrationSettings()
+    clock = Clock(progress or (lambda _stage, _share: None))
+    recordings = clock.run("reading", lambda tell: _recordings(logs, tell))
+    if settings.method == "paper":
+        solution = _by_the_paper(recordings, settings, clock)
+    else:
+        solution = solved_with_encoders_corrected(recordings, settings, clock)
+        solution = with_contacts_left_out(solution)
+        cost = solution.found.cost_per_dof
+        if not cost <= BAD_FIT:
+            raise BadFitError(*why_bad(solution.found, BAD_FIT), cost_per_dof=cost)
+    found, features, sampled = solution.found, solution.features, solution.rounds.sampled
+    tree = found.tree
+    fit = clock.run("goodness of fit", lambda _: goodness(found))
+    span = np.array([_range(sampled, name) for name in tree.joint_names]).reshape(-1, 3)
+    return Calibration(
+        model=canonical(found.state.model(tree)),
+        estimate=found,
+        observability=clock.run("observability", lambda _: observability(found)),
+        goodness=fit,
+        features=features,
+        activity=solution.seen,
+        limits=span[:, :2],
+        velocity=span[:, 2],
+        continuous=_endless(sampled, tree, span[:, 1] - span[:, 0]),
+        sources=tuple(Source(r.source, r.digest, r.duration) for r in recordings),
+        settings=settings,
+        faults=distinct(without_slips((*features.faults, *solution.faults))),
+        notes=tuple(
+            dict.fromkeys(
+                (
+                    *features.notes,
+                    *tree.notes,
+                    *unknown_position_notes(features, tree),
+                    *health_notes(found, fit),
+                )
+            )
+        ),
+        seconds=clock.seconds,
+    )
+
+
+def _by_the_paper(
+    recordings: Sequence[Recording], settings: CalibrationSettings, clock: Clock
+) -> Solution:
+    """The paper's own estimator (Algorithm 2), judged like any other estimate."""
+    from skin2urdf.paper.method import PaperSettings, as_estimate, estimate_paper
+
+    rounds, features, seen, tree = first_look(recordings, settings, clock)
+    gravity = settings.estimation.priors.gravity
+    result = clock.run(
+        "estimation", lambda _: estimate_paper(features, tree, PaperSettings(gravity=gravity))
+    )
+    if not result.converged:
+        open_ = [f"{s.su} (e_T {s.e_total:.2f} g^2)" for s in result.steps if not s.converged]
+        raise BadFitError(
+            f"the paper's method did not reach its stop value for {', '.join(open_)}",
+            "calibrate with the default method, or record more poses",
+        )
+    return Solution(rounds, seen, as_estimate(result, features, gravity), features)
+
+
+def _recordings(
+    logs: str | Path | Recording | Sequence[str | Path | Recording], tell: Callable[[float], None]
+) -> list[Recording]:
+    from skin2urdf.recording.reading import read
+
+    given = [logs] if isinstance(logs, str | Path | Recording) else list(logs)
+    out = []
+    for i, log in enumerate(given):
+
+        def part(share: float, i: int = i) -> None:
+            tell((i + share) / len(given))
+
+        out.append(log if isinstance(log, Recording) else read(log, progress=part))
+    if not out:
+        raise InsufficientDataError("no log was given", "name at least one log")
+    return out
+
+
+def _endless(sampled: Sequence[Sampled], tree: KinematicTree, span: F64) -> Bool:
+    """(D,) True for revolute joints that a log wraps, or that went further than any with stops."""
+    columns = [s.motion.dof_names.index(name) for s in sampled[:1] for name in tree.joint_names]
+    wraps = np.logical_or.reduce([s.motion.wraps[columns] for s in sampled])
+    return np.asarray(~tree.prismatic & (wraps | (span > _LARGEST_SPAN)))
+
+
+_LARGEST_SPAN = 4 * np.pi
+"""Range of the joints of arms that have stops all the same: a turn either way [rad]."""
+
+
+def _range(sampled: Sequence[Sampled], name: str) -> tuple[float, float, float]:
+    """Lowest and highest position and highest speed of a joint over all logs."""
+    columns = [s.motion.dof_names.index(name) for s in sampled]
+    q = np.concatenate([s.motion.q[:, d] for s, d in zip(sampled, columns, strict=True)])
+    speeds = [np.abs(s.motion.qd[:, d]).max() for s, d in zip(sampled, columns, strict=True)]
+    speed = float(max(speeds))
+    return float(q.min()), float(q.max()), speed

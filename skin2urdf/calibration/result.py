@@ -1,0 +1,151 @@
+"""The result of a calibration: everything the URDF, the JSON and the report are made of."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+
+from skin2urdf.arrays import F64, Bool, frozen
+from skin2urdf.estimation.solve.estimate import Estimate, EstimationSettings
+from skin2urdf.estimation.uncertainty.goodness import Goodness
+from skin2urdf.estimation.uncertainty.observability import Observability
+from skin2urdf.estimation.uncertainty.outliers import (
+    Unlike,
+    poses_unlike_the_rest,
+    sus_unlike_the_rest,
+)
+from skin2urdf.faults import Fault
+from skin2urdf.geometry.spatial import inverse
+from skin2urdf.model.records import KinematicModel, OpenDirection
+from skin2urdf.signals.records import Features
+from skin2urdf.structure.activity import STATIC_THRESHOLD, Activity
+
+Quality = Literal["good", "fair", "bad"]
+Method = Literal["default", "paper"]
+
+GOOD_FIT = 2.0
+"""Cost per degree of freedom up to which the model explains the data, and squared errors of
+predicted poses, over stated variances, up to which the stated uncertainty can be believed."""
+BAD_FIT = 50.0
+"""Cost per degree of freedom beyond which no URDF is written."""
+
+
+@dataclass(frozen=True)
+class CalibrationSettings:
+    """Choices of a calibration.
+
+    Attributes:
+        method: ``default``, or ``paper`` for the paper's own estimator (Algorithm 2), which stops
+            far above the noise and is there for comparison.
+        estimation: priors, refinement, robustness.
+        static_threshold: change of a static reading that makes an SU active [m/s^2].
+        relinearisations: how often, at most, the features are taken again with the estimate's
+            prediction of what lies beyond first order.
+    """
+
+    method: Method = "default"
+    estimation: EstimationSettings = field(default_factory=EstimationSettings)
+    static_threshold: float = STATIC_THRESHOLD
+    relinearisations: int = 6
+
+
+@dataclass(frozen=True)
+class Source:
+    """One input log.
+
+    Attributes:
+        path: where it was read from.
+        digest: SHA-256 of its bytes.
+        duration: its length [s].
+    """
+
+    path: str
+    digest: str
+    duration: float
+
+
+@dataclass(frozen=True, eq=False)
+class Calibration:
+    """A finished calibration.
+
+    Attributes:
+        model: the robot, in canonical frames (extended DH); base z is up.
+        estimate: how it was found, in the estimation's frames.
+        observability: what of it the log determines; same frames as ``estimate``.
+        goodness: how well it explains the features, part by part.
+        features: the measurements it rests on.
+        activity: evidence of the structure.
+        limits: (D, 2) range of each joint seen in the logs [rad or m].
+        velocity: (D,) largest speed of each joint seen [rad/s or m/s].
+        continuous: (D,) True where a joint turns without end.
+        sources: the input logs.
+        settings: the choices made.
+        faults: what is wrong with SUs, encoders or the recording, and was mended or left out.
+        notes: what else was found, in words.
+        seconds: time each stage took [s].
+    """
+
+    model: KinematicModel
+    estimate: Estimate
+    observability: Observability
+    goodness: Goodness
+    features: Features
+    activity: Activity
+    limits: F64
+    velocity: F64
+    continuous: Bool
+    sources: tuple[Source, ...]
+    settings: CalibrationSettings
+    faults: tuple[Fault, ...]
+    notes: tuple[str, ...]
+    seconds: dict[str, float]
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "limits", frozen(self.limits))
+        object.__setattr__(self, "velocity", frozen(self.velocity))
+        object.__setattr__(self, "continuous", frozen(self.continuous, np.bool_))
+
+    @property
+    def T_canonical_joint(self) -> F64:
+        """(D, 4, 4) the estimation's joint frames in those of ``model``, on the same axes."""
+        tree = self.model.tree
+        T = np.tile(np.eye(4), (tree.n_joints + 1, 1, 1))  # the last one is the RS, parent -1
+        for j, parent in enumerate(tree.parent):
+            estimated = T[parent] @ self.estimate.state.T_parent_joint[j]
+            T[j] = inverse(self.model.T_parent_joint[j]) @ estimated
+        return np.asarray(T[:-1])
+
+    @property
+    def open_directions(self) -> tuple[OpenDirection, ...]:
+        """What the log leaves open between branches, in the frames of ``model`` and the URDF."""
+        frames = dict(zip(self.model.tree.joint_names, self.T_canonical_joint, strict=True))
+        return tuple(each.seen_from(frames) for each in self.observability.open_directions)
+
+    @property
+    def quality(self) -> Quality:
+        """How far the result can be trusted: whether the model explains the readings, and more.
+
+        It is good only if poses are predicted as well as stated, nothing is wrong with an SU, a
+        pose or an encoder, no joint is weak, and half of the joints are determined. What no
+        recording can tell must not spoil it, such as where branches that meet in one joint sit
+        along its axis.
+        """
+        if not self.estimate.cost_per_dof <= BAD_FIT:
+            return "bad"
+        explained = max(self.estimate.cost_per_dof, self.goodness.prediction) <= GOOD_FIT
+        alike = not (self.unlike_sus.odd.any() or self.unlike_poses.odd.any())
+        verdicts = self.observability.joint_verdict
+        known = "weak" not in verdicts and 2 * verdicts.count("determined") >= len(verdicts)
+        return "good" if explained and alike and known and not self.faults else "fair"
+
+    @property
+    def unlike_sus(self) -> Unlike:
+        """How the SUs fit, compared with each other."""
+        return sus_unlike_the_rest(self.goodness.by_block)
+
+    @property
+    def unlike_poses(self) -> Unlike:
+        """How the poses fit, compared with each other."""
+        return poses_unlike_the_rest(self.goodness.by_block, self.goodness.patterned)

@@ -1,0 +1,256 @@
+"""The rounds of a calibration: features, structure and estimate improve each other.
+
+The first features hold second-order effects of other joints' motion. An estimate predicts them, so
+that features taken again are exact, and show the structure more clearly where it was in doubt.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import TypeVar
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from skin2urdf.arrays import F64
+from skin2urdf.calibration.result import BAD_FIT, GOOD_FIT, CalibrationSettings
+from skin2urdf.errors import InsufficientDataError, StructureError
+from skin2urdf.estimation.problem.state import State
+from skin2urdf.estimation.solve.estimate import Estimate, estimate
+from skin2urdf.estimation.start.order import ordered
+from skin2urdf.estimation.start.starts import felt_up
+from skin2urdf.estimation.uncertainty.health import unlike_the_rest
+from skin2urdf.hypotheses.encoder_signs import of_poses
+from skin2urdf.model.specific_force import beyond_first_order, first_order
+from skin2urdf.signals.features import Curvature, extract_features
+from skin2urdf.signals.records import Features
+from skin2urdf.signals.sampling import Sampled
+from skin2urdf.structure.activity import Activity, activity
+from skin2urdf.structure.records import KinematicTree
+from skin2urdf.structure.tree import kinematic_tree
+
+T = TypeVar("T")
+Progress = Callable[[str, float], None]
+"""Called with the name of a stage and the share of it that is done, in [0, 1]."""
+
+
+class Clock:
+    """Runs stages, tells progress and keeps their times."""
+
+    def __init__(self, progress: Progress) -> None:
+        self._progress = progress
+        self.seconds: dict[str, float] = {}
+
+    def run(self, stage: str, work: Callable[[Callable[[float], None]], T]) -> T:
+        """Run one stage; its time is added to earlier runs of the same name."""
+        begin = time.perf_counter()
+        self._progress(stage, 0.0)
+        # The matrices are many and small: threads of linear algebra would only wait for each other.
+        with threadpool_limits(1):
+            result = work(lambda share: self._progress(stage, share))
+        self._progress(stage, 1.0)
+        self.seconds[stage] = self.seconds.get(stage, 0.0) + time.perf_counter() - begin
+        return result
+
+
+@dataclass(frozen=True, eq=False)
+class Rounds:
+    """What all rounds share.
+
+    Attributes:
+        sampled: the logs on their grids.
+        su_names: U SU names.
+        settings: choices.
+        clock: runs the stages.
+    """
+
+    sampled: Sequence[Sampled]
+    su_names: tuple[str, ...]
+    settings: CalibrationSettings
+    clock: Clock
+
+    def with_logs(self, sampled: Sequence[Sampled]) -> Rounds:
+        """The same on mended logs."""
+        return replace(self, sampled=sampled)
+
+    def features(self, curvature: Curvature | None = None, latency: F64 | None = None) -> Features:
+        """Features of all logs, given a prediction of what lies beyond first order if any."""
+        return self.clock.run(
+            "features",
+            lambda _: extract_features(
+                self.sampled, self.su_names, curvature=curvature, latency=latency
+            ),
+        )
+
+    def structure(self, features: Features) -> tuple[Activity, KinematicTree]:
+        """Activity and tree that features show."""
+        seen = activity(features, self.settings.static_threshold)
+        return seen, ordered(kinematic_tree(seen, features), features)
+
+    def settled(self, found: Estimate, features: Features) -> tuple[Estimate, Features]:
+        """Look at the structure again where the model does not explain the data.
+
+        Args:
+            found: the estimate of the structure that the first features show.
+            features: its features.
+        """
+        best, refined = found, features
+        latest, shown, tried = best, refined, [found.tree]
+        for _ in range(2):
+            felt = set(latest.tree.joint_names)
+            seen = activity(shown, self.settings.static_threshold)
+            moved = zip(seen.dof_names, seen.excited, strict=True)
+            deaf = [name for name, excited in moved if excited and name not in felt]
+            if latest.cost_per_dof <= GOOD_FIT and not deaf and not unlike_the_rest(latest):
+                break
+            try:
+                again = ordered(kinematic_tree(seen.felt_somewhere(deaf), shown), shown)
+            except StructureError:
+                break
+            if any(alike(again, other) for other in tried):
+                break
+            again = replace(again, notes=(*again.notes, _SECOND_LOOK))
+            tried.append(again)
+            latest, shown = self.relinearised(again, features)
+            if latest.cost_per_dof < _CLEARLY_BETTER * best.cost_per_dof:
+                best, refined = latest, shown
+        return self._with_an_su_elsewhere(best, refined, features)
+
+    def _with_an_su_elsewhere(
+        self, found: Estimate, refined: Features, features: Features
+    ) -> tuple[Estimate, Features]:
+        """With an SU that does not fit one joint further out or in, where all fits then.
+
+        Gaps may leave so little of an SU that the activity of its last joint is missed.
+        """
+        odd = unlike_the_rest(found)
+        if not odd:
+            return found, refined
+        seen = activity(refined, self.settings.static_threshold)
+        for su, joint, moved in _next_to(found.tree, odd):
+            try:
+                again = ordered(kinematic_tree(seen.moved_by(su, joint, moved), refined), refined)
+                again = replace(again, notes=(*again.notes, _elsewhere(su, joint, moved)))
+                if alike(again, found.tree):
+                    continue
+                latest, shown = self.relinearised(again, features)
+            except (StructureError, InsufficientDataError):
+                continue
+            if latest.misfit <= GOOD_FIT and not unlike_the_rest(latest):
+                return latest, shown
+        return found, refined
+
+    def relinearised(self, tree: KinematicTree, features: Features) -> tuple[Estimate, Features]:
+        """Estimate, take the features again with what the estimate predicts, until it settles."""
+        found = self.estimated(tree, features, None)
+        if len(self.sampled) > 1 and found.misfit > BAD_FIT:
+            found = self._led_by_the_first_log(found, features)
+        for again in range(self.settings.relinearisations):
+            previous = found
+            features = self.features(predicted_curvature(found, features), features.latency)
+            # Features that no start explains will have none when they change a little.
+            found = self.estimated(tree, features, previous.state, search=not again)
+            gain = previous.cost_per_dof / max(found.cost_per_dof, 1e-12)
+            settled = gain < 1.02 and found.cost_per_dof < GOOD_FIT
+            hopeless = gain < 2.0 and found.cost_per_dof > BAD_FIT
+            if _moved(previous, found) < 1e-4 or settled or hopeless:
+                break
+        return found, features
+
+    def _led_by_the_first_log(self, found: Estimate, features: Features) -> Estimate:
+        """The estimate that starts from what the first log says alone, where that explains more.
+
+        Starts that have to find the other logs' gravity as well may all lead astray.
+        """
+        poses = np.flatnonzero(features.log == 0)
+        if not len(poses):
+            return found
+        try:
+            alone = self.estimated(found.tree, of_poses(features, poses), None)
+        except InsufficientDataError:
+            return found
+        later = felt_up(alone.state, found.cost, features)[1:]
+        start = replace(alone.state, up=np.concatenate([alone.state.up, later]))
+        again = self.estimated(found.tree, features, start, search=False)
+        return again if again.misfit < found.misfit else found
+
+    def estimated(
+        self, tree: KinematicTree, features: Features, start: State | None, *, search: bool = True
+    ) -> Estimate:
+        """An estimate from features as they are, with an earlier state as a start if any."""
+        return self.clock.run(
+            "estimation",
+            lambda _: estimate(features, tree, self.settings.estimation, start, search=search),
+        )
+
+
+_SECOND_LOOK = (
+    "the first look at the structure did not explain the readings; the tree is the one that the "
+    "readings show once the joints' common motion is predicted: record structural moves of one "
+    "DoF at a time to make it certain"
+)
+_CLEARLY_BETTER = 0.8
+"""Cost of another structure, over the first one's, from which it is preferred."""
+
+
+def alike(a: KinematicTree, b: KinematicTree) -> bool:
+    """Whether two trees have the same joints before the same SUs, in the same order."""
+
+    def chains(tree: KinematicTree) -> dict[str, list[str]]:
+        return {
+            name: [tree.joint_names[j] for j in tree.chain(int(joint))]
+            for name, joint in zip(tree.su_names, tree.su_joint, strict=True)
+        }
+
+    return chains(a) == chains(b)
+
+
+def _next_to(tree: KinematicTree, sus: Sequence[int]) -> Iterator[tuple[str, str, bool]]:
+    """SUs, and the joints next to theirs: those beyond, which would move them, and their own."""
+    for u in sus:
+        own = int(tree.su_joint[u])
+        for j in np.flatnonzero(tree.parent == own):
+            yield tree.su_names[u], tree.joint_names[j], True
+        if own >= 0:
+            yield tree.su_names[u], tree.joint_names[own], False
+
+
+def _elsewhere(su: str, joint: str, moved: bool) -> str:
+    """A note on an SU that is placed against the evidence of its activity."""
+    return (
+        f"{su} is taken {'to move' if moved else 'not to move'} with {joint}, for only then its "
+        f"readings fit, though their activity says otherwise: record {joint} moving by itself to "
+        "make it certain"
+    )
+
+
+def predicted_curvature(found: Estimate, features: Features) -> Curvature:
+    """Predicts, from an estimate, what readings hold to first order and beyond around a pose."""
+    tree, state = found.tree, found.state
+    dof = [features.dof_names.index(n) for n in tree.joint_names]
+    su = [features.su_names.index(n) for n in tree.su_names]
+    model, M = state.model(tree), state.sensor_matrix()
+    gravity = found.cost.priors.gravity
+    rows = [0, *(1 + d for d in dof), *(1 + features.n_dofs + d for d in dof)]
+
+    def read(ideal: F64) -> F64:
+        out = np.zeros((len(ideal), features.n_sus, 3))
+        out[:, su] = (ideal.swapaxes(0, 1) @ M.swapaxes(1, 2)).swapaxes(0, 1)
+        return out
+
+    def predict(q: F64, dq: F64, qd: F64, qdd: F64, log: int) -> tuple[F64, F64]:
+        up = state.up[log] * gravity
+        beyond = beyond_first_order(model, q[dof], dq[:, dof], qd[:, dof], qdd[:, dof], up)
+        coefficients = np.zeros((1 + 2 * features.n_dofs, features.n_sus, 3))
+        coefficients[rows] = read(first_order(model, q[dof], up))
+        return read(beyond), coefficients
+
+    return predict
+
+
+def _moved(a: Estimate, b: Estimate) -> float:
+    """Largest change of any placement between two estimates [m, and entries of rotations]."""
+    joints = np.abs(a.state.T_parent_joint - b.state.T_parent_joint).max(initial=0.0)
+    return float(max(joints, np.abs(a.state.T_joint_su - b.state.T_joint_su).max(initial=0.0)))

@@ -1,0 +1,1 @@
+"""From starts to the optimum: NLopt progressively, Gauss-Newton, CasADi."""

@@ -1,0 +1,1 @@
+"""Closed-form starts, inwards and outwards."""

@@ -1,0 +1,125 @@
+"""SUs and poses that the model explains worse than the rest, in words a user can act on."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from skin2urdf.estimation.solve.estimate import Estimate
+from skin2urdf.estimation.start.inward import inward_starts
+from skin2urdf.estimation.uncertainty.goodness import Goodness, by_block
+from skin2urdf.estimation.uncertainty.outliers import poses_unlike_the_rest, sus_unlike_the_rest
+
+_HANDED = 30.0
+"""Chi-squared of one image over the other's from which readings tell an SU's handedness; errors of
+``ROUGH_BIAS`` are allowed for."""
+_VERTICAL = 0.05
+"""Sine of the angle to gravity up to which an axis counts as vertical."""
+_IMPLAUSIBLE_SHAPE = 0.2
+"""Scale or cross-axis error [1] that no working sensor has."""
+_IMPLAUSIBLE_BIAS = 4.0
+"""Bias [m/s^2] that no working sensor has."""
+
+
+def mirrored_sus(estimate: Estimate) -> tuple[int, ...]:
+    """SUs whose readings are negated or in a left-handed frame, against the majority's.
+
+    A reflection is a rotation times -1, and no rotation maps gravity and slopes onto their mirror
+    image. The axes are taken from one SU at the tip of each limb, for in an estimate a mirrored SU
+    may have bent them. That all SUs are mirrored can not be told from accelerometers.
+
+    Args:
+        estimate: an estimate, however bad; its tree, its blocks and its sensor matrices count.
+    """
+    blocks = estimate.cost.blocks
+    start = next(inward_starts(estimate.tree, blocks, estimate.given), None)
+    handed = np.zeros(estimate.tree.n_sus) if start is None else start.handed
+    turned = np.linalg.det(estimate.state.sensor_matrix()) < 0
+    tells = np.abs(handed) > _HANDED
+    mirrored = np.where(tells, handed < 0, turned) & (estimate.tree.su_joint >= 0)
+    told = estimate.tree.su_joint >= 0
+    if mirrored.sum() * 2 > told.sum():
+        mirrored = told & ~mirrored
+    return tuple(int(u) for u in np.flatnonzero(mirrored))
+
+
+def unlike_the_rest(estimate: Estimate) -> tuple[int, ...]:
+    """SUs that fit far worse than the others."""
+    odd = sus_unlike_the_rest(by_block(estimate)).odd
+    return tuple(int(u) for u in np.flatnonzero(odd))
+
+
+def health_notes(estimate: Estimate, goodness: Goodness) -> tuple[str, ...]:
+    """Notes on SUs and poses that do not fit, and on implausible sensors."""
+    notes: list[str] = []
+    tree, state = estimate.tree, estimate.state
+    sus = sus_unlike_the_rest(goodness.by_block)
+    notes += [
+        f"{tree.su_names[u]} fits {sus.times[u]:.0f} times worse than the other SUs and "
+        "should not be trusted: check that it is fixed rigidly and that its axes are right-handed"
+        for u in np.flatnonzero(sus.odd)
+    ]
+    odd = np.flatnonzero(poses_unlike_the_rest(goodness.by_block, goodness.patterned).odd)
+    if len(odd):
+        listed = ", ".join(str(p + 1) for p in odd[:6]) + (" and others" if len(odd) > 6 else "")
+        verb = "fits badly and counts" if len(odd) == 1 else "fit badly and count"
+        notes.append(
+            f"{len(odd)} of {len(goodness.by_pose.dof)} poses {verb} little (number {listed} in "
+            "the order of the log): something touched or moved the robot there, or its base moved"
+        )
+    notes += _on_a_vertical_axis(estimate)
+    for i, name in enumerate(tree.su_names):
+        scale = float(np.abs(state.shape[i]).max())
+        if scale > _IMPLAUSIBLE_SHAPE:
+            notes.append(
+                f"{name} would need a scale or cross-axis error of {100 * scale:.0f} %: check its "
+                "unit and that its axes are right-handed"
+            )
+        elif float(np.abs(state.bias[i]).max()) > _IMPLAUSIBLE_BIAS:
+            bias = float(np.abs(state.bias[i]).max())
+            notes.append(f"{name} would need a bias of {bias:.1f} m/s^2: check that sensor")
+    return tuple(notes)
+
+
+def _on_a_vertical_axis(estimate: Estimate) -> list[str]:
+    """SUs that may sit on a vertical first axis instead of the base."""
+    tree, state = estimate.tree, estimate.state
+    on_base = [n for n, j in zip(tree.su_names, tree.su_joint, strict=True) if j < 0]
+    if len(on_base) < 2:
+        return []
+    sines = {
+        name: float(
+            np.linalg.norm(np.cross(state.up, state.T_parent_joint[j, :3, 2]), axis=1).max()
+        )
+        for j, name in enumerate(tree.joint_names)
+        if tree.parent[j] < 0 and not tree.prismatic[j]
+    }
+    return [
+        f"{' and '.join(on_base)} are taken to sit on the base, but {name} is vertical: an SU "
+        "within a millimetre of its axis would look the same; record a log with the base tilted"
+        for name, sine in sines.items()
+        if sine < _VERTICAL
+    ]
+
+
+def why_bad(found: Estimate, limit: float) -> tuple[str, str]:
+    """What a bad fit looks like, SU by SU, and what to do about it.
+
+    Args:
+        found: the best estimate.
+        limit: cost beyond which an SU counts as affected.
+    """
+    per = found.chi2_by_block.sum(axis=0) / np.maximum(found.count.sum(axis=0), 1)
+    worst = np.argsort(-per)[:3]
+    named = ", ".join(f"{found.tree.su_names[u]} ({per[u]:.0f})" for u in worst)
+    what = (
+        f"no robot of {found.tree.n_joints} joints explains the readings: cost per degree of "
+        f"freedom {found.cost_per_dof:.0f} where 1 is expected; worst SUs (theirs): {named}"
+    )
+    if all(per[u] > limit for u in range(len(per)) if found.tree.su_joint[u] >= 0):
+        where = (
+            "all SUs are affected: check that the base stands still and that the joint states are "
+            "the measured ones, in rad"
+        )
+    else:
+        where = "check that these SUs are fixed rigidly and report m/s^2 in a right-handed frame"
+    return what, f"{where}; `skin2urdf explore` shows the structure that was found"

@@ -1,0 +1,256 @@
+"""What the log determines: covariances, directions it says nothing about, verdicts.
+
+Everything follows from the rank and the inverse of the weighted Jacobian at the estimate, never
+from a list of cases. A direction counts as not observable where the data alone would leave it
+uncertain by more than :data:`UNKNOWN`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from skin2urdf.arrays import F64, Bool, frozen
+from skin2urdf.estimation.problem.cost import NormalEquations, Priors
+from skin2urdf.estimation.problem.state import N_JOINT, N_PLACEMENT, N_SU
+from skin2urdf.estimation.solve.estimate import Estimate
+from skin2urdf.estimation.uncertainty.bounds import Align, expected_errors
+from skin2urdf.estimation.uncertainty.covariance import ArrowCovariance
+from skin2urdf.estimation.uncertainty.open_directions import ALIKE, open_directions
+from skin2urdf.estimation.uncertainty.shared_errors import with_shared_errors
+from skin2urdf.model.records import OpenDirection
+
+Verdict = Literal["determined", "weak", "not observable"]
+
+ARM = 0.1
+"""Length [m] by which the angular part of a direction is multiplied where directions are given."""
+UNKNOWN = 0.035
+"""Standard deviation [m or rad] beyond which a direction is not observable: 35 mm, 2 deg."""
+WEAK = 0.005
+"""Standard deviation [m or rad] beyond which a direction is weak: 5 mm, 0.3 deg."""
+_TINY = 1e-12
+
+
+@dataclass(frozen=True, eq=False)
+class Observability:
+    """Uncertainty of an estimate.
+
+    Twists are (linear, angular) in the local frame of the placement they move,
+    ``T -> T exp(xi)``.
+
+    Attributes:
+        su_covariance: (U, 6, 6) covariance of each SU's placement on its joint [m, rad], without
+            the directions that are not observable.
+        su_unobservable: per SU (k, 6) orthonormal directions (linear [m], angular times ARM)
+            along which the log says nothing about the SU's placement on its joint.
+        su_verdict: per SU.
+        joint_covariance: (D, 4, 4) covariance of each joint's local coordinates tx, ty, rx, ry.
+        joint_verdict: per joint; "not observable" for those that an open direction moves.
+        open_directions: independent ways in which branches may sit elsewhere relative to the rest
+            of their limb, beyond what ``su_unobservable`` has.
+        rank: number of determined coordinates.
+        hidden_rotation: standard deviation per axis of the rotation of an SU's frame that
+            cross-axis errors hide [rad]; part of ``su_covariance`` and ``covariance``.
+        covariance: covariance of all coordinates.
+    """
+
+    su_covariance: F64
+    su_unobservable: tuple[F64, ...]
+    su_verdict: tuple[Verdict, ...]
+    joint_covariance: F64
+    joint_verdict: tuple[Verdict, ...]
+    open_directions: tuple[OpenDirection, ...]
+    rank: int
+    hidden_rotation: float
+    covariance: ArrowCovariance
+
+    def __post_init__(self) -> None:
+        for name in ("su_covariance", "joint_covariance"):
+            object.__setattr__(self, name, frozen(getattr(self, name)))
+
+    @property
+    def n_open(self) -> int:
+        """Number of open directions between branches."""
+        return len(self.open_directions)
+
+
+def observability(estimate: Estimate) -> Observability:
+    """Covariances and verdicts at an estimate.
+
+    Covariances are those of the weights, times the residual-based scale (cost per degree of
+    freedom) where that is above 1.
+    """
+    tree, free = estimate.tree, estimate.free
+    equations = _of_the_data(estimate)
+    scale = max(1.0, estimate.cost_per_dof)
+    D, U = tree.n_joints, tree.n_sus
+    free_joint = np.concatenate([free.joints.ravel(), free.logs.ravel()])
+    inverse = np.zeros((U, N_SU, N_SU))
+    known = np.tile(np.eye(N_SU), (U, 1, 1))
+    directions = []
+    learnt = _information(estimate.cost.priors) - _information(estimate.given)
+    for u in range(U):
+        inverse[u] = _su_inverse(equations.su[u], free.sus[u])
+        # What only the likeness of other sensors tells is no observation.
+        unseen = _open_directions(equations.su[u] - learnt, free.sus[u], scale)
+        known[u, :N_PLACEMENT, :N_PLACEMENT] -= unseen.T @ unseen
+        directions.append(np.linalg.qr((unseen * np.r_[1, 1, 1, ARM, ARM, ARM]).T)[0].T)
+    columns = equations.columns
+    mixed = equations.mixed * free_joint[columns][:, None]
+    lean = -inverse @ mixed
+    H = equations.joint * free_joint[:, None] * free_joint
+    np.add.at(H, (columns[:, :, None], columns[:, None, :]), np.swapaxes(mixed, 1, 2) @ lean)
+    joint_inverse, null = _joint_inverse(H, free_joint, scale)
+    open_ = open_directions(
+        tree, estimate.state, estimate.cost.blocks.q, equations, null, known @ lean, directions,
+        least=scale / UNKNOWN**2, arm=ARM,
+    )  # fmt: skip
+    moving = {name for direction in open_ for name in _moving(direction)}
+
+    # The antisymmetric part of a cross-axis error is a rotation of the sensor's frame: it can not
+    # be seen, and is as large as the symmetric part.
+    hidden = estimate.cost.priors.hidden_rotation
+    turns = np.zeros(N_SU)
+    turns[3:N_PLACEMENT] = hidden**2
+    weights = ArrowCovariance(joint_inverse, columns, lean, inverse)
+    full = with_shared_errors(weights, estimate.cost, estimate.state).scaled(scale)
+    own = known @ full.own @ known + np.diag(turns)
+    covariance = replace(full, lean=known @ lean, own=own)
+    su_covariance = covariance.su()[:, :N_PLACEMENT, :N_PLACEMENT]
+    blocks = covariance.joint[: N_JOINT * D, : N_JOINT * D].reshape(D, N_JOINT, D, N_JOINT)
+    joint_covariance = np.einsum("dadb->dab", blocks)
+    su_verdict = tuple(_verdict(su_covariance[u], len(directions[u])) for u in range(U))
+    joint_verdict = tuple(
+        _verdict(joint_covariance[j], int(name in moving))
+        for j, name in enumerate(tree.joint_names)
+    )
+    rank = int(free_joint.sum()) - len(null) + int(free.sus.sum())
+    rank -= sum(len(d) for d in directions)
+    return Observability(
+        su_covariance, tuple(directions), su_verdict, joint_covariance, joint_verdict,
+        open_, rank, hidden, covariance,
+    )  # fmt: skip
+
+
+def _of_the_data(estimate: Estimate) -> NormalEquations:
+    """Information at the estimate without the prior on offsets, which is no knowledge of them."""
+    equations = estimate.cost.at(estimate.state).normal_equations()
+    joint, su = equations.joint.copy(), equations.su.copy()
+    weight = estimate.cost.priors.position**-2.0
+    held = N_JOINT * np.arange(estimate.tree.n_joints)[:, None] + np.arange(2)
+    joint[held, held] -= weight
+    su[:, range(3), range(3)] -= weight
+    return replace(equations, joint=joint, su=su)
+
+
+def _information(priors: Priors) -> F64:
+    """(15, 15) information of an SU's coordinates in the priors of its sensor."""
+    deviations = priors.deviations
+    known = np.divide(1.0, deviations**2, out=np.zeros_like(deviations), where=deviations > 0)
+    return np.diag(np.concatenate([np.zeros(N_PLACEMENT), known]))
+
+
+def _marginal(H: F64, free: Bool) -> tuple[F64, F64, F64]:
+    """Information about an SU's placement whatever its sensor's errors are.
+
+    Returns:
+        (n, n) information of the n free coordinates of the placement, (m, m) covariance of the m of
+        the sensor for a known placement, and (m, n) how those follow the placement.
+    """
+    placed = free & (np.arange(N_SU) < N_PLACEMENT)
+    sensor = free & ~placed
+    across = H[np.ix_(placed, sensor)]
+    # By the root: a difference of large numbers keeps only what no inverse has rounded.
+    root = np.linalg.cholesky(H[np.ix_(sensor, sensor)])
+    left = np.linalg.solve(root, across.T)
+    back = np.linalg.solve(root, np.eye(len(root)))
+    return H[np.ix_(placed, placed)] - left.T @ left, back.T @ back, -back.T @ left
+
+
+def _su_inverse(H: F64, free: Bool) -> F64:
+    """(15, 15) inverse information of an SU's coordinates given the joints.
+
+    It is 0 along directions of the placement that nothing at all determines.
+    """
+    marginal, own, follow = _marginal(H, free)
+    lam, V = np.linalg.eigh(marginal)
+    # What the sensor's errors explain cancels, up to rounding of what was there before.
+    whole = np.diag(H)[:N_PLACEMENT][free[:N_PLACEMENT]]
+    some = lam > _TINY * whole.max(initial=0.0)
+    P = (V[:, some] / lam[some]) @ V[:, some].T
+    index = np.flatnonzero(free)
+    out = np.zeros((N_SU, N_SU))
+    both = follow @ P
+    out[np.ix_(index, index)] = np.block([[P, both.T], [both, own + both @ follow.T]])
+    return out
+
+
+def _open_directions(H: F64, free: Bool, scale: float) -> F64:
+    """(k, 6) orthonormal directions of a placement that are not observable."""
+    lam, V = np.linalg.eigh(_marginal(H, free)[0])
+    open_ = V[:, lam < scale / UNKNOWN**2].T
+    basis = np.zeros((len(open_), N_PLACEMENT))
+    basis[:, free[:N_PLACEMENT]] = open_
+    return np.concatenate([np.eye(N_PLACEMENT)[~free[:N_PLACEMENT]], basis])
+
+
+def _joint_inverse(H: F64, free: Bool, scale: float) -> tuple[F64, F64]:
+    """Inverse of the joints' information (J, J) without its open directions, and those (k, J)."""
+    index = np.flatnonzero(free)
+    A = H[np.ix_(index, index)]
+    lam, V = np.linalg.eigh(A) if len(index) else (np.zeros(0), np.zeros((0, 0)))
+    open_ = lam < np.maximum(scale / UNKNOWN**2, _TINY * lam.max(initial=0.0))
+    out, null = np.zeros_like(H), np.zeros((int(open_.sum()), len(H)))
+    out[np.ix_(index, index)] = (V[:, ~open_] / lam[~open_]) @ V[:, ~open_].T
+    null[:, index] = V[:, open_].T
+    return out, null
+
+
+def _moving(direction: OpenDirection) -> list[str]:
+    """Joints that an open direction moves noticeably."""
+    size = {name: float(np.abs(xi).max()) for name, xi in direction.joints.items()}
+    return [name for name, each in size.items() if each > ALIKE * max(size.values())]
+
+
+def _verdict(covariance: F64, n_open: int) -> Verdict:
+    """Verdict from a covariance and the number of open directions."""
+    if n_open:
+        return "not observable"
+    return "weak" if np.linalg.eigvalsh(covariance)[-1] > WEAK**2 else "determined"
+
+
+def aligned_deviations(
+    estimate: Estimate, found: Observability, q: F64, *, align: Align = "limbs"
+) -> tuple[F64, F64]:
+    """Standard deviations to expect when the robot is compared with the truth.
+
+    The Cramer-Rao bound of the comparison's metrics: SU position and orientation over the given
+    configurations, after one rigid transform of each limb and with open directions of branches
+    and unobservable ones of SUs left out. A limb is aligned by its determined SUs; where it has
+    none by those that are observable in all directions, and where it has none of these either, by
+    all it has.
+
+    Args:
+        estimate: the estimate.
+        found: its covariance, unobservable directions and verdicts.
+        q: (C, D) configurations.
+        align: one transform per limb, or one for the whole robot ("base").
+
+    Returns:
+        position (U,) [m] and orientation (U,) [rad], root mean square over configurations; NaN for
+        SUs of which nothing is observable, and for the position of SUs on the RS.
+    """
+    tree = estimate.tree
+    n_open = np.array([len(rows) for rows in found.su_unobservable])
+    determined = np.array([verdict == "determined" for verdict in found.su_verdict])
+    nothing = n_open == N_PLACEMENT
+    position, orientation = expected_errors(
+        tree, estimate.state, found.covariance, q,
+        free=found.su_unobservable,
+        trust=np.where(nothing, -1, (n_open == 0) * 1 + (determined & (n_open == 0))),
+        open_directions=found.open_directions, arm=ARM, align=align,
+    )  # fmt: skip
+    position[nothing | (tree.su_joint < 0)], orientation[nothing] = np.nan, np.nan
+    return position, orientation

@@ -1,0 +1,248 @@
+"""What changes in the middle of a log: an encoder counts the other way, SUs exchange their names.
+
+Most poses of the log, of its first half or of its second are of one kind, and an estimate explains
+them. All poses are held against it, each for itself: what follows from it if a joint counts the
+other way, or if an SU has another name, does so up to some pose or from some pose on.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from skin2urdf.arrays import F64, Bool, Int
+from skin2urdf.calibration.result import GOOD_FIT
+from skin2urdf.calibration.rounds import Rounds, alike
+from skin2urdf.errors import InsufficientDataError, StructureError
+from skin2urdf.estimation.solve.estimate import Estimate
+from skin2urdf.faults import Fault
+from skin2urdf.hypotheses.encoder_signs import TURNED, of_poses, turned_by_pose
+from skin2urdf.hypotheses.records import Turn
+from skin2urdf.hypotheses.swaps import names_in
+from skin2urdf.signals.mending import computed
+from skin2urdf.signals.poses import Neighbourhood
+from skin2urdf.signals.records import Features
+from skin2urdf.signals.sampling import Sampled
+from skin2urdf.structure.records import KinematicTree
+
+_ALLOWANCE = 3.0
+"""Time of a change into a pose, over what the pose's misfit says: patterns begin gently."""
+_BLUR = 2
+"""Grid samples on either side of an exchange that may be of both SUs."""
+
+
+@dataclass(frozen=True, eq=False)
+class Changes:
+    """What changes within logs.
+
+    Attributes:
+        rounds: the logs with SUs' names exchanged back.
+        faults: the names that were, in words.
+        turns: encoders that change their sense, which are still to be mended.
+    """
+
+    rounds: Rounds
+    faults: tuple[Fault, ...]
+    turns: tuple[Turn, ...]
+
+
+def changes_within(rounds: Rounds, found: Estimate | None) -> Changes:
+    """Look for changes in each of the logs.
+
+    Args:
+        rounds: logs that no estimate explains.
+        found: the estimate from them, where there is one.
+    """
+    sampled, faults, turns = list(rounds.sampled), list[Fault](), list[Turn]()
+    for log, s in enumerate(rounds.sampled):
+        sound = _sound_part(replace(rounds, sampled=[s]), found)
+        if sound is None:
+            continue
+        known, poses = sound
+        ratio = turned_by_pose(known, poses)
+        for d, name in enumerate(known.tree.joint_names):
+            tells = np.isfinite(ratio[:, d])
+            turn = _Change.of(poses, ratio[:, d] < TURNED, tells, _doubtful(ratio[:, d]))
+            if turn is not None:
+                turns.append(Turn(name, log, turn.between))
+        exchange = _exchange(known, poses)
+        if exchange is not None:
+            names, called, between = exchange
+            columns = np.arange(len(rounds.su_names))
+            columns[[rounds.su_names.index(n) for n in names]] = [
+                rounds.su_names.index(n) for n in called
+            ]
+            sampled[log], time = _renamed_from(s, columns, between)
+            where = f"from {time:.2f} s on" + (f" in log {log + 1}" if len(sampled) > 1 else "")
+            faults += [_fault(n, c, where) for n, c in zip(names, called, strict=True)]
+    return Changes(replace(rounds, sampled=sampled), tuple(faults), tuple(turns))
+
+
+@dataclass(frozen=True)
+class _Change:
+    """Something that was one way before, and another way after.
+
+    Attributes:
+        between: times between which it changed [s].
+        late: whether it is the earlier poses that differ from what is known.
+    """
+
+    between: tuple[float, float]
+    late: bool
+
+    @classmethod
+    def of(cls, poses: Features, differs: Bool, tells: Bool, doubtful: F64) -> _Change | None:
+        """The change of P poses, where there is just one.
+
+        Args:
+            poses: their features, in the order of time.
+            differs: (P,) True where a pose is unlike what is known.
+            tells: (P,) False for poses that say nothing of it.
+            doubtful: (P,) share of a pose's time that may be of the other kind.
+        """
+        at = np.flatnonzero(tells)
+        steps = np.flatnonzero(np.diff(differs[at].astype(np.int8)))
+        if len(steps) != 1:
+            return None
+        before, after = at[steps[0]], at[steps[0] + 1]
+        reach = doubtful * np.ptp(poses.span, axis=1)
+        between = poses.span[before, 1] - reach[before], poses.span[after, 0] + reach[after]
+        return cls((float(between[0]), float(between[1])), bool(differs[before]))
+
+
+def _doubtful(ratio: F64) -> F64:
+    """(P,) share of a pose in which a joint may have counted the other way than in the rest of it.
+
+    Where it does so in a share x, its effects are measured as 1 - 2 x times themselves, and
+    chi-squared of one sense over the other's is ``((1 - x) / x)^2``. Errors of the model make x
+    seem larger; windows in which little moves count little.
+    """
+    far = np.sqrt(np.maximum(ratio, 1 / np.maximum(ratio, 1e-300)))
+    return np.minimum(1.0, _ALLOWANCE / (1 + far))
+
+
+def _sound_part(alone: Rounds, found: Estimate | None) -> tuple[Estimate, Features] | None:
+    """An estimate that explains most of a part of a log, and the log's poses in order of time.
+
+    Args:
+        alone: one log.
+        found: an estimate from all logs; joints that change their sense leave its tree right.
+    """
+    s = _visited(alone.sampled[0])
+    alone = replace(alone, sampled=[s])
+    features = alone.features()
+    length = np.ptp(features.span, axis=1)
+    half = int(np.searchsorted(np.cumsum(length), length.sum() / 2))
+    border = float(features.span[half, 1])
+    parts = [replace(alone, sampled=[_part(s, border, late)]) for late in (False, True)]
+    sound = [e for part in parts if found and (e := _explanation(part, found.tree, certain=True))]
+    if not sound:
+        shown = [(part, tree) for part in parts if (tree := _structure(part))]
+        new = [(part, tree) for part, tree in shown if not (found and alike(tree, found.tree))]
+        sound = [e for part, tree in new if (e := _explanation(part, tree, certain=False))]
+    if not sound:
+        return None
+    best, latency = min(sound, key=lambda e: e[0].cost_per_dof)
+    return best, alone.features(latency=latency)
+
+
+def _structure(part: Rounds) -> KinematicTree | None:
+    """The structure that a part of a log shows."""
+    try:
+        return part.structure(part.features())[1]
+    except (InsufficientDataError, StructureError):
+        return None
+
+
+def _explanation(
+    part: Rounds, tree: KinematicTree, *, certain: bool
+) -> tuple[Estimate, F64] | None:
+    """The estimate from a part of a log and the SUs' latencies, where it explains the part.
+
+    Args:
+        part: the part.
+        tree: its structure.
+        certain: False to look at the structure again where it does not explain the part.
+    """
+    try:
+        found, seen = part.relinearised(tree, part.features())
+        if not certain:
+            found, seen = part.settled(found, seen)
+    except InsufficientDataError:
+        return None
+    return (found, seen.latency) if found.cost_per_dof <= GOOD_FIT else None
+
+
+def _visited(s: Sampled) -> Sampled:
+    """A log with each visit to a pose as a pose of its own, in the order of time."""
+    visits = [Neighbourhood(pose.q, (w,)) for pose in s.neighbourhoods for w in pose.windows]
+    return replace(s, neighbourhoods=tuple(sorted(visits, key=lambda visit: visit.windows[0])))
+
+
+def _part(s: Sampled, border: float, late: bool) -> Sampled:
+    """What a log holds before a time [s], or after it."""
+    grid = s.motion.grid
+    at = (border - grid.start) * grid.rate
+
+    def here(begin: int, end: int) -> bool:
+        return bool(begin + end > 2 * at) == late
+
+    return replace(
+        s,
+        neighbourhoods=tuple(n for n in s.neighbourhoods if here(*n.windows[0])),
+        rests=tuple(rest for rest in s.rests if here(rest.begin, rest.end)),
+    )
+
+
+def _exchange(
+    known: Estimate, poses: Features
+) -> tuple[list[str], list[str], tuple[float, float]] | None:
+    """SUs, the names they have from some time on, and the times between which they got them."""
+    names = known.tree.su_names
+    P = poses.n_poses
+    called = np.array([names_in(known, of_poses(poses, np.array([p]))) for p in range(P)])
+    differs = np.array([list(row) != list(range(len(names))) for row in called])
+    heard = np.asarray(poses.valid.any(axis=1))
+    change = _Change.of(poses, differs, heard, np.ones(P))
+    if change is None:
+        return None
+    ways, number = np.unique(called[differs], axis=0, return_counts=True)
+    way = ways[np.argmax(number)]
+    # What is known may be the later names.
+    way = np.argsort(way) if change.late else way
+    who = np.flatnonzero(way != np.arange(len(way)))
+    return [names[u] for u in who], [names[u] for u in way[who]], change.between
+
+
+def _renamed_from(s: Sampled, columns: Int, between: tuple[float, float]) -> tuple[Sampled, float]:
+    """A log in which each SU has the readings of another column from some time on, and that time.
+
+    It is where the readings become steadiest: each SU's steps across it are smallest in relation
+    to those without.
+
+    Args:
+        s: the log.
+        columns: (U,) the column each SU has later.
+        between: times between which it is [s].
+    """
+    time = s.motion.grid.time
+    first, last = np.searchsorted(time, between)
+    before, after = s.readings[first : last - 2], s.readings[first + 2 : last]
+    gain = ((after[:, columns] - before) ** 2 - (after - before) ** 2).sum(axis=(1, 2))
+    known = s.valid[first : last - 2] & s.valid[first + 2 : last]
+    at = int(first + 1 + np.argmin(np.where(known.all(axis=1), gain, np.inf)))
+    readings, valid = np.array(s.readings), np.array(s.valid)
+    readings[at:], valid[at:] = s.readings[at:, columns], s.valid[at:, columns]
+    moved = columns != np.arange(len(columns))
+    valid[max(0, at - _BLUR) : at + _BLUR + 1, moved] = False
+    readings, filled = computed(s.motion, s.neighbourhoods, s.cutoff, readings, valid)
+    new = replace(
+        s, readings=readings, valid=valid | filled, computed=(s.computed & valid) | filled
+    )
+    return new, float(time[at])
+
+
+def _fault(name: str, called: str, where: str) -> Fault:
+    words = f"{name} is called {called} {where}: the names are swapped; the earlier ones were used"
+    return Fault("swapped", name, words, "check the names of the SUs and their cables")

@@ -1,0 +1,140 @@
+"""Something touched the robot: those moments are named and left out."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from skin2urdf.arrays import F64
+from skin2urdf.calibration.rounds import predicted_curvature
+from skin2urdf.estimation.solve.estimate import Estimate
+from skin2urdf.faults import Fault
+from skin2urdf.hypotheses.records import Solution
+from skin2urdf.model.prediction import Chains
+from skin2urdf.signals.contact import Disturbance, disturbances, without
+from skin2urdf.signals.records import Features
+from skin2urdf.signals.sampling import Sampled
+
+_PASSES = 3
+"""How often, at most, disturbances are looked for: a large one hides a small one."""
+_MOST_LEFT = 0.7
+"""Share of the residuals that a joint's motion leaves at most where it is their cause."""
+_ROUGH = 0.1
+"""Relative error of what a hit does to a reading at first order."""
+
+
+def with_contacts_left_out(solution: Solution) -> Solution:
+    """The solution without the moments in which readings do not follow the joints' motion."""
+    logs = solution.rounds.sampled
+    for _ in range(_PASSES):
+        touched = [d for d, _ in _disturbed(solution.rounds.sampled, solution)]
+        if not touched:
+            break
+        rounds = solution.rounds
+        solution = solution.again(rounds.with_logs(without(rounds.sampled, touched)), ())
+    if solution.rounds.sampled is logs:
+        return solution
+    # What hit the robot shows undistorted to an estimate that does not know those moments.
+    names, joints = solution.features.su_names, solution.found.tree.joint_names
+    faults = [
+        _fault(d, joints[pushed], names, len(logs) > 1) for d, pushed in _disturbed(logs, solution)
+    ]
+    return replace(solution, faults=(*solution.faults, *faults))
+
+
+def _disturbed(sampled: Sequence[Sampled], solution: Solution) -> list[tuple[Disturbance, int]]:
+    """Moments in logs that stand out from what a solution explains, and the joint that was pushed.
+
+    What one SU feels alone, with others on its way from the base, happened to that SU.
+    """
+    found, features = solution.found, solution.features
+    out = []
+    for d in disturbances(sampled, features, predicted_curvature(found, features)):
+        joint, left = pushed_joint(d, found, features)
+        if left < _MOST_LEFT:
+            out.append((d, joint))
+    return out
+
+
+def pushed_joint(touched: Disturbance, found: Estimate, features: Features) -> tuple[int, float]:
+    """The joint whose motion, unseen by its encoder, explains a disturbance best.
+
+    A joint d that moves by b(t) changes every reading by ``s_d b(t) + tau_d b''(t)``. At each
+    moment that is a linear problem in b and its acceleration, in the noise of the SUs and of the
+    other encoders. Of SUs that a hit may take beyond their range it only counts that they feel it.
+
+    Args:
+        touched: residuals of the features' SUs.
+        found: an estimate; its tree may have fewer SUs and joints.
+        features: what the residuals are of.
+
+    Returns:
+        Its index in the tree, and the share of the residuals that its motion leaves.
+    """
+    tree, chains = found.tree, found.cost.blocks.chains
+    column = [features.su_names.index(name) for name in tree.su_names]
+    dof = [features.dof_names.index(name) for name in tree.joint_names]
+    rows = found.cost.at(found.state).kin.features()[touched.pose]
+    effects = np.stack([_effects(rows, chains, j) for j in range(tree.n_joints)])
+    encoders = effects[..., 1] * touched.encoder_noise[dof, None, None]
+    residual = touched.residual[:, column]
+    size = np.linalg.norm(residual, axis=-1)
+    left: list[float] = []
+    for j in range(tree.n_joints):
+        beyond = effects[j].any(axis=(1, 2))
+        rough = np.where(touched.cut_off[column] & beyond, 1.0, _ROUGH)
+        noise = np.hypot(touched.noise[column], rough * size)
+        left.append(_unexplained(residual, noise, encoders, effects[j]))
+    best = int(np.argmin(left))
+    noise = np.hypot(touched.noise[column], _ROUGH * size)
+    whole = _unexplained(residual, noise, encoders, np.zeros_like(effects[0]))
+    return best, left[best] / max(whole, 1e-12)
+
+
+def _effects(rows: F64, chains: Chains, j: int) -> F64:
+    """(U, 3, 2) change of all readings with position and acceleration of joint j."""
+    U, L = chains.joint.shape
+    effects = np.zeros((U, 3, 2))
+    for u, i in zip(*np.nonzero((chains.joint == j) & chains.present), strict=True):
+        effects[u, :, 0], effects[u, :, 1] = rows[u, 1 + i], rows[u, 1 + L + i]
+    return effects
+
+
+def _unexplained(y: F64, noise: F64, shared: F64, effects: F64) -> float:
+    """Weighted sum of squares that two effects leave of N moments.
+
+    Args:
+        y: (N, U, 3) readings [m/s^2].
+        noise: (N, U) standard deviation per axis of each of them [m/s^2].
+        shared: (J, U, 3) what each of J independent noises of variance 1 adds to all [m/s^2].
+        effects: (U, 3, 2) the effects, of any size at each moment.
+    """
+    N = len(y)
+    weight = np.repeat(1 / noise**2, 3, axis=1)
+    flat, S = y.reshape(N, -1, 1), shared.reshape(len(shared), -1)
+    columns = np.broadcast_to(effects.reshape(1, -1, 2), (N, flat.shape[1], 2))
+    both = np.concatenate([flat, columns], axis=2)
+    weighted = weight[..., None] * both
+    among = np.eye(len(S)) + (S * weight[:, None]) @ S.T
+    seen = S @ weighted
+    # Products in the inverse of the noise's covariance, by Woodbury's identity.
+    Q = both.swapaxes(1, 2) @ weighted - seen.swapaxes(1, 2) @ np.linalg.solve(among, seen)
+    explained = Q[:, :1, 1:] @ np.linalg.pinv(Q[:, 1:, 1:], hermitian=True) @ Q[:, 1:, :1]
+    return float((Q[:, 0, 0] - explained[:, 0, 0]).sum())
+
+
+def _fault(touched: Disturbance, joint: str, su_names: tuple[str, ...], several: bool) -> Fault:
+    """A disturbance in words."""
+    felt = ", ".join(su_names[u] for u in touched.felt[:4])
+    more = f" and {len(touched.felt) - 4} others" if len(touched.felt) > 4 else ""
+    log = f" of log {touched.log + 1}" if several else ""
+    return Fault(
+        "contact",
+        joint,
+        f"something hit or pushed the robot at {touched.time:.1f} s{log}: {joint} moved without "
+        f"its encoder seeing all of it, felt by {felt}{more}; those readings are left out",
+        "keep people and things away from the robot while it moves",
+        tuple(su_names[u] for u in touched.felt),
+    )

@@ -1,0 +1,132 @@
+"""Joints that count the other way in another log than in the first, or in part of a log.
+
+The sense of a joint is a convention: axis and joint turn the other way together. Between logs, and
+between parts of a log, it is a contradiction: what one of them says of the robot predicts the
+others, with the sense of every joint as it is, or turned.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from skin2urdf.arrays import F64, Int
+from skin2urdf.estimation.problem.blocks import feature_blocks
+from skin2urdf.estimation.problem.cost import Cost
+from skin2urdf.estimation.solve.estimate import Estimate
+from skin2urdf.geometry.spatial import cross
+from skin2urdf.signals.records import EncoderError, Features
+
+_TELLS = 100.0
+"""Chi-squared of both senses together from which an SU tells a joint's sense."""
+_HALF = 0.5
+"""Chi-squared with one more joint turned, over that without, from which it is followed."""
+TURNED = 0.1
+"""Chi-squared with joints turned, over that with none, from which they are believed."""
+
+
+def reversed_encoders(first: Estimate, features: Features) -> Iterator[EncoderError]:
+    """Encoders that count the other way in later logs.
+
+    Args:
+        first: an estimate from the first log alone.
+        features: of all logs.
+    """
+    for log in np.unique(features.log[features.log > 0]):
+        here = of_poses(features, np.flatnonzero(features.log == log))
+        turned: list[str] = []
+        before = now = _misfit(first, here)
+        for _ in first.tree.joint_names:
+            left = [n for n in first.tree.joint_names if n not in turned]
+            trials = [_misfit(first, _turned(here, [*turned, name])) for name in left]
+            best = int(np.argmin(trials))
+            if trials[best] > _HALF * now:
+                break
+            now = trials[best]
+            turned.append(left[best])
+            if len(turned) == len(first.tree.joint_names):
+                break
+        if now < TURNED * before:
+            yield from (EncoderError("sign", name, -1.0, int(log)) for name in turned)
+
+
+def turned_by_pose(known: Estimate, features: Features) -> F64:
+    """(P, D) chi-squared of each joint's effects if it counts the other way, over that as it is.
+
+    As felt by an SU near the joint; NaN where a pose does not tell. Below :data:`TURNED` the joint
+    counts the other way.
+
+    The columns that a joint has in the Jacobian of an SU depend on the joints between the two
+    alone; with gravity as the SU reads it, nothing that lies before the joint matters, the joint's
+    own position included. So an encoder that is mirrored about any value is seen pose by pose.
+
+    Args:
+        known: an estimate from sound poses of the same robot.
+        features: of P poses of one log.
+    """
+    cost = Cost(known.tree, feature_blocks(features, known.tree), known.cost.priors)
+    state, blocks = replace(known.state, up=known.state.up[:1]), cost.blocks
+    kin, M = cost.at(state).kin, state.sensor_matrix()
+    L = blocks.chains.joint.shape[1]
+    seen: F64 = np.array(blocks.coefficients)
+    seen[:, :, 0] -= state.bias
+    seen = np.asarray(np.linalg.solve(M, np.swapaxes(seen, -1, -2))).swapaxes(-1, -2)
+    expected = np.concatenate([cross(seen[:, :, :1], kin.w), kin.v], axis=2)
+    weight = 1 / (blocks.variance[:, :, 1:, None] * blocks.noise[:, :, None] ** 2)
+    misfit = [
+        (weight * (seen[:, :, 1:] - sense * expected) ** 2).sum(axis=-1) for sense in (1.0, -1.0)
+    ]
+    chi2 = np.array([part[:, :, :L] + part[:, :, L:] for part in misfit])
+    ratio = np.full((features.n_poses, known.tree.n_joints), np.nan)
+    u, i = np.nonzero(blocks.chains.present)
+    # Of the SUs beyond a joint, those with the fewest joints in between know it best.
+    for k in np.argsort(i - blocks.chains.length[u], kind="stable"):
+        same, turned = chi2[:, :, u[k], i[k]]
+        tells = same + turned > _TELLS
+        ratio[tells, blocks.chains.joint[u[k], i[k]]] = turned[tells] / same[tells]
+    return ratio
+
+
+def of_poses(features: Features, chosen: Int) -> Features:
+    """The features of some poses of one log, as of a first one."""
+    by_pose = (
+        "q", "coefficients", "noise", "position_sd", "pull", "hidden", "omega2", "tones",
+        "products", "white", "span",
+    )  # fmt: skip
+    parts = {name: getattr(features, name)[chosen] for name in by_pose}
+    information = features.information.of_poses(chosen)
+    log = np.zeros(len(chosen), dtype=np.int64)
+    return replace(features, log=log, information=information, **parts)
+
+
+def _turned(features: Features, names: list[str]) -> Features:
+    """Features as they are where some joints count the other way."""
+    D = features.n_dofs
+    sign = np.ones(D)
+    sign[[features.dof_names.index(name) for name in names]] = -1.0
+    rows = np.concatenate([[1.0], sign, sign])
+    return replace(
+        features,
+        q=features.q * sign,
+        coefficients=features.coefficients * rows[:, None],
+        information=features.information.scaled(rows),
+        pull=features.pull * rows,
+        products=features.products * rows[1:] * rows[1:, None],
+    )
+
+
+def _misfit(first: Estimate, features: Features) -> float:
+    """Chi-squared of poses under another log's estimate, gravity taken from the readings."""
+    cost = Cost(first.tree, feature_blocks(features, first.tree), first.cost.priors)
+    state = replace(first.state, up=first.state.up[:1])
+    kin = cost.at(state).kin
+    sensed = cost.blocks.coefficients[:, :, 0] - state.bias
+    true = np.linalg.solve(state.sensor_matrix(), sensed[..., None])
+    seen = (cost.blocks.count > 0)[..., None]
+    up = ((kin.R @ true)[..., 0] * seen).sum(axis=(0, 1))
+    size = float(np.linalg.norm(up))
+    if size < 1e-9:
+        return np.inf
+    return float(cost.at(replace(state, up=(up / size)[None])).chi2_by_block().sum())

@@ -1,0 +1,164 @@
+"""SUs that sit elsewhere on their segment from some time on.
+
+For each SU, given the joints, one placement for all poses is held against two, one before and one
+after a time (Chow 1960): with chi-squared ``c1`` and ``c2`` and k coordinates of a placement,
+
+    F = ((c1 - c2) / k) / (c2 / dof)
+
+has Fisher's distribution where the SU is fixed. That the joints are held at the estimate, to which
+the SU itself contributed, only makes F smaller. All times between two poses, and all poses as the
+one in which it happened, are tried. Dividing by ``c2 / dof`` allows for a noise that is misjudged.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import f as fisher
+
+from skin2urdf.arrays import F64, Bool, Int
+from skin2urdf.estimation.problem.cost import Cost
+from skin2urdf.estimation.problem.state import N_PLACEMENT, N_SU, State
+from skin2urdf.estimation.solve.estimate import Estimate
+
+FALSE_ALARM = 1e-6
+"""Probability that chance makes any SU of a calibration count as loose."""
+_FEWEST = 2
+"""Poses on either side of a slip."""
+_MARGIN = 3.0
+"""Standard deviations of a pose's chi-squared from which a slip is put inside of it."""
+
+
+@dataclass(frozen=True)
+class Slip:
+    """An SU whose placement changed.
+
+    Attributes:
+        su: index of the SU in the tree.
+        before: last pose with the earlier placement, and
+        after: first pose with the later one, in the order of time; poses between them have both.
+        gain: F, by which one placement is worse.
+        log_probability: natural logarithm of the probability of such an F by chance.
+    """
+
+    su: int
+    before: int
+    after: int
+    gain: float
+    log_probability: float
+
+
+def slips(estimate: Estimate, order: Int) -> tuple[Slip, ...]:
+    """SUs that are loose beyond doubt, the most certain one first.
+
+    Args:
+        estimate: an estimate, however bad.
+        order: (P,) the poses in the order of time.
+    """
+    plain = _unweighted(estimate)
+    sums = _sums(plain, estimate.state)
+    found = []
+    for u in range(estimate.tree.n_sus):
+        free = estimate.free.sus[u]
+        here = _best(sums, u, free, estimate.count[:, u], order)
+        tests = estimate.tree.n_sus * 2 * len(order)
+        if here is not None and here.log_probability < np.log(FALSE_ALARM / tests):
+            found.append(here)
+    return tuple(sorted(found, key=lambda slip: -slip.gain))
+
+
+def _unweighted(estimate: Estimate) -> Cost:
+    """The cost without robust weights."""
+    blocks = estimate.cost.blocks.reweighted(1 / np.maximum(estimate.weight, 1e-12))
+    return Cost(estimate.tree, blocks, estimate.cost.priors)
+
+
+@dataclass(frozen=True, eq=False)
+class _Sums:
+    """Normal equations of the SUs, by pose and of their priors.
+
+    Attributes:
+        A: (P, U, 15, 15) information.
+        b: (P, U, 15) gradient.
+        c: (P, U) chi-squared.
+        A0: (U, 15, 15), and
+        b0: (U, 15), and
+        c0: (U,), of the priors.
+    """
+
+    A: F64
+    b: F64
+    c: F64
+    A0: F64
+    b0: F64
+    c0: F64
+
+
+def _sums(cost: Cost, state: State) -> _Sums:
+    here = cost.at(state)
+    P, U, m, _ = here.residual.shape
+    _, J = here.jacobian()
+    by_pose = J[:, : P * m * 3].reshape(U, P, m * 3, N_SU).swapaxes(0, 1)
+    r = here.residual.reshape(P, U, m * 3)
+    prior = J[:, P * m * 3 :]
+    r0 = np.concatenate([here.prior, here.offsets[1]], axis=1)
+    return _Sums(
+        np.swapaxes(by_pose, -1, -2) @ by_pose,
+        np.einsum("puij,pui->puj", by_pose, r),
+        np.einsum("pui,pui->pu", r, r),
+        np.swapaxes(prior, -1, -2) @ prior,
+        np.einsum("uij,ui->uj", prior, r0),
+        np.einsum("ui,ui->u", r0, r0),
+    )
+
+
+def _best(sums: _Sums, u: int, free: Bool, count: Int, order: Int) -> Slip | None:
+    """The likeliest slip of an SU, where there can be one at all."""
+    order = order[count[order] > 0]
+    k = int(free[:N_PLACEMENT].sum())
+    tried = []
+    for i in range(_FEWEST, len(order) - _FEWEST + 1):
+        for skip in (0, 1):
+            if len(order) - i - skip < _FEWEST:
+                continue
+            sides = order[:i], order[i + skip :]
+            used = np.concatenate(sides)
+            dof = int(count[used].sum()) - int(free.sum()) - k
+            if dof < k:
+                continue
+            one = _chi2(sums, u, free, [used])
+            two = _chi2(sums, u, free, sides)
+            tried.append((i, skip, one, max(two, 1e-12), dof, int(count[order].sum()) - dof))
+    if not tried:
+        return None
+    scale = min(two / dof for _, _, _, two, dof, _ in tried)
+    cost = [
+        two + skip * scale * (left + _MARGIN * np.sqrt(2 * left))
+        for _, skip, _, two, _, left in tried
+    ]
+    i, skip, one, two, dof, _ = tried[int(np.argmin(cost))]
+    F = max(one - two, 0.0) / k / (two / dof)
+    log_p = float(fisher.logsf(F, k, dof))
+    return Slip(u, int(order[i - 1]), int(order[i + skip]), F, log_p)
+
+
+def _chi2(sums: _Sums, u: int, free: Bool, sides: list[Int] | tuple[Int, ...]) -> float:
+    """Chi-squared of an SU with a placement for each set of poses, and one sensor."""
+    n = N_PLACEMENT * (len(sides) - 1)
+    A, b = np.zeros((N_SU + n, N_SU + n)), np.zeros(N_SU + n)
+    c = float(sums.c0[u])
+    sensor = np.arange(N_PLACEMENT, N_SU) + n
+    open_ = np.concatenate([*[free[:N_PLACEMENT]] * len(sides), free[N_PLACEMENT:]])
+    for i, poses in enumerate(sides):
+        own = np.concatenate([np.arange(N_PLACEMENT) + N_PLACEMENT * i, sensor])
+        A[np.ix_(own, own)] += sums.A[poses, u].sum(axis=0)
+        b[own] += sums.b[poses, u].sum(axis=0)
+        c += float(sums.c[poses, u].sum())
+    own = np.concatenate([np.arange(N_PLACEMENT), sensor])
+    A[np.ix_(own, own)] += sums.A0[u]
+    b[own] += sums.b0[u]
+    A, b = A[np.ix_(open_, open_)], b[open_]
+    scale = np.sqrt(np.maximum(np.diag(A), 1e-300))
+    x = np.linalg.solve(A / np.outer(scale, scale) + 1e-9 * np.eye(len(b)), b / scale)
+    return c - float(x @ (b / scale))

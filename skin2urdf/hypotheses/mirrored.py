@@ -1,0 +1,48 @@
+"""SUs that are negated or left-handed, unlike the others."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from skin2urdf.calibration.rounds import Rounds
+from skin2urdf.estimation.solve.estimate import Estimate
+from skin2urdf.estimation.uncertainty.health import mirrored_sus
+from skin2urdf.faults import Fault
+from skin2urdf.signals.sampling import Sampled
+
+
+def mirrored_negated(rounds: Rounds, found: Estimate) -> tuple[Rounds, list[Fault]]:
+    """The logs with mirrored SUs negated, and their faults.
+
+    Args:
+        rounds: the logs.
+        found: an estimate from them, however bad.
+    """
+    names = [found.tree.su_names[u] for u in mirrored_sus(found)]
+    return negated(rounds, names), [_fault(name) for name in names]
+
+
+def negated(rounds: Rounds, names: Iterable[str]) -> Rounds:
+    """The logs with the readings of some SUs negated, of those that they have."""
+    columns = [rounds.su_names.index(name) for name in names if name in rounds.su_names]
+    return rounds.with_logs([_negated(s, columns) for s in rounds.sampled]) if columns else rounds
+
+
+def _negated(sampled: Sampled, sus: Sequence[int]) -> Sampled:
+    """A log with the readings of some SUs negated."""
+    readings = np.array(sampled.readings)
+    readings[:, list(sus)] *= -1
+    return replace(sampled, readings=readings)
+
+
+def _fault(name: str) -> Fault:
+    return Fault(
+        "mirrored",
+        name,
+        f"{name} reports negated readings or a left-handed frame, unlike the other SUs; it was "
+        "calibrated on the negated readings",
+        "mind that when you use its frame",
+    )

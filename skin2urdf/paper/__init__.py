@@ -1,0 +1,1 @@
+"""The paper's own method and exploration, line by line, for comparison."""

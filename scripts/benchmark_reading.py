@@ -19,6 +19,7 @@ from typing import Any
 
 import numpy as np
 
+from skin2urdf.geometry.units import GRAVITY
 from skin2urdf.recording.reading import read
 from skin2urdf.recording.records import JointStream, Recording, SuStream
 from skin2urdf.recording.writing import write
@@ -51,7 +52,7 @@ def moving_recording(messages: int, topics: int, seed: int) -> Recording:
         phase = 2 * np.pi * (0.3 * regular[:, None] + np.arange(3) / 3 + k / topics)
         noise = 0.01 * rng.standard_normal((regular.size, 3))
         jittered = regular + 1e-4 * rng.random(regular.size)
-        sus.append(SuStream(f"su_{k}", jittered, 9.81 * np.sin(phase) + noise, f"/skin/su_{k}"))
+        sus.append(SuStream(f"su_{k}", jittered, GRAVITY * np.sin(phase) + noise, f"/skin/su_{k}"))
     joint = JointStream("joint_1", regular[::2], np.sin(regular[::2]))
     return Recording((joint,), tuple(sus), start=1.7e9)
 

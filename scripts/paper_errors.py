@@ -11,8 +11,8 @@ from skin2urdf.estimation.problem.blocks import feature_blocks
 from skin2urdf.estimation.problem.cost import Cost, Priors
 from skin2urdf.estimation.problem.state import N_SU, State, Step, identifiable, moved
 from skin2urdf.estimation.solve.estimate import Estimate
-from skin2urdf.geometry.spatial import rotation_log
-from skin2urdf.model.dh import screw
+from skin2urdf.geometry.se3 import screw
+from skin2urdf.geometry.so3 import rotation_log
 from skin2urdf.model.records import KinematicModel
 from skin2urdf.paper.case import N_DOFS, TRUE_LINKS, TRUE_SUS, PaperTraining
 from skin2urdf.paper.method import PaperResult

@@ -15,11 +15,10 @@ from skin2urdf.arrays import F64, Int
 from skin2urdf.estimation.problem.blocks import feature_blocks
 from skin2urdf.estimation.problem.cost import Cost, Priors
 from skin2urdf.estimation.problem.state import State, Step
+from skin2urdf.geometry.units import GRAVITY
 from skin2urdf.signals.information import Information
 from skin2urdf.signals.records import Features, StaticMoves
 from skin2urdf.structure.records import KinematicTree
-
-GRAVITY = 9.81
 
 
 def rigid_transforms(rng: np.random.Generator, n: int, size: float = 0.3) -> F64:

@@ -21,7 +21,7 @@ from chains.judge import Case, Outcome, judged  # noqa: E402
 from skin2urdf.estimation import estimate as module  # noqa: E402
 from skin2urdf.estimation.problem.cost import Cost  # noqa: E402
 from skin2urdf.estimation.problem.state import State  # noqa: E402
-from skin2urdf.geometry.spatial import rotation_exp  # noqa: E402
+from skin2urdf.geometry.so3 import rotation_exp  # noqa: E402
 
 
 @pytest.mark.parametrize("seed", range(16))

@@ -10,6 +10,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from skin2urdf.arrays import F64, Int, frozen
+from skin2urdf.geometry.units import MILLI_G
 from skin2urdf.structure.records import JointType, KinematicTree
 
 Relation = Literal["free", "parallel", "perpendicular", "intersecting", "wrist"]
@@ -35,7 +36,7 @@ _LEAST_PARALLEL = 0.02
 _SU_DISTANCE = (0.02, 0.15)
 _HALF_RANGE = (0.8, 2.8)
 _HALF_STROKE = (0.05, 0.3)
-_BIAS = 0.005 * 9.81
+_BIAS = 5 * MILLI_G
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,10 +11,10 @@ import pinocchio as pin
 
 from chains.draw import Chain
 from skin2urdf.arrays import F64
+from skin2urdf.geometry.units import GRAVITY
 from skin2urdf.signals.information import Information
 from skin2urdf.signals.records import Features, StaticMoves
 
-GRAVITY = 9.81
 _RATE = 30.0
 """Independent samples per second after a low-pass of 15 Hz [Hz]."""
 _NOISE = 1e-3 * GRAVITY * np.sqrt(_RATE / 500.0)

@@ -19,7 +19,8 @@ from skin2urdf.estimation.solve.estimate import Estimate, estimate
 from skin2urdf.estimation.solve.gauss_newton import gauss_newton
 from skin2urdf.estimation.start.order import ordered
 from skin2urdf.estimation.uncertainty.observability import UNKNOWN, observability
-from skin2urdf.geometry.spatial import frame_with_z, inverse, placement
+from skin2urdf.geometry.se3 import inverse, placement
+from skin2urdf.geometry.so3 import frame_with_z
 from skin2urdf.signals.information import Information
 from skin2urdf.signals.records import Features, StaticMoves
 from skin2urdf.structure.activity import activity

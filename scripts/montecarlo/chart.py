@@ -15,7 +15,8 @@ from scipy.linalg import polar
 
 from skin2urdf.arrays import F64
 from skin2urdf.estimation.problem.state import N_JOINT, State, Step, joint_motion
-from skin2urdf.geometry.spatial import axis_rotation, frame_with_z, inverse, placement
+from skin2urdf.geometry.se3 import inverse, placement
+from skin2urdf.geometry.so3 import axis_rotation, frame_with_z
 from skin2urdf.simulation import Truth
 from skin2urdf.structure.records import KinematicTree
 

@@ -13,11 +13,12 @@ from skin2urdf.calibration.result import Calibration
 from skin2urdf.estimation.problem.state import N_JOINT
 from skin2urdf.estimation.solve.spread import DETERMINED
 from skin2urdf.estimation.uncertainty.observability import ARM
+from skin2urdf.geometry.units import MILLI_G
 from skin2urdf.simulation import Truth
 
 _RANK = 1e-7
 """Eigenvalue of a correlation matrix below which its direction is taken to be without variance."""
-_OBSERVABLE = {"bias": 1e-3 * 9.81, "scale": 1e-3, "latency": 2e-4}
+_OBSERVABLE = {"bias": MILLI_G, "scale": 1e-3, "latency": 2e-4}
 """Stated standard deviation up to which a quantity counts as observable: 1 mg, 0.1 %, 0.2 ms.
 
 These are the accuracies to be reached: beyond them the calibration itself says that they are not.

@@ -8,13 +8,14 @@ import numpy as np
 
 from montecarlo.normalised import summed
 from montecarlo.records import BLOCKS, Block, Run
+from skin2urdf.geometry.units import MILLI_G
 
 NEES = (0.9, 1.1)
 """Where the mean normalised squared error is to lie."""
 COVERAGE = (93.0, 97.0)
 """Where the share of coordinates within two standard deviations is to lie [%]."""
 ACCURACY = {
-    "bias": (1e3 / 9.81, "mg", 1.0),
+    "bias": (1 / MILLI_G, "mg", 1.0),
     "scale": (100.0, "%", 0.1),
     "latency": (1e3, "ms", 0.2),
 }

@@ -19,7 +19,7 @@ from skin2urdf.hypotheses.contact import with_contacts_left_out
 from skin2urdf.hypotheses.encoders import solved_with_encoders_corrected
 from skin2urdf.hypotheses.records import Solution
 from skin2urdf.hypotheses.solution import first_look
-from skin2urdf.model.dh import canonical
+from skin2urdf.model.canonical import canonical
 from skin2urdf.recording.records import Recording
 from skin2urdf.signals.sampling import Sampled
 from skin2urdf.structure.records import KinematicTree

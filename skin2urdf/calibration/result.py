@@ -17,7 +17,7 @@ from skin2urdf.estimation.uncertainty.outliers import (
     sus_unlike_the_rest,
 )
 from skin2urdf.faults import Fault
-from skin2urdf.geometry.spatial import inverse
+from skin2urdf.geometry.se3 import inverse
 from skin2urdf.model.records import KinematicModel, OpenDirection
 from skin2urdf.signals.records import Features
 from skin2urdf.structure.activity import STATIC_THRESHOLD, Activity

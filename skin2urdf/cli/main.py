@@ -16,12 +16,12 @@ from skin2urdf.cli.options import parser
 from skin2urdf.cli.terminal import progress_bar, silence_stdout
 from skin2urdf.errors import Skin2UrdfError, UsageError
 from skin2urdf.files import check_target, write_atomically
+from skin2urdf.geometry.units import GRAVITY, MILLI_G
 
 if TYPE_CHECKING:
     from skin2urdf.calibration.result import CalibrationSettings
     from skin2urdf.simulation import SimulationSettings
 
-_G = 9.81
 _INTERRUPTED = 130
 _TO_REPAIR = 3
 """The URDF was written, but an SU or an encoder has to be set right before it fits the robot."""
@@ -105,7 +105,7 @@ def _calibration_settings(options: argparse.Namespace) -> CalibrationSettings:
         _at_least(options, name, least[name])
     _at_least(options, "threshold", 1e-3)
     if "bias" in given:
-        given["bias"] *= 1e-3 * _G
+        given["bias"] *= MILLI_G
     from skin2urdf.calibration.result import CalibrationSettings
     from skin2urdf.estimation.problem.cost import Priors
     from skin2urdf.estimation.solve.estimate import EstimationSettings
@@ -117,7 +117,7 @@ def _calibration_settings(options: argparse.Namespace) -> CalibrationSettings:
             intrinsics=not options.no_intrinsics,
             refine=options.refine,
         ),
-        static_threshold=options.threshold * _G,
+        static_threshold=options.threshold * GRAVITY,
     )
 
 
@@ -241,7 +241,7 @@ def _explore(options: argparse.Namespace) -> int:
     from skin2urdf.survey import explore
 
     with progress_bar(options.quiet) as bar:
-        explored = explore(options.logs, options.threshold * _G, progress=bar)
+        explored = explore(options.logs, options.threshold * GRAVITY, progress=bar)
     if options.json:
         _print_json(as_document(explored))
     elif not options.quiet:

@@ -1,1 +1,1 @@
-"""Rotations and rigid transforms, vectorised."""
+"""Rotations, rigid transforms with their one order of twists, extended DH numbers, and units."""

@@ -16,7 +16,7 @@ from skin2urdf.arrays import F64, Int
 from skin2urdf.estimation.problem.blocks import feature_blocks
 from skin2urdf.estimation.problem.cost import Cost
 from skin2urdf.estimation.solve.estimate import Estimate
-from skin2urdf.geometry.spatial import cross
+from skin2urdf.geometry.so3 import cross
 from skin2urdf.signals.records import EncoderError, Features
 
 _TELLS = 100.0

@@ -14,7 +14,7 @@ from skin2urdf.errors import InsufficientDataError
 from skin2urdf.estimation.solve.arrow import factor
 from skin2urdf.estimation.solve.estimate import Estimate
 from skin2urdf.faults import Fault
-from skin2urdf.geometry.spatial import rotation_log
+from skin2urdf.geometry.so3 import rotation_log
 from skin2urdf.hypotheses.loose import Slip, slips
 from skin2urdf.signals.records import Features
 from skin2urdf.signals.sampling import Sampled

@@ -10,7 +10,7 @@ from scipy.stats import chi2 as chi_squared
 
 from skin2urdf.arrays import F64, Int
 from skin2urdf.estimation.solve.estimate import Estimate
-from skin2urdf.geometry.spatial import skew
+from skin2urdf.geometry.so3 import skew
 from skin2urdf.hypotheses.encoder_score import encoder_scores
 from skin2urdf.signals.records import EncoderError, Features
 

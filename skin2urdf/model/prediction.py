@@ -17,11 +17,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from skin2urdf.arrays import F64, Bool, Int
-from skin2urdf.geometry.spatial import cross, skew
+from skin2urdf.geometry.so3 import cross, skew
 from skin2urdf.structure.records import KinematicTree
-
-GRAVITY = 9.81
-"""Magnitude of gravity [m/s^2] where the user gives no other."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,7 +123,7 @@ def su_kinematics(
 def twist_maps(kin: SuKinematics) -> tuple[F64, F64]:
     """Linear maps from a twist of the SU's frame to the change of its feature block.
 
-    A twist (angular, linear) is seen at the SU's origin in the SU's frame.
+    A twist (linear, angular) is seen at the SU's origin in the SU's frame.
 
     Returns:
         ``moved`` (P, U, m, 3, 6), the change of rows whose joint lies before the moved placement,
@@ -137,12 +134,12 @@ def twist_maps(kin: SuKinematics) -> tuple[F64, F64]:
     moved = np.zeros((P, U, 1 + 2 * L, 3, 6))
     turned = np.zeros_like(moved)
     S_f0, S_w = skew(kin.f0), skew(kin.w)
-    moved[:, :, 0, :, :3] = S_f0
-    turned[:, :, 0, :, :3] = S_f0
-    moved[:, :, 1 : 1 + L, :, :3] = skew(cross(kin.f0[:, :, None], kin.w))
-    turned[:, :, 1 : 1 + L, :, :3] = -S_w @ S_f0[:, :, None]
-    moved[:, :, 1 + L :, :, :3] = skew(kin.v)
-    moved[:, :, 1 + L :, :, 3:] = S_w
+    moved[:, :, 0, :, 3:] = S_f0
+    turned[:, :, 0, :, 3:] = S_f0
+    moved[:, :, 1 : 1 + L, :, 3:] = skew(cross(kin.f0[:, :, None], kin.w))
+    turned[:, :, 1 : 1 + L, :, 3:] = -S_w @ S_f0[:, :, None]
+    moved[:, :, 1 + L :, :, :3] = S_w
+    moved[:, :, 1 + L :, :, 3:] = skew(kin.v)
     return moved, turned
 
 
@@ -155,7 +152,7 @@ def wrenches(kin: SuKinematics, features: F64, e: F64) -> tuple[F64, F64, F64]:
         e: (P, U, m, 3) gradient of the cost in them.
 
     Returns:
-        Moment and force at the SUs' origins in their frames, per unit turn and shift of the SU's
+        Force and moment at the SUs' origins in their frames, per unit shift and turn of the SU's
         own placement (P, U, 6) and of each joint's placement before it (P, U, L, 6), and the
         moment per unit turn of everything but gravity (P, U, 3).
     """
@@ -163,17 +160,17 @@ def wrenches(kin: SuKinematics, features: F64, e: F64) -> tuple[F64, F64, F64]:
     slopes, e_slopes, e_levers = features[:, :, 1 : 1 + L], e[:, :, 1 : 1 + L], e[:, :, 1 + L :]
     first = cross(e[:, :, 0], kin.f0)
     moved = np.empty((*kin.w.shape[:3], 6))
-    moved[..., :3] = cross(e_slopes, slopes) + cross(e_levers, kin.v)
-    moved[..., 3:] = cross(e_levers, kin.w)
+    moved[..., :3] = cross(e_levers, kin.w)
+    moved[..., 3:] = cross(e_slopes, slopes) + cross(e_levers, kin.v)
     turned = cross(kin.f0[:, :, None], cross(e_slopes, kin.w))
     before = np.cumsum(moved, axis=2)
     up_to = np.cumsum(turned, axis=2)
     gravity = first + up_to[:, :, -1]
     at_su = before[:, :, -1].copy()
-    at_su[..., :3] += first
+    at_su[..., 3:] += first
     at_joints = before - moved
     # Joints at or beyond a placement move along with it; only gravity turns past them.
-    at_joints[..., :3] += gravity[:, :, None] - up_to + turned
+    at_joints[..., 3:] += gravity[:, :, None] - up_to + turned
     return at_su, at_joints, gravity
 
 
@@ -205,7 +202,7 @@ def joint_twists(chains: Chains, kin: SuKinematics, R_zero: F64, p_zero: F64, ba
         kin: the SUs' kinematics.
         R_zero: (P, D, 3, 3) joint frames with their own motion undone (:func:`zero_frames`).
         p_zero: (P, D, 3) their origins [m].
-        basis: (D, 6, B) twist (angular, linear) of each of B coordinates in the joint's frame.
+        basis: (D, 6, B) twist (linear, angular) of each of B coordinates in the joint's frame.
 
     Returns:
         (P, U, L, 6, B) twists at the SU's origin in the SU's frame; zero where padded.
@@ -214,6 +211,6 @@ def joint_twists(chains: Chains, kin: SuKinematics, R_zero: F64, p_zero: F64, ba
     R_su_joint = np.swapaxes(R_base_su, -1, -2) @ R_zero[:, chains.joint]
     arm = ((kin.p[:, :, None] - p_zero[:, chains.joint])[..., None, :] @ R_base_su)[..., 0, :]
     local = basis[chains.joint] * chains.present[..., None, None]
-    angular = R_su_joint @ local[..., :3, :]
-    linear = R_su_joint @ local[..., 3:, :] - skew(arm) @ angular
-    return np.concatenate([angular, linear], axis=-2)
+    angular = R_su_joint @ local[..., 3:, :]
+    linear = R_su_joint @ local[..., :3, :] - skew(arm) @ angular
+    return np.concatenate([linear, angular], axis=-2)

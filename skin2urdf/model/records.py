@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from skin2urdf.arrays import F64, frozen
-from skin2urdf.geometry.twists import adjoint
+from skin2urdf.geometry.se3 import adjoint
 from skin2urdf.structure.records import KinematicTree
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from skin2urdf.arrays import F64
-from skin2urdf.geometry.spatial import skew
+from skin2urdf.geometry.so3 import skew
 from skin2urdf.model.kinematics import PinocchioTree
 from skin2urdf.model.prediction import Chains, su_kinematics
 from skin2urdf.model.records import KinematicModel

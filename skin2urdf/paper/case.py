@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from skin2urdf.arrays import F64, frozen
+from skin2urdf.geometry.units import GRAVITY
 
 N_DOFS = 7
 N_POSES = 20
@@ -23,7 +24,6 @@ TILT = 0.5
 E_STOP = 0.1
 PAPER_SECONDS = 86.0
 PAPER_ITERATIONS = 7672
-GRAVITY = 9.81
 
 
 def _columns(*rows: tuple[float, ...]) -> F64:

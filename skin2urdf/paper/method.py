@@ -19,7 +19,7 @@ from skin2urdf.estimation.problem.blocks import FeatureBlocks, feature_blocks
 from skin2urdf.estimation.problem.cost import Cost, Priors
 from skin2urdf.estimation.problem.state import State, identifiable
 from skin2urdf.estimation.solve.estimate import Estimate
-from skin2urdf.model.prediction import GRAVITY
+from skin2urdf.geometry.units import GRAVITY
 from skin2urdf.paper.model import (
     N_LINK,
     N_SU,

@@ -19,8 +19,8 @@ from math import cos, sin
 import numpy as np
 
 from skin2urdf.arrays import F64, frozen
-from skin2urdf.model.dh import screw
-from skin2urdf.model.prediction import GRAVITY
+from skin2urdf.geometry.se3 import screw
+from skin2urdf.geometry.units import GRAVITY
 from skin2urdf.paper.training import MotionPattern, SuTraining
 
 LINK_PARAMETERS = ("theta0", "d", "a", "alpha")

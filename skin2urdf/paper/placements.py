@@ -16,8 +16,10 @@ from skin2urdf.estimation.problem.blocks import FeatureBlocks
 from skin2urdf.estimation.problem.cost import Priors
 from skin2urdf.estimation.problem.state import State
 from skin2urdf.estimation.start.orientation import su_orientation
-from skin2urdf.geometry.spatial import frame_with_z, inverse, placement
-from skin2urdf.model.dh import canonical, dh_of_placement, screw
+from skin2urdf.geometry.dh import dh_of_placement
+from skin2urdf.geometry.se3 import inverse, placement, screw
+from skin2urdf.geometry.so3 import frame_with_z
+from skin2urdf.model.canonical import canonical
 from skin2urdf.model.records import KinematicModel
 from skin2urdf.paper.model import link_transform, su_transform
 from skin2urdf.structure.records import KinematicTree

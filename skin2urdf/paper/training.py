@@ -14,7 +14,7 @@ import numpy as np
 
 from skin2urdf.arrays import F64, Int, frozen
 from skin2urdf.estimation.problem.blocks import FeatureBlocks
-from skin2urdf.model.prediction import GRAVITY
+from skin2urdf.geometry.units import GRAVITY
 from skin2urdf.signals.information import Information
 from skin2urdf.signals.records import Features, StaticMoves
 from skin2urdf.structure.records import KinematicTree

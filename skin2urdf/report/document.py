@@ -14,7 +14,7 @@ import numpy as np
 
 from skin2urdf.calibration.result import Calibration
 from skin2urdf.estimation.uncertainty.goodness import Share
-from skin2urdf.model.dh import joint_placement, prismatic_placement
+from skin2urdf.geometry.dh import joint_placement, prismatic_placement
 from skin2urdf.report.findings import Findings, findings
 from skin2urdf.structure.activity import Activity
 

@@ -5,12 +5,13 @@ from __future__ import annotations
 import numpy as np
 
 from skin2urdf.calibration.result import Calibration
+from skin2urdf.geometry.units import MILLI_G
 from skin2urdf.report.findings import Findings, findings
 from skin2urdf.report.tables import bullets, number, span, table
 
 _MM = 1e3
 _DEG = float(np.rad2deg(1.0))
-_MG = 1e3 / 9.81
+_MG = 1 / MILLI_G
 
 
 def as_text(calibration: Calibration) -> str:

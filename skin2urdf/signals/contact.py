@@ -17,6 +17,7 @@ from scipy.stats import chi2 as chi_squared
 from scipy.stats import norm
 
 from skin2urdf.arrays import F64, Bool
+from skin2urdf.geometry.units import GRAVITY
 from skin2urdf.signals.features import Curvature
 from skin2urdf.signals.filters import filtered, low_pass, noise_bandwidth, shifted
 from skin2urdf.signals.mending import computed
@@ -47,7 +48,7 @@ _PLAIN = 5.0
 """Residual over the median from which an SU is said to feel a disturbance."""
 _WIDE = 0.2
 """Cutoff at which short hits show, over the rate of the samples."""
-_LEAST_RANGE = 1.5 * 9.81
+_LEAST_RANGE = 1.5 * GRAVITY
 """Range that every sensor has [m/s^2]."""
 _LATE = 1.6
 """How much further residuals of that band stand out by chance than normal noise does."""

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from skin2urdf.arrays import F64, Bool
+from skin2urdf.geometry.units import GRAVITY
 
 _SIGNAL_TO_NOISE = 30.0
 """Energy of a regressor over its encoder noise below which it counts as not excited."""
@@ -127,7 +128,7 @@ def _eigen(A: F64) -> tuple[F64, F64]:
     return lam, whole
 
 
-_LARGEST = (9.81, 1.0)
+_LARGEST = (GRAVITY, 1.0)
 """What slopes s [m/s^2/rad] and lever arms tau [m] may be; gravity bounds the former."""
 
 

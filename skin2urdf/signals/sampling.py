@@ -10,6 +10,7 @@ import numpy as np
 from skin2urdf.arrays import F64, Bool
 from skin2urdf.errors import InsufficientDataError
 from skin2urdf.faults import Fault
+from skin2urdf.geometry.units import GRAVITY
 from skin2urdf.recording.records import Recording
 from skin2urdf.signals.filters import sample, spread
 from skin2urdf.signals.health import checked, unusable
@@ -18,7 +19,6 @@ from skin2urdf.signals.motion import Motion, joint_motion
 from skin2urdf.signals.poses import Neighbourhood, Rest, find_neighbourhoods, find_rests
 from skin2urdf.signals.records import StaticMoves
 
-STANDARD_GRAVITY = 9.81
 _G_UNITS = (0.5, 2.0)
 _FEWEST = 5
 """Grid samples of a rest that tell a change of gravity from noise."""
@@ -91,7 +91,7 @@ def sample_recording(
         if factor != 1.0:
             readings[:, u] *= factor
             notes.append(f"{name} reports g instead of m/s^2; its readings were converted")
-        fault = unusable(name, readings[:, u], still, valid[:, u], STANDARD_GRAVITY)
+        fault = unusable(name, readings[:, u], still, valid[:, u], GRAVITY)
         faults += found.faults
         if fault is not None:
             valid[:, u] = False
@@ -123,7 +123,7 @@ def _unit(static: F64) -> float:
     if not len(static):
         return 1.0
     size = float(np.median(np.linalg.norm(static, axis=1)))
-    return STANDARD_GRAVITY if _G_UNITS[0] < size < _G_UNITS[1] else 1.0
+    return GRAVITY if _G_UNITS[0] < size < _G_UNITS[1] else 1.0
 
 
 def _cutoff(motion: Motion, neighbourhoods: Sequence[Neighbourhood]) -> float:
@@ -186,7 +186,7 @@ def static_moves(sampled: Sequence[Sampled]) -> StaticMoves:
             distances.append(float(step[moved[0]]))
             changes.append(after - before)
             others = np.abs(step).sum() - abs(step[moved[0]])
-            doubts.append(STANDARD_GRAVITY * float(others))
+            doubts.append(GRAVITY * float(others))
     U = sampled[0].readings.shape[1]
     return StaticMoves(
         np.array(dofs, dtype=np.int64),

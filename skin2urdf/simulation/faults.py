@@ -13,8 +13,8 @@ from types import MappingProxyType
 import numpy as np
 
 from skin2urdf.arrays import F64
+from skin2urdf.geometry.units import GRAVITY
 from skin2urdf.recording.records import JointStream, Recording, SuStream
-from skin2urdf.simulation.constants import GRAVITY
 from skin2urdf.simulation.mechanism import load_mechanism
 from skin2urdf.simulation.robots import RobotSpec
 from skin2urdf.simulation.sensors import Accelerometer

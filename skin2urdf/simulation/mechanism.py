@@ -13,7 +13,7 @@ import numpy as np
 
 from skin2urdf.arrays import F64, Bool, Int, frozen
 from skin2urdf.errors import UnreadableInputError, UsageError
-from skin2urdf.simulation.constants import GRAVITY
+from skin2urdf.geometry.units import GRAVITY
 from skin2urdf.simulation.robots import RobotSpec, Vector3
 
 

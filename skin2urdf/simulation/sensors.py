@@ -9,7 +9,7 @@ from types import MappingProxyType
 import numpy as np
 
 from skin2urdf.arrays import F64, frozen
-from skin2urdf.simulation.constants import GRAVITY
+from skin2urdf.geometry.units import GRAVITY
 
 MIN_STAMP_STEP = 1e-6
 """Smallest step between two stamps of a stream [s]; jitter can not turn the order round."""

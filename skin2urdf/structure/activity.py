@@ -8,9 +8,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from skin2urdf.arrays import F64, Bool, frozen
+from skin2urdf.geometry.units import GRAVITY
 from skin2urdf.signals.records import Features
 
-STATIC_THRESHOLD = 0.05 * 9.81
+STATIC_THRESHOLD = 0.05 * GRAVITY
 """Change of a static reading that makes an SU active, 0.05 g [m/s^2] (paper III)."""
 
 CERTAIN = float(np.log(4.0))

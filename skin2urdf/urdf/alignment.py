@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from skin2urdf.arrays import F64, Bool
-from skin2urdf.geometry import twists
-from skin2urdf.geometry.spatial import inverse
+from skin2urdf.geometry import se3
+from skin2urdf.geometry.se3 import inverse
 
 ARM = 0.1
 """Lever arm that makes lengths of angles [m/rad]: 1 deg weighs as much as 1.75 mm."""
@@ -55,18 +55,18 @@ def _fit(T_est_su: F64, T_true_su: F64, P: F64) -> tuple[F64, F64]:
     D = _first_displacements(X @ T_est_su, T_true_su, P)
     best = (np.inf, X, D)
     for _ in range(_MAX_STEPS):
-        r = twists.log(inverse(X @ T_est_su @ D) @ T_true_su) * _SCALE
+        r = se3.log(inverse(X @ T_est_su @ D) @ T_true_su) * _SCALE
         cost = float(np.sum(r**2))
         if cost >= best[0]:
             break
         best = (cost, X, D)
-        A = _SCALE[:, None] * twists.adjoint(inverse(T_est_su @ D))
+        A = _SCALE[:, None] * se3.adjoint(inverse(T_est_su @ D))
         # What a displacement takes up is the mean along its directions. It is projected out of A,
         # and thereby out of r: A_seen is orthogonal to it.
         A_seen = A - P @ A.mean(axis=0)
         step = np.linalg.lstsq(A_seen.reshape(-1, 6), r.reshape(-1), rcond=1e-10)[0]
         D = D @ _displacement(P, (r - A @ step).mean(axis=0))
-        X = X @ twists.exp(step)
+        X = X @ se3.exp(step)
     return best[1], best[2]
 
 
@@ -82,7 +82,7 @@ def displace(T_est_su: F64, T_true_su: F64, P: F64) -> F64:
     best_cost = np.full(len(P), np.inf)
     D = best
     for _ in range(_MAX_STEPS):
-        r = twists.log(inverse(T_est_su @ D) @ T_true_su) * _SCALE
+        r = se3.log(inverse(T_est_su @ D) @ T_true_su) * _SCALE
         cost = np.sum(r**2, axis=(0, 2))
         better = cost < best_cost
         if not better.any():
@@ -133,13 +133,13 @@ def _first_displacements(T_est_su: F64, T_true_su: F64, P: F64) -> F64:
     a mean over them means nothing. One configuration is followed either way round instead.
     """
     error = inverse(T_est_su[0]) @ T_true_su[0]
-    ways = [twists.log(error, long_way=long_way) * _SCALE for long_way in (False, True)]
+    ways = [se3.log(error, long_way=long_way) * _SCALE for long_way in (False, True)]
     guesses = [_displacement(P, way) for way in (np.zeros_like(ways[0]), *ways)]
-    left = [twists.log(inverse(T_est_su @ D) @ T_true_su) * _SCALE for D in guesses]
+    left = [se3.log(inverse(T_est_su @ D) @ T_true_su) * _SCALE for D in guesses]
     best = np.argmin([np.sum(r**2, axis=(0, 2)) for r in left], axis=0)
     return np.asarray(np.stack(guesses)[best, np.arange(len(P))])
 
 
 def _displacement(P: F64, error: F64) -> F64:
     """(U, 4, 4) displacements along the part of scaled twists (U, 6) that P (U, 6, 6) keeps."""
-    return twists.exp(np.einsum("uij,uj->ui", P, error) / _SCALE)
+    return se3.exp(np.einsum("uij,uj->ui", P, error) / _SCALE)

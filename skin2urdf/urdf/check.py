@@ -9,7 +9,7 @@ import numpy as np
 
 from skin2urdf.arrays import F64
 from skin2urdf.errors import Skin2UrdfError
-from skin2urdf.model.dh import screw
+from skin2urdf.geometry.se3 import screw
 from skin2urdf.model.records import KinematicModel
 from skin2urdf.urdf.names import BASE_LINK, urdf_names
 

@@ -15,7 +15,8 @@ import numpy as np
 
 from skin2urdf.arrays import F64
 from skin2urdf.errors import InsufficientDataError, UsageError
-from skin2urdf.geometry import twists
+from skin2urdf.geometry import se3
+from skin2urdf.geometry.so3 import rotation_log
 from skin2urdf.model.records import OpenDirection
 from skin2urdf.urdf.axes import AxisErrors, axis_errors
 from skin2urdf.urdf.differences import tree_differences
@@ -214,7 +215,7 @@ def _su_errors(
     """Errors per SU, and the spread of all positions [m] and all orientations [rad]."""
     shift = np.linalg.norm(T_true_su[..., :3, 3] - T_est_su[..., :3, 3], axis=-1)
     R_error = np.swapaxes(T_est_su[..., :3, :3], -1, -2) @ T_true_su[..., :3, :3]
-    turn = np.linalg.norm(twists.rotation_vector(R_error), axis=-1)
+    turn = np.linalg.norm(rotation_log(R_error), axis=-1)
     parts = np.array([told(rows) for rows in free])
     errors = tuple(
         SuError(
@@ -255,7 +256,7 @@ def _axes(
             left_out.append(name)
             continue
         kept.append(d)
-        moved.append(axes_est[:, d] @ twists.adjoint(X).T)
+        moved.append(axes_est[:, d] @ se3.adjoint(X).T)
         carried = [u for u, chain in enumerate(chains) if name in chain]
         places.append(T_true_su[..., :3, 3][:, carried or slice(None)].mean(axis=1))
     kinds = [(joints[d], est.joint_types[joints[d]]) for d in kept]

@@ -14,8 +14,8 @@ import numpy as np
 
 from skin2urdf.arrays import F64, Bool, Int
 from skin2urdf.errors import UsageError
-from skin2urdf.geometry import twists
-from skin2urdf.geometry.spatial import inverse
+from skin2urdf.geometry import se3
+from skin2urdf.geometry.se3 import inverse
 from skin2urdf.model.records import OpenDirection
 from skin2urdf.urdf.alignment import ARM, displace, kabsch, projector
 from skin2urdf.urdf.kinematics import kinematics, placements
@@ -160,20 +160,18 @@ def _descended(
         T, along = _motions(robot, directions, sight)
         X = kabsch(T[:, still], sight.T_true_su[:, still]) if X is None else X
         D = displace(X @ T, sight.T_true_su, P)
-        r = twists.log(inverse(X @ T @ D) @ sight.T_true_su) * _SCALE
+        r = se3.log(inverse(X @ T @ D) @ sight.T_true_su) * _SCALE
         cost = float(np.sum(r**2))
         if cost >= least:
             break
         best, least = robot, cost
-        A = np.concatenate(
-            [twists.adjoint(inverse(T @ D)), twists.adjoint(inverse(D)) @ along], axis=-1
-        )
+        A = np.concatenate([se3.adjoint(inverse(T @ D)), se3.adjoint(inverse(D)) @ along], axis=-1)
         A = _SCALE[:, None] * A
         A = (A - P @ A.mean(axis=0)).reshape(-1, 6 + len(directions))
         kept = _kept(A)
         step = np.zeros(A.shape[1])
         step[kept] = np.linalg.lstsq(A[:, kept], r.reshape(-1), rcond=1e-10)[0]
-        X = X @ twists.exp(step[:6])
+        X = X @ se3.exp(step[:6])
         robot = _moved(robot, directions, step[6:].tolist())
     return best, least
 
@@ -189,7 +187,7 @@ def _motions(robot: Robot, directions: Sequence[OpenDirection], sight: Sight) ->
         for i, name in enumerate(names):
             if name in chain:
                 xi = [d.joints.get(name, np.zeros(6)) for d in directions]
-                along[:, u] += twists.adjoint(inverse(T[:, u]) @ placed[:, i]) @ np.array(xi).T
+                along[:, u] += se3.adjoint(inverse(T[:, u]) @ placed[:, i]) @ np.array(xi).T
         along[:, u] += np.array([d.sus.get(su, np.zeros(6)) for d in directions]).T
     return T, along
 

@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 
 from skin2urdf.arrays import F64, frozen
-from skin2urdf.model.dh import screw
+from skin2urdf.geometry.se3 import screw
 from skin2urdf.model.records import KinematicModel
 
 COLOURS: dict[str, tuple[float, float, float, float]] = {

@@ -12,8 +12,7 @@ from scipy.spatial.transform import Rotation
 from skin2urdf.estimation.problem.state import N_JOINT, N_SU, State, Step, moved
 from skin2urdf.estimation.uncertainty.bounds import Align, expected_errors, limbs_of
 from skin2urdf.estimation.uncertainty.covariance import ArrowCovariance
-from skin2urdf.geometry.spatial import inverse
-from skin2urdf.geometry.twists import adjoint, exp
+from skin2urdf.geometry.se3 import adjoint, exp, inverse
 from skin2urdf.model.prediction import Chains
 from skin2urdf.model.records import OpenDirection
 from skin2urdf.structure.records import KinematicTree

@@ -10,7 +10,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.linalg import expm
 from synthetic import (
-    GRAVITY,
     random_cost,
     random_features,
     random_state,
@@ -26,7 +25,8 @@ from skin2urdf.estimation.problem.state import Free, State, Step, identifiable, 
 from skin2urdf.estimation.solve.casadi_refinement import refine
 from skin2urdf.estimation.solve.gauss_newton import gauss_newton
 from skin2urdf.estimation.solve.symbolic_cost import SymbolicCost
-from skin2urdf.geometry.spatial import skew
+from skin2urdf.geometry.so3 import skew
+from skin2urdf.geometry.units import GRAVITY
 
 PRIORS = Priors(gravity=GRAVITY, position=0.02)
 

@@ -9,7 +9,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from synthetic import (
-    GRAVITY,
     random_cost,
     random_features,
     random_state,
@@ -25,6 +24,7 @@ from skin2urdf.estimation.problem.cost import Cost, NormalEquations, Priors
 from skin2urdf.estimation.problem.state import Free, State, Step, identifiable, moved
 from skin2urdf.estimation.solve.arrow import factor
 from skin2urdf.estimation.solve.gauss_newton import gauss_newton
+from skin2urdf.geometry.units import GRAVITY
 from skin2urdf.signals.information import Information
 from skin2urdf.signals.records import Features, StaticMoves
 from skin2urdf.structure.records import KinematicTree

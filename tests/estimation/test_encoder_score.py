@@ -6,12 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from synthetic import GRAVITY, random_cost, random_features, random_state, random_tree, serial_tree
+from synthetic import random_cost, random_features, random_state, random_tree, serial_tree
 
 from skin2urdf.arrays import F64
 from skin2urdf.estimation.problem.cost import Cost, Priors
 from skin2urdf.estimation.solve.estimate import Estimate, EstimationSettings, estimate
-from skin2urdf.geometry.spatial import rotation_exp
+from skin2urdf.geometry.so3 import rotation_exp
+from skin2urdf.geometry.units import GRAVITY
 from skin2urdf.hypotheses.encoder_score import encoder_scores
 from skin2urdf.hypotheses.suspicions import gross_scales
 from skin2urdf.signals.records import Features

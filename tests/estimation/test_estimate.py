@@ -11,13 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
-from synthetic import (
-    GRAVITY,
-    pinocchio_model,
-    random_features,
-    random_state,
-    serial_tree,
-)
+from synthetic import pinocchio_model, random_features, random_state, serial_tree
 
 from skin2urdf.arrays import F64
 from skin2urdf.estimation.problem.cost import Priors
@@ -29,6 +23,7 @@ from skin2urdf.estimation.solve.estimate import (
     robust_weights,
 )
 from skin2urdf.estimation.uncertainty.observability import observability
+from skin2urdf.geometry.units import GRAVITY
 from skin2urdf.signals.records import Features
 from skin2urdf.structure.records import KinematicTree
 

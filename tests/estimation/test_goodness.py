@@ -7,11 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy import stats
-from synthetic import GRAVITY, random_features, random_state, random_tree, serial_tree
+from synthetic import random_features, random_state, random_tree, serial_tree
 
 from skin2urdf.estimation.problem.cost import Priors
 from skin2urdf.estimation.solve.estimate import Estimate, EstimationSettings, estimate
 from skin2urdf.estimation.uncertainty.goodness import Goodness, Share, goodness
+from skin2urdf.geometry.units import GRAVITY
 from skin2urdf.signals.records import Features
 from skin2urdf.structure.records import KinematicTree
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from synthetic import GRAVITY, random_features, random_state, random_tree, serial_tree
+from synthetic import random_features, random_state, random_tree, serial_tree
 
 from skin2urdf.arrays import F64
 from skin2urdf.estimation.problem.cost import Priors
@@ -19,7 +19,8 @@ from skin2urdf.estimation.uncertainty.observability import (
     aligned_deviations,
     observability,
 )
-from skin2urdf.model.dh import canonical
+from skin2urdf.geometry.units import GRAVITY
+from skin2urdf.model.canonical import canonical
 from skin2urdf.structure.records import KinematicTree
 from skin2urdf.urdf.compare import compare
 from skin2urdf.urdf.emit import emit

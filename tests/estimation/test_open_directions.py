@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from synthetic import GRAVITY, exact_coefficients, random_features, random_state
+from synthetic import exact_coefficients, random_features, random_state
 
 from skin2urdf.estimation.problem.blocks import feature_blocks
 from skin2urdf.estimation.problem.cost import Cost, Priors
@@ -15,8 +15,9 @@ from skin2urdf.estimation.problem.state import State, identifiable
 from skin2urdf.estimation.solve.estimate import Estimate, EstimationSettings, estimate
 from skin2urdf.estimation.uncertainty.bounds import moved_sus
 from skin2urdf.estimation.uncertainty.observability import Observability, observability
-from skin2urdf.geometry.spatial import axis_rotation
-from skin2urdf.geometry.twists import exp
+from skin2urdf.geometry.se3 import exp
+from skin2urdf.geometry.so3 import axis_rotation
+from skin2urdf.geometry.units import GRAVITY
 from skin2urdf.model.records import OpenDirection
 from skin2urdf.signals.information import Information
 from skin2urdf.signals.records import Features, StaticMoves

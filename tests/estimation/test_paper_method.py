@@ -15,7 +15,7 @@ from skin2urdf.errors import InsufficientDataError, StructureError
 from skin2urdf.estimation.problem.blocks import feature_blocks
 from skin2urdf.estimation.problem.cost import Cost, Priors
 from skin2urdf.estimation.solve.progressive import minimise
-from skin2urdf.model.dh import screw
+from skin2urdf.geometry.se3 import screw
 from skin2urdf.model.records import KinematicModel
 from skin2urdf.paper import case
 from skin2urdf.paper.method import (

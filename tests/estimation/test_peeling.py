@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from synthetic import GRAVITY, exact_coefficients, serial_tree
+from synthetic import exact_coefficients, serial_tree
 
 from skin2urdf.arrays import F64
 from skin2urdf.estimation.problem.blocks import feature_blocks
@@ -14,7 +14,9 @@ from skin2urdf.estimation.problem.state import State
 from skin2urdf.estimation.solve.estimate import EstimationSettings, estimate
 from skin2urdf.estimation.start.order import ordered
 from skin2urdf.estimation.start.peeling import Peeled, Readings, candidates, misfit_of
-from skin2urdf.geometry.spatial import frame_with_z, inverse, placement
+from skin2urdf.geometry.se3 import inverse, placement
+from skin2urdf.geometry.so3 import frame_with_z
+from skin2urdf.geometry.units import GRAVITY
 from skin2urdf.signals.information import Information
 from skin2urdf.signals.records import Features, StaticMoves
 from skin2urdf.structure.records import KinematicTree

@@ -6,12 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from synthetic import GRAVITY, random_cost, random_state, random_step, random_tree
+from synthetic import random_cost, random_state, random_step, random_tree
 
 from skin2urdf.estimation.problem.cost import Cost, Priors
 from skin2urdf.estimation.problem.state import State, identifiable, moved
 from skin2urdf.estimation.solve.gauss_newton import gauss_newton
 from skin2urdf.estimation.solve.sensors import sensors_refitted
+from skin2urdf.geometry.units import GRAVITY
 
 PRIORS = Priors(bias=0.3, scale=0.02, cross=0.01, gravity=GRAVITY)
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from synthetic import GRAVITY, exact_coefficients, random_features, random_state, random_tree
+from synthetic import exact_coefficients, random_features, random_state, random_tree
 
 from skin2urdf.arrays import F64
 from skin2urdf.errors import InsufficientDataError
@@ -20,6 +20,7 @@ from skin2urdf.estimation.start.inward import inward_starts
 from skin2urdf.estimation.start.orientation import Orientations
 from skin2urdf.estimation.start.outward import fibonacci_sphere, outward_starts
 from skin2urdf.estimation.start.starts import felt_up, placed
+from skin2urdf.geometry.units import GRAVITY
 from skin2urdf.paper.case import TRUE_LINKS, TRUE_SUS, acc_matrix, dh_matrix
 from skin2urdf.signals.information import Information
 from skin2urdf.signals.records import Features, StaticMoves

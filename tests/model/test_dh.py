@@ -8,16 +8,15 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from skin2urdf.model.dh import (
+from skin2urdf.geometry.dh import (
     PARALLEL_SINE,
     ExtendedDh,
-    canonical,
     dh_of_placement,
-    inverse,
     joint_placement,
     prismatic_placement,
-    screw,
 )
+from skin2urdf.geometry.se3 import inverse, screw
+from skin2urdf.model.canonical import canonical
 from skin2urdf.model.records import KinematicModel
 from skin2urdf.structure.records import KinematicTree
 

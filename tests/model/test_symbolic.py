@@ -6,10 +6,11 @@ import casadi as ca
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from synthetic import GRAVITY, pinocchio_jacobians, random_state, random_tree, serial_tree
+from synthetic import pinocchio_jacobians, random_state, random_tree, serial_tree
 
 from skin2urdf.arrays import F64
 from skin2urdf.estimation.problem.state import State, local_motion
+from skin2urdf.geometry.units import GRAVITY
 from skin2urdf.model.kinematics import PinocchioTree
 from skin2urdf.model.prediction import Chains, su_kinematics
 from skin2urdf.model.symbolic import (

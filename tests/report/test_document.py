@@ -14,7 +14,7 @@ from calibrated import calibration
 from hypothesis import given
 from hypothesis import strategies as st
 
-from skin2urdf.model.dh import ExtendedDh
+from skin2urdf.geometry.dh import ExtendedDh
 from skin2urdf.model.records import OpenDirection
 from skin2urdf.report.document import SCHEMA, as_document, dumps, to_plain, versions
 from skin2urdf.report.findings import findings

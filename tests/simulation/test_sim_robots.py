@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from skin2urdf.errors import UnreadableInputError, UsageError
+from skin2urdf.geometry.units import GRAVITY
 from skin2urdf.simulation import SimulationSettings, load_robot, robot_names
-from skin2urdf.simulation.mechanism import GRAVITY, load_mechanism
+from skin2urdf.simulation.mechanism import load_mechanism
 from skin2urdf.simulation.skins import place_skin
 
 ARMS = ("panda", "ur3", "ur5", "ur10", "kinova", "xarm7", "z1", "so101")

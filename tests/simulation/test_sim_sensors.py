@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from skin2urdf.geometry.units import GRAVITY
 from skin2urdf.simulation import GRADES
-from skin2urdf.simulation.constants import GRAVITY
 from skin2urdf.simulation.sensors import (
     MIN_STAMP_STEP,
     Accelerometer,

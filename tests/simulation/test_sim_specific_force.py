@@ -8,8 +8,8 @@ import pinocchio as pin
 import pytest
 
 from skin2urdf.arrays import F64
+from skin2urdf.geometry.units import GRAVITY
 from skin2urdf.simulation import Simulation, SimulationSettings, load_robot, simulate
-from skin2urdf.simulation.constants import GRAVITY
 from skin2urdf.simulation.mechanism import load_mechanism, read_urdf
 from skin2urdf.simulation.specific_force import specific_forces
 

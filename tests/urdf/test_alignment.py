@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from skin2urdf.geometry import twists
+from skin2urdf.geometry import se3
 from skin2urdf.urdf.alignment import ARM, align, kabsch
 
 SCALE = np.array([1, 1, 1, ARM, ARM, ARM])
@@ -22,7 +22,7 @@ def frames(rng: np.random.Generator, *shape: int) -> np.ndarray:
 
 
 def cost(X: np.ndarray, D: np.ndarray, T_est: np.ndarray, T_true: np.ndarray) -> float:
-    error = twists.log(np.linalg.inv(X @ T_est @ D) @ T_true) * SCALE
+    error = se3.log(np.linalg.inv(X @ T_est @ D) @ T_true) * SCALE
     return float(np.sum(error**2))
 
 
@@ -38,26 +38,26 @@ def test_kabsch_is_exact_without_errors() -> None:
 def test_alignment_is_the_least_squares_one(noise: float, step: float) -> None:
     rng = np.random.default_rng(1)
     T_est = frames(rng, 30, 3)
-    T_true = frames(rng, 1)[0] @ T_est @ twists.exp(noise * rng.standard_normal((30, 3, 6)))
+    T_true = frames(rng, 1)[0] @ T_est @ se3.exp(noise * rng.standard_normal((30, 3, 6)))
     free = [NONE, np.eye(6)[[0, 4]], np.eye(6)[[5]]]
     X, D = align(T_est, T_true, free)
     best = cost(X, D, T_est, T_true)
     for direction in np.concatenate([np.eye(6), -np.eye(6)]):
-        assert cost(X @ twists.exp(step * direction), D, T_est, T_true) > best
+        assert cost(X @ se3.exp(step * direction), D, T_est, T_true) > best
     for u, rows in enumerate(free):
         for direction in (*rows, *(-rows)):
             moved = D.copy()
-            moved[u] = moved[u] @ twists.exp(step * direction)
+            moved[u] = moved[u] @ se3.exp(step * direction)
             assert cost(X, moved, T_est, T_true) > best
 
 
 def test_displacements_keep_to_their_directions() -> None:
     rng = np.random.default_rng(2)
     T_est = frames(rng, 20, 2)
-    T_true = T_est @ twists.exp(0.01 * rng.standard_normal((20, 2, 6)))
+    T_true = T_est @ se3.exp(0.01 * rng.standard_normal((20, 2, 6)))
     _, D = align(T_est, T_true, [NONE, np.array([[0, 0, 1.0, 0, 0, 0]])])
     np.testing.assert_array_equal(D[0], np.eye(4))
-    moved = twists.log(D[1])
+    moved = se3.log(D[1])
     assert abs(moved[2]) > 1e-5
     np.testing.assert_allclose(np.delete(moved, 2), 0, atol=1e-12)
 
@@ -67,7 +67,7 @@ def test_many_displacements_do_not_slow_the_alignment() -> None:
     rng = np.random.default_rng(3)
     n = 40
     T_est = frames(rng, 3, n)
-    T_true = T_est @ twists.exp(1e-5 * rng.standard_normal((3, n, 6)))
+    T_true = T_est @ se3.exp(1e-5 * rng.standard_normal((3, n, 6)))
     free = [NONE, *(np.eye(6)[rng.permutation(6)[:5]] for _ in range(n - 1))]
     X, D = align(T_est, T_true, free)
     best = cost(X, D, T_est, T_true)
@@ -88,10 +88,10 @@ def test_displacements_may_be_large(seed: int, angle: float) -> None:
     T_est = frames(rng, 20, n)
     xi = rng.standard_normal((n, 6))
     xi /= np.linalg.norm(xi[:, 3:], axis=1, keepdims=True)
-    D_true = twists.exp(angle * xi)
+    D_true = se3.exp(angle * xi)
     D_true[0] = np.eye(4)
     T_true = frames(rng, 1)[0] @ T_est @ D_true
-    T_true = T_true @ twists.exp(noise * rng.standard_normal((20, n, 6)))
+    T_true = T_true @ se3.exp(noise * rng.standard_normal((20, n, 6)))
     free = [NONE, *(x[None] * SCALE for x in xi[1:])]
     X, D = align(T_est, T_true, free)
     assert cost(X, D, T_est, T_true) < 1.5 * T_est[..., 0, 0].size * noise**2 * np.sum(SCALE**2)

@@ -14,9 +14,9 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from skin2urdf.errors import InsufficientDataError, UsageError
-from skin2urdf.geometry import twists
-from skin2urdf.geometry.spatial import inverse
-from skin2urdf.model.dh import canonical, screw
+from skin2urdf.geometry import se3
+from skin2urdf.geometry.se3 import inverse, screw
+from skin2urdf.model.canonical import canonical
 from skin2urdf.model.records import KinematicModel
 from skin2urdf.urdf.alignment import ARM
 from skin2urdf.urdf.compare import compare, random_positions
@@ -48,7 +48,7 @@ def against(tmp_path: Path) -> Callable[..., Comparison]:
 def displaced(model: KinematicModel, su: int, xi: np.ndarray) -> KinematicModel:
     """The model with one SU moved by a twist (m, rad) in its own frame."""
     T = model.T_joint_su.copy()
-    T[su] = T[su] @ twists.exp(np.asarray(xi, float))
+    T[su] = T[su] @ se3.exp(np.asarray(xi, float))
     return replace(model, T_joint_su=T)
 
 
@@ -87,7 +87,7 @@ def test_the_base_frame_is_free(
     random_robot: Robots, against: Callable[..., Comparison], xi: list[float]
 ) -> None:
     model = random_robot(np.random.default_rng(1))
-    X = twists.exp(np.array(xi) * [1, 1, 1, 0.5, 0.5, 0.5])
+    X = se3.exp(np.array(xi) * [1, 1, 1, 0.5, 0.5, 0.5])
     c = against(model, based(model, X), n_configurations=10)
     assert_zero(c)
     np.testing.assert_allclose(c.alignments[0].T_truth_estimate, X, atol=1e-8)
@@ -259,13 +259,13 @@ def test_a_finite_turn_about_an_unobservable_axis_does_not_count(
 ) -> None:
     """What only a vertical first axis moves may sit anywhere on a circle about it."""
     model = random_robot(np.random.default_rng(11))
-    xi_su = twists.adjoint(inverse(model.T_joint_su[1])) @ [0, 0, 0, 0, 0, 1]
+    xi_su = se3.adjoint(inverse(model.T_joint_su[1])) @ [0, 0, 0, 0, 0, 1]
     direction = xi_su * [1, 1, 1, ARM, ARM, ARM]
     direction /= np.linalg.norm(direction)
     turned = displaced(model, 1, angle * xi_su)
     # Errors of the chain, so that the SU's error is a little more than half a turn at some
     # configurations and a little less at others.
-    noise = twists.exp(1e-5 * np.random.default_rng(12).standard_normal((5, 6)))
+    noise = se3.exp(1e-5 * np.random.default_rng(12).standard_normal((5, 6)))
     turned = replace(turned, T_parent_joint=turned.T_parent_joint @ noise)
     c = against(turned, model, unobservable={"su_1": direction[None]})
     assert c.position.max < 1e-4

@@ -13,9 +13,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from skin2urdf.errors import InsufficientDataError, UsageError
-from skin2urdf.geometry import twists
-from skin2urdf.geometry.spatial import inverse
-from skin2urdf.model.dh import screw
+from skin2urdf.geometry import se3
+from skin2urdf.geometry.se3 import inverse, screw
 from skin2urdf.model.records import KinematicModel
 from skin2urdf.urdf.compare import compare
 from skin2urdf.urdf.emit import emit
@@ -61,7 +60,7 @@ def placed(model: KinematicModel, X: dict[int, np.ndarray]) -> KinematicModel:
 def moved_su(model: KinematicModel, su: int, xi: list[float]) -> KinematicModel:
     """The robot with one SU moved by a twist (m, rad) in its own frame."""
     T = model.T_joint_su.copy()
-    T[su] = T[su] @ twists.exp(np.array(xi))
+    T[su] = T[su] @ se3.exp(np.array(xi))
     return replace(model, T_joint_su=T)
 
 
@@ -166,7 +165,7 @@ def test_a_limb_of_one_joint_and_one_su(
     model = random_robot(np.random.default_rng(3), parent=(-1,), su_joint=(0,), prismatic=())
     T = model.T_joint_su.copy()
     T[0] = screw("z", 1.0, 0.5) @ T[0]
-    along = twists.adjoint(inverse(model.T_joint_su[0])) @ [0, 0, 1, 0, 0, 0]
+    along = se3.adjoint(inverse(model.T_joint_su[0])) @ [0, 0, 1, 0, 0, 0]
     for unobservable in (None, {"su_0": along[None]}):
         c = against(replace(model, T_joint_su=T), model, unobservable=unobservable)
         assert_zero(c)

@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 
 from skin2urdf.errors import UsageError
-from skin2urdf.geometry.spatial import inverse
-from skin2urdf.geometry.twists import adjoint, exp
+from skin2urdf.geometry.se3 import adjoint, exp, inverse
 from skin2urdf.model.records import KinematicModel, OpenDirection
 from skin2urdf.urdf.compare import compare
 from skin2urdf.urdf.emit import emit

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from skin2urdf.geometry.spatial import inverse
+from skin2urdf.geometry.se3 import inverse
 from skin2urdf.model.records import KinematicModel
 from skin2urdf.urdf.visuals import COLOURS, link_shapes, su_shapes, thickness
 

@@ -21,9 +21,10 @@ from skin2urdf.estimation.problem.state import (
     turn_basis,
     turned_up,
 )
-from skin2urdf.geometry.spatial import cross
+from skin2urdf.geometry.so3 import cross
+from skin2urdf.geometry.units import GRAVITY
 from skin2urdf.model.kinematics import PinocchioTree
-from skin2urdf.model.prediction import GRAVITY, SuKinematics, zero_frames
+from skin2urdf.model.prediction import SuKinematics, zero_frames
 from skin2urdf.structure.records import KinematicTree
 
 
@@ -204,7 +205,7 @@ class Evaluation:
             for i, (a, b) in enumerate(((1, 2), (0, 2), (0, 1))):
                 sus[own, 12 + i] = S[:, a, b] + S[:, b, a]
         # From the base's origin to the joints' placements, and into their frames.
-        wrench[..., :3] -= cross(point.p_zero, wrench[..., 3:])
+        wrench[..., 3:] -= cross(point.p_zero, wrench[..., :3])
         local = wrench.reshape(*wrench.shape[:2], 2, 3) @ point.R_zero
         twist = local.sum(axis=0).reshape(tree.n_joints, 6)
         joints = np.einsum("dib,di->db", point.joint_basis, twist)

@@ -13,7 +13,7 @@ import numpy as np
 from skin2urdf.arrays import F64, Bool, Int
 from skin2urdf.estimation.problem.blocks import FeatureBlocks
 from skin2urdf.estimation.problem.state import N_JOINT, N_PLACEMENT, N_SU
-from skin2urdf.geometry.spatial import cross
+from skin2urdf.geometry.so3 import cross
 from skin2urdf.model.prediction import (
     Chains,
     SuKinematics,
@@ -131,7 +131,7 @@ class Adjoint:
     """Gradient of half the sum of squared residuals, before it is put into coordinates.
 
     Attributes:
-        joints: (P, D, 6) moment about the base's origin and force on each joint's placement, in
+        joints: (P, D, 6) force and moment about the base's origin on each joint's placement, in
             the base frame.
         gravity: (P, 3) moment on the direction of gravity, in the base frame.
         placement: (u, 6) gradient in the SUs' placements.
@@ -175,7 +175,7 @@ class Residuals:
         P, u, L = kin.w.shape[:3]
         Rt = np.swapaxes(kin.R, -1, -2)
         base = (at_joints.reshape(P, u, 2 * L, 3) @ Rt).reshape(P, u, L, 6)
-        base[..., :3] += cross(kin.p[:, :, None], base[..., 3:])
+        base[..., 3:] += cross(kin.p[:, :, None], base[..., :3])
         weighted = raw * group.weight[:, :, None]
         return Adjoint(
             joints=group.incidence @ base.reshape(P, u * L, 6),
@@ -233,7 +233,7 @@ class Residuals:
         P, u, m = moved.shape[:3]
         L, D = self.kin.w.shape[2], len(point.prismatic)
         about_z = np.zeros((D, 6, 1))
-        about_z[np.arange(D), np.where(point.prismatic, 5, 2)] = 1.0
+        about_z[np.arange(D), np.where(point.prismatic, 2, 5)] = 1.0
         twists = joint_twists(self.group.chains, self.kin, point.R_zero, point.p_zero, about_z)
         X = np.swapaxes(twists[..., 0], 2, 3)[:, :, None]
         rows = np.where(self.group.before[..., 0], moved @ X, turned @ X)
@@ -250,7 +250,7 @@ class Residuals:
         log, turns = self.point.log, self.point.turns
         Rt = np.swapaxes(self.kin.R, -1, -2)[:, :, None]
         B = np.concatenate([np.zeros((1, 3, 2)), turns])[log]
-        columns = -(turned[..., :3] @ (Rt @ B[:, None, None]))
+        columns = -(turned[..., 3:] @ (Rt @ B[:, None, None]))
         out = np.zeros((*columns.shape[:-1], len(turns) + 1, 2))
         out[np.arange(len(log)), :, :, :, log] = columns
         return out[..., 1:, :].reshape(*columns.shape[:-1], -1)

@@ -7,7 +7,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from skin2urdf.arrays import F64, Bool, frozen
-from skin2urdf.geometry.spatial import placement, rotation_exp, skew
+from skin2urdf.geometry.se3 import exp, placement
+from skin2urdf.geometry.so3 import left_jacobian, rotation_exp
 from skin2urdf.model.records import KinematicModel
 from skin2urdf.structure.records import KinematicTree
 
@@ -97,7 +98,7 @@ def local_motion(x: F64) -> tuple[F64, F64]:
 
     Returns:
         ``Trans(t) Rx Ry Rz`` (..., 4, 4) and the twists (..., 6, 6) of the six coordinates
-        (columns; rows angular, linear) seen in the frame it leads to.
+        (columns; rows linear, angular) seen in the frame it leads to.
     """
     c, s = np.cos(x[..., 3:]), np.sin(x[..., 3:])
     zero, one = np.zeros(x.shape[:-1]), np.ones(x.shape[:-1])
@@ -111,10 +112,10 @@ def local_motion(x: F64) -> tuple[F64, F64]:
     Ryz = Ry @ Rz
     R = Rx @ Ryz
     twists = np.zeros((*x.shape[:-1], 6, 6))
-    twists[..., 3:, :3] = np.swapaxes(R, -1, -2)
-    twists[..., :3, 3] = Ryz[..., 0, :]
-    twists[..., :3, 4] = Rz[..., 1, :]
-    twists[..., :3, 5] = (0.0, 0.0, 1.0)
+    twists[..., :3, :3] = np.swapaxes(R, -1, -2)
+    twists[..., 3:, 3] = Ryz[..., 0, :]
+    twists[..., 3:, 4] = Rz[..., 1, :]
+    twists[..., 3:, 5] = (0.0, 0.0, 1.0)
     return placement(R, x[..., :3]), twists
 
 
@@ -137,17 +138,9 @@ def turned_up(up: F64, x: F64) -> F64:
 
 
 def turn_basis(x: F64) -> F64:
-    """(G - 1, 3, 2) turns in the base frame per unit of the coordinates x of :func:`turned_up`.
-
-    The first two columns of the left Jacobian of SO(3).
-    """
+    """(G - 1, 3, 2) turns in the base frame per unit of the coordinates x of :func:`turned_up`."""
     w = np.concatenate([x, np.zeros((len(x), 1))], axis=1)
-    angle = np.linalg.norm(w, axis=1)[:, None, None]
-    safe = np.where(angle < 1e-4, 1.0, angle)
-    a = 0.5 * np.sinc(angle / (2 * np.pi)) ** 2
-    b = np.where(angle < 1e-4, 1 / 6, (safe - np.sin(safe)) / safe**3)
-    W = skew(w)
-    return np.asarray((np.eye(3) + a * W + b * (W @ W))[..., :2])
+    return left_jacobian(w)[..., :2]
 
 
 def moved(state: State, step: Step) -> State:
@@ -174,26 +167,12 @@ def screwed(state: State, step: Step) -> State:
     joints[:, JOINT_COORDINATES] = step.joints
     return replace(
         state,
-        T_parent_joint=state.T_parent_joint @ _screw(joints),
-        T_joint_su=state.T_joint_su @ _screw(step.sus[:, :N_PLACEMENT]),
+        T_parent_joint=state.T_parent_joint @ exp(joints),
+        T_joint_su=state.T_joint_su @ exp(step.sus[:, :N_PLACEMENT]),
         up=turned_up(state.up, step.logs),
         bias=state.bias + step.sus[:, N_PLACEMENT : N_PLACEMENT + 3],
         shape=state.shape + step.sus[:, N_PLACEMENT + 3 :],
     )
-
-
-def _screw(x: F64) -> F64:
-    """(N, 4, 4) exponentials of twists x (N, 6): linear [m], angular [rad]."""
-    w = x[:, 3:]
-    angle = np.linalg.norm(w, axis=1)[:, None, None]
-    W = skew(w)
-    # (1 - cos a) / a^2 and (a - sin a) / a^3, by their limits where a is small.
-    cosine = 0.5 * np.sinc(angle / (2 * np.pi)) ** 2
-    small = angle < 1e-3
-    safe = np.where(small, 1.0, angle)
-    sine = np.where(small, 1 / 6, (safe - np.sin(safe)) / safe**3)
-    V = np.eye(3) + cosine * W + sine * (W @ W)
-    return placement(rotation_exp(w), (V @ x[:, :3, None])[..., 0])
 
 
 @dataclass(frozen=True, eq=False)

@@ -30,7 +30,7 @@ from skin2urdf.estimation.problem.state import (
     State,
     Step,
 )
-from skin2urdf.geometry.spatial import cross
+from skin2urdf.geometry.so3 import cross
 from skin2urdf.model.symbolic import (
     chain_kinematics,
     composed,

@@ -18,7 +18,7 @@ from skin2urdf.estimation.problem.blocks import FeatureBlocks
 from skin2urdf.estimation.problem.cost import Priors
 from skin2urdf.estimation.start.orientation import Orientations, with_all_sus
 from skin2urdf.estimation.start.peeling import Peeled, Readings, candidates
-from skin2urdf.geometry.spatial import frame_with_z, wahba
+from skin2urdf.geometry.so3 import frame_with_z, wahba
 from skin2urdf.structure.records import KinematicTree
 
 _MOST_HYPOTHESES = 8

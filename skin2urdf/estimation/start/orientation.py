@@ -14,15 +14,8 @@ from skin2urdf.arrays import F64, Bool
 from skin2urdf.estimation.problem.blocks import FeatureBlocks
 from skin2urdf.estimation.problem.cost import Priors
 from skin2urdf.estimation.problem.state import State
-from skin2urdf.geometry.spatial import (
-    axis_rotation,
-    cross,
-    frame_with_z,
-    inverse,
-    placement,
-    skew,
-    wahba,
-)
+from skin2urdf.geometry.se3 import inverse, placement
+from skin2urdf.geometry.so3 import axis_rotation, cross, frame_with_z, skew, wahba
 from skin2urdf.structure.records import KinematicTree
 
 ROUGH_BIAS = 0.3

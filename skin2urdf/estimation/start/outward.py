@@ -25,7 +25,7 @@ from skin2urdf.estimation.start.orientation import (
     with_all_sus,
 )
 from skin2urdf.estimation.start.peeling import Readings, misfit_of
-from skin2urdf.geometry.spatial import axis_rotation, cross, rotation_exp, skew, wahba
+from skin2urdf.geometry.so3 import axis_rotation, cross, rotation_exp, skew, wahba
 from skin2urdf.structure.records import KinematicTree
 
 _GRID = 800

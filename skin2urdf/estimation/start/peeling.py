@@ -18,7 +18,7 @@ from scipy.optimize import brentq
 from skin2urdf.arrays import F64, Bool
 from skin2urdf.estimation.problem.blocks import FeatureBlocks
 from skin2urdf.estimation.start.orientation import ROUGH_BIAS
-from skin2urdf.geometry.spatial import axis_rotation, cross, skew
+from skin2urdf.geometry.so3 import axis_rotation, cross, skew
 
 _SENSE_EVIDENCE = 30.0
 """Chi-squared difference below which both senses of an axis are kept as hypotheses."""

@@ -17,7 +17,8 @@ from skin2urdf.estimation.solve.progressive import progressive
 from skin2urdf.estimation.start.inward import inward_starts
 from skin2urdf.estimation.start.orientation import Orientations
 from skin2urdf.estimation.start.outward import outward_starts
-from skin2urdf.geometry.spatial import axis_rotation, placement, skew
+from skin2urdf.geometry.se3 import placement
+from skin2urdf.geometry.so3 import axis_rotation, skew
 from skin2urdf.signals.records import Features
 from skin2urdf.structure.records import KinematicTree
 

@@ -8,13 +8,11 @@ import numpy as np
 
 from skin2urdf.arrays import F64
 from skin2urdf.estimation.problem.state import State
-from skin2urdf.geometry.spatial import skew
+from skin2urdf.geometry.se3 import adjoint, inverse, placement
 from skin2urdf.model.kinematics import PinocchioTree
 from skin2urdf.model.prediction import Chains, joint_twists, su_kinematics, zero_frames
 from skin2urdf.model.records import OpenDirection
 from skin2urdf.structure.records import KinematicTree
-
-_ANGULAR_FIRST = np.roll(np.eye(6), 3, axis=0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,16 +52,11 @@ class Displacements:
         R, p = pinocchio.joint_frames(q)
         up = np.tile([0.0, 0.0, 1.0], (len(q), 1))
         kin = su_kinematics(chains, tree.su_joint, R, p, state.T_joint_su, up)
-        basis = np.tile(_ANGULAR_FIRST, (tree.n_joints, 1, 1))
+        basis = np.tile(np.eye(6), (tree.n_joints, 1, 1))
         twists = joint_twists(chains, kin, *zero_frames(R, p, q, tree.prismatic), basis)
         scale = np.repeat([1.0, arm], 3)
-        Rt = np.swapaxes(kin.R, -1, -2)
-        base = np.zeros((*Rt.shape[:2], 6, 6))
-        base[..., :3, :3] = base[..., 3:, 3:] = Rt
-        base[..., :3, 3:] = -Rt @ skew(kin.p)
-        return Displacements(
-            tree, chains, np.roll(twists, 3, axis=-2) * scale[:, None], base * scale[:, None], scale
-        )
+        base = adjoint(inverse(placement(kin.R, kin.p)))
+        return Displacements(tree, chains, twists * scale[:, None], base * scale[:, None], scale)
 
     def along(self, direction: OpenDirection) -> F64:
         """(C, U, 6) motions of the SUs along an open direction."""

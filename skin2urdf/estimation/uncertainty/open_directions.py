@@ -21,8 +21,7 @@ from skin2urdf.estimation.problem.cost import NormalEquations
 from skin2urdf.estimation.problem.state import JOINT_COORDINATES, N_JOINT, N_PLACEMENT, State
 from skin2urdf.estimation.uncertainty.bounds import ON_BASE, limbs_of
 from skin2urdf.estimation.uncertainty.displacements import Displacements
-from skin2urdf.geometry.spatial import inverse
-from skin2urdf.geometry.twists import adjoint, exp
+from skin2urdf.geometry.se3 import adjoint, exp, inverse
 from skin2urdf.model.records import OpenDirection
 from skin2urdf.structure.records import KinematicTree
 

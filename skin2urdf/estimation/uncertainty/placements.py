@@ -8,7 +8,7 @@ from skin2urdf.arrays import F64
 from skin2urdf.estimation.problem.state import JOINT_COORDINATES
 from skin2urdf.estimation.solve.estimate import Estimate
 from skin2urdf.estimation.uncertainty.observability import Observability
-from skin2urdf.geometry.spatial import skew
+from skin2urdf.geometry.se3 import adjoint
 
 
 def joint_placement_covariance(estimate: Estimate, found: Observability, T_model_joint: F64) -> F64:
@@ -28,10 +28,8 @@ def joint_placement_covariance(estimate: Estimate, found: Observability, T_model
         ``T_parent_joint exp(xi)``. Sliding along the axis and turning about it are conventions and
         have none; nor has the place of an axis on the RS, or of a prismatic one.
     """
-    R, p = T_model_joint[:, :3, :3], T_model_joint[:, :3, 3]
     placed = estimate.free.joints[:, 0]
-    adjoint = np.zeros((len(R), 6, 6))
-    adjoint[:, :3, :3] = adjoint[:, 3:, 3:] = R
-    adjoint[:, :3, 3:] = skew(p) @ R * placed[:, None, None]
-    columns = adjoint[..., JOINT_COORDINATES]
+    moved = adjoint(T_model_joint)
+    moved[:, :3, 3:] *= placed[:, None, None]
+    columns = moved[..., JOINT_COORDINATES]
     return np.asarray(columns @ found.joint_covariance @ np.swapaxes(columns, 1, 2))

@@ -16,11 +16,9 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from skin2urdf.arrays import F64, Bool, frozen
-from skin2urdf.geometry.spatial import inverse
-from skin2urdf.model.records import KinematicModel
+from skin2urdf.geometry.se3 import inverse, screw
 
 PARALLEL_SINE = 0.05
 """Below this sine of the angle between two z axes (about 3 deg) they count as nearly parallel.
@@ -68,29 +66,6 @@ class ExtendedDh:
             screw("z", self.turn, self.shift),
         )
         return screw("z", self.theta0, self.d) @ screw("x", self.alpha, self.a) @ extension
-
-
-def screw(axis: str, angle: ArrayLike, shift: ArrayLike) -> F64:
-    """Turn about and shift along one coordinate axis.
-
-    Args:
-        axis: "x", "y" or "z".
-        angle: (...) turn [rad].
-        shift: (...) shift [m], broadcast against ``angle``.
-
-    Returns:
-        (..., 4, 4) rigid transforms.
-    """
-    angle, shift = np.broadcast_arrays(np.asarray(angle, float), np.asarray(shift, float))
-    k = "xyz".index(axis)
-    i, j = (k + 1) % 3, (k + 2) % 3
-    T = np.zeros((*angle.shape, 4, 4))
-    T[..., 3, 3] = T[..., k, k] = 1.0
-    T[..., i, i] = T[..., j, j] = np.cos(angle)
-    T[..., j, i] = np.sin(angle)
-    T[..., i, j] = -T[..., j, i]
-    T[..., k, 3] = shift
-    return T
 
 
 def dh_of_placement(T_parent_child: F64, parallel_sine: float = PARALLEL_SINE) -> ExtendedDh:
@@ -160,33 +135,6 @@ def prismatic_placement(
     at_parent[..., :3, 3] = 0.0
     canonical, _ = joint_placement(at_parent, parallel_sine)
     return canonical, inverse(canonical.placement()) @ T
-
-
-def canonical(model: KinematicModel, parallel_sine: float = PARALLEL_SINE) -> KinematicModel:
-    """Rewrite a model into canonical joint frames; the robot stays the same.
-
-    Every joint gets the frame of :func:`joint_placement` or :func:`prismatic_placement` (the
-    shortest representative of its axis), and what it carries is moved the other way. The base
-    frame stays, so do joint zeros, senses and the pose of every SU at every configuration.
-
-    Args:
-        model: D joints, U SUs.
-        parallel_sine: see :func:`dh_of_placement`.
-
-    Returns:
-        The same robot in canonical frames; applying this function again changes nothing.
-    """
-    tree = model.tree
-    # Index -1 of both arrays is the reference segment, whose frame is fixed.
-    T_canonical_given = np.tile(np.eye(4), (tree.n_joints + 1, 1, 1))
-    T_parent_joint = np.empty_like(model.T_parent_joint)
-    for j, parent in enumerate(tree.parent):
-        given = T_canonical_given[parent] @ model.T_parent_joint[j]
-        rule = prismatic_placement if tree.prismatic[j] else joint_placement
-        dh, T_canonical_given[j] = rule(given, parallel_sine)
-        T_parent_joint[j] = dh.placement()
-    T_joint_su = T_canonical_given[tree.su_joint] @ model.T_joint_su
-    return replace(model, T_parent_joint=T_parent_joint, T_joint_su=T_joint_su)
 
 
 def _nearly_parallel(T: F64, parallel_sine: float) -> Bool:

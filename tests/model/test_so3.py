@@ -11,12 +11,11 @@ from scipy.linalg import expm
 from scipy.spatial.transform import Rotation
 
 from skin2urdf.arrays import F64
-from skin2urdf.geometry.spatial import (
+from skin2urdf.geometry.se3 import inverse, placement
+from skin2urdf.geometry.so3 import (
     axis_rotation,
     cross,
     frame_with_z,
-    inverse,
-    placement,
     rotation_exp,
     rotation_log,
     skew,

@@ -178,6 +178,14 @@ def test_simulate_takes_its_options(run: Run, tmp_path: Path) -> None:
     assert "5 joints, 10 SUs, 1 poses" in out
 
 
+def test_simulate_moves_without_patterns(run: Run, tmp_path: Path) -> None:
+    words = ["--excite", "none", "--minutes", 0.2, "--structural", "--imu-rate", 100]
+    status, out, _ = run("simulate", "so101", "-o", tmp_path / "log.mcap", *words)
+    assert status == 0
+    assert "5 joints, 6 SUs" in out
+    assert run("simulate", "so101", "-o", tmp_path / "log.mcap", "--minutes", 1)[0] == 2
+
+
 @pytest.mark.parametrize(
     ("words", "status", "says"),
     [

@@ -168,7 +168,8 @@ def _simulate(options: argparse.Namespace) -> int:
         messages = sum(len(su.time) for su in recording.sus) + len(recording.joints[0].time)
         print(
             f"{robot.name}: {len(recording.joints)} joints, {len(recording.sus)} SUs, "
-            f"{settings.n_poses} poses in {recording.duration:.0f} s, {messages} messages"
+            f"{len(simulation.truth.poses)} poses in {recording.duration:.0f} s, "
+            f"{messages} messages"
         )
         print(f"wrote {' and '.join(map(_shown, targets))}")
     return 0
@@ -184,6 +185,8 @@ def _simulation_settings(options: argparse.Namespace) -> SimulationSettings:
     return SimulationSettings(
         n_poses=options.poses,
         excite=options.excite,
+        minutes=options.minutes,
+        structural=options.structural,
         upright=options.upright,
         base_rpy=None if rpy is None else (radians(rpy[0]), radians(rpy[1]), radians(rpy[2])),
         seed=options.seed,

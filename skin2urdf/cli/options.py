@@ -221,9 +221,16 @@ def _simulate(command: _Parser) -> None:
     _number(motion, "--seed", 0, "skin, poses and noise are drawn from it (%(default)s)", int)
     motion.add_argument(
         "--excite",
-        choices=("one", "all"),
+        choices=("one", "all", "none"),
         default="one",
-        help="pattern on one DoF after the other, or on all at once (%(default)s)",
+        help="pattern on one DoF after the other, on all at once, or ordinary moves from pose to "
+        "pose without any (%(default)s)",
+    )
+    _number(motion, "--minutes", None, "how long to move without patterns [min] (3)")
+    motion.add_argument(
+        "--structural",
+        action=argparse.BooleanOptionalAction,
+        help="begin with a move of each DoF alone (where there are patterns)",
     )
     motion.add_argument(
         "--tracking",

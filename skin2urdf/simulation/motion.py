@@ -1,4 +1,7 @@
-"""The reference trajectory: structural moves, rests in random poses, patterns around each pose."""
+"""The reference trajectory: structural moves, rests in random poses, patterns around each pose.
+
+Or none of it: moves from one random pose to the next, as any program of a robot makes them.
+"""
 
 from __future__ import annotations
 
@@ -42,8 +45,9 @@ def plan_reference(
     n_poses: int,
     excite: Excitation,
     rng: np.random.Generator,
+    structural: bool = True,
 ) -> Reference:
-    """Plan the whole trajectory of a recording.
+    """Plan the trajectory of a recording with patterns.
 
     Args:
         mechanism: the robot.
@@ -52,6 +56,7 @@ def plan_reference(
         n_poses: number P of poses.
         excite: "one" DoF after the other or "all" at once.
         rng: source of poses, steps and signs.
+        structural: begin with a move of each DoF alone.
 
     Returns:
         A C3 trajectory inside the joint limits that starts and ends at rest.
@@ -66,14 +71,9 @@ def plan_reference(
     distinct = settings.ramp + distinct_time(mechanism.n_joints, settings.frequency_band)
     path = PathBuilder(home)
     path.rest(settings.rest)
-    for joint, target in enumerate(
-        _structural_targets(mechanism, settings, home, lower, upper, rng)
-    ):
-        away = home.copy()
-        away[joint] = target
-        for goal in (away, home):
-            path.move_to(goal, speed, "structural", joint)
-            path.rest(0.7 * settings.rest)
+    targets = _structural_targets(mechanism, settings, home, lower, upper, rng)
+    if structural:
+        _move_one_by_one(path, home, targets, speed, 0.7 * settings.rest)
     for p, pose in enumerate(poses):
         path.move_to(pose, speed, "move")
         path.rest(settings.rest, p)
@@ -87,6 +87,59 @@ def plan_reference(
             path.excite(dict(enumerate(signed)), duration, settings.ramp, p)
         path.rest(0.5 * settings.rest, p)
     return Reference(path.motion(), tuple(path.phases), poses)
+
+
+def plan_moves(
+    mechanism: Mechanism,
+    settings: MotionSettings,
+    duration: float,
+    rng: np.random.Generator,
+    structural: bool = False,
+) -> Reference:
+    """Plan the trajectory of a recording without patterns: all DoFs from pose to pose.
+
+    Args:
+        mechanism: the robot.
+        settings: speed, acceleration, rests, range.
+        duration: how long to go on; the last move is finished [s].
+        rng: source of poses, speeds and accelerations.
+        structural: begin with a move of each DoF alone.
+
+    Returns:
+        A C3 trajectory inside the joint limits that starts and ends at rest.
+    """
+    lower, upper = _pose_range(mechanism, settings, np.zeros(mechanism.n_joints))
+    home = rng.uniform(lower, upper)
+    path = PathBuilder(home)
+    path.rest(settings.ordinary_rest)
+    if structural:
+        targets = _structural_targets(mechanism, settings, home, lower, upper, rng)
+        speed = _move_speed(mechanism, settings)
+        _move_one_by_one(path, home, targets, speed, settings.ordinary_rest)
+    scale = np.where(mechanism.prismatic, settings.linear_speed / settings.angular_speed, 1.0)
+    poses: list[F64] = []
+    while path.end < duration:
+        pose = rng.uniform(lower, upper)
+        speed_limit = float(np.min(0.9 * mechanism.speed_limit / scale))
+        path.cruise_to(
+            pose,
+            min(rng.uniform(*settings.ordinary_speed), speed_limit),
+            rng.uniform(*settings.ordinary_acceleration),
+            scale,
+        )
+        path.rest(settings.ordinary_rest, len(poses))
+        poses.append(pose)
+    return Reference(path.motion(), tuple(path.phases), np.reshape(poses, (-1, len(home))))
+
+
+def _move_one_by_one(path: PathBuilder, home: F64, targets: F64, speed: F64, rest: float) -> None:
+    """Move each DoF alone to its target and back."""
+    for joint, target in enumerate(targets):
+        away = home.copy()
+        away[joint] = target
+        for goal in (away, home):
+            path.move_to(goal, speed, "structural", joint)
+            path.rest(rest)
 
 
 def _tones(

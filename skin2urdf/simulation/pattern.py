@@ -26,6 +26,16 @@ def smooth_step(x: F64) -> F64:
     return np.asarray(x**4 * (35.0 + x * (-84.0 + x * (70.0 - 20.0 * x))))
 
 
+def smooth_rise(x: F64) -> F64:
+    """Integral of `smooth_step` from 0: 0 up to x = 0, x - 1/2 from x = 1 on.
+
+    What has this for its position has a speed that rises from 0 to 1 without kinks.
+    """
+    inside = np.clip(x, 0.0, 1.0)
+    rise = inside**5 * (7.0 + inside * (-14.0 + inside * (10.0 - 2.5 * inside)))
+    return np.asarray(rise + np.maximum(x - 1.0, 0.0))
+
+
 def window(time: F64, duration: float, ramp: float) -> F64:
     """The window F(t) of paper eq. 13: 0 at both ends, 1 between the flanks, C3 everywhere.
 

@@ -11,7 +11,8 @@ from typing import Literal, TypeVar
 from skin2urdf.errors import UsageError
 from skin2urdf.simulation.sensors import GRADES, SensorGrade
 
-Excitation = Literal["one", "all"]
+Excitation = Literal["one", "all", "none"]
+"""Patterns of one DoF after the other, of all at once, or ordinary moves without any pattern."""
 T = TypeVar("T")
 
 
@@ -39,6 +40,11 @@ class MotionSettings:
         half_range: poses of a revolute DoF lie within this of the middle of its range (of 0 where
             it has no limits) [rad].
         half_stroke: the same for a prismatic DoF [m].
+        ordinary_speed: slowest and fastest peak speed of a move without patterns, drawn for each
+            move; the DoF that has farthest to go reaches it where the way is long enough [rad/s].
+            A prismatic DoF moves by the linear speed where a revolute one does by the angular.
+        ordinary_acceleration: lowest and highest peak acceleration of such a move [rad/s^2].
+        ordinary_rest: time at rest after such a move [s].
     """
 
     frequency: float = 2.0
@@ -55,6 +61,9 @@ class MotionSettings:
     step: tuple[float, float] = (0.6, 1.0)
     half_range: float = 2.62
     half_stroke: float = 0.3
+    ordinary_speed: tuple[float, float] = (0.5, 1.5)
+    ordinary_acceleration: tuple[float, float] = (1.0, 4.0)
+    ordinary_rest: float = 0.5
 
     def __post_init__(self) -> None:
         if not 0 < 2 * self.ramp <= min(self.pattern_time, self.pattern_time_all):
@@ -62,6 +71,11 @@ class MotionSettings:
                 f"the pattern's window has flanks of {self.ramp} s in a pattern of "
                 f"{min(self.pattern_time, self.pattern_time_all)} s",
                 "make ramp positive and at most half the pattern's time",
+            )
+        if min(*self.ordinary_speed, *self.ordinary_acceleration) <= 0 or self.ordinary_rest < 0:
+            raise UsageError(
+                "moves without patterns need a speed and an acceleration",
+                "make ordinary_speed and ordinary_acceleration positive",
             )
 
 
@@ -104,9 +118,11 @@ class SimulationSettings:
     """Everything that can be chosen about one recording; the robot itself is a `RobotSpec`.
 
     Attributes:
-        n_poses: number P of random poses to rest and excite in.
-        excite: "one" DoF after the other (paper eq. 10-13), or "all" at once at different
-            frequencies.
+        n_poses: number P of random poses to rest and excite in; without patterns the time counts.
+        excite: "one" DoF after the other (paper eq. 10-13), "all" at once at different
+            frequencies, or "none": moves between random poses, as any robot makes them.
+        minutes: how long it moves without patterns [min]; None for 3.
+        structural: begin with a move of each DoF alone; None for yes where there are patterns.
         upright: stand the base upright instead of tilting it as the robot's file says.
         base_rpy: roll, pitch, yaw of the base in the world [rad]; None for the robot's own.
         seed: the recording is a function of the robot, these settings, and this number.
@@ -127,6 +143,8 @@ class SimulationSettings:
 
     n_poses: int = 12
     excite: Excitation = "one"
+    minutes: float | None = None
+    structural: bool | None = None
     upright: bool = False
     base_rpy: tuple[float, float, float] | None = None
     seed: int = 0
@@ -155,12 +173,25 @@ class SimulationSettings:
                 self.sus_per_segment or 0, self.sus_on_base or 0
             )
             >= 0,
-            'excite must be "one" or "all"': self.excite in ("one", "all"),
+            'excite must be "one", "all" or "none"': self.excite in ("one", "all", "none"),
+            "minutes must be positive": self.minutes is None or self.minutes > 0,
+            'minutes are for excite "none"; patterns go by n_poses': self.minutes is None
+            or self.excite == "none",
             "upright and base_rpy exclude each other": not (self.upright and self.base_rpy),
         }
         for message, holds in checks.items():
             if not holds:
                 raise UsageError(f"simulation settings: {message}", "change the option named")
+
+    @property
+    def duration(self) -> float:
+        """How long it moves where there are no patterns [s]."""
+        return 60.0 * (3.0 if self.minutes is None else self.minutes)
+
+    @property
+    def has_structural(self) -> bool:
+        """Whether every DoF moves alone first."""
+        return self.excite != "none" if self.structural is None else self.structural
 
     @property
     def sensor_grade(self) -> SensorGrade:

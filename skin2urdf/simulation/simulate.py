@@ -10,11 +10,11 @@ import numpy as np
 from skin2urdf.arrays import F64, frozen
 from skin2urdf.recording.records import Recording
 from skin2urdf.simulation.mechanism import Mechanism, load_mechanism, read_urdf
-from skin2urdf.simulation.motion import plan_reference
+from skin2urdf.simulation.motion import Reference, plan_moves, plan_reference
 from skin2urdf.simulation.plant import actual_motion
 from skin2urdf.simulation.robots import RobotSpec, SkinLayout, Vector3
 from skin2urdf.simulation.sensors import draw_accelerometer
-from skin2urdf.simulation.settings import SimulationSettings
+from skin2urdf.simulation.settings import MotionSettings, SimulationSettings
 from skin2urdf.simulation.skins import PlacedSu, place_skin
 from skin2urdf.simulation.streams import Draw, record_joints, record_sus, shift_clock
 from skin2urdf.simulation.trajectory import JointMotion, Phase
@@ -91,14 +91,7 @@ def simulate(robot: RobotSpec, settings: SimulationSettings) -> Simulation:
     draw = Draw(settings.seed)
     mechanism = load_mechanism(robot, base_rpy(robot, settings))
     sus = place_skin(mechanism, _layout(robot, settings), draw("skin"))
-    reference = plan_reference(
-        mechanism,
-        _reach(mechanism, sus),
-        settings.motion or robot.motion,
-        settings.n_poses,
-        settings.excite,
-        draw("motion"),
-    )
+    reference = _plan(mechanism, sus, settings.motion or robot.motion, settings, draw("motion"))
     motion = actual_motion(mechanism, reference.motion, settings.plant, draw("plant"))
     rng = draw("sensors")
     sensors = [draw_accelerometer(settings.sensor_grade, rng) for _ in sus]
@@ -127,6 +120,23 @@ def simulate(robot: RobotSpec, settings: SimulationSettings) -> Simulation:
     )
     order = draw("joint order").permutation(mechanism.n_joints)
     return Simulation(recording, truth, tuple(mechanism.joint_names[d] for d in order))
+
+
+def _plan(
+    mechanism: Mechanism,
+    sus: Sequence[PlacedSu],
+    motion: MotionSettings,
+    settings: SimulationSettings,
+    rng: np.random.Generator,
+) -> Reference:
+    """What the robot is commanded to do, with patterns or without."""
+    structural = settings.has_structural
+    if settings.excite == "none":
+        return plan_moves(mechanism, motion, settings.duration, rng, structural)
+    reach = _reach(mechanism, sus)
+    return plan_reference(
+        mechanism, reach, motion, settings.n_poses, settings.excite, rng, structural
+    )
 
 
 def base_rpy(robot: RobotSpec, settings: SimulationSettings) -> Vector3:

@@ -10,7 +10,13 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from skin2urdf.arrays import F64, frozen
-from skin2urdf.simulation.pattern import PEAK_SPEED, Tones, smooth_step, windowed_pattern
+from skin2urdf.simulation.pattern import (
+    PEAK_SPEED,
+    Tones,
+    smooth_rise,
+    smooth_step,
+    windowed_pattern,
+)
 
 if TYPE_CHECKING:
     from scipy.interpolate import BSpline
@@ -113,6 +119,34 @@ class PathBuilder:
         self._append(kind, duration, lambda t: smooth_step(t / whole)[:, None] * delta, joint)
         self._pose = goal
 
+    def cruise_to(self, goal: F64, speed: float, acceleration: float, scale: F64) -> None:
+        """Move as controllers do: all DoFs in proportion, speeding up, cruising, slowing down.
+
+        The speed rises and falls along a `smooth_step`. A way too short to reach it is made of the
+        two flanks alone, at the acceleration that was asked for.
+
+        Args:
+            goal: (D,) where to [rad or m].
+            speed: peak speed of the DoF that has farthest to go, in units of its ``scale`` [1/s].
+            acceleration: its peak acceleration, in the same units [1/s^2].
+            scale: (D,) way of each DoF that counts as one unit [rad or m].
+        """
+        delta = goal - self._pose
+        way = float(np.max(np.abs(delta) / scale))
+        speed = min(speed, float(np.sqrt(way * acceleration / PEAK_SPEED)))
+        flank = PEAK_SPEED * speed / acceleration
+        cruise = way / speed
+        # Whole grid steps, so that the move ends at rest; that slows it down by a step at most.
+        stretch = GRID * np.ceil((cruise + flank) / GRID) / (cruise + flank)
+
+        def part(t: F64) -> F64:
+            t = t / stretch
+            risen = smooth_rise(t / flank) - smooth_rise((t - cruise) / flank)
+            return np.asarray(flank / cruise * risen)[:, None] * delta
+
+        self._append("move", (cruise + flank) * stretch - 0.5 * GRID, part)
+        self._pose = goal
+
     def excite(
         self,
         tones: Mapping[int, Tones],
@@ -137,6 +171,11 @@ class PathBuilder:
 
         joint = next(iter(tones)) if len(tones) == 1 else -1
         self._append("pattern", duration, offset, joint, pose)
+
+    @property
+    def end(self) -> float:
+        """How long all that has been built takes [s]."""
+        return (self._points - 1) * GRID
 
     def motion(self) -> JointMotion:
         """Return all that has been built."""

@@ -12,9 +12,11 @@ from skin2urdf.arrays import F64
 from skin2urdf.errors import UsageError
 from skin2urdf.simulation import MotionSettings, Simulation, load_robot
 from skin2urdf.simulation.mechanism import Mechanism, load_mechanism
-from skin2urdf.simulation.motion import Reference, plan_reference
+from skin2urdf.simulation.motion import Reference, plan_moves, plan_reference
 from skin2urdf.simulation.pattern import (
+    PEAK_SPEED,
     distinct_time,
+    smooth_rise,
     smooth_step,
     swing,
     tone_pairs,
@@ -259,3 +261,74 @@ def test_rests_of_the_plant_settle(panda_one: Simulation) -> None:
         if phase.kind == "rest" and phase.pose >= 0:
             _, velocity, _ = truth.motion.at(np.linspace(phase.start + 0.4, phase.end, 20))
             assert np.abs(velocity).max() < 1e-6
+
+
+def moved(
+    robot: str | Path, seconds: float, structural: bool = False, **chosen: tuple[float, float]
+) -> tuple[Mechanism, Reference]:
+    mechanism = load_mechanism(load_robot(robot), (0.4, 0.2, 0.0))
+    rng = np.random.default_rng(0)
+    return mechanism, plan_moves(mechanism, MotionSettings(**chosen), seconds, rng, structural)
+
+
+def test_ordinary_moves_go_from_pose_to_pose_with_all_dofs() -> None:
+    _, reference = moved("panda", 60.0)
+    assert {phase.kind for phase in reference.phases} == {"rest", "move"}
+    assert 60.0 < reference.motion.time[-1] < 68.0
+    moves = during(reference, "move")
+    assert len(moves) == len(reference.poses) > 10
+    for (_, position), pose in zip(moves, reference.poses, strict=True):
+        np.testing.assert_allclose(position[-1], pose, atol=1e-12)
+        assert np.ptp(position, axis=0).min() > 1e-3
+    for phase in reference.phases:
+        if phase.kind == "rest":
+            assert phase.end - phase.start == pytest.approx(0.5)
+
+
+def test_ordinary_moves_have_the_speed_and_acceleration_asked_for() -> None:
+    chosen = {"ordinary_speed": (1.0, 1.0), "ordinary_acceleration": (2.0, 2.0)}
+    _, reference = moved("panda", 60.0, **chosen)
+    _, velocity, acceleration = reference.motion.at(reference.motion.time)
+    time = reference.motion.time
+    for phase in reference.phases:
+        if phase.kind != "move":
+            continue
+        inside = (time >= phase.start) & (time <= phase.end)
+        fastest = np.abs(velocity[inside]).max()
+        # A way of more than 1.1 rad has room for the whole speed; every way for the acceleration.
+        way = np.ptp(reference.motion.position[inside], axis=0).max()
+        assert fastest == pytest.approx(min(1.0, (way * 2.0 / PEAK_SPEED) ** 0.5), rel=0.01)
+        assert np.abs(acceleration[inside]).max() == pytest.approx(2.0, rel=0.02)
+
+
+@pytest.mark.parametrize("robot", ["panda", "kinova", "z1"])
+def test_ordinary_moves_respect_the_limits(robot: str) -> None:
+    mechanism, reference = moved(robot, 60.0)
+    rng = np.random.default_rng(1)
+    motion = actual_motion(mechanism, reference.motion, PLANTS["servo"], rng)
+    assert (motion.position >= mechanism.lower).all()
+    assert (motion.position <= mechanism.upper).all()
+    assert (np.abs(motion.at(motion.time)[1]) <= mechanism.speed_limit).all()
+
+
+def test_a_prismatic_joint_moves_at_its_own_speed(gantry: Path) -> None:
+    _, reference = moved(gantry, 30.0)
+    _, velocity, _ = reference.motion.at(reference.motion.time)
+    assert 0.05 < np.abs(velocity[:, 0]).max() <= 0.301
+
+
+def test_single_moves_precede_ordinary_ones_on_request() -> None:
+    _, reference = moved("panda", 60.0, structural=True)
+    assert [joint for joint, _ in during(reference, "structural")] == [
+        d for d in range(7) for _ in range(2)
+    ]
+    assert during(reference, "move")
+
+
+@settings(max_examples=20)
+@given(st.floats(-1.0, 3.0))
+def test_smooth_rise_is_the_integral_of_the_step(x: float) -> None:
+    h = 1e-5
+    around = smooth_rise(np.array([x - h, x + h]))
+    slope = smooth_step(np.array([x]))[0]
+    assert (around[1] - around[0]) / (2 * h) == pytest.approx(slope, abs=1e-6)

@@ -186,7 +186,8 @@ def test_what_can_not_be(gantry: Path) -> None:
         {"encoder_bits": 0},
         {"jitter": -1e-3},
         {"sus_per_segment": -1},
-        {"excite": "none"},
+        {"excite": "some"},
+        {"excite": "all", "minutes": 1.0},
         {"upright": True, "base_rpy": (0.1, 0.0, 0.0)},
     ],
 )

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from skin2urdf.errors import UsageError
 from skin2urdf.simulation import Simulation, SimulationSettings, load_robot, robot_names, simulate
 from skin2urdf.simulation.settings import Excitation
 
@@ -28,6 +29,22 @@ def test_every_robot_can_be_recorded(name: str, excite: Excitation) -> None:
         assert np.abs(stream.specific_force).max() < 2 * 9.81
     for joint in recording.joints:
         assert np.isfinite(joint.position).all()
+
+
+@pytest.mark.parametrize("name", ["panda", "ur5", "g1"])
+def test_every_robot_can_be_recorded_without_patterns(name: str) -> None:
+    settings = replace(SHORT, excite="none", minutes=0.25)
+    recording = simulate(load_robot(name), settings).recording
+    assert 15.0 < recording.duration < 24.0
+    for stream in recording.sus:
+        # Arms that hurry in all joints at once stay within what a sensor of 4 g takes.
+        assert np.abs(stream.specific_force).max() < 4 * 9.81
+
+
+def test_minutes_are_for_motion_without_patterns() -> None:
+    assert SimulationSettings(excite="none").duration == 180.0
+    with pytest.raises(UsageError, match="minutes"):
+        SimulationSettings(excite="one", minutes=2.0)
 
 
 def test_a_bare_urdf_can_be_recorded(gantry: Path) -> None:

@@ -185,3 +185,11 @@ def shifted(values: F64, rate: float, delay: float) -> F64:
         return values
     last = len(values) - 1
     return _interpolated(values, np.clip(np.arange(last + 1) + delay * rate, 0, last))
+
+
+def taken_at(values: F64, index: F64) -> F64:
+    """Values (N, C) at fractional indices (K,), by quintic splines; NaN beyond the ends."""
+    outside = (index < 0) | (index > len(values) - 1)
+    out = _interpolated(values, np.clip(index, 0, len(values) - 1))
+    out[outside] = np.nan
+    return out

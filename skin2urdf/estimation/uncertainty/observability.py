@@ -16,6 +16,7 @@ from skin2urdf.arrays import F64, Bool, frozen
 from skin2urdf.estimation.problem.cost import NormalEquations, Priors
 from skin2urdf.estimation.problem.state import N_JOINT, N_PLACEMENT, N_SU
 from skin2urdf.estimation.solve.estimate import Estimate
+from skin2urdf.estimation.trajectory.uncertainty import MotionInformation, disturbed
 from skin2urdf.estimation.uncertainty.bounds import Align, expected_errors
 from skin2urdf.estimation.uncertainty.covariance import ArrowCovariance
 from skin2urdf.estimation.uncertainty.open_directions import ALIKE, open_directions
@@ -76,15 +77,15 @@ class Observability:
         return len(self.open_directions)
 
 
-def observability(estimate: Estimate) -> Observability:
+def observability(estimate: Estimate, along: MotionInformation | None = None) -> Observability:
     """Covariances and verdicts at an estimate.
 
     Covariances are those of the weights, times the residual-based scale (cost per degree of
     freedom) where that is above 1.
     """
     tree, free = estimate.tree, estimate.free
-    equations = _of_the_data(estimate)
-    scale = max(1.0, estimate.cost_per_dof)
+    equations = along.equations if along else _of_the_data(estimate)
+    scale = 1.0 if along else max(1.0, estimate.cost_per_dof)
     D, U = tree.n_joints, tree.n_sus
     free_joint = np.concatenate([free.joints.ravel(), free.logs.ravel()])
     inverse = np.zeros((U, N_SU, N_SU))
@@ -115,7 +116,10 @@ def observability(estimate: Estimate) -> Observability:
     turns = np.zeros(N_SU)
     turns[3:N_PLACEMENT] = hidden**2
     weights = ArrowCovariance(joint_inverse, columns, lean, inverse)
-    full = with_shared_errors(weights, estimate.cost, estimate.state).scaled(scale)
+    if along:
+        full = disturbed(weights, along)
+    else:
+        full = with_shared_errors(weights, estimate.cost, estimate.state).scaled(scale)
     own = known @ full.own @ known + np.diag(turns)
     covariance = replace(full, lean=known @ lean, own=own)
     su_covariance = covariance.su()[:, :N_PLACEMENT, :N_PLACEMENT]

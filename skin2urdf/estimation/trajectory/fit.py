@@ -1,0 +1,137 @@
+"""Levenberg-Marquardt on all samples of all logs, with weights that follow the residuals."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from skin2urdf.arrays import F64, Bool
+from skin2urdf.estimation.trajectory.arrow import eliminated, newton_step
+from skin2urdf.estimation.trajectory.problem import Equations, MotionProblem, Predicted
+from skin2urdf.estimation.trajectory.state import MotionState
+
+_HUBER = 3.0
+"""Residual, in standard deviations, beyond which a sample counts less; noise is one in 400."""
+_DAMPING = 1e-4
+
+
+@dataclass(frozen=True, eq=False)
+class Fitted:
+    """A state that explains all samples as well as it can.
+
+    Attributes:
+        state: the state.
+        noise: per log (K, U, 3) standard deviation of each sample as the residuals show it.
+        weights: per log (K, U, 3) information that each sample counted with [s^4/m^2].
+        predicted: per log, residuals at the state.
+        equations: normal equations there.
+        chi2: sum of squared residuals over noise, times independence, priors included.
+    """
+
+    state: MotionState
+    noise: tuple[F64, ...]
+    weights: tuple[F64, ...]
+    predicted: tuple[Predicted, ...]
+    equations: Equations
+    chi2: float
+
+
+def fit(
+    problem: MotionProblem,
+    start: MotionState,
+    *,
+    iterations: int = 30,
+    tolerance: float = 1e-4,
+    tell: Callable[[float], None] = lambda _: None,
+) -> Fitted:
+    """Minimise chi-squared of all samples.
+
+    Args:
+        problem: the logs, the tree and what is known before.
+        start: where to begin; orientations to some ten degrees are enough.
+        iterations: at most that many linearisations.
+        tolerance: standard deviations by which no coordinate may still move at the end, and part of
+            chi-squared that an iteration has to gain where it moves further.
+        tell: told the share of the work that is done.
+    """
+    state = start
+    predicted = tuple(problem.predict(state, g) for g in range(len(problem.logs)))
+    noise, weights = _noise(problem, predicted)
+    cost = _cost(problem, state, predicted, weights)
+    damping = _DAMPING
+    for i in range(iterations):
+        equations = problem.equations(state, predicted, weights)
+        while True:
+            system = eliminated(equations, problem.free_joint, problem.free_su, damping)
+            joint, sus = newton_step(system, problem.free_joint)
+            trial = problem.layout.moved(state, joint, sus)
+            ahead = tuple(problem.predict(trial, g) for g in range(len(problem.logs)))
+            there = _cost(problem, trial, ahead, weights)
+            if there <= cost:
+                break
+            damping *= 10
+            if damping > 1e6:
+                return Fitted(state, noise, weights, predicted, equations, cost)
+        length = _length(equations, joint, sus)
+        gain = (cost - there) / max(cost, 1e-12)
+        state, predicted = trial, ahead
+        damping = max(damping / 10, 1e-12)
+        noise, weights = _noise(problem, predicted)
+        cost = _cost(problem, state, predicted, weights)
+        tell((i + 1) / iterations)
+        if length < tolerance * 100 or gain < tolerance * 1e-2:
+            break
+    equations = problem.equations(state, predicted, weights)
+    tell(1.0)
+    return Fitted(state, noise, weights, predicted, equations, cost)
+
+
+def _length(equations: Equations, joint: F64, sus: F64) -> float:
+    """Length of a step in standard deviations."""
+    own = np.einsum("un,unm,um->", sus, equations.su, sus)
+    both = np.einsum("un,unj,j->", sus, equations.mixed, joint)
+    return float(np.sqrt(max(0.0, joint @ equations.joint @ joint + 2 * both + own)))
+
+
+def _cost(
+    problem: MotionProblem,
+    state: MotionState,
+    predicted: Sequence[Predicted],
+    weights: Sequence[F64],
+) -> float:
+    """Chi-squared with given weights."""
+    data = sum(
+        float((w * np.where(p.measured[..., None], p.residual, 0.0) ** 2).sum())
+        for w, p in zip(weights, predicted, strict=True)
+    )
+    return data + problem.prior_chi2(state)
+
+
+def _noise(
+    problem: MotionProblem, predicted: Sequence[Predicted]
+) -> tuple[tuple[F64, ...], tuple[F64, ...]]:
+    """Noise of each sample, from the residuals of the SU at rest and in motion, and weights."""
+    noise, weights = [], []
+    for log, p in zip(problem.logs, predicted, strict=True):
+        sd = np.full(p.residual.shape, np.inf)
+        for u in range(problem.tree.n_sus):
+            chain = list(problem.tree.chain(int(problem.tree.su_joint[u])))
+            moves = log.moving[:, chain].any(axis=1)
+            for which in (moves, ~moves):
+                sd[which, u] = _spread(p.residual[:, u], which & p.measured[:, u])
+        size = np.sqrt((np.where(p.measured[..., None], p.residual / sd, 0.0) ** 2).mean(axis=2))
+        share = np.where(size > _HUBER, _HUBER / np.maximum(size, _HUBER), 1.0)
+        w = np.where(p.measured, log.independence * share, 0.0)[..., None] / sd**2
+        noise.append(sd)
+        weights.append(np.where(np.isfinite(w), w, 0.0))
+    return tuple(noise), tuple(weights)
+
+
+def _spread(residual: F64, which: Bool) -> float:
+    """Standard deviation of chosen residuals (K, 3) by their median, which outliers do not move."""
+    if which.sum() < 8:
+        return np.inf
+    # The median of chi-squared with three degrees of freedom is 2.366.
+    return float(np.sqrt(np.median((residual[which] ** 2).sum(axis=1)) / 2.366))

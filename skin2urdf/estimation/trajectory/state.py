@@ -1,0 +1,151 @@
+"""What a fit of all samples estimates beyond placements: clocks, front ends, drifts, gravity."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from skin2urdf.arrays import F64, frozen
+from skin2urdf.estimation.problem.state import N_JOINT, N_SU, State, Step, screwed
+
+N_CLOCK = 2
+"""Coordinates of an SU's clock in a log: lag and drift."""
+
+
+@dataclass(frozen=True, eq=False)
+class MotionState:
+    """All that predicts the readings along G logs of D joints and U SUs.
+
+    A sensor's low-pass is a series in the derivatives of what it would read without one, f, at a
+    lag of its own. Of a pole at F [Hz], with ``T = 1 / (2 pi F)``, the lag is T and the series::
+
+        f + T^2 / 2 f'' - T^3 / 3 f''' + 3 T^4 / 8 f''''
+
+    The first term is a droop of the amplitude that every low-pass has, whatever its order; it is
+    the one that makes a false lever arm, and the one that is estimated: ``a = T^2 / 2``.
+
+    Attributes:
+        placements: placements, gravity's direction per log, bias and shape of the SUs.
+        gravity: magnitude of gravity where the logs were recorded [m/s^2].
+        front: (U,) droop a of each SU [s^2].
+        clock: (G, U, 2) by how much an SU's stamps are late in the middle of a log [s], and by how
+            much more each second [1].
+        knots: per log (B, U, 3) bias of each SU at B moments, above its own [m/s^2]; linear in
+            between; none (B = 0) where biases are constant.
+        compliance: (S,) what the joints yield [rad or m, per unit of the torque regressors].
+    """
+
+    placements: State
+    gravity: float
+    front: F64
+    clock: F64
+    knots: tuple[F64, ...]
+    compliance: F64
+
+    def __post_init__(self) -> None:
+        for name in ("front", "clock", "compliance"):
+            object.__setattr__(self, name, frozen(getattr(self, name)))
+        object.__setattr__(self, "knots", tuple(frozen(k) for k in self.knots))
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Where the coordinates of a fit stand: a joint part, and one part of each SU.
+
+    Attributes:
+        n_joints: D.
+        n_logs: G.
+        n_knots: B of each log.
+        n_compliance: S.
+    """
+
+    n_joints: int
+    n_logs: int
+    n_knots: tuple[int, ...]
+    n_compliance: int
+
+    @property
+    def joints(self) -> slice:
+        """tx, ty [m], rx, ry [rad] of each joint."""
+        return slice(0, N_JOINT * self.n_joints)
+
+    @property
+    def logs(self) -> slice:
+        """Turns of gravity about the base x and y axes, from the second log on [rad]."""
+        return slice(self.joints.stop, self.joints.stop + 2 * (self.n_logs - 1))
+
+    @property
+    def gravity(self) -> int:
+        """Relative change of gravity's magnitude [1]."""
+        return N_JOINT * self.n_joints + 2 * (self.n_logs - 1)
+
+    @property
+    def compliance(self) -> slice:
+        """What the joints yield."""
+        return slice(self.gravity + 1, self.gravity + 1 + self.n_compliance)
+
+    @property
+    def n_joint(self) -> int:
+        """Number of coordinates of the joint part."""
+        return self.gravity + 1 + self.n_compliance
+
+    @property
+    def front(self) -> int:
+        """An SU's droop, behind its placement, bias and shape."""
+        return N_SU
+
+    def clock(self, log: int) -> slice:
+        """An SU's clock in a log."""
+        begin = self.front + 1 + N_CLOCK * log
+        return slice(begin, begin + N_CLOCK)
+
+    def knots(self, log: int) -> slice:
+        """An SU's bias over time in a log: x, y, z of the first knot, of the second .."""
+        begin = self.front + 1 + N_CLOCK * self.n_logs + 3 * sum(self.n_knots[:log])
+        return slice(begin, begin + 3 * self.n_knots[log])
+
+    @property
+    def n_su(self) -> int:
+        """Number of coordinates of each SU."""
+        return self.front + 1 + N_CLOCK * self.n_logs + 3 * sum(self.n_knots)
+
+    def moved(self, state: MotionState, joint: F64, sus: F64) -> MotionState:
+        """The state reached by a step.
+
+        Args:
+            state: where it begins.
+            joint: (J,) step of the joint part.
+            sus: (U, n) of the SUs.
+        """
+        step = Step(
+            joint[self.joints].reshape(-1, N_JOINT),
+            joint[self.logs].reshape(-1, 2),
+            sus[:, :N_SU],
+        )
+        clock = np.stack([sus[:, self.clock(g)] for g in range(self.n_logs)])
+        knots = tuple(
+            old + sus[:, self.knots(g)].reshape(len(sus), -1, 3).swapaxes(0, 1)
+            for g, old in enumerate(state.knots)
+        )
+        return replace(
+            state,
+            placements=screwed(state.placements, step),
+            gravity=state.gravity * (1 + joint[self.gravity]),
+            front=state.front + sus[:, self.front],
+            clock=state.clock + clock,
+            knots=knots,
+            compliance=state.compliance + joint[self.compliance],
+        )
+
+
+def front_series(droop: F64) -> F64:
+    """(3, ...) factors of the second to fourth derivative that a droop a (...) [s^2] stands for."""
+    T = np.sqrt(2 * np.maximum(droop, 0.0))
+    return np.stack([droop, -(T**3) / 3, 3 * T**4 / 8])
+
+
+def front_slopes(droop: F64) -> F64:
+    """(3, ...) derivatives of :func:`front_series` in the droop."""
+    T = np.sqrt(2 * np.maximum(droop, 0.0))
+    return np.stack([np.ones_like(T), -T, 3 * T**2 / 2])

@@ -1,0 +1,306 @@
+"""What a fit of all samples is worth: its information, and the covariance that residuals show.
+
+Weights take whitened residuals as independent of each other. They are not: an encoder's noise is
+felt by all SUs beyond it, and is of high frequencies; whatever the model lacks stays for a while.
+The contributions of spans of time to the gradient, which the estimate has brought to a sum of zero,
+show how large such errors really are (the sandwich estimator: Huber 1967; Liang and Zeger 1986).
+What the estimate bent itself to is missing in them. So they are held against those that independent
+noise leaves, drawn, fitted and added up alike: the ratio tells by how much errors are larger or
+smaller than the weights say, coordinate by coordinate. Where few spans tell of a coordinate, that
+of all joints' or all SUs' coordinates speaks for it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from skin2urdf.arrays import F64, Bool, Int
+from skin2urdf.estimation.problem.cost import NormalEquations
+from skin2urdf.estimation.problem.residuals import columns_of
+from skin2urdf.estimation.problem.state import N_JOINT, N_SU
+from skin2urdf.estimation.trajectory.arrow import eliminated, newton_step
+from skin2urdf.estimation.trajectory.fit import Fitted
+from skin2urdf.estimation.trajectory.problem import Equations, MotionProblem, Spans
+from skin2urdf.estimation.uncertainty.covariance import ArrowCovariance
+from skin2urdf.model.prediction import Chains
+
+_DRAWS = 16
+"""Versions with independent noise; their mean is known to a few per cent."""
+_COMMON = 20.0
+"""Spans' worth of evidence that the ratio of all coordinates counts for in that of each. A ratio
+from S spans scatters by the root of 2 / S, 30 % with that many: about as much as ratios differ from
+coordinate to coordinate in recordings with nothing but noise of encoders and sensors."""
+
+
+@dataclass(frozen=True, eq=False)
+class MotionInformation:
+    """Information of a fit on placements, bias and shape, and what disturbs it.
+
+    Coordinates x are those of joints and logs, z what all SUs share beyond them (gravity's size,
+    compliance), y those of each SU (placement, bias, shape), whatever its clock and front end are.
+
+    Attributes:
+        equations: information on x and y for known z, without the prior on offsets.
+        shared: (Z, Z) information on z, and
+        shared_joint: (Z, J), and
+        shared_su: (U, 15, Z) its coupling with x and with y.
+        errors: pulls of spans of time with the residuals as they are, and
+        draws: with independent noise.
+        prior_z: (Z,) pull of one standard deviation of what is known of z before.
+        prior_xz: (U, Q, J + Z) pulls of what is known of each SU before, on x and z, and
+        prior_y: (U, Q, 15) on y.
+        shares: (S, J) and (S, U, 15) part of the information on each coordinate that a span has.
+    """
+
+    equations: NormalEquations
+    shared: F64
+    shared_joint: F64
+    shared_su: F64
+    errors: Pulls
+    draws: tuple[Pulls, ...]
+    prior_z: F64
+    prior_xz: F64
+    prior_y: F64
+    shares: tuple[F64, F64]
+
+
+@dataclass(frozen=True, eq=False)
+class Pulls:
+    """Pulls of E independent errors.
+
+    Attributes:
+        x: (E, J) on the coordinates of joints and logs.
+        z: (E, Z) on what all share.
+        y: (U, E, 15) on those of the SUs.
+    """
+
+    x: F64
+    z: F64
+    y: F64
+
+
+def motion_information(problem: MotionProblem, fitted: Fitted, n_spans: int) -> MotionInformation:
+    """Information and disturbances at the end of a fit.
+
+    Args:
+        problem: what was fitted.
+        fitted: the fit.
+        n_spans: spans of time per log.
+    """
+    layout, tree, full = problem.layout, problem.tree, fitted.equations
+    free_joint, free_su = problem.free_joint, problem.free_su
+    J, own = layout.gravity, slice(N_SU, layout.n_su)
+    # What an SU's clock and front end explain is taken off.
+    both = free_su[:, own, None] & free_su[:, None, own]
+    S = np.where(both, full.su[:, own, own], 0.0)
+    index = np.arange(S.shape[1])
+    S[:, index, index] += ~free_su[:, own]
+    cross = np.where(free_su[:, None, own], full.su[:, :N_SU, own], 0.0)
+    mixed = np.where(free_su[:, :, None] & free_joint, full.mixed, 0.0)
+    follow = np.linalg.solve(S, np.concatenate([np.swapaxes(cross, 1, 2), mixed[:, own]], axis=2))
+    by_y, by_x = follow[..., :N_SU], follow[..., N_SU:]
+    su = full.su[:, :N_SU, :N_SU] - cross @ by_y
+    coupling = mixed[:, :N_SU] - cross @ by_x
+    joint = full.joint - np.einsum("unj,unk->jk", mixed[:, own], by_x)
+    weight = problem.priors.sensors.position**-2.0
+    held = N_JOINT * np.arange(tree.n_joints)[:, None] + np.arange(2)
+    joint[held, held] -= weight
+    su[:, range(3), range(3)] -= weight
+    spans = problem.spans(
+        fitted.state, fitted.predicted, fitted.weights, n_spans, _DRAWS, np.random.default_rng(0)
+    )
+    pulls = [
+        _pulls(joint_scores, su_scores, by_x, by_y, J)
+        for joint_scores, su_scores in _fitted_scores(spans, full, free_joint, free_su)
+    ]
+    joint_prior, su_prior, _, _ = problem.prior_information(fitted.state)
+    scores = _roots(np.where(free_su[:, :, None] & free_su[:, None, :], su_prior, 0.0))
+    chains = Chains.of(tree)
+    columns = columns_of(chains, tree.n_joints, layout.n_logs)
+    return MotionInformation(
+        equations=NormalEquations(
+            joint=joint[:J, :J],
+            joint_gradient=np.zeros(J),
+            su=su,
+            su_gradient=np.zeros((tree.n_sus, N_SU)),
+            mixed=_of_chains(coupling[..., :J], columns, chains),
+            columns=columns,
+        ),
+        shared=joint[J:, J:] + np.diag(~free_joint[J:] * 1.0),
+        shared_joint=joint[J:, :J],
+        shared_su=coupling[..., J:],
+        errors=pulls[0],
+        draws=tuple(pulls[1:]),
+        prior_z=np.sqrt(joint_prior[J:]) * free_joint[J:],
+        prior_xz=-scores[..., N_SU:] @ by_x,
+        prior_y=scores[..., :N_SU] - scores[..., N_SU:] @ by_y,
+        shares=(
+            _shares(np.einsum("sjj->sj", spans.joint)[:, :J]),
+            _shares(np.einsum("sunn->sun", spans.su)[..., :N_SU]),
+        ),
+    )
+
+
+def _fitted_scores(
+    spans: Spans, full: Equations, free_joint: Bool, free_su: Bool
+) -> list[tuple[F64, F64]]:
+    """Gradients (S, J) and (S, U, n) of every version, after a fit to it."""
+    joint_scores = np.where(free_joint, spans.joint_scores, 0.0)
+    su_scores = np.where(free_su, spans.su_scores, 0.0)
+    out = [(joint_scores[0], su_scores[0])]
+    known = spans.columns >= 0
+    for j, s in zip(joint_scores[1:], su_scores[1:], strict=True):
+        gradient = Equations(full.joint, full.su, full.mixed, j.sum(axis=0), s.sum(axis=0))
+        dx, dy = newton_step(eliminated(gradient, free_joint, free_su), free_joint)
+        followed = np.where(known, dx[spans.columns], 0.0)
+        to_su = np.einsum("sunm,um->sun", spans.su, dy)
+        to_su += np.einsum("sunc,uc->sun", spans.mixed, followed)
+        to_joint = spans.joint @ dx
+        back = np.einsum("sunc,un->suc", spans.mixed, dy)
+        for u, (columns, has) in enumerate(zip(spans.columns, known, strict=True)):
+            to_joint[:, columns[has]] += back[:, u, has]
+        left = np.where(free_joint, j - to_joint, 0.0), np.where(free_su, s - to_su, 0.0)
+        out.append(left)
+    return out
+
+
+def _pulls(joint_scores: F64, su_scores: F64, by_x: F64, by_y: F64, J: int) -> Pulls:
+    """Pulls on x, z and y of gradients in all coordinates, the rest following."""
+    nuisance = su_scores[..., N_SU:]
+    both = joint_scores - np.einsum("eum,umj->ej", nuisance, by_x)
+    y = su_scores[..., :N_SU] - np.einsum("eum,umi->eui", nuisance, by_y)
+    return Pulls(both[:, :J], both[:, J:], np.swapaxes(y, 0, 1))
+
+
+def _roots(information: F64) -> F64:
+    """(U, n, n) rows whose products add up to information matrices (U, n, n)."""
+    lam, V = np.linalg.eigh(information)
+    return np.swapaxes(V * np.sqrt(np.maximum(lam, 0.0))[:, None, :], 1, 2)
+
+
+def _shares(information: F64) -> F64:
+    """Part (S, ...) of the sum over S spans that each span has."""
+    total = information.sum(axis=0)
+    return np.asarray(
+        np.divide(information, total, out=np.zeros_like(information), where=total > 0)
+    )
+
+
+def _of_chains(mixed: F64, columns: Int, chains: Chains) -> F64:
+    """(U, 15, C) coupling with the columns of each SU's chain; padded columns couple with zero."""
+    out = np.take_along_axis(mixed, columns[:, None, :], axis=2)
+    present = np.repeat(chains.present, N_JOINT, axis=1)
+    out[:, :, : present.shape[1]] *= present[:, None, :]
+    return np.asarray(out)
+
+
+@dataclass(frozen=True, eq=False)
+class _Response:
+    """How x, y and z answer to pulls."""
+
+    weights: ArrowCovariance
+    lean: F64
+    z_x: F64
+    own_z: F64
+    inverse_z: F64
+
+    @staticmethod
+    def of(weights: ArrowCovariance, info: MotionInformation) -> _Response:
+        J = len(weights.joint)
+        lean = np.zeros((len(weights.own), N_SU, J))
+        for u, columns in enumerate(weights.columns):
+            np.add.at(lean[u].T, columns, weights.lean[u].T)
+        # What z does to x, whatever the SUs are, and what is left to know it by.
+        z_x = info.shared_joint + np.einsum("uiz,uij->zj", info.shared_su, lean)
+        own_z = np.einsum("uij,ujz->uiz", weights.own, info.shared_su)
+        left = info.shared - np.einsum("uiz,uiw->zw", info.shared_su, own_z)
+        left -= z_x @ weights.joint @ z_x.T
+        return _Response(weights, lean, z_x, own_z, np.linalg.inv(0.5 * (left + left.T)))
+
+    def to(self, pulls: Pulls) -> tuple[F64, F64]:
+        """Changes (E, J) of x and (U, E, 15) of y."""
+        pull = pulls.x + np.einsum("uei,uij->ej", pulls.y, self.lean)
+        rest = pulls.z - np.einsum("uei,uiz->ez", pulls.y, self.own_z)
+        dz = (rest - pull @ self.weights.joint @ self.z_x.T) @ self.inverse_z
+        dx = (pull - dz @ self.z_x) @ self.weights.joint
+        dy = pulls.y @ self.weights.own - dz @ np.swapaxes(self.own_z, 1, 2)
+        return dx, dy + dx @ np.swapaxes(self.lean, 1, 2)
+
+    def to_noise(self) -> tuple[F64, F64]:
+        """Covariance (J, J) of x and (U, 15, 15) of y if the weights are right."""
+        W = self.weights
+        x_z = -W.joint @ self.z_x.T
+        joint = W.joint + x_z @ self.inverse_z @ x_z.T
+        y_z = -self.own_z + self.lean @ x_z
+        su = W.own + self.lean @ W.joint @ np.swapaxes(self.lean, 1, 2)
+        return joint, su + y_z @ self.inverse_z @ np.swapaxes(y_z, 1, 2)
+
+
+def disturbed(weights: ArrowCovariance, info: MotionInformation) -> ArrowCovariance:
+    """The covariance of an estimate under the errors that the residuals show.
+
+    Args:
+        weights: the inverse of the information on x and y for known z.
+        info: the information and the errors.
+    """
+    response = _Response.of(weights, info)
+    joint, su = response.to_noise()
+    prior_joint, prior_su = _of_priors(response, info)
+    seen = _variances(response, info.errors)
+    drawn = [_variances(response, each) for each in info.draws]
+    expected = tuple(np.mean(each, axis=0) for each in zip(*drawn, strict=True))
+    ratios = _ratios(seen, expected, info.shares)
+    joint = _scaled(joint, prior_joint, ratios[0])
+    su = _scaled(su, prior_su, ratios[1])
+    own = su - response.lean @ joint @ np.swapaxes(response.lean, 1, 2)
+    return ArrowCovariance(joint, weights.columns, weights.lean, own)
+
+
+def _variances(response: _Response, pulls: Pulls) -> tuple[F64, F64]:
+    """Variances (J,) of x and (U, 15) of y under independent errors."""
+    dx, dy = response.to(pulls)
+    return (dx**2).sum(axis=0), (dy**2).sum(axis=1)
+
+
+def _ratios(
+    seen: tuple[F64, F64], expected: tuple[F64, F64], shares: tuple[F64, F64]
+) -> tuple[F64, F64]:
+    """By how much the variance of each coordinate exceeds that under independent noise."""
+    out = []
+    for s, e, share in zip(seen, expected, shares, strict=True):
+        ratio = np.divide(s, e, out=np.full(s.shape, np.nan), where=e > 1e-300)
+        known = np.isfinite(ratio)
+        # Joints feel what all SUs beyond them share, each SU its own noise as well.
+        common = float(np.median(ratio[known])) if known.any() else 1.0
+        count = 1 / np.maximum((share**2).sum(axis=0), 1e-12)
+        count = np.where(known & (share.sum(axis=0) > 0), count, 0.0)
+        own = np.where(known, ratio, common)
+        out.append((_COMMON * common + count * own) / (_COMMON + count))
+    return out[0], out[1]
+
+
+def _scaled(covariance: F64, prior: F64, ratio: F64) -> F64:
+    """A covariance (..., n, n) with the part of it that data have scaled by ratios (..., n)."""
+    total = np.einsum("...ii->...i", covariance)
+    known = np.minimum(np.einsum("...ii->...i", prior), total)
+    factor = np.sqrt(
+        np.divide(known + ratio * (total - known), total, out=np.ones_like(total), where=total > 0)
+    )
+    return np.asarray(covariance * factor[..., :, None] * factor[..., None, :])
+
+
+def _of_priors(response: _Response, info: MotionInformation) -> tuple[F64, F64]:
+    """Covariances (J, J) and (U, 15, 15) that come from what was known before."""
+    U, Q, _ = info.prior_y.shape
+    J, Z = info.shared_joint.shape[1], len(info.shared)
+    dx, dy = response.to(Pulls(np.zeros((Z, J)), np.diag(info.prior_z), np.zeros((U, Z, N_SU))))
+    joint, su = dx.T @ dx, np.swapaxes(dy, 1, 2) @ dy
+    for u in range(U):
+        y = np.zeros((U, Q, N_SU))
+        y[u] = info.prior_y[u]
+        dx, dy = response.to(Pulls(info.prior_xz[u][:, :J], info.prior_xz[u][:, J:], y))
+        joint += dx.T @ dx
+        su += np.swapaxes(dy, 1, 2) @ dy
+    return joint, su

@@ -1,0 +1,125 @@
+"""Samples -> Trajectory: the whole motion of a log and all readings along it, low-passed alike.
+
+Between poses nothing is constant, so that no regression can sum the samples up: they are predicted
+one by one. What both sides go through is the same: the positions are low-passed before they are
+differentiated and the prediction once more after it, the readings twice.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from skin2urdf.arrays import F64, Bool, Int, frozen
+from skin2urdf.signals.filters import (
+    eroded,
+    filtered,
+    first_derivative,
+    low_pass,
+    noise_bandwidth,
+    second_derivative,
+)
+from skin2urdf.signals.sampling import Sampled
+
+_RATE_OVER_CUTOFF = 3.0
+"""Samples kept per second over the low-pass' cutoff [Hz]; aliases appear below 2.8."""
+_MOVING = 20.0
+"""Encoder steps per second from which a joint moves; below, rounding does not average out [1/s]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """One log as a trajectory of N grid samples, of which K are compared with a model.
+
+    Attributes:
+        log: number of the log.
+        rate: grid samples per second [Hz].
+        taps: the low-pass that a prediction on the grid has to go through.
+        q: (N, D) joint positions, low-passed once [rad or m], and their derivatives
+        qd: (N, D) and
+        qdd: (N, D).
+        readings: (N, U, 3) low-passed twice [m/s^2].
+        kept: (K,) grid samples that are compared.
+        valid: (K, U) where the readings are whole.
+        moving: (K, D) where a joint moves.
+        independence: independent measurements in one kept sample, at most 1.
+    """
+
+    log: int
+    rate: float
+    taps: F64
+    q: F64
+    qd: F64
+    qdd: F64
+    readings: F64
+    kept: Int
+    valid: Bool
+    moving: Bool
+    independence: float
+
+    def __post_init__(self) -> None:
+        for name in ("taps", "q", "qd", "qdd", "readings"):
+            object.__setattr__(self, name, frozen(getattr(self, name)))
+        object.__setattr__(self, "kept", frozen(self.kept, np.int64))
+        for name in ("valid", "moving"):
+            object.__setattr__(self, name, frozen(getattr(self, name), np.bool_))
+
+    @property
+    def time(self) -> F64:
+        """(K,) times of the kept samples since the log's first one [s]."""
+        return np.asarray(self.kept / self.rate)
+
+
+def trajectory(sampled: Sampled, log: int, reach: float = 0.0) -> Trajectory:
+    """Low-pass a log's motion and readings for comparison along the whole of it.
+
+    Args:
+        sampled: the log on its grid.
+        log: its number.
+        reach: how far readings may still be shifted in time [s]; nothing is compared so near to
+            a gap.
+    """
+    motion, rate = sampled.motion, sampled.motion.grid.rate
+    taps = low_pass(sampled.cutoff, rate)
+    half = len(taps) // 2
+    q = filtered(motion.q, taps)
+    readings = filtered(filtered(sampled.readings, taps), taps)
+    every = max(1, int(rate / (_RATE_OVER_CUTOFF * sampled.cutoff)))
+    kept = np.arange(half, motion.grid.size - half, every)
+    whole = sampled.valid & ~sampled.computed & motion.valid[:, None]
+    margin = 2 * half + int(np.ceil(reach * rate))
+    valid = np.stack([eroded(column, margin) for column in whole.T], axis=1)[kept]
+    twice = np.convolve(taps, taps)
+    return Trajectory(
+        log=log,
+        rate=rate,
+        taps=taps,
+        q=q,
+        qd=first_derivative(q, rate),
+        qdd=second_derivative(q, rate),
+        readings=readings,
+        kept=kept,
+        valid=valid,
+        moving=(np.abs(motion.qd) >= np.maximum(_MOVING * motion.resolution, 1e-3))[kept],
+        independence=min(1.0, 2 * noise_bandwidth(twice, rate) * every / rate),
+    )
+
+
+def in_order(log: Trajectory, dofs: Int, sus: Int) -> Trajectory:
+    """A trajectory with other columns.
+
+    Args:
+        log: the trajectory.
+        dofs: (D,) which of its joints, in which order.
+        sus: (U,) which of its SUs.
+    """
+    return replace(
+        log,
+        q=log.q[:, dofs],
+        qd=log.qd[:, dofs],
+        qdd=log.qdd[:, dofs],
+        moving=log.moving[:, dofs],
+        readings=log.readings[:, sus],
+        valid=log.valid[:, sus],
+    )

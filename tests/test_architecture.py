@@ -71,6 +71,7 @@ LAYERS: dict[str, tuple[str, ...]] = {
         "structure",
         "model",
         "estimation",
+        "calibration.clock",
         "calibration.result",
         "calibration.rounds",
     ),

@@ -2,25 +2,33 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
 from skin2urdf.arrays import F64, Bool
+from skin2urdf.calibration.clock import Clock, Progress, Tell
 from skin2urdf.calibration.result import BAD_FIT, Calibration, CalibrationSettings, Source
-from skin2urdf.calibration.rounds import Clock, Progress
+from skin2urdf.calibration.rounds import (
+    Logs,
+    Solution,
+    Structure,
+    estimate_robot,
+    find_structure,
+    sample_logs,
+    take_features,
+)
 from skin2urdf.errors import BadFitError, InsufficientDataError
-from skin2urdf.estimation.uncertainty.goodness import goodness
+from skin2urdf.estimation.solve.estimate import Estimate
+from skin2urdf.estimation.uncertainty.goodness import Goodness, goodness
 from skin2urdf.estimation.uncertainty.health import health_notes, why_bad
-from skin2urdf.estimation.uncertainty.observability import observability
+from skin2urdf.estimation.uncertainty.observability import Observability, observability
 from skin2urdf.faults import distinct, without_slips
-from skin2urdf.hypotheses.contact import with_contacts_left_out
-from skin2urdf.hypotheses.encoders import solved_with_encoders_corrected
-from skin2urdf.hypotheses.records import Solution
-from skin2urdf.hypotheses.solution import first_look
+from skin2urdf.hypotheses.encoders import Encoders, find_what_is_wrong
 from skin2urdf.model.canonical import canonical
 from skin2urdf.recording.records import Recording
+from skin2urdf.signals.records import Features
 from skin2urdf.signals.sampling import Sampled
 from skin2urdf.structure.records import KinematicTree
 from skin2urdf.structure.unknown_positions import unknown_position_notes
@@ -50,24 +58,56 @@ def calibrate(
         BadFitError: no model explains the readings.
     """
     settings = settings or CalibrationSettings()
-    clock = Clock(progress or (lambda _stage, _share: None))
+    clock = Clock(progress)
     recordings = clock.run("reading", lambda tell: _recordings(logs, tell))
+    # No joint leaps: what its track alone shows to be wrong is taken off before the first look.
+    encoders = clock.run("leaps", lambda _: Encoders.of(recordings))
+    sampled = sample_logs(encoders.corrected(), settings, clock)
+    features = take_features(sampled, clock)
+    structure = find_structure(sampled, features, clock)
     if settings.method == "paper":
-        solution = _by_the_paper(recordings, settings, clock)
+        solution = _estimate_by_the_paper(sampled, features, structure, clock)
     else:
-        solution = solved_with_encoders_corrected(recordings, settings, clock)
-        solution = with_contacts_left_out(solution)
-        cost = solution.found.cost_per_dof
-        if not cost <= BAD_FIT:
-            raise BadFitError(*why_bad(solution.found, BAD_FIT), cost_per_dof=cost)
-    found, features, sampled = solution.found, solution.features, solution.rounds.sampled
+        first = estimate_robot(sampled, features, structure, clock)
+        # The seam: whatever else explains the logs from here, such as all their samples at once,
+        # takes this estimate as its start and gives a Solution in its place.
+        solution = clock.run(
+            "what is wrong",
+            lambda _: find_what_is_wrong(encoders, sampled, structure, first, clock),
+        )
+        check_fit(solution.found)
+    fit = clock.run("goodness of fit", lambda _: goodness(solution.found))
+    seen = clock.run("observability", lambda _: observability(solution.found))
+    return _calibration(recordings, solution, fit, seen, clock)
+
+
+def check_fit(found: Estimate) -> None:
+    """Refuse an estimate that does not explain the readings.
+
+    Raises:
+        BadFitError: it does not.
+    """
+    cost = found.cost_per_dof
+    if not cost <= BAD_FIT:
+        raise BadFitError(*why_bad(found, BAD_FIT), cost_per_dof=cost)
+
+
+def _calibration(
+    recordings: Sequence[Recording],
+    solution: Solution,
+    fit: Goodness,
+    seen: Observability,
+    clock: Clock,
+) -> Calibration:
+    """All that is known, in one record."""
+    found, features, sampled = solution.found, solution.features, solution.logs.sampled
     tree = found.tree
-    fit = clock.run("goodness of fit", lambda _: goodness(found))
+    streams = [fault for s in sampled for fault in s.faults]
     span = np.array([_range(sampled, name) for name in tree.joint_names]).reshape(-1, 3)
     return Calibration(
         model=canonical(found.state.model(tree)),
         estimate=found,
-        observability=clock.run("observability", lambda _: observability(found)),
+        observability=seen,
         goodness=fit,
         features=features,
         activity=solution.seen,
@@ -75,12 +115,12 @@ def calibrate(
         velocity=span[:, 2],
         continuous=_endless(sampled, tree, span[:, 1] - span[:, 0]),
         sources=tuple(Source(r.source, r.digest, r.duration) for r in recordings),
-        settings=settings,
-        faults=distinct(without_slips((*features.faults, *solution.faults))),
+        settings=solution.logs.settings,
+        faults=distinct(without_slips((*streams, *solution.faults))),
         notes=tuple(
             dict.fromkeys(
                 (
-                    *features.notes,
+                    *(note for s in sampled for note in s.notes),
                     *tree.notes,
                     *unknown_position_notes(features, tree),
                     *health_notes(found, fit),
@@ -91,14 +131,14 @@ def calibrate(
     )
 
 
-def _by_the_paper(
-    recordings: Sequence[Recording], settings: CalibrationSettings, clock: Clock
+def _estimate_by_the_paper(
+    logs: Logs, features: Features, structure: Structure, clock: Clock
 ) -> Solution:
     """The paper's own estimator (Algorithm 2), judged like any other estimate."""
     from skin2urdf.paper.method import PaperSettings, as_estimate, estimate_paper
 
-    rounds, features, seen, tree = first_look(recordings, settings, clock)
-    gravity = settings.estimation.priors.gravity
+    tree = structure.certain_tree
+    gravity = logs.settings.estimation.priors.gravity
     result = clock.run(
         "estimation", lambda _: estimate_paper(features, tree, PaperSettings(gravity=gravity))
     )
@@ -108,11 +148,11 @@ def _by_the_paper(
             f"the paper's method did not reach its stop value for {', '.join(open_)}",
             "calibrate with the default method, or record more poses",
         )
-    return Solution(rounds, seen, as_estimate(result, features, gravity), features)
+    return Solution(logs, structure.seen, as_estimate(result, features, gravity), features)
 
 
 def _recordings(
-    logs: str | Path | Recording | Sequence[str | Path | Recording], tell: Callable[[float], None]
+    logs: str | Path | Recording | Sequence[str | Path | Recording], tell: Tell
 ) -> list[Recording]:
     from skin2urdf.recording.reading import read
 

@@ -7,7 +7,7 @@ from typing import Literal
 
 import numpy as np
 
-from skin2urdf.arrays import F64, Bool, frozen
+from skin2urdf.arrays import F64, Bool, Int, frozen
 from skin2urdf.estimation.solve.estimate import Estimate, EstimationSettings
 from skin2urdf.estimation.uncertainty.goodness import Goodness
 from skin2urdf.estimation.uncertainty.observability import Observability
@@ -75,7 +75,8 @@ class Calibration:
         estimate: how it was found, in the estimation's frames.
         observability: what of it the log determines; same frames as ``estimate``.
         goodness: how well it explains the features, part by part.
-        features: the measurements it rests on.
+        features: the regressions around poses it rests on; None where the estimate was made
+            from samples of logs without patterns around poses.
         activity: evidence of the structure.
         limits: (D, 2) range of each joint seen in the logs [rad or m].
         velocity: (D,) largest speed of each joint seen [rad/s or m/s].
@@ -91,7 +92,7 @@ class Calibration:
     estimate: Estimate
     observability: Observability
     goodness: Goodness
-    features: Features
+    features: Features | None
     activity: Activity
     limits: F64
     velocity: F64
@@ -122,6 +123,11 @@ class Calibration:
         """What the log leaves open between branches, in the frames of ``model`` and the URDF."""
         frames = dict(zip(self.model.tree.joint_names, self.T_canonical_joint, strict=True))
         return tuple(each.seen_from(frames) for each in self.observability.open_directions)
+
+    @property
+    def log_of_pose(self) -> Int:
+        """(P,) log that each pose of the estimate comes from."""
+        return self.estimate.cost.blocks.log
 
     @property
     def quality(self) -> Quality:

@@ -6,15 +6,13 @@ that features taken again are exact, and show the structure more clearly where i
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import TypeVar
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from skin2urdf.arrays import F64
+from skin2urdf.calibration.clock import Clock
 from skin2urdf.calibration.result import BAD_FIT, GOOD_FIT, CalibrationSettings
 from skin2urdf.errors import InsufficientDataError, StructureError
 from skin2urdf.estimation.problem.state import State
@@ -22,168 +20,281 @@ from skin2urdf.estimation.solve.estimate import Estimate, estimate
 from skin2urdf.estimation.start.order import ordered
 from skin2urdf.estimation.start.starts import felt_up
 from skin2urdf.estimation.uncertainty.health import unlike_the_rest
-from skin2urdf.hypotheses.encoder_signs import of_poses
+from skin2urdf.faults import Fault
+from skin2urdf.hypotheses.records import Turn
 from skin2urdf.model.specific_force import beyond_first_order, first_order
+from skin2urdf.recording.records import Recording
 from skin2urdf.signals.features import Curvature, extract_features
 from skin2urdf.signals.records import Features
-from skin2urdf.signals.sampling import Sampled
+from skin2urdf.signals.sampling import Sampled, sampled_together
 from skin2urdf.structure.activity import Activity, activity
 from skin2urdf.structure.records import KinematicTree
 from skin2urdf.structure.tree import kinematic_tree
 
-T = TypeVar("T")
-Progress = Callable[[str, float], None]
-"""Called with the name of a stage and the share of it that is done, in [0, 1]."""
-
-
-class Clock:
-    """Runs stages, tells progress and keeps their times."""
-
-    def __init__(self, progress: Progress) -> None:
-        self._progress = progress
-        self.seconds: dict[str, float] = {}
-
-    def run(self, stage: str, work: Callable[[Callable[[float], None]], T]) -> T:
-        """Run one stage; its time is added to earlier runs of the same name."""
-        begin = time.perf_counter()
-        self._progress(stage, 0.0)
-        # The matrices are many and small: threads of linear algebra would only wait for each other.
-        with threadpool_limits(1):
-            result = work(lambda share: self._progress(stage, share))
-        self._progress(stage, 1.0)
-        self.seconds[stage] = self.seconds.get(stage, 0.0) + time.perf_counter() - begin
-        return result
-
 
 @dataclass(frozen=True, eq=False)
-class Rounds:
-    """What all rounds share.
+class Logs:
+    """Logs on their grids, and the choices made for them.
 
     Attributes:
-        sampled: the logs on their grids.
+        sampled: the logs.
         su_names: U SU names.
         settings: choices.
-        clock: runs the stages.
     """
 
     sampled: Sequence[Sampled]
     su_names: tuple[str, ...]
     settings: CalibrationSettings
-    clock: Clock
 
-    def with_logs(self, sampled: Sequence[Sampled]) -> Rounds:
-        """The same on mended logs."""
+    def of(self, sampled: Sequence[Sampled]) -> Logs:
+        """The same of other logs, such as mended ones or a part of them."""
         return replace(self, sampled=sampled)
 
-    def features(self, curvature: Curvature | None = None, latency: F64 | None = None) -> Features:
-        """Features of all logs, given a prediction of what lies beyond first order if any."""
-        return self.clock.run(
-            "features",
-            lambda _: extract_features(
-                self.sampled, self.su_names, curvature=curvature, latency=latency
-            ),
-        )
 
-    def structure(self, features: Features) -> tuple[Activity, KinematicTree]:
-        """Activity and tree that features show."""
-        seen = activity(features, self.settings.static_threshold)
-        return seen, ordered(kinematic_tree(seen, features), features)
+@dataclass(frozen=True, eq=False)
+class Structure:
+    """What the first features say about the structure.
 
-    def settled(self, found: Estimate, features: Features) -> tuple[Estimate, Features]:
-        """Look at the structure again where the model does not explain the data.
+    Attributes:
+        seen: activity of the SUs.
+        tree: the kinematic tree; None where the activity contradicts every tree.
+        contradiction: why there is none.
+    """
 
-        Args:
-            found: the estimate of the structure that the first features show.
-            features: its features.
+    seen: Activity
+    tree: KinematicTree | None
+    contradiction: StructureError | None = None
+
+    @property
+    def certain_tree(self) -> KinematicTree:
+        """The tree.
+
+        Raises:
+            StructureError: the activity contradicts every tree.
         """
-        best, refined = found, features
-        latest, shown, tried = best, refined, [found.tree]
-        for _ in range(2):
-            felt = set(latest.tree.joint_names)
-            seen = activity(shown, self.settings.static_threshold)
-            moved = zip(seen.dof_names, seen.excited, strict=True)
-            deaf = [name for name, excited in moved if excited and name not in felt]
-            if latest.cost_per_dof <= GOOD_FIT and not deaf and not unlike_the_rest(latest):
-                break
-            try:
-                again = ordered(kinematic_tree(seen.felt_somewhere(deaf), shown), shown)
-            except StructureError:
-                break
-            if any(alike(again, other) for other in tried):
-                break
-            again = replace(again, notes=(*again.notes, _SECOND_LOOK))
-            tried.append(again)
-            latest, shown = self.relinearised(again, features)
-            if latest.cost_per_dof < _CLEARLY_BETTER * best.cost_per_dof:
-                best, refined = latest, shown
-        return self._with_an_su_elsewhere(best, refined, features)
+        if self.tree is None:
+            raise self.contradiction or StructureError("there is no tree", "record more moves")
+        return self.tree
 
-    def _with_an_su_elsewhere(
-        self, found: Estimate, refined: Features, features: Features
-    ) -> tuple[Estimate, Features]:
-        """With an SU that does not fit one joint further out or in, where all fits then.
 
-        Gaps may leave so little of an SU that the activity of its last joint is missed.
-        """
-        odd = unlike_the_rest(found)
-        if not odd:
-            return found, refined
-        seen = activity(refined, self.settings.static_threshold)
-        for su, joint, moved in _next_to(found.tree, odd):
-            try:
-                again = ordered(kinematic_tree(seen.moved_by(su, joint, moved), refined), refined)
-                again = replace(again, notes=(*again.notes, _elsewhere(su, joint, moved)))
-                if alike(again, found.tree):
-                    continue
-                latest, shown = self.relinearised(again, features)
-            except (StructureError, InsufficientDataError):
-                continue
-            if latest.misfit <= GOOD_FIT and not unlike_the_rest(latest):
-                return latest, shown
-        return found, refined
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """An estimate with all it came from.
 
-    def relinearised(self, tree: KinematicTree, features: Features) -> tuple[Estimate, Features]:
-        """Estimate, take the features again with what the estimate predicts, until it settles."""
-        found = self.estimated(tree, features, None)
-        if len(self.sampled) > 1 and found.misfit > BAD_FIT:
-            found = self._led_by_the_first_log(found, features)
-        for again in range(self.settings.relinearisations):
-            previous = found
-            features = self.features(predicted_curvature(found, features), features.latency)
-            # Features that no start explains will have none when they change a little.
-            found = self.estimated(tree, features, previous.state, search=not again)
-            gain = previous.cost_per_dof / max(found.cost_per_dof, 1e-12)
-            settled = gain < 1.02 and found.cost_per_dof < GOOD_FIT
-            hopeless = gain < 2.0 and found.cost_per_dof > BAD_FIT
-            if _moved(previous, found) < 1e-4 or settled or hopeless:
-                break
-        return found, features
+    Attributes:
+        logs: the logs on their grids, mended where they needed it.
+        seen: activity in the first features.
+        found: the estimate.
+        features: the features it rests on.
+        faults: what was mended.
+        turns: encoders that change their sense within a log; where there are any, the estimate is
+            of no use before they are mended.
+    """
 
-    def _led_by_the_first_log(self, found: Estimate, features: Features) -> Estimate:
-        """The estimate that starts from what the first log says alone, where that explains more.
+    logs: Logs
+    seen: Activity
+    found: Estimate
+    features: Features
+    faults: tuple[Fault, ...] = ()
+    turns: tuple[Turn, ...] = ()
 
-        Starts that have to find the other logs' gravity as well may all lead astray.
-        """
-        poses = np.flatnonzero(features.log == 0)
-        if not len(poses):
-            return found
+
+def sample_logs(
+    recordings: Sequence[Recording], settings: CalibrationSettings, clock: Clock
+) -> Logs:
+    """Put recordings on their grids.
+
+    Raises:
+        InsufficientDataError: the logs lack what a calibration needs.
+    """
+    sampled, su_names = clock.run("sampling", lambda _: sampled_together(recordings))
+    return Logs(sampled, su_names, settings)
+
+
+def take_features(
+    logs: Logs, clock: Clock, curvature: Curvature | None = None, latency: F64 | None = None
+) -> Features:
+    """Features of all logs, given a prediction of what lies beyond first order if any.
+
+    Raises:
+        InsufficientDataError: no pose has a pattern around it.
+    """
+    return clock.run(
+        "features",
+        lambda _: extract_features(
+            logs.sampled, logs.su_names, curvature=curvature, latency=latency
+        ),
+    )
+
+
+def find_structure(logs: Logs, features: Features, clock: Clock) -> Structure:
+    """Activity that features show, and the tree that follows from it if there is one."""
+
+    def find() -> Structure:
+        seen = activity(features, logs.settings.static_threshold)
         try:
-            alone = self.estimated(found.tree, of_poses(features, poses), None)
-        except InsufficientDataError:
-            return found
-        later = felt_up(alone.state, found.cost, features)[1:]
-        start = replace(alone.state, up=np.concatenate([alone.state.up, later]))
-        again = self.estimated(found.tree, features, start, search=False)
-        return again if again.misfit < found.misfit else found
+            return Structure(seen, ordered(kinematic_tree(seen, features), features))
+        except StructureError as contradiction:
+            return Structure(seen, None, contradiction)
 
-    def estimated(
-        self, tree: KinematicTree, features: Features, start: State | None, *, search: bool = True
-    ) -> Estimate:
-        """An estimate from features as they are, with an earlier state as a start if any."""
-        return self.clock.run(
-            "estimation",
-            lambda _: estimate(features, tree, self.settings.estimation, start, search=search),
+    return clock.run("structure", lambda _: find())
+
+
+def estimate_robot(
+    logs: Logs, features: Features, structure: Structure, clock: Clock
+) -> Solution | None:
+    """The estimate of the structure that the first features show, and the features it settles on.
+
+    Args:
+        logs: the logs.
+        features: their first features.
+        structure: what these show.
+        clock: runs the stages.
+
+    Returns:
+        The estimate; None where there is no tree to estimate.
+
+    Raises:
+        InsufficientDataError: the logs lack what a calibration needs.
+    """
+    if structure.tree is None:
+        return None
+    found, refined = relinearise(logs, structure.tree, features, clock)
+    return Solution(logs, structure.seen, found, refined)
+
+
+def estimate_again(
+    solution: Solution, logs: Logs, faults: Sequence[Fault], clock: Clock
+) -> Solution:
+    """The same structure estimated from mended logs.
+
+    Args:
+        solution: tells the structure.
+        logs: the mended logs.
+        faults: what was mended in them.
+        clock: runs the stages.
+    """
+    found, features = relinearise(logs, solution.found.tree, take_features(logs, clock), clock)
+    return replace(
+        solution, logs=logs, found=found, features=features, faults=(*solution.faults, *faults)
+    )
+
+
+def settle(
+    logs: Logs, found: Estimate, features: Features, clock: Clock
+) -> tuple[Estimate, Features]:
+    """Look at the structure again where the model does not explain the data.
+
+    Args:
+        logs: the logs.
+        found: the estimate of the structure that the first features show.
+        features: its features.
+        clock: runs the stages.
+    """
+    best, refined = found, features
+    latest, shown, tried = best, refined, [found.tree]
+    for _ in range(2):
+        felt = set(latest.tree.joint_names)
+        seen = activity(shown, logs.settings.static_threshold)
+        moved = zip(seen.dof_names, seen.excited, strict=True)
+        deaf = [name for name, excited in moved if excited and name not in felt]
+        if latest.cost_per_dof <= GOOD_FIT and not deaf and not unlike_the_rest(latest):
+            break
+        try:
+            again = ordered(kinematic_tree(seen.felt_somewhere(deaf), shown), shown)
+        except StructureError:
+            break
+        if any(alike(again, other) for other in tried):
+            break
+        again = replace(again, notes=(*again.notes, _SECOND_LOOK))
+        tried.append(again)
+        latest, shown = relinearise(logs, again, features, clock)
+        if latest.cost_per_dof < _CLEARLY_BETTER * best.cost_per_dof:
+            best, refined = latest, shown
+    return _with_an_su_elsewhere(logs, best, refined, features, clock)
+
+
+def _with_an_su_elsewhere(
+    logs: Logs, found: Estimate, refined: Features, features: Features, clock: Clock
+) -> tuple[Estimate, Features]:
+    """With an SU that does not fit one joint further out or in, where all fits then.
+
+    Gaps may leave so little of an SU that the activity of its last joint is missed.
+    """
+    odd = unlike_the_rest(found)
+    if not odd:
+        return found, refined
+    seen = activity(refined, logs.settings.static_threshold)
+    for su, joint, moved in _next_to(found.tree, odd):
+        try:
+            again = ordered(kinematic_tree(seen.moved_by(su, joint, moved), refined), refined)
+            again = replace(again, notes=(*again.notes, _elsewhere(su, joint, moved)))
+            if alike(again, found.tree):
+                continue
+            latest, shown = relinearise(logs, again, features, clock)
+        except (StructureError, InsufficientDataError):
+            continue
+        if latest.misfit <= GOOD_FIT and not unlike_the_rest(latest):
+            return latest, shown
+    return found, refined
+
+
+def relinearise(
+    logs: Logs, tree: KinematicTree, features: Features, clock: Clock
+) -> tuple[Estimate, Features]:
+    """Estimate, take the features again with what the estimate predicts, until it settles."""
+    found = estimate_once(logs, tree, features, None, clock)
+    if len(logs.sampled) > 1 and found.misfit > BAD_FIT:
+        found = _led_by_the_first_log(logs, found, features, clock)
+    for again in range(logs.settings.relinearisations):
+        previous = found
+        features = take_features(
+            logs, clock, predicted_curvature(found, features), features.latency
         )
+        # Features that no start explains will have none when they change a little.
+        found = estimate_once(logs, tree, features, previous.state, clock, search=not again)
+        gain = previous.cost_per_dof / max(found.cost_per_dof, 1e-12)
+        settled = gain < 1.02 and found.cost_per_dof < GOOD_FIT
+        hopeless = gain < 2.0 and found.cost_per_dof > BAD_FIT
+        if _moved(previous, found) < 1e-4 or settled or hopeless:
+            break
+    return found, features
+
+
+def _led_by_the_first_log(
+    logs: Logs, found: Estimate, features: Features, clock: Clock
+) -> Estimate:
+    """The estimate that starts from what the first log says alone, where that explains more.
+
+    Starts that have to find the other logs' gravity as well may all lead astray.
+    """
+    poses = np.flatnonzero(features.log == 0)
+    if not len(poses):
+        return found
+    try:
+        alone = estimate_once(logs, found.tree, features.of_poses(poses), None, clock)
+    except InsufficientDataError:
+        return found
+    later = felt_up(alone.state, found.cost, features)[1:]
+    start = replace(alone.state, up=np.concatenate([alone.state.up, later]))
+    again = estimate_once(logs, found.tree, features, start, clock, search=False)
+    return again if again.misfit < found.misfit else found
+
+
+def estimate_once(
+    logs: Logs,
+    tree: KinematicTree,
+    features: Features,
+    start: State | None,
+    clock: Clock,
+    *,
+    search: bool = True,
+) -> Estimate:
+    """An estimate from features as they are, with an earlier state as a start if any."""
+    return clock.run(
+        "estimation",
+        lambda _: estimate(features, tree, logs.settings.estimation, start, search=search),
+    )
 
 
 _SECOND_LOOK = (

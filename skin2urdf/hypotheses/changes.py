@@ -12,12 +12,20 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from skin2urdf.arrays import F64, Bool, Int
+from skin2urdf.calibration.clock import Clock
 from skin2urdf.calibration.result import GOOD_FIT
-from skin2urdf.calibration.rounds import Rounds, alike
-from skin2urdf.errors import InsufficientDataError, StructureError
+from skin2urdf.calibration.rounds import (
+    Logs,
+    alike,
+    find_structure,
+    relinearise,
+    settle,
+    take_features,
+)
+from skin2urdf.errors import InsufficientDataError
 from skin2urdf.estimation.solve.estimate import Estimate
 from skin2urdf.faults import Fault
-from skin2urdf.hypotheses.encoder_signs import TURNED, of_poses, turned_by_pose
+from skin2urdf.hypotheses.encoder_signs import TURNED, turned_by_pose
 from skin2urdf.hypotheses.records import Turn
 from skin2urdf.hypotheses.swaps import names_in
 from skin2urdf.signals.mending import computed
@@ -37,26 +45,27 @@ class Changes:
     """What changes within logs.
 
     Attributes:
-        rounds: the logs with SUs' names exchanged back.
+        logs: the logs with SUs' names exchanged back.
         faults: the names that were, in words.
         turns: encoders that change their sense, which are still to be mended.
     """
 
-    rounds: Rounds
+    logs: Logs
     faults: tuple[Fault, ...]
     turns: tuple[Turn, ...]
 
 
-def changes_within(rounds: Rounds, found: Estimate | None) -> Changes:
+def changes_within(logs: Logs, found: Estimate | None, clock: Clock) -> Changes:
     """Look for changes in each of the logs.
 
     Args:
-        rounds: logs that no estimate explains.
+        logs: logs that no estimate explains.
         found: the estimate from them, where there is one.
+        clock: runs the stages.
     """
-    sampled, faults, turns = list(rounds.sampled), list[Fault](), list[Turn]()
-    for log, s in enumerate(rounds.sampled):
-        sound = _sound_part(replace(rounds, sampled=[s]), found)
+    sampled, faults, turns = list(logs.sampled), list[Fault](), list[Turn]()
+    for log, s in enumerate(logs.sampled):
+        sound = _sound_part(logs.of([s]), found, clock)
         if sound is None:
             continue
         known, poses = sound
@@ -69,14 +78,14 @@ def changes_within(rounds: Rounds, found: Estimate | None) -> Changes:
         exchange = _exchange(known, poses)
         if exchange is not None:
             names, called, between = exchange
-            columns = np.arange(len(rounds.su_names))
-            columns[[rounds.su_names.index(n) for n in names]] = [
-                rounds.su_names.index(n) for n in called
+            columns = np.arange(len(logs.su_names))
+            columns[[logs.su_names.index(n) for n in names]] = [
+                logs.su_names.index(n) for n in called
             ]
             sampled[log], time = _renamed_from(s, columns, between)
             where = f"from {time:.2f} s on" + (f" in log {log + 1}" if len(sampled) > 1 else "")
             faults += [_fault(n, c, where) for n, c in zip(names, called, strict=True)]
-    return Changes(replace(rounds, sampled=sampled), tuple(faults), tuple(turns))
+    return Changes(logs.of(sampled), tuple(faults), tuple(turns))
 
 
 @dataclass(frozen=True)
@@ -122,53 +131,59 @@ def _doubtful(ratio: F64) -> F64:
     return np.minimum(1.0, _ALLOWANCE / (1 + far))
 
 
-def _sound_part(alone: Rounds, found: Estimate | None) -> tuple[Estimate, Features] | None:
+def _sound_part(
+    alone: Logs, found: Estimate | None, clock: Clock
+) -> tuple[Estimate, Features] | None:
     """An estimate that explains most of a part of a log, and the log's poses in order of time.
 
     Args:
         alone: one log.
         found: an estimate from all logs; joints that change their sense leave its tree right.
+        clock: runs the stages.
     """
     s = _visited(alone.sampled[0])
-    alone = replace(alone, sampled=[s])
-    features = alone.features()
+    alone = alone.of([s])
+    features = take_features(alone, clock)
     length = np.ptp(features.span, axis=1)
     half = int(np.searchsorted(np.cumsum(length), length.sum() / 2))
     border = float(features.span[half, 1])
-    parts = [replace(alone, sampled=[_part(s, border, late)]) for late in (False, True)]
-    sound = [e for part in parts if found and (e := _explanation(part, found.tree, certain=True))]
+    sound = []
+    parts = [alone.of([_part(s, border, late)]) for late in (False, True)]
+    if found:
+        sound = [e for part in parts if (e := _explanation(part, found.tree, clock))]
     if not sound:
-        shown = [(part, tree) for part in parts if (tree := _structure(part))]
+        shown = [(part, tree) for part in parts if (tree := _structure(part, clock))]
         new = [(part, tree) for part, tree in shown if not (found and alike(tree, found.tree))]
-        sound = [e for part, tree in new if (e := _explanation(part, tree, certain=False))]
+        sound = [e for part, tree in new if (e := _explanation(part, tree, clock, certain=False))]
     if not sound:
         return None
     best, latency = min(sound, key=lambda e: e[0].cost_per_dof)
-    return best, alone.features(latency=latency)
+    return best, take_features(alone, clock, latency=latency)
 
 
-def _structure(part: Rounds) -> KinematicTree | None:
+def _structure(part: Logs, clock: Clock) -> KinematicTree | None:
     """The structure that a part of a log shows."""
     try:
-        return part.structure(part.features())[1]
-    except (InsufficientDataError, StructureError):
+        return find_structure(part, take_features(part, clock), clock).tree
+    except InsufficientDataError:
         return None
 
 
 def _explanation(
-    part: Rounds, tree: KinematicTree, *, certain: bool
+    part: Logs, tree: KinematicTree, clock: Clock, *, certain: bool = True
 ) -> tuple[Estimate, F64] | None:
     """The estimate from a part of a log and the SUs' latencies, where it explains the part.
 
     Args:
         part: the part.
         tree: its structure.
+        clock: runs the stages.
         certain: False to look at the structure again where it does not explain the part.
     """
     try:
-        found, seen = part.relinearised(tree, part.features())
+        found, seen = relinearise(part, tree, take_features(part, clock), clock)
         if not certain:
-            found, seen = part.settled(found, seen)
+            found, seen = settle(part, found, seen, clock)
     except InsufficientDataError:
         return None
     return (found, seen.latency) if found.cost_per_dof <= GOOD_FIT else None
@@ -201,7 +216,7 @@ def _exchange(
     """SUs, the names they have from some time on, and the times between which they got them."""
     names = known.tree.su_names
     P = poses.n_poses
-    called = np.array([names_in(known, of_poses(poses, np.array([p]))) for p in range(P)])
+    called = np.array([names_in(known, poses.of_poses(np.array([p]))) for p in range(P)])
     differs = np.array([list(row) != list(range(len(names))) for row in called])
     heard = np.asarray(poses.valid.any(axis=1))
     change = _Change.of(poses, differs, heard, np.ones(P))

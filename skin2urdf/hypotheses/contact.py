@@ -8,10 +8,10 @@ from dataclasses import replace
 import numpy as np
 
 from skin2urdf.arrays import F64
-from skin2urdf.calibration.rounds import predicted_curvature
+from skin2urdf.calibration.clock import Clock, Tell
+from skin2urdf.calibration.rounds import Solution, estimate_again, predicted_curvature
 from skin2urdf.estimation.solve.estimate import Estimate
 from skin2urdf.faults import Fault
-from skin2urdf.hypotheses.records import Solution
 from skin2urdf.model.prediction import Chains
 from skin2urdf.signals.contact import Disturbance, disturbances, without
 from skin2urdf.signals.records import Features
@@ -25,37 +25,45 @@ _ROUGH = 0.1
 """Relative error of what a hit does to a reading at first order."""
 
 
-def with_contacts_left_out(solution: Solution) -> Solution:
+def with_contacts_left_out(solution: Solution, clock: Clock) -> Solution:
     """The solution without the moments in which readings do not follow the joints' motion."""
-    logs = solution.rounds.sampled
+    logs = solution.logs.sampled
     for _ in range(_PASSES):
-        touched = [d for d, _ in _disturbed(solution.rounds.sampled, solution)]
+        touched = [d for d, _ in _disturbed(solution.logs.sampled, solution, clock)]
         if not touched:
             break
-        rounds = solution.rounds
-        solution = solution.again(rounds.with_logs(without(rounds.sampled, touched)), ())
-    if solution.rounds.sampled is logs:
+        calm = solution.logs.of(without(solution.logs.sampled, touched))
+        solution = estimate_again(solution, calm, (), clock)
+    if solution.logs.sampled is logs:
         return solution
     # What hit the robot shows undistorted to an estimate that does not know those moments.
     names, joints = solution.features.su_names, solution.found.tree.joint_names
     faults = [
-        _fault(d, joints[pushed], names, len(logs) > 1) for d, pushed in _disturbed(logs, solution)
+        _fault(d, joints[pushed], names, len(logs) > 1)
+        for d, pushed in _disturbed(logs, solution, clock)
     ]
     return replace(solution, faults=(*solution.faults, *faults))
 
 
-def _disturbed(sampled: Sequence[Sampled], solution: Solution) -> list[tuple[Disturbance, int]]:
+def _disturbed(
+    sampled: Sequence[Sampled], solution: Solution, clock: Clock
+) -> list[tuple[Disturbance, int]]:
     """Moments in logs that stand out from what a solution explains, and the joint that was pushed.
 
     What one SU feels alone, with others on its way from the base, happened to that SU.
     """
     found, features = solution.found, solution.features
-    out = []
-    for d in disturbances(sampled, features, predicted_curvature(found, features)):
-        joint, left = pushed_joint(d, found, features)
-        if left < _MOST_LEFT:
-            out.append((d, joint))
-    return out
+
+    def look(tell: Tell) -> list[tuple[Disturbance, int]]:
+        curvature = predicted_curvature(found, features)
+        out = []
+        for d in disturbances(sampled, features, curvature, progress=tell):
+            joint, left = pushed_joint(d, found, features)
+            if left < _MOST_LEFT:
+                out.append((d, joint))
+        return out
+
+    return clock.run("hits", look)
 
 
 def pushed_joint(touched: Disturbance, found: Estimate, features: Features) -> tuple[int, float]:

@@ -12,7 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from skin2urdf.arrays import F64, Int
+from skin2urdf.arrays import F64
 from skin2urdf.estimation.problem.blocks import feature_blocks
 from skin2urdf.estimation.problem.cost import Cost
 from skin2urdf.estimation.solve.estimate import Estimate
@@ -35,7 +35,7 @@ def reversed_encoders(first: Estimate, features: Features) -> Iterator[EncoderEr
         features: of all logs.
     """
     for log in np.unique(features.log[features.log > 0]):
-        here = of_poses(features, np.flatnonzero(features.log == log))
+        here = features.of_poses(np.flatnonzero(features.log == log))
         turned: list[str] = []
         before = now = _misfit(first, here)
         for _ in first.tree.joint_names:
@@ -87,18 +87,6 @@ def turned_by_pose(known: Estimate, features: Features) -> F64:
         tells = same + turned > _TELLS
         ratio[tells, blocks.chains.joint[u[k], i[k]]] = turned[tells] / same[tells]
     return ratio
-
-
-def of_poses(features: Features, chosen: Int) -> Features:
-    """The features of some poses of one log, as of a first one."""
-    by_pose = (
-        "q", "coefficients", "noise", "position_sd", "pull", "hidden", "omega2", "tones",
-        "products", "white", "span",
-    )  # fmt: skip
-    parts = {name: getattr(features, name)[chosen] for name in by_pose}
-    information = features.information.of_poses(chosen)
-    log = np.zeros(len(chosen), dtype=np.int64)
-    return replace(features, log=log, information=information, **parts)
 
 
 def _turned(features: Features, names: list[str]) -> Features:

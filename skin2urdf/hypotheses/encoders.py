@@ -13,16 +13,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from skin2urdf.calibration.result import BAD_FIT, GOOD_FIT, CalibrationSettings
-from skin2urdf.calibration.rounds import Clock
+from skin2urdf.calibration.clock import Clock
+from skin2urdf.calibration.result import BAD_FIT, GOOD_FIT
+from skin2urdf.calibration.rounds import Logs, Solution, Structure, estimate_once, take_features
 from skin2urdf.errors import InsufficientDataError, StructureError
 from skin2urdf.estimation.solve.estimate import Estimate
 from skin2urdf.faults import Fault
 from skin2urdf.hypotheses.contact import with_contacts_left_out
 from skin2urdf.hypotheses.encoder_signs import reversed_encoders
 from skin2urdf.hypotheses.mirrored import negated
-from skin2urdf.hypotheses.records import Solution
-from skin2urdf.hypotheses.solution import slips_after_all, solved
+from skin2urdf.hypotheses.solution import mended, slips_after_all, solved
 from skin2urdf.hypotheses.suspicions import gross_scales, suspicions
 from skin2urdf.recording.records import Recording
 from skin2urdf.signals.encoders import corrected, corrected_features, leaps, reversal
@@ -99,25 +99,43 @@ def _same_change(a: EncoderError, b: EncoderError, features: Features) -> bool:
     return not ((middle > first) & (middle < last)).any()
 
 
-def solved_with_encoders_corrected(
-    recordings: Sequence[Recording], settings: CalibrationSettings, clock: Clock
+def find_what_is_wrong(
+    encoders: Encoders, logs: Logs, structure: Structure, first: Solution | None, clock: Clock
 ) -> Solution:
+    """Find what the readings contradict, and mend it.
+
+    Args:
+        encoders: the recordings, with the leaps that their tracks show.
+        logs: the recordings without these leaps, on their grids.
+        structure: what their features show.
+        first: the estimate of that structure, where there is one.
+        clock: runs the stages.
+
+    Raises:
+        InsufficientDataError: the logs lack what a calibration needs.
+        StructureError: the SUs' activity contradicts every kinematic tree.
+    """
+    solution = mended(logs, structure, first, clock)
+    solution = with_encoders_corrected(encoders, solution, clock)
+    return with_contacts_left_out(solution, clock)
+
+
+def with_encoders_corrected(leaping: Encoders, first: Solution, clock: Clock) -> Solution:
     """Calibrate, and correct encoders as long as that explains most of what the estimate leaves.
 
     Args:
-        recordings: the logs.
-        settings: choices.
+        leaping: the recordings, with the leaps that their tracks show.
+        first: the solution for the recordings without these leaps.
         clock: runs the stages.
 
     Returns:
         The solution for the corrected logs; the first one where no encoder causes a misfit.
     """
-    leaping = Encoders.of(recordings)
-    first = solved(leaping.corrected(), settings, clock)
-    now, best = _with_signs(leaping, first)
+    settings = first.logs.settings
+    now, best = _with_signs(leaping, first, clock)
     steady = not any(fault.kind == "swapped" for fault in first.faults)
     for _ in range(_PASSES):
-        errors = _diagnosed(best, {error.dof for error in now.errors})
+        errors = _diagnosed(best, {error.dof for error in now.errors}, clock)
         if not errors:
             break
         for error in errors:
@@ -127,17 +145,19 @@ def solved_with_encoders_corrected(
         except (StructureError, InsufficientDataError):
             return replace(first, faults=(*first.faults, *_faults(leaping, first)))
     if now is not leaping and not _better(first.found, best.found):
-        now, best = leaping, slips_after_all(first)
+        now, best = leaping, slips_after_all(first, clock)
     elif now is not leaping and any(fault.kind == "loose" for fault in best.faults):
         # A slip is likelier than a slip and an encoder that jumps at the same time.
-        slipped = slips_after_all(first)
+        slipped = slips_after_all(first, clock)
         if slipped.found.misfit < _AS_GOOD * best.found.misfit:
             now, best = leaping, slipped
-    now, best = sized_by_the_fit(now, best)
+    now, best = sized_by_the_fit(now, best, clock)
     return replace(best, faults=(*best.faults, *_faults(now, best)))
 
 
-def sized_by_the_fit(encoders: Encoders, solution: Solution) -> tuple[Encoders, Solution]:
+def sized_by_the_fit(
+    encoders: Encoders, solution: Solution, clock: Clock
+) -> tuple[Encoders, Solution]:
     """Errors as large as the fit says, once it is known which encoders are wrong.
 
     Steps that look for errors end where chance could explain what they leave.
@@ -145,6 +165,7 @@ def sized_by_the_fit(encoders: Encoders, solution: Solution) -> tuple[Encoders, 
     Args:
         encoders: with the errors known.
         solution: for the corrected logs.
+        clock: runs the stages.
 
     Returns:
         Both with what is left of each error taken off the errors' sizes and the features.
@@ -160,23 +181,23 @@ def sized_by_the_fit(encoders: Encoders, solution: Solution) -> tuple[Encoders, 
             continue
         encoders = encoders.with_another(left, features)
         features = corrected_features(features, left)
-        found = solution.rounds.estimated(found.tree, features, found.state, search=False)
+        found = estimate_once(solution.logs, found.tree, features, found.state, clock, search=False)
     return encoders, replace(solution, found=found, features=features)
 
 
-def _with_signs(encoders: Encoders, first: Solution) -> tuple[Encoders, Solution]:
+def _with_signs(encoders: Encoders, first: Solution, clock: Clock) -> tuple[Encoders, Solution]:
     """With encoders turned that count the other way than in the first log, where there are any."""
     if first.turns:
-        return _with_turns(encoders, first)
+        return _with_turns(encoders, first, clock)
     count = int(first.found.count.sum())
     if len(encoders.recordings) < 2 or first.found.chi2_by_block.sum() <= GOOD_FIT * count:
         return encoders, first
-    settings, clock = first.rounds.settings, first.rounds.clock
+    settings = first.logs.settings
     try:
         alone = solved(encoders.corrected()[:1], settings, clock)
         # An encoder that counts the other way may make SUs look mirrored.
         differently = _mirrored(first) ^ _mirrored(alone)
-        features = negated(first.rounds, differently).features()
+        features = take_features(negated(first.logs, differently), clock)
         if not set(alone.found.tree.su_names) <= set(features.su_names):
             # An SU that slipped in the first log is two there.
             return encoders, first
@@ -195,7 +216,7 @@ def _mirrored(solution: Solution) -> set[str]:
     return {fault.subject for fault in solution.faults if fault.kind == "mirrored"}
 
 
-def _with_turns(encoders: Encoders, first: Solution) -> tuple[Encoders, Solution]:
+def _with_turns(encoders: Encoders, first: Solution, clock: Clock) -> tuple[Encoders, Solution]:
     """With encoders mirrored from where their sense changes in a log.
 
     A leap of the track tells when that was; else the track itself, where it turns round at once.
@@ -215,28 +236,29 @@ def _with_turns(encoders: Encoders, first: Solution) -> tuple[Encoders, Solution
         errors.append(EncoderError("sign", turn.dof, -1.0, turn.log, at))
     now = replace(encoders, errors=tuple(errors))
     try:
-        return now, solved(now.corrected(), first.rounds.settings, first.rounds.clock)
+        return now, solved(now.corrected(), first.logs.settings, clock)
     except (StructureError, InsufficientDataError):
         return encoders, first
 
 
-def _diagnosed(solution: Solution, known: set[str]) -> list[EncoderError]:
+def _diagnosed(solution: Solution, known: set[str], clock: Clock) -> list[EncoderError]:
     """Errors of encoders that explain a solution's misfit, found on its features alone.
 
     Args:
         solution: the solution.
         known: DoFs whose encoders are wrong already; what is left of their errors may be small.
+        clock: runs the stages.
     """
     hopeless = _hopeless(solution.found)
     if not hopeless and _suspect(solution.found, solution.features, known):
         # In the pose in which a joint is hit, its encoder seems to have another zero.
-        solution = with_contacts_left_out(solution)
-    rounds, found, features = solution.rounds, solution.found, solution.features
+        solution = with_contacts_left_out(solution, clock)
+    logs, found, features = solution.logs, solution.found, solution.features
     errors = list(gross_scales(found)) if hopeless else []
     for error in errors:
         features = corrected_features(features, error)
     if errors:
-        found = rounds.estimated(found.tree, features, None)
+        found = estimate_once(logs, found.tree, features, None, clock)
     for _ in range(_STEPS):
         suspect = _suspect(found, features, known)
         if suspect is None:
@@ -244,7 +266,7 @@ def _diagnosed(solution: Solution, known: set[str]) -> list[EncoderError]:
         known = {*known, suspect.dof}
         errors.append(suspect)
         features = corrected_features(features, suspect)
-        found = rounds.estimated(found.tree, features, found.state)
+        found = estimate_once(logs, found.tree, features, found.state, clock)
     return errors
 
 

@@ -8,8 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from skin2urdf.arrays import Bool
+from skin2urdf.calibration.clock import Clock
 from skin2urdf.calibration.result import BAD_FIT, GOOD_FIT
-from skin2urdf.calibration.rounds import Rounds
+from skin2urdf.calibration.rounds import Logs, relinearise, take_features
 from skin2urdf.errors import InsufficientDataError
 from skin2urdf.estimation.solve.arrow import factor
 from skin2urdf.estimation.solve.estimate import Estimate
@@ -57,13 +58,13 @@ class Parting:
     """An estimate in which SUs were taken apart.
 
     Attributes:
-        rounds: the logs in which an SU has two names.
+        logs: the logs in which an SU has two names.
         found: the estimate.
         features: its features.
         parted: the SUs.
     """
 
-    rounds: Rounds
+    logs: Logs
     found: Estimate
     features: Features
     parted: tuple[Parted, ...] = ()
@@ -74,24 +75,25 @@ class Parting:
         return [_fault(self.found, part) for part in self.parted]
 
 
-def slips_parted(rounds: Rounds, found: Estimate, features: Features) -> Parting:
+def slips_parted(logs: Logs, found: Estimate, features: Features, clock: Clock) -> Parting:
     """Take apart what slipped, one SU at a time, if that explains what the estimate leaves.
 
     Args:
-        rounds: the logs.
+        logs: the logs.
         found: an estimate.
         features: its features.
+        clock: runs the stages.
 
     Returns:
         The estimate with SUs taken apart; the given one where no slip is its misfit's cause.
     """
-    first = now = Parting(rounds, found, features)
+    first = now = Parting(logs, found, features)
     for _ in range(_MOST):
         order = np.lexsort((now.features.span[:, 0], now.features.log))
         loose = slips(now.found, order)
         if not loose:
             break
-        new = _apart(now, loose[0])
+        new = _apart(now, loose[0], clock)
         if new is None or _excess(new.found) > _MOST_LEFT * _excess(now.found):
             return first
         now = new
@@ -110,15 +112,15 @@ def _excess(found: Estimate) -> float:
     return max(float(found.chi2_by_block.sum()) - dof, float(np.sqrt(2 * dof)))
 
 
-def _apart(before: Parting, slip: Slip) -> Parting | None:
+def _apart(before: Parting, slip: Slip, clock: Clock) -> Parting | None:
     """With one more SU taken apart; None where that explains nothing."""
     features = before.features
     name = before.found.tree.su_names[slip.su]
-    earlier = _fresh(f"{name}_before", before.rounds.su_names)
+    earlier = _fresh(f"{name}_before", before.logs.su_names)
     at = _Moment.between(features, slip.before, slip.after)
     for _ in range(2):
         try:
-            rounds, found, features = _estimated(before, name, earlier, at)
+            logs, found, features = _estimated(before, name, earlier, at, clock)
         except InsufficientDataError:
             return None
         inside = _straddled(found, name, earlier, at, features)
@@ -127,8 +129,8 @@ def _apart(before: Parting, slip: Slip) -> Parting | None:
         at = inside
     if _like_an_encoder(found, name, earlier) or _small(found, name, earlier):
         return None
-    part = Parted(name, earlier, at.words(len(rounds.sampled)))
-    return Parting(rounds, found, features, (*before.parted, part))
+    part = Parted(name, earlier, at.words(len(logs.sampled)))
+    return Parting(logs, found, features, (*before.parted, part))
 
 
 def _small(found: Estimate, name: str, earlier: str) -> bool:
@@ -205,19 +207,19 @@ class _Moment:
 
 
 def _estimated(
-    before: Parting, name: str, earlier: str, at: _Moment
-) -> tuple[Rounds, Estimate, Features]:
+    before: Parting, name: str, earlier: str, at: _Moment, clock: Clock
+) -> tuple[Logs, Estimate, Features]:
     """The logs with an SU under two names, and the estimate from them."""
     tree, features = before.found.tree, before.features
-    u = before.rounds.su_names.index(name)
-    sampled = [_doubled(s, u, log, at) for log, s in enumerate(before.rounds.sampled)]
-    rounds = replace(before.rounds, sampled=sampled, su_names=(*before.rounds.su_names, earlier))
+    u = before.logs.su_names.index(name)
+    sampled = [_doubled(s, u, log, at) for log, s in enumerate(before.logs.sampled)]
+    logs = replace(before.logs, sampled=sampled, su_names=(*before.logs.su_names, earlier))
     joint = tree.su_joint[tree.su_names.index(name)]
     new_tree = replace(
         tree, su_names=(*tree.su_names, earlier), su_joint=np.append(tree.su_joint, joint)
     )
     lag = np.append(features.latency, features.latency[features.su_names.index(name)])
-    return rounds, *rounds.relinearised(new_tree, rounds.features(latency=lag))
+    return logs, *relinearise(logs, new_tree, take_features(logs, clock, latency=lag), clock)
 
 
 def _straddled(

@@ -13,8 +13,9 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from skin2urdf.arrays import F64, Int
-from skin2urdf.calibration.rounds import Rounds
-from skin2urdf.errors import InsufficientDataError, StructureError
+from skin2urdf.calibration.clock import Clock
+from skin2urdf.calibration.rounds import Logs, find_structure, relinearise, take_features
+from skin2urdf.errors import InsufficientDataError
 from skin2urdf.estimation.problem.blocks import feature_blocks
 from skin2urdf.estimation.problem.cost import Cost
 from skin2urdf.estimation.solve.estimate import Estimate
@@ -28,44 +29,48 @@ _FAR_BETTER = 10.0
 per cent: there are dozens of measurements to a pose. SUs a centimetre apart make it hundreds."""
 
 
-def names_agreeing(rounds: Rounds) -> tuple[Rounds, list[Fault]]:
+def names_agreeing(logs: Logs, clock: Clock) -> tuple[Logs, list[Fault]]:
     """Give the SUs of all logs the names that one of the logs has for them.
 
     Args:
-        rounds: the logs.
+        logs: the logs.
+        clock: runs the stages.
 
     Returns:
         The logs with names that agree, and the SUs whose names did not.
     """
-    number = [len(s.neighbourhoods) for s in rounds.sampled]
+    number = [len(s.neighbourhoods) for s in logs.sampled]
     reference = int(np.argmax(number))
-    alone = replace(rounds, sampled=[rounds.sampled[reference]])
+    alone = logs.of([logs.sampled[reference]])
     try:
-        features = alone.features()
-        found, features = alone.relinearised(alone.structure(features)[1], features)
-    except (InsufficientDataError, StructureError):
-        return rounds, []
+        features = take_features(alone, clock)
+        tree = find_structure(alone, features, clock).tree
+        if tree is None:
+            return logs, []
+        found, features = relinearise(alone, tree, features, clock)
+    except InsufficientDataError:
+        return logs, []
     names = found.tree.su_names
-    sampled, faults = list(rounds.sampled), []
-    for log, other in enumerate(rounds.sampled):
+    sampled, faults = list(logs.sampled), []
+    for log, other in enumerate(logs.sampled):
         if log == reference:
             continue
-        there = replace(rounds, sampled=[other])
+        there = logs.of([other])
         try:
-            called = names_in(found, there.features(latency=features.latency))
+            called = names_in(found, take_features(there, clock, latency=features.latency))
         except InsufficientDataError:
             continue
-        columns = np.arange(len(rounds.su_names))
+        columns = np.arange(len(logs.su_names))
         for u in np.flatnonzero(called != np.arange(len(called))):
             name, alias = names[u], names[called[u]]
-            columns[rounds.su_names.index(name)] = rounds.su_names.index(alias)
+            columns[logs.su_names.index(name)] = logs.su_names.index(alias)
             words = (
                 f"{name} of log {reference + 1} is called {alias} in log {log + 1}: the names are "
                 f"swapped; those of log {reference + 1} were used"
             )
             faults.append(Fault("swapped", name, words, "check the names of the SUs in the logs"))
         sampled[log] = _renamed(other, columns)
-    return (replace(rounds, sampled=sampled), faults) if faults else (rounds, [])
+    return (logs.of(sampled), faults) if faults else (logs, [])
 
 
 def names_in(found: Estimate, features: Features) -> Int:

@@ -16,6 +16,7 @@ from skin2urdf.calibration.result import Calibration
 from skin2urdf.estimation.uncertainty.goodness import Share
 from skin2urdf.geometry.dh import joint_placement, prismatic_placement
 from skin2urdf.report.findings import Findings, findings
+from skin2urdf.signals.records import Features
 from skin2urdf.structure.activity import Activity
 
 SCHEMA = "skin2urdf/calibration/1"
@@ -76,8 +77,8 @@ def as_document(calibration: Calibration) -> dict[str, Any]:
         },
         "activity": activity_document(calibration.activity),
         "left_out": {
-            "sus": [n for n in calibration.features.su_names if n not in tree.su_names],
-            "joints": [n for n in calibration.features.dof_names if n not in tree.joint_names],
+            "sus": [n for n in calibration.activity.su_names if n not in tree.su_names],
+            "joints": [n for n in calibration.activity.dof_names if n not in tree.joint_names],
         },
         "faults": [asdict(fault) for fault in calibration.faults],
         "notes": calibration.notes,
@@ -153,7 +154,7 @@ def _fit(calibration: Calibration, found: Findings) -> dict[str, Any]:
         "degrees_of_freedom": fit.degrees_of_freedom,
         "cost_per_dof": fit.cost_per_dof,
         "n_parameters": fit.n_parameters,
-        "n_poses": calibration.features.n_poses,
+        "n_poses": len(calibration.log_of_pose),
         "expected_su_position_mm": found.expected_position * _MM,
         "expected_su_orientation_deg": found.expected_orientation * _DEG,
         "worst_su_position_mm": found.worst_position * _MM,
@@ -171,7 +172,7 @@ def _goodness(calibration: Calibration) -> dict[str, Any]:
         {**part, "times_the_usual": times, "odd": odd}
         for part, times, odd in zip(_parts(fit.by_su), sus.times, sus.odd, strict=True)
     ]
-    judged = zip(poses.times, poses.odd, fit.patterned, calibration.features.log, strict=True)
+    judged = zip(poses.times, poses.odd, fit.patterned, calibration.log_of_pose, strict=True)
     by_pose = [
         {**part, "times_the_usual": times, "odd": odd, "pattern": pattern, "log": log}
         for part, (times, odd, pattern, log) in zip(_parts(fit.by_pose), judged, strict=True)
@@ -215,10 +216,7 @@ def _joint(calibration: Calibration, found: Findings, j: int) -> dict[str, Any]:
 
 def _su(calibration: Calibration, u: int) -> dict[str, Any]:
     """One SU: placement, uncertainty and what was found of its sensor."""
-    tree, state, features = calibration.model.tree, calibration.estimate.state, calibration.features
-    heard = features.su_names.index(tree.su_names[u])
-    noise = features.noise[:, heard]
-    noise = noise[np.isfinite(noise).all(axis=1)]
+    tree, state = calibration.model.tree, calibration.estimate.state
     return {
         "joint": _name(tree.joint_names, int(tree.su_joint[u])),
         "T_joint_su": calibration.model.T_joint_su[u],
@@ -227,6 +225,18 @@ def _su(calibration: Calibration, u: int) -> dict[str, Any]:
         "bias": state.bias[u],
         "scale": state.shape[u, :3],
         "cross_yz_xz_xy": state.shape[u, 3:],
+        **_stream(calibration.features, tree.su_names[u]),
+    }
+
+
+def _stream(features: Features | None, su: str) -> dict[str, Any]:
+    """What the features say of an SU's stream; null where there are none."""
+    if features is None:
+        return {"latency": None, "latency_sd": None, "noise": None}
+    heard = features.su_names.index(su)
+    noise = features.noise[:, heard]
+    noise = noise[np.isfinite(noise).all(axis=1)]
+    return {
         "latency": features.latency[heard],
         "latency_sd": features.latency_sd[heard],
         "noise": np.median(noise, axis=0) if len(noise) else None,

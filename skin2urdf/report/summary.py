@@ -8,6 +8,7 @@ from skin2urdf.calibration.result import Calibration
 from skin2urdf.geometry.units import MILLI_G
 from skin2urdf.report.findings import Findings, findings
 from skin2urdf.report.tables import bullets, number, span, table
+from skin2urdf.signals.records import Features
 
 _MM = 1e3
 _DEG = float(np.rad2deg(1.0))
@@ -104,8 +105,7 @@ def _sus(calibration: Calibration, found: Findings) -> list[str]:
     rows = []
     for u in np.argsort(tree.su_joint, kind="stable"):
         name, joint = tree.su_names[u], int(tree.su_joint[u])
-        heard = features.su_names.index(name)
-        known = np.isfinite(features.latency_sd[heard])
+        latency = _latency(features, name)
         rows.append(
             (
                 name,
@@ -113,7 +113,7 @@ def _sus(calibration: Calibration, found: Findings) -> list[str]:
                 number(found.su_position_sd[u] * _MM),
                 number(found.su_orientation_sd[u] * _DEG, 3),
                 number(float(np.linalg.norm(state.bias[u])) * _MG, 1),
-                number(features.latency[heard] * 1e3 if known else float("nan")),
+                number(latency * 1e3),
                 number(fit[u]),
                 calibration.observability.su_verdict[u],
             )
@@ -123,6 +123,14 @@ def _sus(calibration: Calibration, found: Findings) -> list[str]:
         "verdict",
     )  # fmt: skip
     return table(head, rows, "<<>>>>><")
+
+
+def _latency(features: Features | None, su: str) -> float:
+    """Latency of an SU [s]; NaN where nothing tells it."""
+    if features is None:
+        return float("nan")
+    heard = features.su_names.index(su)
+    return float(features.latency[heard]) if np.isfinite(features.latency_sd[heard]) else np.nan
 
 
 def _not_known(found: Findings) -> list[str]:

@@ -8,7 +8,7 @@ which hides it in each of them alone.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -89,7 +89,11 @@ class Disturbance:
 
 
 def disturbances(
-    sampled: Sequence[Sampled], features: Features, curvature: Curvature
+    sampled: Sequence[Sampled],
+    features: Features,
+    curvature: Curvature,
+    *,
+    progress: Callable[[float], None] = lambda _: None,
 ) -> tuple[Disturbance, ...]:
     """Moments that stand out from the noise around the poses.
 
@@ -97,9 +101,12 @@ def disturbances(
         sampled: the logs.
         features: their features.
         curvature: predicts what readings hold beyond first order around a pose.
+        progress: told the share of the windows that were looked at.
     """
     limit = _limit(sampled, features.n_dofs)
     out: list[Disturbance] = []
+    windows = sum(len(_bands(s)) * sum(len(p.windows) for p in s.neighbourhoods) for s in sampled)
+    done = 0
     for log, s in enumerate(sampled):
         grid = s.motion.grid
         readings = np.stack(
@@ -110,6 +117,8 @@ def disturbances(
             variance = regressor_noise(s.motion, cutoff)[0][1 + features.n_dofs :]
             taps = low_pass(cutoff, grid.rate)
             for p, begin, residual in _residuals(s, readings, features, curvature, log, taps):
+                done += 1
+                progress(done / windows)
                 own = _own_noise(residual, features.tau[p], variance)
                 pushes = _pushes(residual, features.tau[p], variance, own)
                 for a, b, at, strength in _peaks(pushes, allowance * limit, grid.rate, cutoff):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -120,6 +120,17 @@ class Features:
         for name, shape in shapes.items():
             value = np.asarray(getattr(self, name), dtype=np.float64)
             object.__setattr__(self, name, frozen(np.broadcast_to(value, shape)))
+
+    def of_poses(self, chosen: Int) -> Features:
+        """The features of some poses of one log, as of a first one."""
+        by_pose = (
+            "q", "coefficients", "noise", "position_sd", "pull", "hidden", "omega2", "tones",
+            "products", "white", "span",
+        )  # fmt: skip
+        parts = {name: getattr(self, name)[chosen] for name in by_pose}
+        information = self.information.of_poses(chosen)
+        log = np.zeros(len(chosen), dtype=np.int64)
+        return replace(self, log=log, information=information, **parts)
 
     @property
     def n_poses(self) -> int:

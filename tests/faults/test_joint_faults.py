@@ -13,9 +13,10 @@ import pytest
 from simulated import changed_joints, features_of, held_against, simulation
 
 from skin2urdf.arrays import F64
+from skin2urdf.calibration.clock import Clock
 from skin2urdf.calibration.pipeline import calibrate
 from skin2urdf.calibration.result import CalibrationSettings
-from skin2urdf.calibration.rounds import Clock
+from skin2urdf.calibration.rounds import estimate_once
 from skin2urdf.hypotheses.encoders import Encoders, _better, sized_by_the_fit
 from skin2urdf.hypotheses.solution import solved
 from skin2urdf.hypotheses.suspicions import suspicions
@@ -70,16 +71,18 @@ def test_a_jump_is_named_with_its_time_and_size(degrees: float, at: float, tmp_p
 def test_a_wrong_encoder_is_corrected_by_as_much_as_the_fit_says() -> None:
     """Also by what chance could have brought about, once it is known to be wrong."""
     r = recording()
-    solution = solved([r], CalibrationSettings(), Clock(lambda _stage, _share: None))
+    solution = solved([r], CalibrationSettings(), Clock())
     begin, size = 0.6 * r.duration, 8e-5
     q = np.array(solution.features.q)
     later = solution.features.span.mean(axis=1) >= begin
     q[later, solution.features.dof_names.index(JOINT)] += size
     features = replace(solution.features, q=q)
-    found = solution.rounds.estimated(solution.found.tree, features, solution.found.state)
+    found = estimate_once(
+        solution.logs, solution.found.tree, features, solution.found.state, Clock()
+    )
     known = Encoders([r], (EncoderError("offset", JOINT, 0.1, 0, begin),))
     disturbed = replace(solution, found=found, features=features)
-    after, mended = sized_by_the_fit(known, disturbed)
+    after, mended = sized_by_the_fit(known, disturbed, Clock())
     (error,) = after.errors
     assert error.size == pytest.approx(0.1 + size, abs=size / 2)
     np.testing.assert_allclose(mended.features.q, solution.features.q, atol=size / 2)

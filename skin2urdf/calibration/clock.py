@@ -1,0 +1,48 @@
+"""The clock of a calibration: runs stages, tells their progress and keeps their times."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import TypeVar
+
+from threadpoolctl import threadpool_limits
+
+T = TypeVar("T")
+Tell = Callable[[float], None]
+"""Called with the share of a stage that is done, in [0, 1]."""
+Progress = Callable[[str, float], None]
+"""Called with the name of a stage and the share of it that is done, in [0, 1]."""
+
+
+class Clock:
+    """Runs stages, tells progress and keeps their times.
+
+    A stage may run others: while one of them runs, its time is its own and not that of the stage
+    that called it. So all times together are the time that passed in stages.
+
+    Attributes:
+        seconds: time of each stage, of all its runs together [s].
+    """
+
+    def __init__(self, progress: Progress | None = None) -> None:
+        self._progress: Progress = progress or (lambda _stage, _share: None)
+        self._inside = [0.0]  # time of the stages that the running ones have called
+        self.seconds: dict[str, float] = {}
+
+    def run(self, stage: str, work: Callable[[Tell], T]) -> T:
+        """Run one stage; its time is added to earlier runs of the same name, failed ones too."""
+        begin = time.perf_counter()
+        self._progress(stage, 0.0)
+        self._inside.append(0.0)
+        try:
+            # The matrices are many and small: threads of linear algebra would wait for each other.
+            with threadpool_limits(1):
+                result = work(lambda share: self._progress(stage, share))
+        finally:
+            whole = time.perf_counter() - begin
+            own = whole - self._inside.pop()
+            self._inside[-1] += whole
+            self.seconds[stage] = self.seconds.get(stage, 0.0) + own
+        self._progress(stage, 1.0)
+        return result

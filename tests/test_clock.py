@@ -1,0 +1,69 @@
+"""Stages are timed without a gap and without counting anything twice, and tell how far they are."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+
+import pytest
+from calibrated import calibration, simulation
+
+from skin2urdf.calibration.clock import Clock, Tell
+from skin2urdf.calibration.pipeline import calibrate
+from skin2urdf.report.document import as_document
+from skin2urdf.report.summary import as_text
+
+
+def test_a_stage_inside_another_is_timed_once() -> None:
+    clock = Clock()
+
+    def outer(_: Tell) -> None:
+        time.sleep(0.02)
+        clock.run("inner", lambda _: time.sleep(0.05))
+        clock.run("inner", lambda _: time.sleep(0.05))
+
+    begin = time.perf_counter()
+    clock.run("outer", outer)
+    passed = time.perf_counter() - begin
+    assert sum(clock.seconds.values()) == pytest.approx(passed, abs=2e-3)
+    assert clock.seconds["inner"] >= 0.1
+    assert clock.seconds["outer"] >= 0.02
+
+
+def test_a_stage_that_fails_has_taken_its_time_all_the_same() -> None:
+    clock = Clock()
+
+    def fail(_: Tell) -> None:
+        time.sleep(0.02)
+        raise ValueError
+
+    with pytest.raises(ValueError):
+        clock.run("failing", fail)
+    clock.run("next", lambda _: time.sleep(0.02))
+    assert clock.seconds["failing"] >= 0.02
+    assert clock.seconds["next"] >= 0.02
+
+
+def test_all_time_of_a_run_lies_in_stages_and_the_search_for_hits_tells_its_progress() -> None:
+    told: list[tuple[str, float]] = []
+    recording = simulation().recording
+    begin = time.perf_counter()
+    found = calibrate(recording, progress=lambda stage, share: told.append((stage, share)))
+    passed = time.perf_counter() - begin
+    assert sum(found.seconds.values()) == pytest.approx(passed, rel=0.05)
+    shares = [share for stage, share in told if stage == "hits"]
+    assert len(set(shares)) > 3
+    assert shares[-1] == max(shares) == 1.0
+
+
+def test_a_calibration_without_regressions_around_poses_can_be_told() -> None:
+    """As of logs that hold no patterns; only what such regressions say is missing then."""
+    found = replace(calibration(), features=None)
+    with_, without = as_document(calibration()), as_document(found)
+    assert as_text(found)
+    for name, su in without["sus"].items():
+        assert su["latency"] is su["latency_sd"] is su["noise"] is None
+        assert su["T_joint_su"] == with_["sus"][name]["T_joint_su"]
+    assert {k: v for k, v in without.items() if k != "sus"} == {
+        k: v for k, v in with_.items() if k != "sus"
+    }

@@ -91,14 +91,16 @@ def turned_by_pose(known: Estimate, features: Features) -> F64:
 
 def of_poses(features: Features, chosen: Int) -> Features:
     """The features of some poses of one log, as of a first one."""
-    by_pose = (
-        "q", "coefficients", "noise", "position_sd", "pull", "hidden", "omega2", "tones",
-        "products", "white", "span",
-    )  # fmt: skip
-    parts = {name: getattr(features, name)[chosen] for name in by_pose}
-    information = features.information.of_poses(chosen)
-    log = np.zeros(len(chosen), dtype=np.int64)
-    return replace(features, log=log, information=information, **parts)
+    return replace(
+        features,
+        q=features.q[chosen],
+        log=np.zeros(len(chosen), dtype=np.int64),
+        coefficients=features.coefficients[chosen],
+        information=features.information.of_poses(chosen),
+        noise=features.noise[chosen],
+        encoders=features.encoders.of_poses(chosen),
+        span=features.span[chosen],
+    )
 
 
 def _turned(features: Features, names: list[str]) -> Features:
@@ -112,8 +114,7 @@ def _turned(features: Features, names: list[str]) -> Features:
         q=features.q * sign,
         coefficients=features.coefficients * rows[:, None],
         information=features.information.scaled(rows),
-        pull=features.pull * rows,
-        products=features.products * rows[1:] * rows[1:, None],
+        encoders=features.encoders.rescaled(sign),
     )
 
 

@@ -78,6 +78,7 @@ LAYERS: dict[str, tuple[str, ...]] = {
         "structure",
         "model",
         "estimation",
+        "calibration.settings",
         "calibration.result",
         "calibration.rounds",
     ),

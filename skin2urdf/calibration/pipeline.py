@@ -8,8 +8,9 @@ from pathlib import Path
 import numpy as np
 
 from skin2urdf.arrays import F64, Bool
-from skin2urdf.calibration.result import BAD_FIT, Calibration, CalibrationSettings, Source
+from skin2urdf.calibration.result import BAD_FIT, Calibration, Source
 from skin2urdf.calibration.rounds import Clock, Progress
+from skin2urdf.calibration.settings import CalibrationSettings
 from skin2urdf.errors import BadFitError, InsufficientDataError
 from skin2urdf.estimation.uncertainty.goodness import goodness
 from skin2urdf.estimation.uncertainty.health import health_notes, why_bad

@@ -13,8 +13,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from skin2urdf.calibration.result import BAD_FIT, GOOD_FIT, CalibrationSettings
+from skin2urdf.calibration.result import BAD_FIT, GOOD_FIT
 from skin2urdf.calibration.rounds import Clock
+from skin2urdf.calibration.settings import CalibrationSettings
 from skin2urdf.errors import InsufficientDataError, StructureError
 from skin2urdf.estimation.solve.estimate import Estimate
 from skin2urdf.faults import Fault

@@ -7,8 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from skin2urdf.calibration.result import BAD_FIT, GOOD_FIT, CalibrationSettings
+from skin2urdf.calibration.result import BAD_FIT, GOOD_FIT
 from skin2urdf.calibration.rounds import Clock, Rounds
+from skin2urdf.calibration.settings import CalibrationSettings
 from skin2urdf.errors import StructureError
 from skin2urdf.estimation.solve.estimate import Estimate
 from skin2urdf.estimation.uncertainty.health import unlike_the_rest

@@ -120,9 +120,20 @@ class Cost:
         R, p = self._pinocchio.joint_frames(blocks.q)
         R_zero, p_zero = zero_frames(R, p, blocks.q, self.tree.prismatic)
         point = Point(
-            R, p, R_zero, p_zero, joint_basis, up[blocks.log], blocks.log,
-            turn_basis(step.logs), self.tree.prismatic, T_joint_su, su_basis, bias, M,
-        )  # fmt: skip
+            R=R,
+            p=p,
+            R_zero=R_zero,
+            p_zero=p_zero,
+            joint_basis=joint_basis,
+            up=up[blocks.log],
+            log=blocks.log,
+            turns=turn_basis(step.logs),
+            prismatic=self.tree.prismatic,
+            T_joint_su=T_joint_su,
+            su_basis=su_basis,
+            bias=bias,
+            sensor=M,
+        )
         prior = np.concatenate([bias, shape], axis=1) * self._prior
         offsets = (
             T_parent_joint[:, :3, 3] / self.priors.position,

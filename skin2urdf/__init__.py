@@ -15,13 +15,14 @@ __all__ = ["Calibration", "CalibrationSettings", "__version__", "calibrate", "co
 
 if TYPE_CHECKING:
     from skin2urdf.calibration.pipeline import calibrate
-    from skin2urdf.calibration.result import Calibration, CalibrationSettings
+    from skin2urdf.calibration.result import Calibration
+    from skin2urdf.calibration.settings import CalibrationSettings
     from skin2urdf.output import save
     from skin2urdf.urdf.compare import compare
 
 _HOMES = {
     "Calibration": "skin2urdf.calibration.result",
-    "CalibrationSettings": "skin2urdf.calibration.result",
+    "CalibrationSettings": "skin2urdf.calibration.settings",
     "calibrate": "skin2urdf.calibration.pipeline",
     "compare": "skin2urdf.urdf.compare",
     "save": "skin2urdf.output",

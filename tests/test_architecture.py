@@ -36,7 +36,14 @@ LAYERS: dict[str, tuple[str, ...]] = {
     "signals": (*BASE, "recording"),
     "structure": (*BASE, "signals"),
     "model": (*BASE, "structure.records", "signals.records"),
-    "estimation": (*BASE, "model", "structure", "signals.records", "signals.information"),
+    "estimation": (
+        *BASE,
+        "model",
+        "structure",
+        "signals.records",
+        "signals.encoder_noise",
+        "signals.information",
+    ),
     "paper": (
         *BASE,
         "model",
@@ -72,6 +79,7 @@ LAYERS: dict[str, tuple[str, ...]] = {
         "model",
         "estimation",
         "calibration.clock",
+        "calibration.settings",
         "calibration.result",
         "calibration.rounds",
     ),

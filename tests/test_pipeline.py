@@ -14,7 +14,8 @@ from simulated import changed_joints, changed_sus, held_against, simulation
 
 import skin2urdf
 from skin2urdf.calibration.pipeline import calibrate
-from skin2urdf.calibration.result import Calibration, CalibrationSettings
+from skin2urdf.calibration.result import Calibration
+from skin2urdf.calibration.settings import CalibrationSettings
 from skin2urdf.errors import (
     BadFitError,
     InsufficientDataError,

@@ -18,9 +18,9 @@ from chains import judge, summary  # noqa: E402
 from chains.draw import Chain, draw  # noqa: E402
 from chains.judge import Case, Outcome, judged  # noqa: E402
 
-from skin2urdf.estimation import estimate as module  # noqa: E402
 from skin2urdf.estimation.problem.cost import Cost  # noqa: E402
 from skin2urdf.estimation.problem.state import State  # noqa: E402
+from skin2urdf.estimation.solve import estimate as module  # noqa: E402
 from skin2urdf.geometry.so3 import rotation_exp  # noqa: E402
 
 

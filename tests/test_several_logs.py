@@ -17,6 +17,7 @@ from skin2urdf.calibration.pipeline import calibrate
 from skin2urdf.calibration.result import Calibration
 from skin2urdf.errors import InsufficientDataError
 from skin2urdf.recording.records import Recording
+from skin2urdf.signals.encoder_noise import EncoderNoise
 from skin2urdf.simulation import Simulation, SimulationSettings, simulate
 from skin2urdf.simulation.robots import GivenSu, SkinLayout
 from skin2urdf.structure.unknown_positions import usable
@@ -111,7 +112,7 @@ def test_an_su_that_no_log_can_place_is_an_error_in_words() -> None:
     tree = tree_of(features)
     unknown = np.where([name == "j2" for name in features.dof_names], np.inf, 0.0)
     with pytest.raises(InsufficientDataError, match="recorded only in logs that lack") as caught:
-        usable(replace(features, position_sd=np.tile(unknown, (features.n_poses, 1))), tree)
+        usable(replace(features, encoders=EncoderNoise(position_sd=unknown)), tree)
     (name,) = (su.name for su in log().truth.sus if su.link == "link_j2")
     assert str(caught.value).startswith(f"{name}: ")
     assert "all joints" in caught.value.remedy

@@ -17,7 +17,8 @@ import numpy as np
 import skin2urdf
 from skin2urdf.arrays import F64
 from skin2urdf.calibration.pipeline import calibrate
-from skin2urdf.calibration.result import Calibration, CalibrationSettings
+from skin2urdf.calibration.result import Calibration
+from skin2urdf.calibration.settings import CalibrationSettings
 from skin2urdf.estimation.solve.estimate import EstimationSettings
 from skin2urdf.estimation.uncertainty.observability import aligned_deviations
 from skin2urdf.recording.records import Recording

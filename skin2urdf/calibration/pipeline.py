@@ -9,7 +9,7 @@ import numpy as np
 
 from skin2urdf.arrays import F64, Bool
 from skin2urdf.calibration.clock import Clock, Progress, Tell
-from skin2urdf.calibration.result import BAD_FIT, Calibration, CalibrationSettings, Source
+from skin2urdf.calibration.result import BAD_FIT, Calibration, Source
 from skin2urdf.calibration.rounds import (
     Logs,
     Solution,
@@ -19,6 +19,7 @@ from skin2urdf.calibration.rounds import (
     sample_logs,
     take_features,
 )
+from skin2urdf.calibration.settings import CalibrationSettings
 from skin2urdf.errors import BadFitError, InsufficientDataError
 from skin2urdf.estimation.solve.estimate import Estimate
 from skin2urdf.estimation.uncertainty.goodness import Goodness, goodness

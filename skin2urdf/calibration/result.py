@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 
 from skin2urdf.arrays import F64, Bool, Int, frozen
-from skin2urdf.estimation.solve.estimate import Estimate, EstimationSettings
+from skin2urdf.calibration.settings import CalibrationSettings
+from skin2urdf.estimation.solve.estimate import Estimate
 from skin2urdf.estimation.uncertainty.goodness import Goodness
 from skin2urdf.estimation.uncertainty.observability import Observability
 from skin2urdf.estimation.uncertainty.outliers import (
@@ -20,35 +21,15 @@ from skin2urdf.faults import Fault
 from skin2urdf.geometry.se3 import inverse
 from skin2urdf.model.records import KinematicModel, OpenDirection
 from skin2urdf.signals.records import Features
-from skin2urdf.structure.activity import STATIC_THRESHOLD, Activity
+from skin2urdf.structure.activity import Activity
 
 Quality = Literal["good", "fair", "bad"]
-Method = Literal["default", "paper"]
 
 GOOD_FIT = 2.0
 """Cost per degree of freedom up to which the model explains the data, and squared errors of
 predicted poses, over stated variances, up to which the stated uncertainty can be believed."""
 BAD_FIT = 50.0
 """Cost per degree of freedom beyond which no URDF is written."""
-
-
-@dataclass(frozen=True)
-class CalibrationSettings:
-    """Choices of a calibration.
-
-    Attributes:
-        method: ``default``, or ``paper`` for the paper's own estimator (Algorithm 2), which stops
-            far above the noise and is there for comparison.
-        estimation: priors, refinement, robustness.
-        static_threshold: change of a static reading that makes an SU active [m/s^2].
-        relinearisations: how often, at most, the features are taken again with the estimate's
-            prediction of what lies beyond first order.
-    """
-
-    method: Method = "default"
-    estimation: EstimationSettings = field(default_factory=EstimationSettings)
-    static_threshold: float = STATIC_THRESHOLD
-    relinearisations: int = 6
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,8 @@ import numpy as np
 
 from skin2urdf.arrays import F64
 from skin2urdf.calibration.clock import Clock
-from skin2urdf.calibration.result import BAD_FIT, GOOD_FIT, CalibrationSettings
+from skin2urdf.calibration.result import BAD_FIT, GOOD_FIT
+from skin2urdf.calibration.settings import CalibrationSettings
 from skin2urdf.errors import InsufficientDataError, StructureError
 from skin2urdf.estimation.problem.state import State
 from skin2urdf.estimation.solve.estimate import Estimate, estimate

@@ -19,7 +19,7 @@ from skin2urdf.files import check_target, write_atomically
 from skin2urdf.geometry.units import GRAVITY, MILLI_G
 
 if TYPE_CHECKING:
-    from skin2urdf.calibration.result import CalibrationSettings
+    from skin2urdf.calibration.settings import CalibrationSettings
     from skin2urdf.simulation import SimulationSettings
 
 _INTERRUPTED = 130
@@ -106,7 +106,7 @@ def _calibration_settings(options: argparse.Namespace) -> CalibrationSettings:
     _at_least(options, "threshold", 1e-3)
     if "bias" in given:
         given["bias"] *= MILLI_G
-    from skin2urdf.calibration.result import CalibrationSettings
+    from skin2urdf.calibration.settings import CalibrationSettings
     from skin2urdf.estimation.problem.cost import Priors
     from skin2urdf.estimation.solve.estimate import EstimationSettings
 

@@ -100,8 +100,7 @@ def _turned(features: Features, names: list[str]) -> Features:
         q=features.q * sign,
         coefficients=features.coefficients * rows[:, None],
         information=features.information.scaled(rows),
-        pull=features.pull * rows,
-        products=features.products * rows[1:] * rows[1:, None],
+        encoders=features.encoders.rescaled(sign),
     )
 
 

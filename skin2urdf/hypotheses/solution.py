@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from skin2urdf.calibration.clock import Clock
-from skin2urdf.calibration.result import BAD_FIT, GOOD_FIT, CalibrationSettings
+from skin2urdf.calibration.result import BAD_FIT, GOOD_FIT
 from skin2urdf.calibration.rounds import (
     Logs,
     Solution,
@@ -21,6 +21,7 @@ from skin2urdf.calibration.rounds import (
     settle,
     take_features,
 )
+from skin2urdf.calibration.settings import CalibrationSettings
 from skin2urdf.errors import StructureError
 from skin2urdf.estimation.solve.estimate import Estimate
 from skin2urdf.estimation.uncertainty.health import unlike_the_rest

@@ -11,6 +11,7 @@ from skin2urdf.arrays import Int
 from skin2urdf.report.document import activity_document, to_plain
 from skin2urdf.report.tables import bullets, table
 from skin2urdf.structure.activity import Activity
+from skin2urdf.structure.ordering import Ordering
 from skin2urdf.structure.records import KinematicTree
 from skin2urdf.survey import Explored
 
@@ -71,7 +72,7 @@ def _order(seen: Activity, tree: KinematicTree | None) -> tuple[Int, Int]:
     if tree is None:
         columns = np.argsort(-seen.matrix.sum(axis=0), kind="stable")
         return np.argsort(seen.matrix.sum(axis=1), kind="stable"), columns
-    inside = [seen.dof_names.index(name) for name in tree.joint_names]
+    inside = Ordering.of(tree, seen).dof.tolist()
     columns = np.array([*inside, *(d for d in dofs if d not in inside)], dtype=np.int64)
     joint = dict(zip(tree.su_names, map(int, tree.su_joint), strict=True))
     last = [joint.get(name, tree.n_joints) for name in seen.su_names]

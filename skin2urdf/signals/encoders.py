@@ -125,15 +125,10 @@ def corrected_features(features: Features, error: EncoderError) -> Features:
         return replace(features, q=features.q - error.size * (later[:, None] & at))
     scale = np.where(at, error.size, 1.0)
     rows = np.concatenate([[1.0], scale, scale])
-    both = rows[1:]
     return replace(
         features,
         q=features.q / scale,
         coefficients=features.coefficients * rows[:, None],
         information=features.information.scaled(1 / rows),
-        position_sd=features.position_sd / scale,
-        pull=features.pull * rows,
-        hidden=features.hidden * (scale[:, None] / scale) ** 2,
-        products=features.products / both / both[:, None],
-        white=features.white / scale**2,
+        encoders=features.encoders.rescaled(scale),
     )

@@ -11,6 +11,7 @@ import numpy as np
 from skin2urdf.arrays import F64, Bool
 from skin2urdf.errors import InsufficientDataError
 from skin2urdf.faults import distinct
+from skin2urdf.signals.encoder_noise import EncoderNoise
 from skin2urdf.signals.filters import eroded, filtered, low_pass, noise_bandwidth, shifted
 from skin2urdf.signals.information import Information
 from skin2urdf.signals.motion import Motion
@@ -81,13 +82,7 @@ def extract_features(
         coefficients=np.array([p.fit.coefficients for p in poses]),
         information=Information.joined([p.fit.information for p in poses]),
         noise=np.array([p.fit.noise for p in poses]),
-        position_sd=np.array([p.offset for p in poses]),
-        pull=np.array([p.pull for p in poses]),
-        hidden=np.array([p.hidden for p in poses]),
-        omega2=np.array([p.omega2 for p in poses]),
-        tones=np.array([p.tones for p in poses]),
-        products=np.array([p.products for p in poses]),
-        white=np.array([p.white for p in poses]),
+        encoders=EncoderNoise.joined([p.encoders for p in poses]),
         span=np.array([p.span for p in poses]),
         latency=lag,
         latency_sd=np.hypot(lag_sd, _clock_error(sampled)),
@@ -102,13 +97,7 @@ class _Pose:
     q: F64
     log: int
     fit: PoseFit
-    offset: F64
-    pull: F64
-    hidden: F64
-    omega2: F64
-    tones: F64
-    products: F64
-    white: F64
+    encoders: EncoderNoise
     span: tuple[float, float]
 
 
@@ -158,7 +147,16 @@ def _poses(s: Sampled, lag: F64, curvature: Curvature | None, log: int) -> list[
         )
         squares = tones(qdd, rate / every, s.cutoff)
         moved = qdd * (squares[:, 0] > 0)
-        pattern = squares, independence * pattern_products(dq, moved)
+        hidden, omega2 = hidden_motion(dq, qdd, motion.resolution)
+        encoders = EncoderNoise(
+            position_sd=offset,
+            pull=rest_pull(excited(X, noise[0]), moving),
+            hidden=hidden,
+            omega2=omega2,
+            tones=squares,
+            products=independence * pattern_products(dq, moved),
+            white=white,
+        )
         ok = np.concatenate(usable)
         found = pose_fit(
             Samples(
@@ -169,11 +167,13 @@ def _poses(s: Sampled, lag: F64, curvature: Curvature | None, log: int) -> list[
         measured = _measured(ok, np.concatenate(lost))
         out.append(
             _Pose(
-                pose.q, log, replace(found, noise=found.noise / measured), offset,
-                rest_pull(excited(X, noise[0]), moving),
-                *hidden_motion(dq, qdd, motion.resolution), *pattern, white, pose.span(motion.grid),
+                q=pose.q,
+                log=log,
+                fit=replace(found, noise=found.noise / measured),
+                encoders=encoders,
+                span=pose.span(motion.grid),
             )
-        )  # fmt: skip
+        )
     return [p for p in out if np.isfinite(p.fit.noise).any()]
 
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from skin2urdf.arrays import F64, Bool, Int, frozen
 from skin2urdf.faults import Fault
+from skin2urdf.signals.encoder_noise import EncoderNoise
 from skin2urdf.signals.information import Information
 
 
@@ -60,21 +61,7 @@ class Features:
             coefficients' covariance per axis is ``noise**2 * pinv(information)``.
         noise: (P, U, 3) standard deviation of one independent sample per axis [m/s^2];
             infinite where an SU has no samples around a pose.
-        position_sd: (P, D) standard deviation of the reference positions: encoders at rest are off
-            by a constant up to half a step; infinite for joints that a log lacks [rad or m].
-        pull: (P, D, n) what a change of the readings during the rests of joint d does to all
-            coefficients, per its mean over the pose's samples: 1 to f0 and 0 to the others where
-            the joint only rests.
-        hidden: (P, D, D) mean square motion of joint e that its encoder rounds away in step with
-            the pattern of DoF d, per mean square acceleration of d, at [d, e].
-        omega2: (P, D) squared angular frequency of each DoF's pattern; 0 where it has none
-            [rad^2/s^2].
-        tones: (P, D, 2) squared angular frequencies of two tones that stand for each DoF's pattern
-            [rad^2/s^2].
-        products: (P, 2 D, 2 D) products of the DoFs' positions and accelerations while their
-            patterns run, summed over independent samples; 0 for DoFs without a pattern.
-        white: (P, D, D) variance of the noise of joint e's encoder in an independent sample while
-            the pattern of DoF d runs, at [d, e]; ``noise`` contains it, and SUs share it.
+        encoders: what the encoders get wrong around each pose; nothing where not given.
         span: (P, 2) begin of the first and end of the last interval around each pose, on the clock
             of its log [s].
         latency: (U,) time by which each SU's stamps lag the joints' [s].
@@ -94,13 +81,7 @@ class Features:
     latency: F64
     latency_sd: F64
     moves: StaticMoves
-    position_sd: F64 = field(default_factory=lambda: np.zeros(()))
-    pull: F64 = field(default_factory=lambda: np.zeros(()))
-    hidden: F64 = field(default_factory=lambda: np.zeros(()))
-    omega2: F64 = field(default_factory=lambda: np.zeros(()))
-    tones: F64 = field(default_factory=lambda: np.zeros(()))
-    products: F64 = field(default_factory=lambda: np.zeros(()))
-    white: F64 = field(default_factory=lambda: np.zeros(()))
+    encoders: EncoderNoise = field(default_factory=EncoderNoise)
     span: F64 = field(default_factory=lambda: np.zeros(()))
     notes: tuple[str, ...] = field(default=())
     faults: tuple[Fault, ...] = field(default=())
@@ -110,16 +91,8 @@ class Features:
             object.__setattr__(self, name, frozen(getattr(self, name)))
         object.__setattr__(self, "log", frozen(self.log, np.int64))
         P, D = self.q.shape
-        if not self.pull.ndim:
-            object.__setattr__(self, "pull", np.eye(1 + 2 * D)[0])
-        shapes = {
-            "pull": (P, D, 1 + 2 * D),
-            "position_sd": (P, D), "hidden": (P, D, D), "omega2": (P, D), "tones": (P, D, 2),
-            "products": (P, 2 * D, 2 * D), "white": (P, D, D), "span": (P, 2),
-        }  # fmt: skip
-        for name, shape in shapes.items():
-            value = np.asarray(getattr(self, name), dtype=np.float64)
-            object.__setattr__(self, name, frozen(np.broadcast_to(value, shape)))
+        object.__setattr__(self, "encoders", self.encoders.of_size(P, D))
+        object.__setattr__(self, "span", frozen(np.broadcast_to(self.span, (P, 2))))
 
     def of_poses(self, chosen: Int) -> Features:
         """The features of some poses of one log, as of a first one."""

@@ -169,9 +169,14 @@ def activity(features: Features, threshold: float = STATIC_THRESHOLD) -> Activit
     dynamic = np.minimum(significance, effect / (_SMALLEST_EFFECT + doubt))
     dynamic[~patterned] = np.nan
     return Activity(
-        features.su_names, features.dof_names, static, dynamic, static_doubt, excited,
-        np.asarray(finite.any(axis=0)),
-    )  # fmt: skip
+        su_names=features.su_names,
+        dof_names=features.dof_names,
+        static=static,
+        dynamic=dynamic,
+        static_doubt=static_doubt,
+        excited=excited,
+        heard=np.asarray(finite.any(axis=0)),
+    )
 
 
 def _largest_other(effect: F64) -> F64:

@@ -14,6 +14,7 @@ import numpy as np
 from skin2urdf.arrays import Bool
 from skin2urdf.errors import InsufficientDataError
 from skin2urdf.signals.records import Features
+from skin2urdf.structure.ordering import Ordering
 from skin2urdf.structure.records import KinematicTree
 
 
@@ -24,18 +25,18 @@ def usable(features: Features, tree: KinematicTree) -> Bool:
     turned by the log's gravity: the group with most SUs that no other log holds, then the largest.
 
     Args:
-        features: the measurements; unknown positions have an infinite ``position_sd``.
+        features: the measurements; unknown positions have an infinite deviation.
         tree: the structure, with names as in the features.
 
     Raises:
         InsufficientDataError: nothing is left of an SU.
     """
-    columns = [features.dof_names.index(name) for name in tree.joint_names]
-    known = np.isfinite(features.position_sd[:, columns])
+    order = Ordering.of(tree, features)
+    known = np.isfinite(features.encoders.position_sd[:, order.dof])
     use = np.ones((features.n_poses, tree.n_sus), dtype=bool)
     if known.all():
         return use
-    heard = features.valid[:, [features.su_names.index(name) for name in tree.su_names]]
+    heard = features.valid[:, order.su]
     for log in np.unique(features.log[~known.all(axis=1)]):
         mine = features.log == log
         elsewhere = heard[~mine].any(axis=0)
@@ -66,8 +67,7 @@ def unknown_position_notes(features: Features, tree: KinematicTree) -> list[str]
     """Words about logs that lack positions, and about the SUs that are not used from them."""
     use = usable(features, tree)
     groups: dict[tuple[int, ...], list[str]] = defaultdict(list)
-    columns = [features.su_names.index(name) for name in tree.su_names]
-    lost = features.valid[:, columns] & ~use
+    lost = features.valid[:, Ordering.of(tree, features).su] & ~use
     for u, name in enumerate(tree.su_names):
         logs = tuple(int(log) for log in np.unique(features.log[lost[:, u]]))
         if logs:

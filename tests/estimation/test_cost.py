@@ -108,11 +108,7 @@ def form(equations: NormalEquations, step: Step) -> float:
 def test_normal_equations_are_the_squares_of_the_jacobian(problem: tuple[Cost, State]) -> None:
     cost, state = problem
     here = cost.at(state)
-    equations, gradient = here.normal_equations(), here.gradient()
-    n = gradient.joints.size + gradient.logs.size
-    scale = abs(gradient.flat()).max()
-    np.testing.assert_allclose(equations.joint_gradient, gradient.flat()[:n], atol=1e-9 * scale)
-    np.testing.assert_allclose(equations.su_gradient, gradient.sus, atol=1e-9 * scale)
+    equations = here.normal_equations()
     for step in directions(cost, 4):
         residual, prior = jacobian_along(cost, state, cost.zero_step(), step)
         square = float(np.vdot(residual, residual) + np.vdot(prior, prior))

@@ -121,8 +121,8 @@ def test_an_su_on_the_base_shows_gravity_and_no_more(
 
 def test_an_sus_offset_along_axis_1_takes_the_shortest_way() -> None:
     estimated, _ = found(robot(1, 0.6), 1)
-    # The truth is 0.1 m off; a weak prior pulls to the nearest place.
-    assert abs(estimated.state.T_joint_su[1, 2, 3]) < 0.02
+    # The truth is 0.1 m off; a weak prior pulls to the nearest place, until that gains no more.
+    assert abs(estimated.state.T_joint_su[1, 2, 3]) < 0.03
 
 
 def test_little_data_is_weak_or_unknown_and_said_so() -> None:

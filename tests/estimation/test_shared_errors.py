@@ -17,13 +17,14 @@ from skin2urdf.estimation.uncertainty.shared_errors import with_shared_errors
 def _only_in_pose(cost: Cost, pose: int) -> Cost:
     """The cost with encoder errors in one pose alone."""
     at = np.arange(len(cost.blocks.q)) == pose
-    blocks = replace(
-        cost.blocks,
-        position_sd=cost.blocks.position_sd * at[:, None],
-        hidden=cost.blocks.hidden * at[:, None, None],
-        white=cost.blocks.white * 0.0,
+    all_of_them = cost.blocks.encoders
+    encoders = replace(
+        all_of_them,
+        position_sd=all_of_them.position_sd * at[:, None],
+        hidden=all_of_them.hidden * at[:, None, None],
+        white=all_of_them.white * 0.0,
     )
-    return Cost(cost.tree, blocks, cost.priors)
+    return Cost(cost.tree, replace(cost.blocks, encoders=encoders), cost.priors)
 
 
 def _plain(cost: Cost) -> ArrowCovariance:
@@ -44,7 +45,7 @@ def test_the_covariance_is_that_of_disturbed_targets() -> None:
     state = calibration().estimate.state
     before = _plain(_only_in_pose(calibration().estimate.cost, -1))
     cost = _only_in_pose(calibration().estimate.cost, 1)
-    blocks = cost.blocks
+    blocks, encoders = cost.blocks, cost.blocks.encoders
     Y = cost.at(state).kin.features()[1]
     L, U, J = blocks.chains.joint.shape[1], len(blocks.su_joint), len(before.joint)
     zero = cost.at(state).gradient().flat()
@@ -61,7 +62,7 @@ def test_the_covariance_is_that_of_disturbed_targets() -> None:
     extra = np.zeros_like(dense)
     for e in range(D):
         for d in range(-1, D):
-            sd = blocks.position_sd[1, e] if d < 0 else np.sqrt(blocks.hidden[1, d, e])
+            sd = encoders.position_sd[1, e] if d < 0 else np.sqrt(encoders.hidden[1, d, e])
             shared = np.zeros_like(Y)
             for u in range(U):
                 chain = list(blocks.chains.joint[u, : blocks.chains.length[u]])
@@ -71,7 +72,7 @@ def test_the_covariance_is_that_of_disturbed_targets() -> None:
                 if d < 0:
                     shared[u] = sd * blocks.pull[1, u, i][:, None] * Y[u, 1 + i]
                 else:
-                    effect = Y[u, 1 + i] - blocks.omega2[1, d] * Y[u, 1 + L + i]
+                    effect = Y[u, 1 + i] - encoders.omega2[1, d] * Y[u, 1 + L + i]
                     shared[u, 1 + L + chain.index(d)] = sd * effect
             if not shared.any():
                 continue
@@ -97,14 +98,17 @@ def test_what_is_rounded_away_is_the_same_where_a_joint_comes_back() -> None:
     estimate = calibration().estimate
     state, blocks, joint = estimate.state, estimate.cost.blocks, 0
     before = _plain(_only_in_pose(estimate.cost, -1))
-    rests = np.flatnonzero((blocks.position_sd > 0)[:, joint])[:3]
-    sd, q = np.zeros_like(blocks.position_sd), np.array(blocks.q)
+    rests = np.flatnonzero((blocks.encoders.position_sd > 0)[:, joint])[:3]
+    sd, q = np.zeros_like(blocks.encoders.position_sd), np.array(blocks.q)
     sd[rests, joint] = 1e-4
     q[rests, joint] += [0.3 - q[rests[0], joint], 0.3 + 1e-6 - q[rests[1], joint], 0.1]
-    nothing = np.zeros_like
-    blocks = replace(
-        blocks, q=q, position_sd=sd, hidden=nothing(blocks.hidden), white=nothing(blocks.white)
+    encoders = replace(
+        blocks.encoders,
+        position_sd=sd,
+        hidden=np.zeros_like(blocks.encoders.hidden),
+        white=np.zeros_like(blocks.encoders.white),
     )
+    blocks = replace(blocks, q=q, encoders=encoders)
     cost = Cost(estimate.tree, blocks, estimate.cost.priors)
     here = cost.at(state)
     Y, zero = here.kin.features(), here.gradient().flat()
@@ -161,14 +165,17 @@ def test_noise_of_encoders_is_that_of_disturbed_samples() -> None:
         W[pose, u, 0, 0] = np.sqrt(n)
         W[pose, u][np.ix_(rows[u], rows[u])] = np.linalg.cholesky(columns[u].T @ columns[u]).T
     at = np.arange(len(blocks.q)) == pose
-    white = np.zeros_like(blocks.white)
+    white = np.zeros_like(blocks.encoders.white)
     white[pose] = np.square(1e-5 * (1.0 + np.arange(D)))
-    nothing = np.zeros_like
-    blocks = replace(
-        blocks, W=W, white=white, products=(X.T @ X) * at[:, None, None],
-        tones=np.tile(omega2.T, (len(at), 1, 1)), hidden=nothing(blocks.hidden),
-        position_sd=nothing(blocks.position_sd),
-    )  # fmt: skip
+    encoders = replace(
+        blocks.encoders,
+        white=white,
+        products=(X.T @ X) * at[:, None, None],
+        tones=np.tile(omega2.T, (len(at), 1, 1)),
+        hidden=np.zeros_like(blocks.encoders.hidden),
+        position_sd=np.zeros_like(blocks.encoders.position_sd),
+    )
+    blocks = replace(blocks, W=W, encoders=encoders)
     cost = Cost(estimate.tree, blocks, estimate.cost.priors)
     here = cost.at(state)
     Y, zero, dense = here.kin.features()[pose], here.gradient().flat(), before.dense()

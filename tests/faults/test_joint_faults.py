@@ -15,8 +15,8 @@ from simulated import changed_joints, features_of, held_against, simulation
 from skin2urdf.arrays import F64
 from skin2urdf.calibration.clock import Clock
 from skin2urdf.calibration.pipeline import calibrate
-from skin2urdf.calibration.result import CalibrationSettings
 from skin2urdf.calibration.rounds import estimate_once
+from skin2urdf.calibration.settings import CalibrationSettings
 from skin2urdf.hypotheses.encoders import Encoders, _better, sized_by_the_fit
 from skin2urdf.hypotheses.solution import solved
 from skin2urdf.hypotheses.suspicions import suspicions

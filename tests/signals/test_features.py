@@ -21,6 +21,7 @@ from skin2urdf.arrays import F64
 from skin2urdf.calibration.pipeline import calibrate
 from skin2urdf.errors import InsufficientDataError
 from skin2urdf.recording.records import JointStream, SuStream
+from skin2urdf.signals.encoder_noise import EncoderNoise
 from skin2urdf.signals.features import extract_features
 from skin2urdf.signals.records import Features
 from skin2urdf.simulation import Simulation
@@ -44,7 +45,7 @@ def errors(sim: Simulation, features: Features) -> tuple[F64, F64, F64]:
     covariance = np.einsum("puii->pui", np.linalg.pinv(unit, rcond=1e-9, hermitian=True)) * scale**2
     variance = covariance[..., None] * features.noise[:, :, None] ** 2
     slope2 = truth[:, :, 1 : 1 + D] ** 2
-    variance[:, :, 0] += np.einsum("pudi,pd->pui", slope2, features.position_sd**2)
+    variance[:, :, 0] += np.einsum("pudi,pd->pui", slope2, features.encoders.position_sd**2)
     measured = features.information.diagonal() > 0
     return features.coefficients - truth, np.sqrt(variance), measured
 
@@ -82,9 +83,9 @@ def test_gravity_allows_for_what_coarse_encoders_hide_at_rest() -> None:
     sim = simulation("panda", encoder_bits=12)
     features = calibrate(sim.recording).features
     step = 2 * np.pi / 2**12
-    assert 0.1 * step < features.position_sd.mean() <= step
+    assert 0.1 * step < features.encoders.position_sd.mean() <= step
     error, sd, measured = errors(sim, features)
-    bare = errors(sim, replace(features, position_sd=np.zeros(())))[1]
+    bare = errors(sim, replace(features, encoders=EncoderNoise()))[1]
     # The size that 68 % of the errors stay within.
     told, untold = (
         np.quantile(abs(of_kind(error / np.maximum(d, 1e-9), measured, "f0")), 0.68)

@@ -8,7 +8,9 @@ import numpy as np
 
 from skin2urdf.arrays import F64, Int, frozen
 from skin2urdf.model.prediction import Chains
+from skin2urdf.signals.encoder_noise import EncoderNoise
 from skin2urdf.signals.records import Features
+from skin2urdf.structure.ordering import Ordering
 from skin2urdf.structure.records import KinematicTree
 from skin2urdf.structure.unknown_positions import usable
 
@@ -31,18 +33,10 @@ class FeatureBlocks:
         count: (P, U) number of independent scalar measurements in each block.
         coefficients: (P, U, m, 3) measured coefficients given that only the chain moves the SU.
         variance: (P, U, m) their variances, per unit ``noise**2``; infinite where unexcited.
-        position_sd: (P, D) standard deviation of the joints' positions at rest [rad or m].
+        encoders: what the encoders get wrong, in the tree's joint order; its errors at rest and
+            what it hides are part of ``W``, its white noise is part of ``noise``.
         pull: (P, U, L, m) what an error of an SU's readings during the rests of a joint of its
-            chain does to the coefficients, per its mean; part of ``W``, like the above and the
-            next.
-        hidden: (P, D, D) mean square motion of joint e that its encoder rounds away, per
-            acceleration of joint d, at [d, e]; part of ``W``, like the above.
-        omega2: (P, D) squared angular frequency of each joint's pattern [rad^2/s^2].
-        tones: (P, D, 2) squared angular frequencies of two tones that stand for the pattern.
-        products: (P, 2 D, 2 D) products of the joints' positions and accelerations in patterns,
-            summed over independent samples.
-        white: (P, D, D) variance of the noise of joint e's encoder while the pattern of d runs, at
-            [d, e]; part of ``noise``.
+            chain does to the coefficients, per its mean, given that only the chain moves the SU.
     """
 
     chains: Chains
@@ -55,18 +49,11 @@ class FeatureBlocks:
     count: Int
     coefficients: F64
     variance: F64
-    position_sd: F64
+    encoders: EncoderNoise
     pull: F64
-    hidden: F64
-    omega2: F64
-    tones: F64
-    products: F64
-    white: F64
 
     def __post_init__(self) -> None:
-        measured = ("q", "W", "target", "noise", "coefficients", "variance")
-        encoders = ("position_sd", "pull", "hidden", "omega2", "tones", "products", "white")
-        for name in (*measured, *encoders):
+        for name in ("q", "W", "target", "noise", "coefficients", "variance", "pull"):
             object.__setattr__(self, name, frozen(getattr(self, name)))
         for name in ("su_joint", "log", "count"):
             object.__setattr__(self, name, frozen(getattr(self, name), np.int64))
@@ -172,8 +159,9 @@ def feature_blocks(features: Features, tree: KinematicTree) -> FeatureBlocks:
     without that DoF's columns, from the stored products alone.
     """
     chains = Chains.of(tree)
-    dof = np.array([features.dof_names.index(n) for n in tree.joint_names], dtype=np.int64)
-    su = np.array([features.su_names.index(n) for n in tree.su_names], dtype=np.int64)
+    order = Ordering.of(tree, features)
+    dof, su = order.dof, order.su
+    encoders = features.encoders.of_dofs(dof).with_unknown_positions_at_rest()
     P, U, D = features.n_poses, len(su), features.n_dofs
     m = chains.n_rows
     W = np.zeros((P, U, m, m))
@@ -184,25 +172,24 @@ def feature_blocks(features: Features, tree: KinematicTree) -> FeatureBlocks:
     L = chains.joint.shape[1]
     valid = features.valid[:, su] & usable(features, tree)
     noise = np.where(valid[..., None], features.noise[:, su], np.inf)
-    position_sd = np.where(np.isfinite(features.position_sd), features.position_sd, 0.0)
     products = features.information.times(features.coefficients)
     for length in np.unique(chains.length):
         us = np.flatnonzero(chains.length == length)
-        own = dof[chains.joint[us, :length]]
-        rows = rows_of(own, D)
+        own = chains.joint[us, :length]
+        rows = rows_of(dof[own], D)
         to = np.r_[0, 1 : 1 + length, 1 + L : 1 + L + length]
         eta = products[:, su[us, None], rows] * valid[:, us, None, None]
         info = features.information.block(su[us], rows) * valid[:, us, None, None]
         measured = features.coefficients[:, su[us, None], rows]
         # What it does to all coefficients, given that those of other joints are 0.
-        everywhere = np.swapaxes(features.pull[:, own], -1, -2)
+        everywhere = np.swapaxes(features.encoders.pull[:, dof[own]], -1, -2)
         onto = features.information.of_sus(su[us]).times(everywhere)
         onto = np.take_along_axis(onto, rows[None, :, :, None], axis=2) * valid[:, us, None, None]
         along = np.swapaxes(_solved(info, onto), -1, -2)
         pull[:, us[:, None, None], np.arange(length)[:, None], to] = along
-        info, eta = _blurred(info, eta, measured, noise[:, us], position_sd[:, own], along)
-        hidden = features.hidden[:, own[:, :, None], own[:, None, :]]
-        info, eta = _leaked(info, eta, measured, noise[:, us], hidden, features.omega2[:, own])
+        info, eta = _blurred(info, eta, measured, noise[:, us], encoders.position_sd[:, own], along)
+        hidden = encoders.hidden[:, own[:, :, None], own[:, None, :]]
+        info, eta = _leaked(info, eta, measured, noise[:, us], hidden, encoders.omega2[:, own])
         scale = np.sqrt(np.maximum(np.einsum("puii->pui", info), 0.0))
         inverse_scale = np.divide(1.0, scale, out=np.zeros_like(scale), where=scale > 0)
         lam, V = np.linalg.eigh(info * inverse_scale[..., :, None] * inverse_scale[..., None, :])
@@ -220,11 +207,17 @@ def feature_blocks(features: Features, tree: KinematicTree) -> FeatureBlocks:
         spread = np.einsum("puij,puij->pui", unwhite, unwhite)
         variance[:, us[:, None], to] = np.where(seen & (scale > 0), spread, np.inf)
         count[:, us] = 3 * excited.sum(axis=-1)
-    both = np.concatenate([dof, D + dof])
     return FeatureBlocks(
-        chains, tree.su_joint, features.q[:, dof], features.log, W, target,
-        noise, count, coefficients, variance,
-        position_sd[:, dof], pull, features.hidden[:, dof[:, None], dof], features.omega2[:, dof],
-        features.tones[:, dof], features.products[:, both[:, None], both],
-        features.white[:, dof[:, None], dof],
-    )  # fmt: skip
+        chains=chains,
+        su_joint=tree.su_joint,
+        q=features.q[:, dof],
+        log=features.log,
+        W=W,
+        target=target,
+        noise=noise,
+        count=count,
+        coefficients=coefficients,
+        variance=variance,
+        encoders=encoders,
+        pull=pull,
+    )

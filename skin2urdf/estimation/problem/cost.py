@@ -68,17 +68,13 @@ class NormalEquations:
 
     Attributes:
         joint: (J, J) information of the joint and log coordinates.
-        joint_gradient: (J,).
         su: (U, 15, 15) information of each SU's coordinates.
-        su_gradient: (U, 15).
         mixed: (U, 15, C) coupling of an SU with the joint coordinates ``columns``.
         columns: (U, C) indices into the joint part; padded entries couple with zero.
     """
 
     joint: F64
-    joint_gradient: F64
     su: F64
-    su_gradient: F64
     mixed: F64
     columns: Int
 
@@ -124,9 +120,20 @@ class Cost:
         R, p = self._pinocchio.joint_frames(blocks.q)
         R_zero, p_zero = zero_frames(R, p, blocks.q, self.tree.prismatic)
         point = Point(
-            R, p, R_zero, p_zero, joint_basis, up[blocks.log], blocks.log,
-            turn_basis(step.logs), self.tree.prismatic, T_joint_su, su_basis, bias, M,
-        )  # fmt: skip
+            R=R,
+            p=p,
+            R_zero=R_zero,
+            p_zero=p_zero,
+            joint_basis=joint_basis,
+            up=up[blocks.log],
+            log=blocks.log,
+            turns=turn_basis(step.logs),
+            prismatic=self.tree.prismatic,
+            T_joint_su=T_joint_su,
+            su_basis=su_basis,
+            bias=bias,
+            sensor=M,
+        )
         prior = np.concatenate([bias, shape], axis=1) * self._prior
         offsets = (
             T_parent_joint[:, :3, 3] / self.priors.position,
@@ -249,34 +256,28 @@ class Evaluation:
         return self.whole.encoder_jacobian()
 
     def normal_equations(self) -> NormalEquations:
-        """Gauss-Newton information and gradient of chi2 / 2."""
+        """Gauss-Newton information of chi2 / 2."""
         cost = self.cost
         n = cost.tree.n_joints * N_JOINT + 2 * (cost.n_logs - 1)
         columns = cost.columns
         U, C = columns.shape
-        H, g = np.zeros((n, n)), np.zeros(n)
+        H = np.zeros((n, n))
         prior_rows = self._prior_rows()
         su = np.swapaxes(prior_rows, 1, 2) @ prior_rows
-        prior = np.concatenate([self.prior, self.offsets[1]], axis=1)
-        su_gradient = np.einsum("uri,ur->ui", prior_rows, prior)
         mixed = np.zeros((U, N_SU, C))
         for each in self.groups:
             J, own, at = each.jacobian(), each.group.sus, each.group.columns
-            r = np.swapaxes(each.residual, 0, 1).reshape(len(own), -1, 1)
-            products = np.swapaxes(J, 1, 2) @ np.concatenate([J, r], axis=2)
+            products = np.swapaxes(J, 1, 2) @ J
             c = at.shape[1]
             np.add.at(H, (at[:, :, None], at[:, None, :]), products[:, :c, :c])
-            np.add.at(g, at, products[:, :c, -1])
-            su[own] += products[:, c:, c:-1]
-            su_gradient[own] += products[:, c:, -1]
+            su[own] += products[:, c:, c:]
             n_logs = 2 * (cost.n_logs - 1)
             to = np.r_[: c - n_logs, C - n_logs : C]
             mixed[own[:, None, None], np.arange(N_SU)[:, None], to] = products[:, c:, :c]
         rows = self._offset_rows()[0]
         own = np.arange(cost.tree.n_joints)[:, None] * N_JOINT + np.arange(2)
         H[own[:, :, None], own[:, None, :]] += np.swapaxes(rows, 1, 2) @ rows
-        g[own] += np.einsum("dij,di->dj", rows, self.offsets[0])
-        return NormalEquations(H, g, su, su_gradient, mixed, columns)
+        return NormalEquations(joint=H, su=su, mixed=mixed, columns=columns)
 
     def _prior_rows(self) -> F64:
         """(U, 12, 15) derivatives of the SUs' priors: bias and shape, then offsets."""

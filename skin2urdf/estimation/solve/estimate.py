@@ -145,9 +145,18 @@ def estimate(
         state, chi2 = refine(cost, state, free)
     chi2_by_block = plain.at(state).chi2_by_block()
     return Estimate(
-        tree, state, chi2, chi2_by_block, blocks.count, weight,
-        _n_parameters(cost, free), cost, free, hypotheses, settings.priors,
-    )  # fmt: skip
+        tree=tree,
+        state=state,
+        chi2=chi2,
+        chi2_by_block=chi2_by_block,
+        count=blocks.count,
+        weight=weight,
+        n_parameters=_n_parameters(cost, free),
+        cost=cost,
+        free=free,
+        hypotheses=hypotheses,
+        given=settings.priors,
+    )
 
 
 _WORST_SU = 8.0

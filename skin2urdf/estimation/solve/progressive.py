@@ -150,23 +150,18 @@ def _restricted(
     )
     m = max(n, 1)
     rows = np.r_[0, 1 : 1 + m, 1 + L : 1 + L + m]
-    both = np.r_[list(chain), [blocks.q.shape[1] + joint for joint in chain]].astype(np.int64)
+    joints = np.array(chain, dtype=np.int64)
     return part, FeatureBlocks(
-        Chains.of(part),
-        part.su_joint,
-        blocks.q[:, list(chain)],
-        blocks.log,
-        blocks.W[:, sus][:, :, rows[:, None], rows],
-        blocks.target[:, sus][:, :, rows],
-        blocks.noise[:, sus],
-        blocks.count[:, sus],
-        blocks.coefficients[:, sus][:, :, rows],
-        blocks.variance[:, sus][:, :, rows],
-        blocks.position_sd[:, list(chain)],
-        blocks.pull[:, sus][:, :, :m, rows],
-        blocks.hidden[:, list(chain)][:, :, list(chain)],
-        blocks.omega2[:, list(chain)],
-        blocks.tones[:, list(chain)],
-        blocks.products[:, both[:, None], both],
-        blocks.white[:, list(chain)][:, :, list(chain)],
+        chains=Chains.of(part),
+        su_joint=part.su_joint,
+        q=blocks.q[:, joints],
+        log=blocks.log,
+        W=blocks.W[:, sus][:, :, rows[:, None], rows],
+        target=blocks.target[:, sus][:, :, rows],
+        noise=blocks.noise[:, sus],
+        count=blocks.count[:, sus],
+        coefficients=blocks.coefficients[:, sus][:, :, rows],
+        variance=blocks.variance[:, sus][:, :, rows],
+        encoders=blocks.encoders.of_dofs(joints),
+        pull=blocks.pull[:, sus][:, :, :m, rows],
     )

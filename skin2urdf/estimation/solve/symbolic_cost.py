@@ -173,7 +173,7 @@ class SymbolicCost:
         gradient.sus[:, N_PLACEMENT:] += sensors * self._prior
         gradient.sus[:, :3] += _into(state.T_joint_su, sus) * self._per_offset
         gradient.joints[:, :2] += _into(state.T_parent_joint, joints)[:, :2] * self._per_offset
-        equations = self._normal_equations(jacobians, gradient)
+        equations = self._normal_equations(jacobians)
         return Linearisation(self, state, equations, gradient, jacobians)
 
     def bending(self, state: State, jacobians: tuple[F64, ...], step: Step) -> Step:
@@ -224,8 +224,9 @@ class SymbolicCost:
             sus[group.sus] = part[:, c:]
         return zero.like(np.concatenate([joint, sus.ravel()]))
 
-    def _normal_equations(self, jacobians: tuple[F64, ...], gradient: Step) -> NormalEquations:
-        n_joint, U = gradient.joints.size + gradient.logs.size, len(gradient.sus)
+    def _normal_equations(self, jacobians: tuple[F64, ...]) -> NormalEquations:
+        zero = self._cost.zero_step()
+        n_joint, U = zero.joints.size + zero.logs.size, len(zero.sus)
         C = max((group.columns.shape[1] for group in self._groups), default=0)
         H, su = np.zeros((n_joint, n_joint)), np.zeros((U, N_SU, N_SU))
         mixed, columns = np.zeros((U, N_SU, C)), np.zeros((U, C), dtype=np.int64)
@@ -242,10 +243,9 @@ class SymbolicCost:
         offsets, sensors = np.arange(3), np.arange(N_PLACEMENT, N_SU)
         su[:, offsets, offsets] += self._per_offset**2
         su[:, sensors, sensors] += self._prior**2
-        across = np.arange(gradient.joints.size).reshape(-1, N_JOINT)[:, :2]
+        across = np.arange(zero.joints.size).reshape(-1, N_JOINT)[:, :2]
         H[across, across] += self._per_offset**2
-        joint_gradient = gradient.flat()[:n_joint]
-        return NormalEquations(H, joint_gradient, su, gradient.sus, mixed, columns)
+        return NormalEquations(joint=H, su=su, mixed=mixed, columns=columns)
 
     def _logs(self, group: _Group) -> Iterator[tuple[Bool, Int, Int]]:
         """Poses of each log, the functions' coordinates they see, and which of a group's these are.

@@ -69,9 +69,14 @@ class Readings:
         size = np.sqrt(np.where(measured, var_s, 0.0) * np.where(measured, var_tau, 0.0))
         correlation = _correlations(blocks.W[ok, su])[:, slopes, levers]
         return Readings(
-            blocks.q[ok][:, blocks.chains.joint[su, :n]],
-            y[:, 0], y[:, slopes], y[:, levers], var_s, var_tau, correlation * size,
-        )  # fmt: skip
+            q=blocks.q[ok][:, blocks.chains.joint[su, :n]],
+            f0=y[:, 0],
+            s=y[:, slopes],
+            tau=y[:, levers],
+            var_s=var_s,
+            var_tau=var_tau,
+            covariance=correlation * size,
+        )
 
 
 def _correlations(W: F64) -> F64:

@@ -20,6 +20,7 @@ from skin2urdf.estimation.start.outward import outward_starts
 from skin2urdf.geometry.se3 import placement
 from skin2urdf.geometry.so3 import axis_rotation, skew
 from skin2urdf.signals.records import Features
+from skin2urdf.structure.ordering import Ordering
 from skin2urdf.structure.records import KinematicTree
 
 _EXPLAINED = 10.0
@@ -230,8 +231,10 @@ def felt_up(state: State, cost: Cost, features: Features) -> F64:
         tree is heard.
     """
     everywhere = replace(state, up=np.tile(state.up[:1], (cost.n_logs, 1)))
-    names = [features.su_names.index(name) for name in cost.tree.su_names]
-    felt = np.linalg.solve(state.sensor_matrix(), (features.f0[:, names] - state.bias)[..., None])
+    order = Ordering.of(cost.tree, features)
+    felt = np.linalg.solve(
+        state.sensor_matrix(), (features.f0[:, order.su] - state.bias)[..., None]
+    )
     up = (cost.at(everywhere).kin.R @ felt)[..., 0]
     known = np.isfinite(cost.blocks.noise).all(axis=2)
     out = np.array(everywhere.up)

@@ -122,9 +122,7 @@ def motion_information(problem: MotionProblem, fitted: Fitted, n_spans: int) -> 
     return MotionInformation(
         equations=NormalEquations(
             joint=joint[:J, :J],
-            joint_gradient=np.zeros(J),
             su=su,
-            su_gradient=np.zeros((tree.n_sus, N_SU)),
             mixed=_of_chains(coupling[..., :J], columns, chains),
             columns=columns,
         ),

@@ -63,10 +63,11 @@ class _Rows:
         np.add.at(joint, at, sign * (transposed @ self.joint))
         turned = np.swapaxes(self.su, 1, 2)
         return NormalEquations(
-            joint, equations.joint_gradient,
-            equations.su + sign * (turned @ self.su), equations.su_gradient,
-            equations.mixed + sign * (turned @ self.joint), equations.columns,
-        )  # fmt: skip
+            joint=joint,
+            su=equations.su + sign * (turned @ self.su),
+            mixed=equations.mixed + sign * (turned @ self.joint),
+            columns=equations.columns,
+        )
 
 
 def held_out(

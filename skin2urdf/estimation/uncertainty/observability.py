@@ -133,9 +133,16 @@ def observability(estimate: Estimate, along: MotionInformation | None = None) ->
     rank = int(free_joint.sum()) - len(null) + int(free.sus.sum())
     rank -= sum(len(d) for d in directions)
     return Observability(
-        su_covariance, tuple(directions), su_verdict, joint_covariance, joint_verdict,
-        open_, rank, hidden, covariance,
-    )  # fmt: skip
+        su_covariance=su_covariance,
+        su_unobservable=tuple(directions),
+        su_verdict=su_verdict,
+        joint_covariance=joint_covariance,
+        joint_verdict=joint_verdict,
+        open_directions=open_,
+        rank=rank,
+        hidden_rotation=hidden,
+        covariance=covariance,
+    )
 
 
 def _of_the_data(estimate: Estimate) -> NormalEquations:

@@ -126,21 +126,23 @@ def _errors(blocks: FeatureBlocks) -> _Errors:
     together = np.zeros((D, D), dtype=bool)
     for chain, n in zip(blocks.chains.joint, blocks.chains.length, strict=True):
         together[np.ix_(chain[:n], chain[:n])] = True
-    felt = np.concatenate([blocks.position_sd[:, None] > 0, together & (blocks.hidden > 0)], axis=1)
+    felt = np.concatenate(
+        [blocks.encoders.position_sd[:, None] > 0, together & (blocks.encoders.hidden > 0)], axis=1
+    )
     number = np.where(felt, felt.cumsum().reshape(felt.shape) - 1, -1)
     first = _first_there(blocks)
     number[:, 0] = np.where(felt[:, 0], number[first, 0, np.arange(D)], -1)
     count, noises = int(felt.sum()), []
-    moved = np.diagonal(blocks.products, axis1=1, axis2=2)[:, :D] > 0
+    moved = np.diagonal(blocks.encoders.products, axis1=1, axis2=2)[:, :D] > 0
     for e in range(D):
         joints = np.flatnonzero(together[e])
-        noisy = ((blocks.white[:, joints, e] > 0) & moved[:, joints]).any(axis=1)
+        noisy = ((blocks.encoders.white[:, joints, e] > 0) & moved[:, joints]).any(axis=1)
         width = 2 * len(joints)
         begin = np.where(noisy, count + width * (noisy.cumsum() - 1), -1)
         count += width * int(noisy.sum())
         both = np.concatenate([joints, D + joints])
         factor = np.zeros((P, width, width))
-        factor[noisy] = _root(blocks.products[np.ix_(noisy, both, both)])
+        factor[noisy] = _root(blocks.encoders.products[np.ix_(noisy, both, both)])
         noises.append(_Noise(joints, factor, begin))
     return _Errors(number, noises, count)
 
@@ -161,7 +163,7 @@ def _first_there(blocks: FeatureBlocks) -> Int:
     """
     P, D = blocks.q.shape
     first = np.tile(np.arange(P)[:, None], D)
-    sd = blocks.position_sd
+    sd = blocks.encoders.position_sd
     rests = (sd > 0) & (sd > _RESTS * sd.max(axis=0, initial=0.0))
     for joint in range(D):
         poses = np.flatnonzero(rests[:, joint])
@@ -201,10 +203,10 @@ def _scores(
     pull[:, :, np.r_[0, to_s]] = blocks.pull[:, group.sus[i], :n, : 1 + n]
     pull[:, :, to_tau] = blocks.pull[:, group.sus[i], :n, 1 + longest : 1 + longest + n]
     at_rest = np.einsum("pem,pmac,pea->pec", pull, weighted, s, optimize=True)
-    at_rest *= blocks.position_sd[:, chain, None]
-    effect = s[:, None] - blocks.omega2[:, chain, None, None] * tau[:, None]
+    at_rest *= blocks.encoders.position_sd[:, chain, None]
+    effect = s[:, None] - blocks.encoders.omega2[:, chain, None, None] * tau[:, None]
     in_step = np.einsum("pdac,pdea->pdec", weighted[:, to_tau], effect)
-    in_step *= np.sqrt(blocks.hidden[:, chain[:, None], chain])[..., None]
+    in_step *= np.sqrt(blocks.encoders.hidden[:, chain[:, None], chain])[..., None]
     which = errors.number[:, np.r_[0, 1 + chain][:, None], chain]
     scores = np.concatenate([at_rest[:, None], in_step], axis=1)
     kept = np.diagonal(information, axis1=1, axis2=2)
@@ -237,13 +239,13 @@ def _noise_scores(
         (T,) numbers of the errors, and (T, C + 15) gradients, per standard deviation of each.
     """
     D = blocks.q.shape[1]
-    size = np.diagonal(blocks.products, axis1=1, axis2=2)[:, np.r_[chain, D + chain]]
+    size = np.diagonal(blocks.encoders.products, axis1=1, axis2=2)[:, np.r_[chain, D + chain]]
     # What the weights make of the products of a pattern's positions and accelerations.
     unit = np.divide(1.0, size, out=np.zeros_like(size), where=size > 0)
     by_s, by_tau = (
         x * u[..., None, None] for x, u in zip(by, np.split(unit, 2, axis=1), strict=True)
     )
-    a, b = np.moveaxis(blocks.tones[:, chain], -1, 0)[..., None]
+    a, b = np.moveaxis(blocks.encoders.tones[:, chain], -1, 0)[..., None]
     numbers = [np.zeros(0, dtype=np.int64)]
     scores = [np.zeros((0, by_s.shape[-1]))]
     for k, e in enumerate(chain):
@@ -257,7 +259,7 @@ def _noise_scores(
         position = s_by_s - (a * b)[p] * tau_by_tau
         acceleration = tau_by_s + s_by_tau - (a + b)[p] * tau_by_tau
         met = np.concatenate([position, acceleration], axis=1)
-        met *= np.tile(np.sqrt(blocks.white[p][:, chain, e]), 2)[..., None]
+        met *= np.tile(np.sqrt(blocks.encoders.white[p][:, chain, e]), 2)[..., None]
         at = np.searchsorted(noise.joints, chain)
         root = noise.factor[p][:, np.r_[at, width + at]]
         numbers.append((noise.first[p, None] + np.arange(2 * width)).ravel())

@@ -18,11 +18,12 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Sequence
-from pathlib import Path
 
-from faulty import table
-from faulty.trials import CLEAN, CLEAN_TWO, INJECTIONS, Case, Setting, Trial, died, perform
-from validation import batch
+from batch import options as batch_options
+from batch import run
+from batch.run import Batch
+from faulty.table import complete, report, shortfalls
+from faulty.trials import CLEAN, CLEAN_TWO, INJECTIONS, Case, Figures, Setting, perform
 
 from skin2urdf.errors import UsageError
 from skin2urdf.simulation import GRADES, robot_names
@@ -30,26 +31,22 @@ from skin2urdf.simulation import GRADES, robot_names
 
 def parser() -> argparse.ArgumentParser:
     """The command line."""
-    words, _, rest = (__doc__ or "").partition("\n")
-    new = argparse.ArgumentParser(
-        description=words, epilog=rest, formatter_class=argparse.RawDescriptionHelpFormatter
+    new = batch_options.parser(
+        __doc__ or "", output="faults.jsonl", recordings=10, of=" of each kind"
     )
-    default = Setting()
-    new.add_argument("--robot", default=default.robot, choices=robot_names(), metavar="ROBOT")
-    new.add_argument("--grade", default=default.grade, choices=sorted(GRADES))
-    new.add_argument("--excite", default=default.excite, choices=["one", "all"])
-    new.add_argument("--poses", type=int, default=default.poses, help="poses per recording")
-    new.add_argument("--encoder-bits", type=int, default=default.encoder_bits)
-    new.add_argument(
-        "--kinds", nargs="+", default=list(INJECTIONS), choices=list(INJECTIONS), metavar="KIND",
+    what, default = new.add_argument_group("what to record"), Setting()
+    what.add_argument("--robot", default=default.robot, choices=robot_names(), metavar="ROBOT")
+    what.add_argument("--grade", default=default.grade, choices=sorted(GRADES))
+    what.add_argument("--excite", default=default.excite, choices=["one", "all"])
+    what.add_argument("--poses", type=int, default=default.poses, help="poses per recording")
+    what.add_argument("--encoder-bits", type=int, default=default.encoder_bits)
+    what.add_argument(
+        "--kinds", nargs="*", default=list(INJECTIONS), choices=list(INJECTIONS), metavar="KIND",
         help=f"of {', '.join(INJECTIONS)} (default: all)",
     )  # fmt: skip
-    new.add_argument("--recordings", type=int, default=10, help="per kind (default: 10)")
-    new.add_argument("--clean", type=int, default=0, help="recordings without a fault")
-    new.add_argument("--first-seed", type=int, default=0, help="where to start instead of 0")
-    new.add_argument("--output", type=Path, default=Path("faults.jsonl"), metavar="FILE")
-    new.add_argument("--workers", type=int, default=2, help="processes; 0 runs in this one")
-    new.add_argument("--summary-only", action="store_true", help="run nothing, show the output")
+    what.add_argument(
+        "--clean", type=int, default=0, metavar="N", help="recordings without a fault"
+    )
     return new
 
 
@@ -59,29 +56,26 @@ def cases_of(options: argparse.Namespace) -> list[Case]:
     Raises:
         UsageError: an option can not be used.
     """
-    if min(options.poses, options.encoder_bits) < 1 or min(options.recordings, options.clean) < 0:
-        raise UsageError("numbers of poses, bits and recordings are positive", "give larger ones")
+    if min(options.poses, options.encoder_bits) < 1 or options.clean < 0:
+        raise UsageError("--poses and --encoder-bits start at 1", "give larger numbers")
     setting = Setting(
         options.robot, options.grade, options.excite, options.poses, options.encoder_bits
     )
+    seeds = batch_options.seeds(options, least=0)
     cases = []
-    for i in range(max(options.recordings, options.clean)):
-        kinds = list(options.kinds) if i < options.recordings else []
+    for i in range(max(len(seeds), options.clean)):
+        kinds = list(options.kinds) if i < len(seeds) else []
         clean = [CLEAN, CLEAN_TWO] if i < options.clean else []
-        cases += [Case(setting, kind, options.first_seed + i) for kind in (*clean, *kinds)]
+        cases += [Case(setting, kind, seeds.start + i) for kind in (*clean, *kinds)]
     return cases
+
+
+BATCH = Batch(Case, Figures, perform, cases_of, report, shortfalls, complete)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit status."""
-    options = parser().parse_args(arguments)
-    return batch.command("faults.py", _run, options)
-
-
-def _run(options: argparse.Namespace) -> int:
-    shown = batch.outcomes(options, cases_of, perform, Trial.from_json, died)
-    print(table.report(shown), end="")
-    return int(not table.complete(shown))
+    return run.main(BATCH, parser().parse_args(arguments))
 
 
 if __name__ == "__main__":

@@ -18,12 +18,13 @@ import argparse
 import sys
 from collections.abc import Sequence
 from itertools import product
-from pathlib import Path
 
-from montecarlo.perform import died, perform
-from montecarlo.records import Case, Run
+from batch import options as batch_options
+from batch import run
+from batch.run import Batch
+from montecarlo.perform import perform
+from montecarlo.records import Case, Figures, Run
 from montecarlo.table import report
-from validation import batch
 from validation.cases import circumstances, robots_named
 
 from skin2urdf.errors import UsageError
@@ -31,21 +32,17 @@ from skin2urdf.errors import UsageError
 
 def parser() -> argparse.ArgumentParser:
     """The command line."""
-    words, _, rest = (__doc__ or "").partition("\n")
-    new = argparse.ArgumentParser(
-        description=words, epilog=rest, formatter_class=argparse.RawDescriptionHelpFormatter
+    new = batch_options.parser(
+        __doc__ or "", output="recordings.jsonl", recordings=20, of=" of each robot and grade"
     )
-    new.add_argument("--robots", nargs="+", default=["panda"], help="names in robots/")
-    new.add_argument("--grades", nargs="+", default=["mems"], help="sensor grades")
-    new.add_argument(
+    what = new.add_argument_group("what to record")
+    what.add_argument("--robots", nargs="+", default=["panda"], help="names in robots/")
+    what.add_argument("--grades", nargs="+", default=["mems"], help="sensor grades")
+    what.add_argument(
         "--excite", default="all", choices=["one", "all"],
         help="one DoF after the other, or all at once (default)",
     )  # fmt: skip
-    new.add_argument("--poses", type=int, default=6, help="poses per recording (default: 6)")
-    new.add_argument("--recordings", type=int, default=20, help="of each robot and grade")
-    new.add_argument("--output", type=Path, default=Path("recordings.jsonl"), metavar="FILE")
-    new.add_argument("--workers", type=int, default=2, help="processes; 0 for none but this one")
-    new.add_argument("--summary-only", action="store_true", help="show what the output holds")
+    what.add_argument("--poses", type=int, default=6, help="poses per recording (default: 6)")
     return new
 
 
@@ -55,27 +52,31 @@ def cases_of(options: argparse.Namespace) -> list[Case]:
     Raises:
         UsageError: an option can not be used.
     """
-    if min(options.recordings, options.poses) < 1:
-        raise UsageError("--recordings and --poses start at 1", "give a larger number")
+    if options.poses < 1:
+        raise UsageError("--poses starts at 1", "give a larger number")
     grades = [grade for grade, *_ in circumstances(options.grades, ["tilted"], [options.excite])]
     return [
         Case(robot, grade, options.excite, options.poses, seed)
         for seed, robot, grade in product(
-            range(options.recordings), robots_named(options.robots), grades
+            batch_options.seeds(options), robots_named(options.robots), grades
         )
     ]
 
 
+def _shortfalls(run: Run) -> list[str]:
+    return [str(run.failure)] if run.failure else []
+
+
+def _passed(runs: Sequence[Run]) -> bool:
+    return not any(run.failure for run in runs)
+
+
+BATCH = Batch(Case, Figures, perform, cases_of, report, _shortfalls, _passed)
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit status."""
-    options = parser().parse_args(arguments)
-    return batch.command("monte_carlo.py", _run, options)
-
-
-def _run(options: argparse.Namespace) -> int:
-    runs = batch.outcomes(options, cases_of, perform, Run.from_json, died)
-    print(report(runs), end="")
-    return int(any(run.failure for run in runs))
+    return run.main(BATCH, parser().parse_args(arguments))
 
 
 if __name__ == "__main__":

@@ -18,19 +18,14 @@ Exit status: 0; 1 where an optimum was missed without the cost saying so, or mor
 from __future__ import annotations
 
 import argparse
-import os
 import sys
 from collections.abc import Sequence
-from pathlib import Path
 
-# The matrices are many and small: threads of linear algebra would only wait for each other.
-os.environ.setdefault("OMP_NUM_THREADS", "1")
-
-from chains.judge import Case, Outcome, died, judged
-from chains.summary import report
-from validation import batch
-
-from skin2urdf.errors import UsageError
+from batch import options as batch_options
+from batch import run
+from batch.run import Batch
+from chains.judge import Case, Judged, Outcome, judged, outcome_of
+from chains.summary import report, shortfall
 
 ALLOWED = 1e-4
 """Share of chains that may miss the optimum."""
@@ -38,22 +33,9 @@ ALLOWED = 1e-4
 
 def parser() -> argparse.ArgumentParser:
     """The command line."""
-    words, _, rest = (__doc__ or "").partition("\n")
-    new = argparse.ArgumentParser(
-        description=words, epilog=rest, formatter_class=argparse.RawDescriptionHelpFormatter
+    return batch_options.parser(
+        __doc__ or "", output="chains.jsonl", recordings=200, counted=["--chains"]
     )
-    new.add_argument("--chains", type=int, default=200, help="how many (default: 200)")
-    new.add_argument("--first-seed", type=int, default=0, help="where to start instead of 0")
-    new.add_argument("--output", type=Path, default=Path("chains.jsonl"), metavar="FILE")
-    new.add_argument("--workers", type=int, default=2, help="processes; 0 runs in this one")
-    new.add_argument("--summary-only", action="store_true", help="run nothing, show the output")
-    return new
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command line; returns the exit status."""
-    options = parser().parse_args(arguments)
-    return batch.command("random_chains.py", _run, options)
 
 
 def cases_of(options: argparse.Namespace) -> list[Case]:
@@ -62,18 +44,25 @@ def cases_of(options: argparse.Namespace) -> list[Case]:
     Raises:
         UsageError: an option can not be used.
     """
-    if options.chains < 1 or options.first_seed < 0 or options.workers < 0:
-        raise UsageError(
-            "--chains starts at 1, --first-seed and --workers at 0", "give a larger number"
-        )
-    return [Case(options.first_seed + i) for i in range(options.chains)]
+    return [Case(seed) for seed in batch_options.seeds(options)]
 
 
-def _run(options: argparse.Namespace) -> int:
-    shown = batch.outcomes(options, cases_of, judged, Outcome.from_json, died)
-    print(report(shown), end="")
-    missed = [o for o in shown if o.failed]
-    return int(len(missed) > ALLOWED * len(shown) or not all(o.recognised for o in missed))
+def _shortfalls(record: Judged) -> list[str]:
+    outcome = outcome_of(record)
+    return [shortfall(outcome)] if outcome.failed else []
+
+
+def _passed(records: Sequence[Judged]) -> bool:
+    missed = [o for o in map(outcome_of, records) if o.failed]
+    return len(missed) <= ALLOWED * len(records) and all(o.recognised for o in missed)
+
+
+BATCH = Batch(Case, Outcome, judged, cases_of, report, _shortfalls, _passed)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line; returns the exit status."""
+    return run.main(BATCH, parser().parse_args(arguments))
 
 
 if __name__ == "__main__":

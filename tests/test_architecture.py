@@ -41,8 +41,10 @@ LAYERS: dict[str, tuple[str, ...]] = {
         "model",
         "structure",
         "signals.records",
-        "signals.encoder_noise",
         "signals.information",
+        "signals.encoder_noise",
+        "signals.trajectory",
+        "signals.filters",
     ),
     "paper": (
         *BASE,

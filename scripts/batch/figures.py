@@ -80,3 +80,16 @@ def table(
         *(line(label, cells) for label, cells in rows),
     ]
     return "\n".join(lines) + "\n"
+
+
+def missed(found: Sequence[tuple[str, Sequence[str]]], what: str) -> str:
+    """Lines on the runs that fell short.
+
+    Args:
+        found: key and shortfalls of every run.
+        what: what those that have any do, behind "3 of 4 runs".
+    """
+    lines = [f"  {key}: {'; '.join(reasons)}" for key, reasons in found if reasons]
+    if not lines:
+        return f"No run of {len(found)} missed anything.\n"
+    return "\n".join([f"{len(lines)} of {len(found)} runs {what}:", *lines]) + "\n"

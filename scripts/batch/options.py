@@ -51,14 +51,18 @@ def parser(
     return new
 
 
-def seeds(options: argparse.Namespace) -> range:
+def seeds(options: argparse.Namespace, least: int = 1) -> range:
     """Seeds that the options ask for.
+
+    Args:
+        options: of a command line that :func:`parser` has begun.
+        least: smallest number of recordings.
 
     Raises:
         UsageError: a number can not be used.
     """
-    if options.recordings < 1 or options.first_seed < 0 or options.jobs < 0:
+    if options.recordings < least or options.first_seed < 0 or options.jobs < 0:
         raise UsageError(
-            "--recordings starts at 1, --first-seed and --jobs at 0", "give a larger number"
+            f"--recordings starts at {least}, --first-seed and --jobs at 0", "give a larger number"
         )
     return range(options.first_seed, options.first_seed + options.recordings)

@@ -52,12 +52,17 @@ class Batch(Generic[C, F]):
     passed: Callable[[Sequence[Record[C, F]]], bool]
 
 
-def main(batch: Batch[C, F], options: argparse.Namespace) -> int:
+def main(
+    batch: Batch[C, F],
+    options: argparse.Namespace,
+    also: Callable[[Sequence[Record[C, F]]], None] | None = None,
+) -> int:
     """Do what is left of a batch and print its table.
 
     Args:
         batch: the script.
         options: of :func:`batch.options.parser` and of the script.
+        also: what else to do with the records, behind the table.
 
     Returns:
         Exit status: 0; 1 where something fell short; what an error says; 130 when stopped.
@@ -72,6 +77,8 @@ def main(batch: Batch[C, F], options: argparse.Namespace) -> int:
                 f"These runs come from {len(states)} states of the code; give a fresh --output to "
                 "measure one."
             )
+        if also is not None:
+            also(shown)
     except KeyboardInterrupt:
         print(f"\nstopped; the same command goes on where {options.output} ends", file=sys.stderr)
         return 130

@@ -1,8 +1,8 @@
 """The file of records: a line of JSON each, appended as they finish, by several writers if need be.
 
-Beside the output lies an empty file that is only locked: one byte while a line is appended, and one
-byte for every case that is under way. The system lets go of the locks of a process that ends,
-however it ends, so that a case can be taken up by another batch as soon as its own is dead.
+Bytes far beyond its end are locked: one while a line is appended, and one for every case that is
+under way. The system lets go of the locks of a process that ends, however it ends, so that a case
+can be taken up by another batch as soon as its own is dead.
 """
 
 from __future__ import annotations
@@ -11,16 +11,14 @@ import errno
 import fcntl
 import hashlib
 import os
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Generic
 
 from batch.records import C, F, Record, parsed
 from skin2urdf.errors import UnreadableInputError
 
-_APPENDING = 0
-_KEYS = 2**62
+_CASES = 2**62
+"""Where the bytes begin that stand for cases; the one before it stands for the end of the file."""
 
 
 class Store(Generic[C, F]):
@@ -50,7 +48,7 @@ class Store(Generic[C, F]):
         self.broken = self._broken = 0
         self._types = case, figures
         self._read = 0
-        self._locks: int | None = None
+        self._file: int | None = None
         self.refresh()
         if self.broken > 1 and not self.records:
             raise UnreadableInputError(
@@ -60,9 +58,7 @@ class Store(Generic[C, F]):
     def refresh(self) -> None:
         """Read what has been appended since, by whomever."""
         try:
-            with self.path.open("rb") as file:
-                file.seek(self._read)
-                text = file.read()
+            text = self._unread()
         except FileNotFoundError:
             return
         except OSError as error:
@@ -85,19 +81,31 @@ class Store(Generic[C, F]):
         self.records[record.case.key] = record
         return True
 
+    def _unread(self) -> bytes:
+        """What lies behind the lines that have been read."""
+        if self._file is None:
+            with self.path.open("rb") as file:
+                file.seek(self._read)
+                return file.read()
+        return os.pread(self._file, os.fstat(self._file).st_size - self._read, self._read)
+
     def append(self, record: Record[C, F]) -> None:
-        """Add a record, on disk when this returns."""
-        with self._locked(_APPENDING), self.path.open("ab+") as file:
+        """Add a record, as one line and at once."""
+        file, end = self._opened(), _CASES - 1
+        fcntl.lockf(file, fcntl.LOCK_EX, 1, end)
+        try:
+            size = os.fstat(file).st_size
             # What another writer left half done becomes a line that is passed over.
-            if file.tell() and _last_byte(file.fileno()) != b"\n":
-                file.write(b"\n")
-            file.write(record.to_json().encode() + b"\n")
+            half = size > 0 and os.pread(file, 1, size - 1) != b"\n"
+            _write(file, b"\n" * half + record.to_json().encode() + b"\n")
+        finally:
+            fcntl.lockf(file, fcntl.LOCK_UN, 1, end)
         self.records[record.case.key] = record
 
     def claim(self, case: C) -> bool:
         """Take a case; False where another batch on this file has it under way."""
         try:
-            fcntl.lockf(self._lock_file(), fcntl.LOCK_EX | fcntl.LOCK_NB, 1, _byte_of(case))
+            fcntl.lockf(self._opened(), fcntl.LOCK_EX | fcntl.LOCK_NB, 1, _byte_of(case))
         except OSError as error:
             if error.errno in (errno.EACCES, errno.EAGAIN):
                 return False
@@ -106,36 +114,30 @@ class Store(Generic[C, F]):
 
     def release(self, case: C) -> None:
         """Give a case back."""
-        fcntl.lockf(self._lock_file(), fcntl.LOCK_UN, 1, _byte_of(case))
+        fcntl.lockf(self._opened(), fcntl.LOCK_UN, 1, _byte_of(case))
 
     def close(self) -> None:
         """Give all cases back."""
-        if self._locks is not None:
-            os.close(self._locks)
-            self._locks = None
+        if self._file is not None:
+            os.close(self._file)
+            self._file = None
 
-    @contextmanager
-    def _locked(self, byte: int) -> Iterator[None]:
-        fcntl.lockf(self._lock_file(), fcntl.LOCK_EX, 1, byte)
-        try:
-            yield
-        finally:
-            fcntl.lockf(self._lock_file(), fcntl.LOCK_UN, 1, byte)
-
-    def _lock_file(self) -> int:
-        """Descriptor of the file of locks, which is opened once: closing it frees every lock."""
-        if self._locks is None:
+    def _opened(self) -> int:
+        """Descriptor of the file, which is opened once: closing any of it frees every lock."""
+        if self._file is None:
             self.path.parent.mkdir(parents=True, exist_ok=True)
-            name = self.path.with_name(f".{self.path.name}.locks")
-            self._locks = os.open(name, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
-        return self._locks
+            flags = os.O_RDWR | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC
+            self._file = os.open(self.path, flags, 0o644)
+        return self._file
 
 
-def _last_byte(file: int) -> bytes:
-    return os.pread(file, 1, os.fstat(file).st_size - 1)
+def _write(file: int, text: bytes) -> None:
+    """Write all of it; a disk that is full or a signal can cut a write short."""
+    while text:
+        text = text[os.write(file, text) :]
 
 
 def _byte_of(case: C) -> int:
-    """Place of a case's lock in the file of locks."""
+    """The byte that stands for a case."""
     digest = hashlib.sha256(case.key.encode()).digest()
-    return 1 + int.from_bytes(digest[:8], "big") % _KEYS
+    return _CASES + int.from_bytes(digest[:8], "big") % (_CASES - 1)

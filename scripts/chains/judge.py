@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import json
 import time
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
+from batch.records import Record
 
 from chains.draw import Chain, draw
 from chains.features import coefficients, measured
@@ -90,11 +90,6 @@ class Outcome:
     told: int = 0
 
     @property
-    def case(self) -> Case:
-        """What was judged."""
-        return Case(self.seed)
-
-    @property
     def at_optimum(self) -> bool:
         """Whether no better optimum is known."""
         return not self.error and self.chi2 <= _SLACK[0] * self.chi2_best + _SLACK[1]
@@ -114,27 +109,19 @@ class Outcome:
         """Whether a user would notice: an error in words, or a cost that is not good."""
         return bool(self.error) or self.cost_per_dof > SUSPICIOUS
 
-    def to_json(self) -> str:
-        """One line."""
-        return json.dumps(asdict(self))
 
-    @staticmethod
-    def from_json(line: str) -> Outcome:
-        """The outcome that a line holds.
-
-        Raises:
-            ValueError: the line holds none.
-        """
-        try:
-            values = json.loads(line)
-            return Outcome(**{**values, "kind": tuple(values["kind"])})
-        except (TypeError, KeyError) as error:
-            raise ValueError(str(error)) from error
+Judged = Record[Case, Outcome]
+"""One line of the output."""
 
 
-def died(case: Case, words: str) -> Outcome:
-    """The outcome of a case whose process died."""
-    return replace(_blank(draw(case.seed), case), error=f"its process died: {words}")
+def outcome_of(record: Judged) -> Outcome:
+    """What became of a chain, also where its process died or the package raised what is no error.
+
+    Such a chain is drawn again to see of what kind it is.
+    """
+    if not record.failure:
+        return record.figures
+    return replace(_blank(draw(record.case.seed), record.case), error=str(record.failure))
 
 
 def _blank(chain: Chain, case: Case) -> Outcome:

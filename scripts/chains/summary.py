@@ -5,14 +5,16 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 import numpy as np
+from batch.figures import NONE
 
-from chains.judge import Outcome
+from chains.judge import Judged, Outcome, outcome_of
 
 _SHOWN = 20
 
 
-def report(outcomes: Sequence[Outcome]) -> str:
+def report(records: Sequence[Judged]) -> str:
     """A table by number of DoFs and by kind, and the failures by seed."""
+    outcomes = [outcome_of(record) for record in records]
     if not outcomes:
         return "No chains.\n"
     head = (
@@ -39,9 +41,9 @@ def _row(name: str, some: Sequence[Outcome]) -> str:
     found = sum(not o.failed for o in some)
     seconds = np.array([o.seconds for o in some])
     looked = [o.tree for o in some if o.tree is not None]
-    structure = f"{100 * sum(looked) / len(looked):.1f}" if looked else "-"
+    structure = f"{100 * sum(looked) / len(looked):.1f}" if looked else NONE
     hidden = [o.told >= o.open for o in some if not o.error]
-    told = f"{100 * sum(hidden) / len(hidden):.1f}" if hidden else "-"
+    told = f"{100 * sum(hidden) / len(hidden):.1f}" if hidden else NONE
     return (
         f"{name:<22}{len(some):>8}{found:>9}{100 * found / len(some):>10.3f}"
         f"{np.median(seconds):>9.3f}{np.quantile(seconds, 0.99):>8.2f}{structure:>11}{told:>8}"
@@ -55,12 +57,17 @@ def _failures(outcomes: Sequence[Outcome]) -> list[str]:
         f"{len(failed)} of {len(outcomes)} chains are not at the global optimum; "
         f"{len(failed) - len(hidden)} of these have a cost that says so, or are refused in words."
     ]
-    lines += [
-        f"  chain {o.seed}: {o.dofs} DoFs, {o.sus} SUs, {', '.join(o.kind)}: "
-        + (o.error or f"cost per degree of freedom {o.cost_per_dof:.2f}, normalised error "
-           f"{o.agreement:.1f}") + ("" if o.recognised else "  NOT RECOGNISED")
-        for o in failed[:_SHOWN]
-    ]  # fmt: skip
+    lines += [f"  chain {o.seed}: {shortfall(o)}" for o in failed[:_SHOWN]]
     if len(failed) > _SHOWN:
         lines.append(f"  and {len(failed) - _SHOWN} others")
     return lines
+
+
+def shortfall(outcome: Outcome) -> str:
+    """What is wrong with a chain that failed."""
+    cost = f"cost per degree of freedom {outcome.cost_per_dof:.2f}"
+    return (
+        f"{outcome.dofs} DoFs, {outcome.sus} SUs, {', '.join(outcome.kind)}: "
+        + (outcome.error or f"{cost}, normalised error {outcome.agreement:.1f}")
+        + ("" if outcome.recognised else "  NOT RECOGNISED")
+    )

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from collections import Counter
 from collections.abc import Iterable, Sequence
 
-from faulty.trials import Trial
+from batch.figures import NONE, cell, count, missed, pairs, ratio, rms, short, table
+
+from faulty.trials import INJECTIONS, Trial
 
 _HEAD = (
     ("re-", "cordings"), ("", "found"), ("false", "alarms"), ("good", "fair"), ("bad", "failed"),
@@ -26,71 +27,47 @@ def report(trials: Iterable[Trial]) -> str:
         _table(words, [t for t in trials if t.case.setting.words == words])
         for words in dict.fromkeys(trial.case.setting.words for trial in trials)
     ]
-    parts += [_LEGEND, _missed(trials)]
-    codes = {trial.code for trial in trials}
-    if len(codes) > 1:
-        parts.append(f"These trials come from {len(codes)} states of the code.\n")
-    return "\n".join(parts)
+    found = [(trial.case.key, shortfalls(trial)) for trial in trials]
+    return "\n".join([*parts, _LEGEND, missed(found, "fell short")])
 
 
 def complete(trials: Iterable[Trial]) -> bool:
     """Whether every fault was found, and nothing else."""
-    return not any(_shortfall(trial) for trial in trials)
+    return not any(shortfalls(trial) for trial in trials)
 
 
 def _table(title: str, trials: Sequence[Trial]) -> str:
     kinds = dict.fromkeys(trial.case.kind for trial in trials)
-    rows = {kind: _row([t for t in trials if t.case.kind == kind]) for kind in kinds}
-    first = max(len(title), *map(len, rows))
-    widths = [
-        max(len(a), len(b), *(len(row[i]) for row in rows.values())) + 2
-        for i, (a, b) in enumerate(_HEAD)
-    ]
-    lines = [
-        title.ljust(first) + "".join(a.rjust(w) for (a, _), w in zip(_HEAD, widths, strict=True)),
-        " " * first + "".join(b.rjust(w) for (_, b), w in zip(_HEAD, widths, strict=True)),
-        "-" * (first + sum(widths)),
-    ]
-    lines += [
-        kind.ljust(first) + "".join(c.rjust(w) for c, w in zip(row, widths, strict=True))
-        for kind, row in rows.items()
-    ]
-    return "\n".join(line.rstrip() for line in lines) + "\n"
+    rows = [(kind, _row([t for t in trials if t.case.kind == kind])) for kind in kinds]
+    return table(title, _HEAD, rows)
 
 
 def _row(trials: Sequence[Trial]) -> tuple[str, ...]:
-    of = Counter(trial.quality or "failed" for trial in trials)
-    faulty = bool(trials[0].subjects)
-    found = sum(trial.found for trial in trials)
-    alarmed = sum(bool(trial.false_alarms) for trial in trials)
-    position = _costs([(t.position_mm, t.position_clean_mm) for t in trials])
-    turn = _costs([(t.orientation_deg, t.orientation_clean_deg) for t in trials])
-    wrong = sum(not trial.tree_right for trial in trials)
+    done = [trial.figures for trial in trials if not trial.failure]
+    of = Counter(figures.quality or "failed" for figures in done)
+    of["failed"] += len(trials) - len(done)
+    faulty = trials[0].case.kind in INJECTIONS
+    alarmed = sum(bool(figures.false_alarms) for figures in done)
+    wrong = len(trials) - sum(figures.tree_right for figures in done)
+    found = sum(figures.found for figures in done)
     return (
         str(len(trials)),
-        ("-" if not faulty else str(found)) + ("!" if faulty and found < len(trials) else ""),
+        count(found, len(trials)) if faulty else NONE,
         f"{alarmed}{'!' if alarmed else ''}",
         f"{of['good']}/{of['fair']}",
         f"{of['bad']}/{of['failed']}",
         f"{wrong}{'!' if wrong else ''}",
-        *position,
-        *turn,
+        *_costs([(figures.position_mm, figures.position_clean_mm) for figures in done]),
+        *_costs([(figures.orientation_deg, figures.orientation_clean_deg) for figures in done]),
     )
 
 
-def _costs(pairs: Sequence[tuple[float | None, float | None]]) -> tuple[str, str, str]:
+def _costs(rows: Sequence[tuple[float | None, float | None]]) -> tuple[str, str, str]:
     """Root mean squares with the fault and without, and their ratio."""
-    alone = [a for a, b in pairs if a is not None and b is None]
-    both = [(a, b) for a, b in pairs if a is not None and b is not None]
-    if not both:
-        return (_rms_text(alone), "-", "-")
-    with_, without = (math.sqrt(sum(p[i] ** 2 for p in both) / len(both)) for i in (0, 1))
-    ratio = with_ / without if without > 0 else math.inf
-    return f"{with_:.3g}", f"{without:.3g}", f"{ratio:.2f}{'!' if ratio > RATIO else ''}"
-
-
-def _rms_text(values: Sequence[float]) -> str:
-    return f"{math.sqrt(sum(v * v for v in values) / len(values)):.3g}" if values else "-"
+    if not (both := pairs(rows)):
+        return (short(rms(a for a, b in rows if b is None)), NONE, NONE)
+    with_, without = rms(a for a, _ in both), rms(b for _, b in both)
+    return short(with_), short(without), cell(ratio(both), 2, RATIO)
 
 
 _LEGEND = (
@@ -101,22 +78,19 @@ _LEGEND = (
 )
 
 
-def _shortfall(trial: Trial) -> str:
-    reasons = []
-    if trial.problem:
-        reasons.append(trial.problem)
-    elif trial.subjects and not trial.found:
-        named = "; ".join(f"{kind} {subject}" for kind, subject, _ in trial.faults) or "nothing"
-        reasons.append(f"not found ({', '.join(trial.subjects)}: {trial.injected}); named: {named}")
-    if trial.false_alarms:
-        reasons.append(f"false alarm: {'; '.join(trial.false_alarms)}")
-    if not trial.problem and not trial.tree_right:
+def shortfalls(trial: Trial) -> list[str]:
+    """What is wrong with a trial, in words; empty where nothing is."""
+    if trial.failure:
+        return [str(trial.failure)]
+    figures, reasons = trial.figures, []
+    if figures.problem:
+        reasons.append(figures.problem)
+    elif figures.subjects and not figures.found:
+        named = "; ".join(f"{kind} {subject}" for kind, subject, _ in figures.faults) or "nothing"
+        who = ", ".join(figures.subjects)
+        reasons.append(f"not found ({who}: {figures.injected}); named: {named}")
+    if figures.false_alarms:
+        reasons.append(f"false alarm: {'; '.join(figures.false_alarms)}")
+    if not figures.problem and not figures.tree_right:
         reasons.append("wrong tree")
-    return "; ".join(reasons)
-
-
-def _missed(trials: Sequence[Trial]) -> str:
-    lines = [f"  {t.case.key}: {reason}" for t in trials if (reason := _shortfall(t))]
-    if not lines:
-        return f"Nothing was missed in {len(trials)} recordings.\n"
-    return "\n".join([f"{len(lines)} of {len(trials)} recordings fell short:", *lines]) + "\n"
+    return reasons

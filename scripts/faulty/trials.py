@@ -2,24 +2,23 @@
 
 from __future__ import annotations
 
-import json
-import math
 import tempfile
-import traceback
 import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from validation.measure import code_digest, sensor_rotations, truth_as_felt
-from validation.records import rms
+from batch.figures import rms
+from batch.records import Record
+from validation.cases import Excitation
+from validation.measure import sensor_rotations, truth_as_felt
 
 from skin2urdf.calibration.pipeline import calibrate
 from skin2urdf.calibration.result import Calibration
-from skin2urdf.errors import InsufficientDataError
+from skin2urdf.errors import InsufficientDataError, Skin2UrdfError
 from skin2urdf.recording.records import Recording
 from skin2urdf.recording.retiming import retimed
 from skin2urdf.simulation import SimulationSettings, Truth, load_robot, simulate
@@ -51,7 +50,7 @@ class Setting:
 
     robot: str = "panda"
     grade: str = "mems"
-    excite: str = "all"
+    excite: Excitation = "all"
     poses: int = 6
     encoder_bits: int = 17
 
@@ -82,11 +81,10 @@ class Case:
 
 
 @dataclass(frozen=True)
-class Trial:
+class Figures:
     """What came of it; None where there is no figure.
 
     Attributes:
-        case: the case.
         expected: kind of fault that should be named.
         subjects: who has it.
         injected: what was done to them.
@@ -99,11 +97,9 @@ class Trial:
         orientation_deg: rms orientation error, beside what cross-axis errors hide [deg].
         orientation_clean_deg: likewise.
         notes: of the calibration.
-        problem: the exception, where there is no calibration.
-        code: digest of the package that ran.
+        problem: why the package gave no calibration.
     """
 
-    case: Case
     expected: str = ""
     subjects: tuple[str, ...] = ()
     injected: str = ""
@@ -117,7 +113,6 @@ class Trial:
     orientation_clean_deg: float | None = None
     notes: tuple[str, ...] = ()
     problem: str = ""
-    code: str = ""
 
     @property
     def found(self) -> bool:
@@ -134,69 +129,40 @@ class Trial:
             if kind != self.expected or subject not in self.subjects
         )
 
-    def to_json(self) -> str:
-        """One line of JSON."""
-        content = {"key": self.case.key, **asdict(self)}
-        return json.dumps({k: _finite(v) for k, v in content.items()}, allow_nan=False)
 
-    @classmethod
-    def from_json(cls, line: str) -> Trial:
-        """A trial from its line.
-
-        Raises:
-            ValueError: the line is not a whole trial.
-        """
-        try:
-            content = json.loads(line)
-            content.pop("key")
-            case = content.pop("case")
-            content["case"] = Case(Setting(**case.pop("setting")), **case)
-            content["faults"] = tuple(tuple(f) for f in content["faults"])
-            content["subjects"], content["notes"] = (
-                tuple(content["subjects"]),
-                tuple(content["notes"]),
-            )
-            return cls(**content)
-        except (KeyError, TypeError, AttributeError) as error:
-            raise ValueError(f"not a trial: {error}") from error
+Trial = Record[Case, Figures]
+"""One line of the output."""
 
 
-def _finite(value: Any) -> Any:
-    return None if isinstance(value, float) and not math.isfinite(value) else value
-
-
-def perform(case: Case) -> Trial:
-    """Do a trial; whatever goes wrong becomes part of it."""
+def perform(case: Case) -> Figures:
+    """Do a trial; that the package refuses a recording is part of it."""
     warnings.simplefilter("ignore")
-    blank = Trial(case, code=code_digest())
+    sound = _sound(case.setting, case.seed)
+    truth = sound.simulation.truth
+    if case.kind in (CLEAN, CLEAN_TWO):
+        try:
+            clean = _clean(case.setting, case.seed, case.kind == CLEAN_TWO)
+        except Skin2UrdfError as error:
+            return Figures(problem=_words(error))
+        return _judged(Figures(), clean, truth, ())
+    rng = np.random.default_rng([case.seed, *case.kind.encode()])
+    faulty = INJECTIONS[case.kind](sound, rng)
+    blank = Figures(expected=faulty.kind, subjects=faulty.subjects, injected=faulty.words)
     try:
-        sound = _sound(case.setting, case.seed)
-        truth = sound.simulation.truth
-        if case.kind in (CLEAN, CLEAN_TWO):
-            found = _clean(case.setting, case.seed, case.kind == CLEAN_TWO)
-            return _judged(blank, found, truth, ())
-        rng = np.random.default_rng([case.seed, *case.kind.encode()])
-        faulty = INJECTIONS[case.kind](sound, rng)
-        blank = replace(
-            blank, expected=faulty.kind, subjects=faulty.subjects, injected=faulty.words
-        )
-        trial = _judged(blank, _calibrated(faulty.recordings), truth, faulty.subjects)
+        figures = _judged(blank, _calibrated(faulty.recordings), truth, faulty.subjects)
         clean = _clean(case.setting, case.seed, case.kind in IN_TWO)
         reference = _judged(blank, clean, truth, faulty.subjects)
-    except Exception as error:
-        place = traceback.extract_tb(error.__traceback__)[-1]
-        where = f"{Path(place.filename).name}:{place.lineno}"
-        return replace(blank, problem=f"{type(error).__name__} at {where}: {error}")
+    except Skin2UrdfError as error:
+        return replace(blank, problem=_words(error))
     return replace(
-        trial,
+        figures,
         position_clean_mm=reference.position_mm,
         orientation_clean_deg=reference.orientation_deg,
     )
 
 
-def died(case: Case, words: str) -> Trial:
-    """The trial whose process died."""
-    return Trial(case, problem=f"its process died: {words}", code=code_digest())
+def _words(error: Skin2UrdfError) -> str:
+    return f"{type(error).__name__}: {error}"
 
 
 @lru_cache(maxsize=2)
@@ -219,11 +185,11 @@ def _calibrated(recordings: Sequence[Recording]) -> Calibration:
     return calibrate([retimed(recording) for recording in recordings])
 
 
-def _judged(trial: Trial, found: Calibration, truth: Truth, without: Sequence[str]) -> Trial:
-    """The trial with what a calibration says, and its errors over all SUs but some."""
+def _judged(blank: Figures, found: Calibration, truth: Truth, without: Sequence[str]) -> Figures:
+    """The figures with what a calibration says, and its errors over all SUs but some."""
     position, orientation, tree_right = errors(found, truth, without)
     return replace(
-        trial,
+        blank,
         faults=tuple((fault.kind, fault.subject, str(fault)) for fault in found.faults),
         quality=found.quality,
         cost_per_dof=found.estimate.cost_per_dof,

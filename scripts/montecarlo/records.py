@@ -1,10 +1,12 @@
-"""What is repeated and what one recording comes to, as lines of JSON."""
+"""What is repeated and what one recording comes to."""
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
+
+from batch.records import Record
+from validation.cases import Excitation
 
 BLOCKS = (
     "joint axis, direction", "joint axis, offset", "SU position", "SU orientation",
@@ -27,7 +29,7 @@ class Case:
 
     robot: str
     grade: str
-    excite: str
+    excite: Excitation
     poses: int
     seed: int
 
@@ -63,43 +65,17 @@ class Block:
 
 
 @dataclass(frozen=True)
-class Run:
-    """One line of the output.
+class Figures:
+    """What a recording comes to.
 
     Attributes:
-        case: what was recorded.
-        blocks: by name, see :data:`BLOCKS`; empty where the calibration failed.
+        blocks: by name, see :data:`BLOCKS`.
         cost_per_dof: chi-squared per degree of freedom.
-        failure: why there are no blocks.
-        code: digest of the package that ran.
     """
 
-    case: Case
     blocks: Mapping[str, Block]
-    cost_per_dof: float = 0.0
-    failure: str = ""
-    code: str = ""
+    cost_per_dof: float
 
-    def to_json(self) -> str:
-        """One line of JSON."""
-        return json.dumps({"key": self.case.key, **asdict(self)}, allow_nan=False)
 
-    @classmethod
-    def from_json(cls, line: str) -> Run:
-        """A run from its line.
-
-        Raises:
-            ValueError: the line is not a whole run.
-        """
-        try:
-            content = json.loads(line)
-            del content["key"]
-            content["case"] = Case(**content["case"])
-            blocks = content["blocks"].items()
-            content["blocks"] = {
-                name: Block(**{**block, "observable": tuple(block["observable"])})
-                for name, block in blocks
-            }
-            return cls(**content)
-        except (KeyError, TypeError, AttributeError) as error:
-            raise ValueError(f"not a run: {error}") from error
+Run = Record[Case, Figures]
+"""One line of the output."""

@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 
 import numpy as np
+from batch.figures import NONE, cell
 
 from montecarlo.normalised import summed
-from montecarlo.records import BLOCKS, Block, Run
+from montecarlo.records import BLOCKS, Block, Figures, Run
 from skin2urdf.geometry.units import MILLI_G
 
 NEES = (0.9, 1.1)
@@ -43,30 +44,30 @@ def nees(blocks: Sequence[Block]) -> tuple[float, float]:
 
 
 def _group(name: str, runs: Sequence[Run]) -> str:
-    good = [run for run in runs if run.blocks]
+    good = [run.figures for run in runs if not run.failure]
     lines = [f"{name}: {len(good)} recordings, cost per degree of freedom {_cost(good)}"]
-    lines += [f"  {run.case.key}: {run.failure}" for run in runs if not run.blocks]
+    lines += [f"  {run.case.key}: {run.failure}" for run in runs if run.failure]
     lines.append(f"{'':24}{'NEES':>6}{'':10}{'in 2 sigma':>12}{'rms where observable':>24}")
-    lines += [_line(block, [run.blocks[block] for run in good]) for block in BLOCKS if good]
+    lines += [_line(block, [figures.blocks[block] for figures in good]) for block in BLOCKS if good]
     return "\n".join(lines) + "\n"
 
 
-def _cost(runs: Sequence[Run]) -> str:
-    return f"{np.mean([run.cost_per_dof for run in runs]):.2f}" if runs else "-"
+def _cost(good: Sequence[Figures]) -> str:
+    return cell(float(np.mean([figures.cost_per_dof for figures in good])), 2) if good else NONE
 
 
 def _line(name: str, blocks: Sequence[Block]) -> str:
     whole = summed(blocks)
     if not whole.dimensions:
-        return f"{name:24}{'-':>6}"
+        return f"{name:24}{NONE:>6}"
     mean, error = nees(blocks)
     inside = 100 * whole.inside / whole.coordinates
     text = f"{name:24}{mean:6.2f}{_mark(mean, NEES)}+- {error:4.2f}"
     text += f"{inside:11.1f} %{_mark(inside, COVERAGE)}"
     if name in ACCURACY and whole.observable:
         factor, unit, largest = ACCURACY[name]
-        rms = factor * float(np.sqrt(np.mean(whole.observable)))
-        text += f"{rms:12.4f} {unit}{'!' if rms > largest else ''} ({len(whole.observable)})"
+        error = factor * float(np.sqrt(np.mean(whole.observable)))
+        text += f"{error:12.4f} {unit}{'!' if error > largest else ''} ({len(whole.observable)})"
     return text
 
 

@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-import hashlib
 import tempfile
 import time
-import traceback
 import xml.etree.ElementTree as ET
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cache
 from pathlib import Path
 
 import numpy as np
 
-import skin2urdf
 from skin2urdf.arrays import F64
 from skin2urdf.calibration.pipeline import calibrate
 from skin2urdf.calibration.result import Calibration
@@ -32,33 +28,12 @@ from skin2urdf.urdf.loading import neutral
 from skin2urdf.urdf.records import Comparison, Spread
 from skin2urdf.urdf.rpy import rpy_of_rotation
 from validation.cases import Case, Circumstance
-from validation.records import Failure, Figures, Over, Run, SuFigures
+from validation.records import Figures, Over, SuFigures
 
 CONFIGURATIONS = 200
 """Random configurations of a comparison."""
 BOUND_ROWS = 2000
 """About how many SU poses the bound is averaged over; bounds its memory for robots of many SUs."""
-
-
-def perform(case: Case) -> Run:
-    """Run a case; whatever goes wrong becomes part of the result, so that a batch outlives it."""
-    try:
-        return Run(case, _figures(case), code_digest())
-    except Exception as error:
-        place = traceback.extract_tb(error.__traceback__)[-1]
-        where = f"{Path(place.filename).name}:{place.lineno} {place.name}"
-        return Run(case, Failure(type(error).__name__, str(error), where), code_digest())
-
-
-@cache
-def code_digest() -> str:
-    """First digits of the SHA-256 of the package's sources."""
-    folder = Path(skin2urdf.__file__).parent
-    digest = hashlib.sha256()
-    for path in sorted(folder.rglob("*.py")):
-        digest.update(path.relative_to(folder).as_posix().encode())
-        digest.update(path.read_bytes())
-    return digest.hexdigest()[:12]
 
 
 def settings_of(case: Case) -> SimulationSettings:
@@ -75,7 +50,7 @@ def settings_of(case: Case) -> SimulationSettings:
     )
 
 
-def _figures(case: Case) -> Figures:
+def perform(case: Case) -> Figures:
     """Everything about one run.
 
     Raises:

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from skin2urdf.errors import UsageError
-from validation.records import Figures, Over, Run
+from validation.records import Over, Run
 from validation.summary import RATIO, converged
 
 
@@ -35,13 +35,12 @@ def save(runs: Iterable[Run], path: Path) -> None:
     figure = Figure(figsize=(15, 4.5), layout="constrained")
     beyond, success, seconds = figure.subplots(1, 3)
     for i, (label, part) in enumerate(sorted(parts.items())):
-        done = [run.outcome for run in part if isinstance(run.outcome, Figures)]
+        done = [run.figures for run in part if not run.failure]
         shift = 0.06 * (i - (len(parts) - 1) / 2)
         dofs = [figures.n_dofs + shift for figures in done]
-        ratios = [_ratio(figures.determined) for figures in done]
-        beyond.scatter(dofs, ratios, s=10, label=label)
+        beyond.scatter(dofs, [_ratio(figures.determined) for figures in done], s=10, label=label)
         seconds.scatter(dofs, [f.calibration_seconds for f in done], s=10, label=label)
-        good = [isinstance(run.outcome, Figures) and converged(run.outcome) for run in part]
+        good = [not run.failure and converged(run.figures) for run in part]
         success.barh(label, 100.0 * sum(good) / len(good), height=0.6)
         success.text(1.0, label, f"{sum(good)} of {len(good)}", va="center", color="white")
     beyond.axhline(1.0, color="grey", linewidth=0.8)
@@ -60,6 +59,7 @@ def save(runs: Iterable[Run], path: Path) -> None:
     beyond.legend(fontsize="x-small")
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path, dpi=120)
+    print(f"plots: {path}")
 
 
 def _ratio(over: Over) -> float:

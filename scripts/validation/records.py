@@ -1,14 +1,15 @@
-"""What a run found, as records that go into a line of JSON and come back out of it."""
+"""What a run found."""
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import asdict, dataclass, field
-from typing import Any
+from dataclasses import dataclass
 
-from validation.cases import Case, Circumstance
+from batch.figures import rms
+from batch.records import Record
+
+from validation.cases import Case
 
 
 @dataclass(frozen=True)
@@ -140,90 +141,5 @@ class Figures:
         return sum(s for stage, s in self.seconds.items() if stage not in ("simulate", "compare"))
 
 
-@dataclass(frozen=True)
-class Failure:
-    """Why there are no figures.
-
-    Attributes:
-        kind: name of the exception.
-        message: its words.
-        where: the innermost place in the code, or where the worker ran.
-    """
-
-    kind: str
-    message: str
-    where: str = ""
-
-
-@dataclass(frozen=True)
-class Run:
-    """One line of the output.
-
-    Attributes:
-        case: what was run.
-        outcome: the figures, or why there are none.
-        code: digest of the package that ran, so that lines of different code can be told apart.
-    """
-
-    case: Case
-    outcome: Figures | Failure
-    code: str = field(default="")
-
-    def to_json(self) -> str:
-        """One line of JSON; numbers that are not finite become null."""
-        done = isinstance(self.outcome, Figures)
-        content = {
-            "key": self.case.key,
-            "case": asdict(self.case),
-            "code": self.code,
-            "figures" if done else "failure": asdict(self.outcome),
-        }
-        return json.dumps(_finite(content), allow_nan=False)
-
-    @classmethod
-    def from_json(cls, line: str) -> Run:
-        """A run from its line.
-
-        Raises:
-            ValueError: the line is not a whole run.
-        """
-        try:
-            content = json.loads(line)
-            case = dict(content["case"])
-            case["circumstance"] = Circumstance(**case["circumstance"])
-            outcome = (
-                _figures(content["figures"])
-                if "figures" in content
-                else Failure(**content["failure"])
-            )
-            return cls(Case(**case), outcome, content.get("code", ""))
-        except (KeyError, TypeError, AttributeError) as error:
-            raise ValueError(f"not a run: {error}") from error
-
-
-def rms(values: Iterable[float | None]) -> float | None:
-    """Root mean square of the finite values; None where there is none."""
-    squares = [v * v for v in values if v is not None and math.isfinite(v)]
-    return math.sqrt(sum(squares) / len(squares)) if squares else None
-
-
-def _figures(content: dict[str, Any]) -> Figures:
-    """Figures from parsed JSON."""
-    content = dict(content)
-    content["sus"] = tuple(SuFigures(**su) for su in content["sus"])
-    content["determined"] = Over(**content["determined"])
-    content["every"] = Over(**content["every"])
-    for name in ("tree_differences", "hypotheses", "notes"):
-        content[name] = tuple(content[name])
-    return Figures(**content)
-
-
-def _finite(value: Any) -> Any:
-    """The same with None for every float that is not finite."""
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None
-    if isinstance(value, Mapping):
-        return {key: _finite(entry) for key, entry in value.items()}
-    if isinstance(value, list | tuple):
-        return [_finite(entry) for entry in value]
-    return value
+Run = Record[Case, Figures]
+"""One line of the output."""

@@ -6,7 +6,9 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from statistics import median
 
-from validation.records import Failure, Figures, Over, Run, rms
+from batch.figures import ratio, rms, short
+
+from validation.records import Figures, Over, Run
 
 CONVERGED = 2.0
 """Cost per degree of freedom below which a run has converged."""
@@ -108,7 +110,7 @@ def grouped(runs: Iterable[Run], label: Callable[[Run], tuple[str, ...]]) -> lis
 
 
 def _group(label: tuple[str, ...], runs: Sequence[Run]) -> Group:
-    done = [run.outcome for run in runs if isinstance(run.outcome, Figures)]
+    done = [run.figures for run in runs if not run.failure]
     right = [figures for figures in done if figures.tree_right]
     every = [figures.every for figures in right]
     determined = [figures.determined for figures in right]
@@ -148,40 +150,18 @@ def _span(numbers: Iterable[int]) -> tuple[int, int] | None:
 
 def _ratio(overs: Iterable[Over], error: str, bound: str) -> float | None:
     """Rms of an error over rms of its bound, over runs that have both."""
-    pairs = [(getattr(o, error), getattr(o, bound)) for o in overs]
-    pairs = [(e, b) for e, b in pairs if e is not None and b is not None]
-    above, below = rms(e for e, _ in pairs), rms(b for _, b in pairs)
-    return above / below if above is not None and below else None
-
-
-@dataclass(frozen=True)
-class Miss:
-    """A run that fell short.
-
-    Attributes:
-        key: of the run.
-        reasons: why, in words.
-    """
-
-    key: str
-    reasons: tuple[str, ...]
-
-
-def misses(runs: Iterable[Run]) -> list[Miss]:
-    """Runs that failed, fell short of a target, or lie far beyond their bound."""
-    found = [Miss(run.case.key, tuple(shortfalls(run))) for run in runs]
-    return [miss for miss in found if miss.reasons]
+    return ratio((getattr(over, error), getattr(over, bound)) for over in overs)
 
 
 def shortfalls(run: Run) -> list[str]:
     """What is wrong with a run, in words; empty where nothing is."""
-    if isinstance(run.outcome, Failure):
-        return [f"{run.outcome.kind} in {run.outcome.where}: {run.outcome.message}"]
-    figures = run.outcome
+    if run.failure:
+        return [str(run.failure)]
+    figures = run.figures
     if not figures.tree_right:
         return ["the tree is wrong: " + "; ".join(figures.tree_differences)]
     if not converged(figures):
-        return [f"cost per degree of freedom {_number(figures.cost_per_dof)}"]
+        return [f"cost per degree of freedom {short(figures.cost_per_dof)}"]
     over, target = figures.determined, target_of(run)
     checks = (
         ("position", "mm", over.position_mm, target.position_mm),
@@ -201,12 +181,8 @@ def shortfalls(run: Run) -> list[str]:
         ),
     )
     words += [
-        f"{name} {ratio:.1f} times its bound"
-        for name, ratio in ratios
-        if ratio is not None and ratio > OUTLIER
+        f"{name} {times:.1f} times its bound"
+        for name, times in ratios
+        if times is not None and times > OUTLIER
     ]
     return words
-
-
-def _number(value: float | None) -> str:
-    return "none" if value is None else f"{value:.3g}"

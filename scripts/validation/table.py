@@ -4,16 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
+from batch.figures import NONE, cell, count, missed, table
+
 from validation.records import Run
-from validation.summary import (
-    CONVERGED,
-    OUTLIER,
-    RATIO,
-    TARGETS,
-    Group,
-    grouped,
-    misses,
-)
+from validation.summary import CONVERGED, OUTLIER, RATIO, TARGETS, Group, grouped, shortfalls
 
 _HEAD = (
     ("", "DoFs"), ("", "SUs"),
@@ -30,19 +24,14 @@ def report(runs: Iterable[Run]) -> str:
     runs = sorted(runs, key=lambda run: (run.case.robot, run.case.circumstance.words))
     if not runs:
         return "No runs.\n"
-    parts = [
-        _table("robot and circumstance", grouped(runs, _by_robot)),
-        _table("all robots", grouped(_by_kind(runs), _by_circumstance)),
-        _legend(),
-        _missed(runs),
-    ]
-    codes = {run.code for run in runs if run.code}
-    if len(codes) > 1:
-        parts.append(
-            f"These runs come from {len(codes)} states of the code; give a fresh --output to "
-            "measure one.\n"
-        )
-    return "\n".join(parts)
+    return "\n".join(
+        [
+            _table("robot and circumstance", grouped(runs, _by_robot)),
+            _table("all robots", grouped(_by_kind(runs), _by_circumstance)),
+            _legend(),
+            _missed(runs),
+        ]
+    )
 
 
 def _by_robot(run: Run) -> tuple[str, ...]:
@@ -63,24 +52,10 @@ def _table(title: str, groups: Sequence[Group]) -> str:
     if len(groups) == 1:
         shared = set()
     labels = [" ".join(word for word in group.label if word not in shared) for group in groups]
-    rows = [_row(group) for group in groups]
-    width = max(len(title), *map(len, labels))
-    widths = [
-        max(len(a), len(b), *(len(row[i]) for row in rows)) + 2 for i, (a, b) in enumerate(_HEAD)
-    ]
-    heads = [
-        title.ljust(width) + "".join(a.rjust(w) for (a, _), w in zip(_HEAD, widths, strict=True)),
-        " " * width + "".join(b.rjust(w) for (_, b), w in zip(_HEAD, widths, strict=True)),
-    ]
-    body = [
-        label.ljust(width) + "".join(cell.rjust(w) for cell, w in zip(row, widths, strict=True))
-        for label, row in zip(labels, rows, strict=True)
-    ]
-    lines = [*heads, "-" * max(map(len, heads)), *body]
+    text = table(title, _HEAD, list(zip(labels, map(_row, groups), strict=True)))
     if shared:
-        common = " ".join(word for word in groups[0].label if word in shared)
-        lines.append(f"(all of them: {common})")
-    return "\n".join(line.rstrip() for line in lines) + "\n"
+        text += f"(all of them: {' '.join(word for word in groups[0].label if word in shared)})\n"
+    return text
 
 
 def _row(g: Group) -> tuple[str, ...]:
@@ -89,39 +64,29 @@ def _row(g: Group) -> tuple[str, ...]:
         _span(g.n_dofs),
         _span(g.n_sus),
         str(g.n_runs),
-        _count(g.n_tree, g.n_runs),
-        _count(g.n_converged, g.n_runs),
-        _cell(g.cost_per_dof, CONVERGED, 2),
-        _cell(g.position_mm, t.position_mm, 3),
-        _cell(g.position_all_mm, None, 3),
-        _cell(g.position_ratio, RATIO, 2),
-        _cell(g.orientation_deg, t.orientation_deg, 4),
-        _cell(g.orientation_all_deg, None, 4),
-        _cell(g.orientation_ratio, RATIO, 2),
-        _cell(g.beside_floor_deg, None, 4),
-        _cell(g.beside_floor_ratio, RATIO, 2),
-        _cell(g.axis_angle_deg, t.axis_angle_deg, 4),
-        _cell(g.axis_distance_mm, None, 3),
-        "-" if g.n_open is None else str(g.n_open),
-        _cell(g.seconds, None, 2),
+        count(g.n_tree, g.n_runs),
+        count(g.n_converged, g.n_runs),
+        cell(g.cost_per_dof, 2, CONVERGED),
+        cell(g.position_mm, 3, t.position_mm),
+        cell(g.position_all_mm, 3),
+        cell(g.position_ratio, 2, RATIO),
+        cell(g.orientation_deg, 4, t.orientation_deg),
+        cell(g.orientation_all_deg, 4),
+        cell(g.orientation_ratio, 2, RATIO),
+        cell(g.beside_floor_deg, 4),
+        cell(g.beside_floor_ratio, 2, RATIO),
+        cell(g.axis_angle_deg, 4, t.axis_angle_deg),
+        cell(g.axis_distance_mm, 3),
+        NONE if g.n_open is None else str(g.n_open),
+        cell(g.seconds, 2),
     )
 
 
 def _span(numbers: tuple[int, int] | None) -> str:
     if numbers is None:
-        return "-"
+        return NONE
     low, high = numbers
     return str(low) if low == high else f"{low} to {high}"
-
-
-def _count(n: int, of: int) -> str:
-    return str(n) if n == of else f"{n}!"
-
-
-def _cell(value: float | None, limit: float | None, digits: int) -> str:
-    if value is None:
-        return "-"
-    return f"{value:.{digits}f}" + ("!" if limit is not None and value > limit else "")
 
 
 def _legend() -> str:
@@ -154,9 +119,7 @@ def _legend() -> str:
 
 
 def _missed(runs: Sequence[Run]) -> str:
-    found = misses(runs)
-    if not found:
-        return f"No run of {len(runs)} missed anything.\n"
-    lines = [f"  {miss.key}: {'; '.join(miss.reasons)}" for miss in found]
-    head = f"{len(found)} of {len(runs)} runs failed, missed a target, or lie beyond "
-    return "\n".join([f"{head}{OUTLIER:g} times their bound:", *lines]) + "\n"
+    return missed(
+        [(run.case.key, shortfalls(run)) for run in runs],
+        f"failed, missed a target, or lie beyond {OUTLIER:g} times their bound",
+    )

@@ -14,7 +14,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
+import faults
+import monte_carlo
 import pytest
+import random_chains
+import validate
 from batch import figures, run
 from batch.provenance import Checkout, checkout, package_digest
 from batch.records import Failure, Record, parsed
@@ -221,6 +225,16 @@ def test_two_states_of_the_code_are_told(
     said = capsys.readouterr().out
     assert "another" in said
     assert checkout().state(package_digest()) in said
+
+
+def test_all_scripts_have_the_same_options() -> None:
+    shared = ("output", "first_seed", "recordings", "jobs", "scheduler", "retry", "summary_only")
+    for script in (validate, faults, monte_carlo, random_chains):
+        options = script.parser().parse_args(
+            ["--output", "x", "--first-seed", "7", "--recordings", "2", "--jobs", "0"]
+        )
+        assert all(hasattr(options, name) for name in shared)
+        assert {case.seed for case in script.BATCH.cases(options)} == {7, 8}
 
 
 def test_ratios_are_of_root_mean_squares_over_rows_that_have_both() -> None:

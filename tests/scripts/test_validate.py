@@ -1,4 +1,4 @@
-"""The batch validation: one line per run, resumed by key, honest about what failed."""
+"""The batch validation: figures of a run, what falls short, the tables."""
 
 from __future__ import annotations
 
@@ -7,31 +7,30 @@ import math
 import os
 import subprocess
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+import validate
+from batch.records import Record
 from scipy.spatial.transform import Rotation
+from validation.cases import Case, Circumstance, robots_named
+from validation.measure import perform, sensor_rotations
+from validation.records import Figures, Over, Run
+from validation.summary import grouped, shortfalls
+from validation.table import report
 
-ROOT = Path(__file__).resolve().parents[1]
+from skin2urdf.errors import UsageError
+
+ROOT = Path(__file__).resolve().parents[2]
 SCRIPTS = ROOT / "scripts"
-SMALL = ("--robots", "so101", "--poses", "6", "--workers", "0")
+SMALL = ("--robots", "so101", "--poses", "6", "--jobs", "0")
 
 
-@pytest.fixture(scope="module", autouse=True)
-def _scripts_can_be_imported() -> Iterator[None]:
-    """As when Python runs scripts/validate.py."""
-    sys.path.insert(0, str(SCRIPTS))
-    yield
-    sys.path.remove(str(SCRIPTS))
-
-
-def validate(*arguments: str | Path) -> int:
-    from validate import main
-
-    return int(main([str(argument) for argument in arguments]))
+def run(*arguments: str | Path) -> int:
+    return int(validate.main([str(argument) for argument in arguments]))
 
 
 def lines_of(path: Path) -> list[dict[str, Any]]:
@@ -42,7 +41,7 @@ def lines_of(path: Path) -> list[dict[str, Any]]:
 def output(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """What one run leaves."""
     path = tmp_path_factory.mktemp("runs") / "deep" / "runs.jsonl"
-    assert validate(*SMALL, "--output", path) == 0
+    assert run(*SMALL, "--output", path) == 0
     return path
 
 
@@ -54,10 +53,8 @@ def runs(output: Path, tmp_path: Path) -> Path:
     return path
 
 
-def made(**figures: Any) -> Any:
+def made(**figures: Any) -> Run:
     """A run with the given figures, good ones where none are given."""
-    from validation.cases import Case, Circumstance
-    from validation.records import Figures, Over, Run
 
     def over(position: float, bound: float) -> Over:
         return Over(5, position, bound, 0.01, 0.01, 0.01, 0.01)
@@ -71,7 +68,7 @@ def made(**figures: Any) -> Any:
         "every": over(position, bound), "sus": (), "n_open": 0, "joint_verdicts": {},
         "seconds": {"simulate": 9.0, "features": 1.0}, "notes": (),
     }  # fmt: skip
-    return Run(Case("so101", seed, circumstance), Figures(**(good | figures)))
+    return Record(Case("so101", seed, circumstance), Figures(**(good | figures)))
 
 
 def test_a_run_is_one_line_with_its_key_and_figures(output: Path) -> None:
@@ -85,7 +82,6 @@ def test_a_run_is_one_line_with_its_key_and_figures(output: Path) -> None:
     assert 0.0 < figures["determined"]["orientation_deg"] < 0.05
     assert figures["n_dofs"] == 5
     assert {"simulate", "features", "estimation", "compare"} <= set(figures["seconds"])
-    assert len(line["code"]) == 12
 
 
 def test_figures_over_sus_are_those_of_the_sus(output: Path) -> None:
@@ -104,92 +100,40 @@ def test_errors_and_bounds_are_of_one_size(output: Path) -> None:
     assert 0.2 < over["orientation_deg"] / over["orientation_bound_deg"] < 3.0
 
 
-def test_what_is_in_the_output_is_not_run_again(
-    runs: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    before = runs.read_bytes()
-    assert validate(*SMALL, "--output", runs) == 0
-    assert runs.read_bytes() == before
-    assert "1 of 1 runs are in" in capsys.readouterr().out
-
-
-def test_a_half_written_line_is_passed_over_and_closed(
-    runs: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    from validation.store import Store, load
-
-    whole = runs.read_text(encoding="utf-8")
-    runs.write_text(whole + whole[: len(whole) // 2], encoding="utf-8")
-    assert validate(*SMALL, "--output", runs) == 0
-    assert "1 line(s) hold no whole run" in capsys.readouterr().out
-    Store(runs).append(made(seed=7))
-    found, broken = load(runs)
-    assert [run.case.seed for run in found.values()] == [0, 7]
-    assert broken == 1
-
-
-def test_a_failure_is_a_line_and_not_the_end(tmp_path: Path) -> None:
+def test_a_robot_that_can_not_be_read_is_a_line_and_not_the_end(tmp_path: Path) -> None:
     broken = tmp_path / "broken.urdf"
     broken.write_text("<robot name='nothing'/>", encoding="utf-8")
     path = tmp_path / "runs.jsonl"
-    arguments = ("--robots", broken, "--seeds", "2", "--workers", "0", "--output", path)
-    assert validate(*arguments) == 1
+    assert run("--robots", broken, "--recordings", "2", "--jobs", "0", "--output", path) == 1
     lines = lines_of(path)
     assert [line["case"]["seed"] for line in lines] == [0, 1]
     assert all("UnreadableInputError" in line["failure"]["kind"] for line in lines)
-    assert validate(*arguments, "--retry") == 1
-    assert len(lines_of(path)) == 4
-
-
-def test_a_run_survives_its_line() -> None:
-    from validation.records import Failure, Run
-
-    run = made(cost_per_dof=1.5)
-    assert Run.from_json(run.to_json()) == run
-    failed = Run(run.case, Failure("StructureError", "no tree", "tree.py:1 tree"))
-    assert Run.from_json(failed.to_json()) == failed
-    assert json.loads(made(cost_per_dof=math.nan).to_json())["figures"]["cost_per_dof"] is None
-
-
-@pytest.mark.parametrize("line", ["", "[]", "{}", '{"case": 3}', "null", '{"case": {"robot": 1'])
-def test_what_is_no_run_is_refused(line: str) -> None:
-    from validation.records import Run
-
-    with pytest.raises(ValueError, match=r"."):
-        Run.from_json(line)
 
 
 @pytest.mark.parametrize(
     ("figures", "words"),
     [
         ({}, []),
-        ({"tree_right": False, "tree_differences": ("joint x",)}, ["tree is wrong: joint x"]),
-        ({"cost_per_dof": 2.5}, ["cost per degree of freedom 2.5"]),
-        ({"cost_per_dof": None}, ["cost per degree of freedom none"]),
-        ({"position_mm": 0.6, "bound_mm": 0.5}, ["position 0.6 mm"]),
-        ({"position_mm": 0.4, "bound_mm": 0.1}, ["position 4.0 times its bound"]),
+        ({"tree_right": False, "tree_differences": ("joint x",)}, ["joint x"]),
+        ({"cost_per_dof": 2.5}, ["2.5"]),
+        ({"cost_per_dof": None}, ["-"]),
+        ({"position_mm": 0.6, "bound_mm": 0.5}, ["0.6 mm"]),
+        ({"position_mm": 0.4, "bound_mm": 0.1}, ["4.0 times"]),
     ],
 )
 def test_shortfalls_are_named(figures: dict[str, Any], words: list[str]) -> None:
-    from validation.summary import shortfalls
-
     found = shortfalls(made(**figures))
     assert len(found) == len(words)
     assert all(word in text for word, text in zip(words, found, strict=True))
 
 
 def test_the_targets_hold_for_the_tilted_base_alone() -> None:
-    from validation.cases import Circumstance
-    from validation.summary import shortfalls
-
     bad: dict[str, Any] = {"position_mm": 0.6, "bound_mm": 0.5}
     assert shortfalls(made(**bad))
     assert not shortfalls(made(**bad, circumstance=Circumstance(posture="upright")))
 
 
 def test_the_ratio_is_rms_over_rms_and_not_a_mean_of_ratios() -> None:
-    from validation.summary import grouped
-
     runs = [
         made(seed=0, position_mm=3.0, bound_mm=1.0),
         made(seed=1, position_mm=4.0, bound_mm=7.0),
@@ -203,8 +147,6 @@ def test_the_ratio_is_rms_over_rms_and_not_a_mean_of_ratios() -> None:
 
 
 def test_the_rotation_inside_a_sensor_is_found() -> None:
-    from validation.measure import sensor_rotations
-
     Q = Rotation.from_rotvec([0.01, -0.02, 0.005]).as_matrix()
     S = np.array([[1.02, 0.004, 0.0], [0.004, 0.97, 0.002], [0.0, 0.002, 1.01]])
     np.testing.assert_allclose(sensor_rotations(np.array([S @ Q]))[0], Q, atol=1e-12)
@@ -212,13 +154,7 @@ def test_the_rotation_inside_a_sensor_is_found() -> None:
 
 def test_turning_the_truth_takes_the_floor_out() -> None:
     """What is left of the orientation's error is small beside the rotation inside the sensors."""
-    from validation.cases import Case, Circumstance
-    from validation.measure import perform
-    from validation.records import Figures
-
-    run = perform(Case("so101", 1, Circumstance(grade="bma150", poses=6)))
-    assert isinstance(run.outcome, Figures), run.outcome
-    over = run.outcome.determined
+    over = perform(Case("so101", 1, Circumstance(grade="bma150", poses=6))).determined
     assert over.orientation_deg is not None
     assert over.orientation_beside_floor_deg is not None
     assert over.orientation_deg > 0.1
@@ -226,10 +162,6 @@ def test_turning_the_truth_takes_the_floor_out() -> None:
 
 
 def test_all_robots_and_urdfs_can_be_named() -> None:
-    from validation.cases import Case, Circumstance, robots_named
-
-    from skin2urdf.errors import UsageError
-
     assert {"panda", "so101"} <= set(robots_named(["all"]))
     urdfs = robots_named(["urdfs"])
     assert len(urdfs) > 50
@@ -241,8 +173,6 @@ def test_all_robots_and_urdfs_can_be_named() -> None:
 
 
 def test_keys_tell_cases_apart() -> None:
-    from validation.cases import Case, Circumstance
-
     kinds = [
         Circumstance(), Circumstance(grade="ideal"), Circumstance(posture="upright"),
         Circumstance(excite="all"), Circumstance(poses=5), Circumstance(encoder_bits=None),
@@ -254,8 +184,6 @@ def test_keys_tell_cases_apart() -> None:
 
 
 def test_the_report_shows_what_fell_short() -> None:
-    from validation.table import report
-
     text = report([made(seed=0), made(seed=1, tree_right=False, tree_differences=("it leans",))])
     assert "2  1!  1!" in " ".join(text.split()).replace(" 1!", "  1!")
     assert "so101 mems tilted one 12poses 17bit servo seed1: the tree is wrong: it leans" in text
@@ -268,49 +196,8 @@ def test_the_report_shows_what_fell_short() -> None:
 def test_the_plot_is_an_image(runs: Path, tmp_path: Path) -> None:
     pytest.importorskip("matplotlib")
     image = tmp_path / "plots" / "runs.png"
-    assert validate("--output", runs, "--summary-only", "--plot", image) == 0
+    assert run("--output", runs, "--summary-only", "--plot", image) == 0
     assert image.read_bytes().startswith(b"\x89PNG")
-
-
-def test_a_worker_that_dies_takes_no_other_run_with_it() -> None:
-    from dying_worker import work_or_die
-    from validation.cases import Case, Circumstance
-    from validation.records import Failure
-    from validation.workers import failed, pool
-
-    cases = [Case(name, 0, Circumstance()) for name in ("a", "die", "b", "c")]
-    runs = {run.case.robot: run for run in pool(2, failed)(work_or_die, cases)}
-    assert sorted(runs) == ["a", "b", "c", "die"]
-    died = runs.pop("die").outcome
-    assert isinstance(died, Failure)
-    assert died.kind == "WorkerDied"
-    assert all(getattr(run.outcome, "kind", "") == "Done" for run in runs.values())
-
-
-def test_a_dask_cluster_does_the_same_work(tmp_path: Path) -> None:
-    """A cluster on loopback, in processes of its own: this one only talks to its scheduler."""
-    pytest.importorskip("distributed")
-    program = tmp_path / "cluster.py"
-    program.write_text(CLUSTER, encoding="utf-8")
-    done = _python(program, SCRIPTS / "validate.py", tmp_path / "runs.jsonl")
-    assert done.returncode == 0, done.stderr
-    (line,) = lines_of(tmp_path / "runs.jsonl")
-    assert line["figures"]["tree_right"]
-
-
-CLUSTER = """
-import subprocess, sys
-from distributed import LocalCluster
-
-if __name__ == "__main__":
-    with LocalCluster(
-        n_workers=1, threads_per_worker=1, host="127.0.0.1", dashboard_address=None
-    ) as cluster:
-        script, output = sys.argv[1:]
-        arguments = ["--robots", "so101", "--poses", "6", "--output", output]
-        command = [sys.executable, script, *arguments, "--scheduler", cluster.scheduler_address]
-        sys.exit(subprocess.run(command).returncode)
-"""
 
 
 def test_the_script_runs_by_itself_and_says_what_is_wrong(tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import subprocess
 import sys
@@ -10,18 +11,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from batch.records import Failure, Record
+from chains import judge, summary
+from chains.draw import Chain, draw
+from chains.judge import Case, Outcome, judged, outcome_of
 
-ROOT = Path(__file__).resolve().parents[1]
-sys.path.insert(0, str(ROOT / "scripts"))
+from skin2urdf.estimation.problem.cost import Cost
+from skin2urdf.estimation.problem.state import State
+from skin2urdf.estimation.solve import estimate as module
+from skin2urdf.geometry.so3 import rotation_exp
 
-from chains import judge, summary  # noqa: E402
-from chains.draw import Chain, draw  # noqa: E402
-from chains.judge import Case, Outcome, judged  # noqa: E402
-
-from skin2urdf.estimation.problem.cost import Cost  # noqa: E402
-from skin2urdf.estimation.problem.state import State  # noqa: E402
-from skin2urdf.estimation.solve import estimate as module  # noqa: E402
-from skin2urdf.geometry.so3 import rotation_exp  # noqa: E402
+ROOT = Path(__file__).resolve().parents[2]
 
 
 @pytest.mark.parametrize("seed", range(16))
@@ -95,29 +95,51 @@ def test_the_summary_tells_failures_by_seed_and_whether_they_show() -> None:
     )
     shown = replace(good, seed=2, chi2=900.0, cost_per_dof=9.0)
     hidden = replace(good, seed=3, agreement=50.0)
-    text = summary.report([good, shown, hidden])
+    text = summary.report([Record(Case(o.seed), o) for o in (good, shown, hidden)])
     assert "2 of 3 chains are not at the global optimum; 1 of these" in text
     assert "chain 2" in text
     assert "NOT RECOGNISED" not in next(line for line in text.splitlines() if "chain 2" in line)
     assert "NOT RECOGNISED" in next(line for line in text.splitlines() if "chain 3" in line)
-    assert Outcome.from_json(good.to_json()) == good
 
 
-def test_the_script_goes_on_where_it_stopped(tmp_path: Path) -> None:
-    output = tmp_path / "chains.jsonl"
-    environment = dict(os.environ, PYTHONPATH=str(ROOT))
+def test_a_chain_whose_process_died_is_of_its_kind_and_failed() -> None:
+    outcome = outcome_of(Record(Case(5), Failure("BrokenProcessPool", "gone")))
+    assert outcome.failed
+    assert "gone" in outcome.error
+    assert (outcome.dofs, outcome.kind[0]) == (draw(5).n_dofs, draw(5).posture)
 
-    def run(chains: int) -> str:
-        done = subprocess.run(  # noqa: S603 - our own words
-            [sys.executable, "scripts/random_chains.py", "--chains", str(chains), "--workers", "0",
-             "--output", str(output)],
-            cwd=ROOT, env=environment, capture_output=True, text=True, check=False,
-        )  # fmt: skip
-        assert done.returncode == 0, done.stderr
-        return done.stdout
 
-    run(2)
-    first = output.read_text(encoding="utf-8")
-    assert "0 of 3 chains are not at the global optimum" in run(3)
-    assert output.read_text(encoding="utf-8").startswith(first)
-    assert len(output.read_text(encoding="utf-8").splitlines()) == 3
+def test_a_dask_cluster_does_the_same_work(tmp_path: Path) -> None:
+    """A cluster on loopback, in processes of its own: this one only talks to its scheduler.
+
+    Its worker knows nothing of the scripts but what the batch sends.
+    """
+    pytest.importorskip("distributed")
+    program, output = tmp_path / "cluster.py", tmp_path / "chains.jsonl"
+    program.write_text(CLUSTER, encoding="utf-8")
+    done = subprocess.run(  # noqa: S603 - our own words
+        [sys.executable, program, ROOT / "scripts" / "random_chains.py", output],
+        capture_output=True, text=True, check=False, timeout=120, cwd=tmp_path,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    lines = [json.loads(line) for line in output.read_text(encoding="utf-8").splitlines()]
+    assert sorted(line["case"]["seed"] for line in lines) == [5, 6]
+    for line in lines:
+        assert line["figures"]["dofs"] == draw(line["case"]["seed"]).n_dofs
+        assert line["figures"]["tree"] is not False
+
+
+CLUSTER = """
+import subprocess, sys
+from distributed import LocalCluster
+
+if __name__ == "__main__":
+    with LocalCluster(
+        n_workers=1, threads_per_worker=1, host="127.0.0.1", dashboard_address=None
+    ) as cluster:
+        script, output = sys.argv[1:]
+        arguments = ["--chains", "2", "--first-seed", "5", "--output", output]
+        command = [sys.executable, script, *arguments, "--scheduler", cluster.scheduler_address]
+        sys.exit(subprocess.run(command).returncode)
+"""

@@ -2,20 +2,15 @@
 
 from __future__ import annotations
 
-import sys
 from collections import Counter
-from pathlib import Path
 
 import numpy as np
 import pytest
+from benchmark_estimation import skin_of, synthesised
 
 from skin2urdf.estimation.solve.estimate import estimate
 from skin2urdf.simulation import load_robot
 from skin2urdf.simulation.mechanism import load_mechanism
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "scripts"))
-
-from benchmark_estimation import skin_of, synthesised
 
 
 @pytest.mark.parametrize("count", [8, 13, 40])

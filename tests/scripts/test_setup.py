@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 NAMES = ("python3", "python3.11", "python3.12", "python3.13")
 
 TOO_OLD = """#!/bin/sh

@@ -2,30 +2,24 @@
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Iterator
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
 import numpy as np
 import pytest
+from batch.records import Failure, Record
+from monte_carlo import main
+from montecarlo.chart import TrueRobot, displacement, true_robot
+from montecarlo.normalised import normalised, summed, without_open
+from montecarlo.records import BLOCKS, Block, Case, Run
+from montecarlo.table import nees, report
 from simulated import simulation, true_features
 
 from skin2urdf.calibration.pipeline import calibrate
 from skin2urdf.calibration.result import Calibration
 from skin2urdf.estimation.problem.state import State, Step, moved
 from skin2urdf.simulation import Simulation
-
-SCRIPTS = Path(__file__).resolve().parents[1] / "scripts"
-
-
-@pytest.fixture(scope="module", autouse=True)
-def _scripts_can_be_imported() -> Iterator[None]:
-    """As when Python runs scripts/monte_carlo.py."""
-    sys.path.insert(0, str(SCRIPTS))
-    yield
-    sys.path.remove(str(SCRIPTS))
 
 
 def recorded() -> Simulation:
@@ -39,8 +33,6 @@ def calibration() -> Calibration:
 
 def truth_of(found: Calibration) -> tuple[State, object]:
     """The estimate moved onto the truth, and the truth as the chart takes it."""
-    from montecarlo.chart import displacement, true_robot
-
     estimate = found.estimate
     true = true_robot(recorded().truth, estimate.tree)
     return moved(estimate.state, displacement(estimate.state, estimate.tree, true)), true
@@ -66,8 +58,6 @@ def test_the_truth_in_the_chart_feels_what_the_true_robot_feels() -> None:
 
 
 def test_from_the_truth_a_displacement_gives_back_itself() -> None:
-    from montecarlo.chart import TrueRobot, displacement
-
     found = calibration()
     state, true = truth_of(found)
     assert isinstance(true, TrueRobot)
@@ -87,8 +77,6 @@ def test_from_the_truth_a_displacement_gives_back_itself() -> None:
 
 
 def test_a_wrong_tree_is_no_error_figure() -> None:
-    from montecarlo.chart import true_robot
-
     found = calibration()
     tree = found.estimate.tree
     onto = np.where(tree.su_joint < 0, 0, tree.su_joint)
@@ -99,8 +87,6 @@ def test_a_wrong_tree_is_no_error_figure() -> None:
 
 
 def test_true_covariances_give_one_and_others_do_not() -> None:
-    from montecarlo.normalised import normalised, summed
-
     rng = np.random.default_rng(1)
     A = rng.standard_normal((4, 3)) * [[1e-6], [1.0], [1e-3], [1e-4]]
     covariance = A @ A.T  # of rank 3
@@ -114,8 +100,6 @@ def test_true_covariances_give_one_and_others_do_not() -> None:
 
 
 def test_open_directions_do_not_count() -> None:
-    from montecarlo.normalised import normalised, without_open
-
     v = np.array([0.6, 0.0, 0.8])
     covariance = np.eye(3) - np.outer(v, v)
     error = without_open(np.array([1.0, 1.0, 0.0]) + 7.0 * v, covariance)
@@ -125,43 +109,23 @@ def test_open_directions_do_not_count() -> None:
 
 
 def test_recordings_and_not_coordinates_make_the_standard_error() -> None:
-    from montecarlo.records import Block
-    from montecarlo.table import nees
-
     mean, error = nees([Block(20.0, 10, 10, 10), Block(0.0, 10, 10, 10)])
     assert mean == pytest.approx(1.0)
     assert error == pytest.approx(np.sqrt(2.0) * 10 / 20)
 
 
-def test_the_script_resumes_and_shows_its_table(
+def test_the_script_shows_all_blocks_of_parameters(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    from monte_carlo import main
-    from montecarlo.records import BLOCKS
-
     path = tmp_path / "recordings.jsonl"
-    arguments = ["--robots", "so101", "--poses", "4", "--workers", "0", "--output", str(path)]
+    arguments = ["--robots", "so101", "--poses", "4", "--jobs", "0", "--output", str(path)]
     assert main([*arguments, "--recordings", "1"]) == 0
-    first = path.read_text(encoding="utf-8")
-    assert main([*arguments, "--recordings", "2"]) == 0
-    assert path.read_text(encoding="utf-8").startswith(first)
-    assert len(path.read_text(encoding="utf-8").splitlines()) == 2
     shown = capsys.readouterr().out
-    assert "so101 mems all 4poses: 2 recordings" in shown
     assert all(block in shown for block in BLOCKS)
-    assert main(["--summary-only", "--output", str(path)]) == 0
     assert main(["--robots", "nobody", "--output", str(path)]) == 2
 
 
-def test_a_failure_is_a_line_of_its_own() -> None:
-    from montecarlo.records import Block, Case, Run
-    from montecarlo.table import report
-
+def test_a_failure_counts_in_no_figure() -> None:
     case = Case("panda", "mems", "all", 6, 3)
-    failed = Run(case, {}, failure="ValueError: no tree")
-    assert Run.from_json(failed.to_json()) == failed
-    good = Run(case, {"bias": Block(1.0, 2, 3, 4, (0.5,))}, 1.1)
-    assert Run.from_json(good.to_json()) == good
-    assert "seed3: ValueError: no tree" in report([failed])
-    with pytest.raises(ValueError, match="not a run"):
-        Run.from_json("{}")
+    failed: Run = Record(case, Failure("ValueError", "no tree"))
+    assert f"{case.key}: {failed.failure}" in report([failed])

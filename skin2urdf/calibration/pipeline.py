@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -19,9 +20,11 @@ from skin2urdf.calibration.rounds import (
     sample_logs,
     take_features,
 )
+from skin2urdf.calibration.samples import fit_samples, with_samples
 from skin2urdf.calibration.settings import CalibrationSettings
 from skin2urdf.errors import BadFitError, InsufficientDataError
 from skin2urdf.estimation.solve.estimate import Estimate
+from skin2urdf.estimation.trajectory.estimate import MotionEstimate
 from skin2urdf.estimation.uncertainty.goodness import Goodness, goodness
 from skin2urdf.estimation.uncertainty.health import health_notes, why_bad
 from skin2urdf.estimation.uncertainty.observability import Observability, observability
@@ -70,16 +73,19 @@ def calibrate(
         solution = _estimate_by_the_paper(sampled, features, structure, clock)
     else:
         first = estimate_robot(sampled, features, structure, clock)
-        # The seam: whatever else explains the logs from here, such as all their samples at once,
-        # takes this estimate as its start and gives a Solution in its place.
         solution = clock.run(
             "what is wrong",
             lambda _: find_what_is_wrong(encoders, sampled, structure, first, clock),
         )
         check_fit(solution.found)
     fit = clock.run("goodness of fit", lambda _: goodness(solution.found))
-    seen = clock.run("observability", lambda _: observability(solution.found))
-    return _calibration(recordings, solution, fit, seen, clock)
+    along = None
+    if settings.method != "paper" and settings.motion == "all":
+        along = clock.run("all samples", lambda tell: fit_samples(solution, tell))
+        solution = replace(solution, found=with_samples(solution.found, along))
+    information = along.information if along else None
+    seen = clock.run("observability", lambda _: observability(solution.found, information))
+    return _calibration(recordings, solution, along, fit, seen, clock)
 
 
 def check_fit(found: Estimate) -> None:
@@ -96,6 +102,7 @@ def check_fit(found: Estimate) -> None:
 def _calibration(
     recordings: Sequence[Recording],
     solution: Solution,
+    along: MotionEstimate | None,
     fit: Goodness,
     seen: Observability,
     clock: Clock,
@@ -108,6 +115,7 @@ def _calibration(
     return Calibration(
         model=canonical(found.state.model(tree)),
         estimate=found,
+        along=along,
         observability=seen,
         goodness=fit,
         features=features,

@@ -10,6 +10,7 @@ import numpy as np
 from skin2urdf.arrays import F64, Bool, Int, frozen
 from skin2urdf.calibration.settings import CalibrationSettings
 from skin2urdf.estimation.solve.estimate import Estimate
+from skin2urdf.estimation.trajectory.estimate import MotionEstimate
 from skin2urdf.estimation.uncertainty.goodness import Goodness
 from skin2urdf.estimation.uncertainty.observability import Observability
 from skin2urdf.estimation.uncertainty.outliers import (
@@ -54,6 +55,7 @@ class Calibration:
     Attributes:
         model: the robot, in canonical frames (extended DH); base z is up.
         estimate: how it was found, in the estimation's frames.
+        along: what all samples along the logs say; None where patterns alone count.
         observability: what of it the log determines; same frames as ``estimate``.
         goodness: how well it explains the features, part by part.
         features: the regressions around poses it rests on; None where the estimate was made
@@ -71,6 +73,7 @@ class Calibration:
 
     model: KinematicModel
     estimate: Estimate
+    along: MotionEstimate | None
     observability: Observability
     goodness: Goodness
     features: Features | None

@@ -9,6 +9,7 @@ from skin2urdf.estimation.solve.estimate import EstimationSettings
 from skin2urdf.structure.activity import STATIC_THRESHOLD
 
 Method = Literal["default", "paper"]
+Motion = Literal["all", "patterns"]
 
 
 @dataclass(frozen=True)
@@ -19,6 +20,11 @@ class CalibrationSettings:
         method: ``default``, or ``paper`` for the paper's own estimator (Algorithm 2), which stops
             far above the noise and is there for comparison.
         estimation: priors, refinement, robustness.
+        motion: ``all`` samples of the logs count, or those of ``patterns`` around poses alone.
+        gravity_deviation: standard deviation of gravity's magnitude where the logs were recorded
+            [m/s^2]; on Earth it is 9.764 to 9.834. Every length rests on it.
+        slowest_pole: time constant of a sensor's low-pass that is slow, but not rare [s]: that of
+            20 Hz. 0 where sensors have none.
         static_threshold: change of a static reading that makes an SU active [m/s^2].
         relinearisations: how often, at most, the features are taken again with the estimate's
             prediction of what lies beyond first order.
@@ -26,5 +32,8 @@ class CalibrationSettings:
 
     method: Method = "default"
     estimation: EstimationSettings = field(default_factory=EstimationSettings)
+    motion: Motion = "all"
+    gravity_deviation: float = 0.02
+    slowest_pole: float = 8e-3
     static_threshold: float = STATIC_THRESHOLD
     relinearisations: int = 6

@@ -179,7 +179,7 @@ class MotionProblem:
         log, model = self.logs[g], state.placements.model(self.tree)
         up = state.placements.up[g] * state.gravity
         ideal = specific_forces(model, log.q, log.qd, log.qdd, up)
-        M = state.placements.sensor_matrix()
+        M = state.placements.sensor_matrix() * self._sense(state)
         read = filtered((ideal.swapaxes(0, 1) @ M).swapaxes(0, 1), log.taps)
         bend = second_derivative(read, log.rate)
         rates = np.stack(
@@ -198,6 +198,13 @@ class MotionProblem:
         for u in range(self.tree.n_sus):
             residual[:, u] = taken_at(log.readings[:, u], at[:, u]) - predicted[:, u]
         return Predicted(residual, log.valid & np.isfinite(residual).all(axis=2), rates)
+
+    def _sense(self, state: MotionState) -> float:
+        """What sensors read per m/s^2: gravity is what they are held against, whatever it is.
+
+        Their scales do not tell its size: sensors of one kind may share a scale error.
+        """
+        return self.priors.sensors.gravity / state.gravity
 
     def lags(self, state: MotionState, g: int) -> F64:
         """(K, U) by how much the readings of a log are late [s]."""
@@ -318,7 +325,7 @@ class MotionProblem:
         q, qd, qdd = motion
         K = q.shape[1]
         fixed, carried = frames
-        M = places.sensor_matrix()[u]
+        M, sense = places.sensor_matrix()[u], self._sense(state)
         T = places.T_joint_su[u]
         here = placed(carried[int(tree.su_joint[u])], T)
         rows: list[F64] = []
@@ -334,18 +341,19 @@ class MotionProblem:
             turn = np.cross(np.eye(3)[:2], places.up[g]) * state.gravity
             rows.append(np.einsum("ijk,cj->cik", R_su_base, turn))
         pull = np.einsum("ijk,j->ik", R_su_base, places.up[g] * state.gravity)
-        rows.append(pull[None])
+        # With gravity grow the accelerations that a reading stands for.
+        rows.append((pull - here.f)[None])
         around = Path(still, still, still, np.repeat(np.eye(3)[:, :, None], K, axis=2))
         rows.append(placement_columns(here, around, tuple(range(N_PLACEMENT))))
         ideal = np.concatenate(rows)
         C = len(ideal) - N_PLACEMENT
         out = np.zeros((C + layout.n_su, 3, K))
-        out[: C + N_PLACEMENT] = np.einsum("ij,cjk->cik", M, ideal)
+        out[: C + N_PLACEMENT] = np.einsum("ij,cjk->cik", M * sense, ideal)
         own = out[C:]
         own[range(6, 9), range(3)] = 1.0
         for i, (a, b) in enumerate(_SHAPE):
-            own[9 + i, a] = here.f[b]
-            own[9 + i, b] = here.f[a]
+            own[9 + i, a] = here.f[b] * sense
+            own[9 + i, b] = here.f[a] * sense
         slopes = front_slopes(state.front[u])
         own[layout.front] = np.tensordot(slopes, rates[1:], 1).T
         late = -rates[0].T
@@ -369,9 +377,7 @@ class MotionProblem:
             return np.divide(1.0, d**2, out=np.zeros_like(d), where=d > 0)
 
         joint[layout.gravity] = inverse(priors.gravity / state.gravity)
-        joint_gradient[layout.gravity] = -joint[layout.gravity] * (
-            1 - priors.sensors.gravity / state.gravity
-        )
+        joint_gradient[layout.gravity] = -joint[layout.gravity] * (1 - self._sense(state))
         joint[layout.compliance] = inverse(priors.compliance)
         joint_gradient[layout.compliance] = -joint[layout.compliance] * state.compliance
         T = priors.pole

@@ -280,13 +280,12 @@ def _ratios(
 
 
 def _scaled(covariance: F64, prior: F64, ratio: F64) -> F64:
-    """A covariance (..., n, n) with the part of it that data have scaled by ratios (..., n)."""
-    total = np.einsum("...ii->...i", covariance)
-    known = np.minimum(np.einsum("...ii->...i", prior), total)
-    factor = np.sqrt(
-        np.divide(known + ratio * (total - known), total, out=np.ones_like(total), where=total > 0)
-    )
-    return np.asarray(covariance * factor[..., :, None] * factor[..., None, :])
+    """A covariance (..., n, n) with the part of it that data have scaled by ratios (..., n).
+
+    What was known before is one error that goes through all coordinates, and keeps its shape.
+    """
+    root = np.sqrt(ratio)
+    return np.asarray((covariance - prior) * root[..., :, None] * root[..., None, :] + prior)
 
 
 def _of_priors(response: _Response, info: MotionInformation) -> tuple[F64, F64]:

@@ -18,7 +18,7 @@ import numpy as np
 
 from skin2urdf.arrays import F64, Bool, frozen
 from skin2urdf.errors import StructureError
-from skin2urdf.geometry.spatial import frame_with_z
+from skin2urdf.geometry.so3 import frame_with_z
 from skin2urdf.signals.sampling import Sampled
 from skin2urdf.structure.gravity import gravity_windows
 from skin2urdf.structure.growth import Growth

@@ -17,11 +17,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from skin2urdf.arrays import F64, Int, frozen
-from skin2urdf.geometry.spatial import axis_rotation, rotation_exp, skew, wahba
-from skin2urdf.signals.sampling import STANDARD_GRAVITY, Sampled
+from skin2urdf.geometry.so3 import axis_rotation, rotation_exp, skew, wahba
+from skin2urdf.signals.sampling import Sampled
 
-UPWARD = STANDARD_GRAVITY
-"""Magnitude of gravity [m/s^2]."""
 _STEADY = 0.02
 """Standard deviation [m/s^2] of gravity at rest that no average takes away: 2 mg, by which the
 bias of MEMS sensors wanders within minutes, and which 2 mrad of play in joints make."""

@@ -17,9 +17,9 @@ from itertools import permutations
 import numpy as np
 
 from skin2urdf.arrays import F64, Int
-from skin2urdf.geometry.spatial import axis_rotation
+from skin2urdf.geometry.so3 import axis_rotation
+from skin2urdf.geometry.units import GRAVITY
 from skin2urdf.structure.gravity import (
-    UPWARD,
     GravityFits,
     GravityWindows,
     axis_losses,
@@ -122,7 +122,7 @@ class Growth:
         self._fitted: dict[tuple[int, int, int], tuple[float, F64]] = {}
         usable = np.isfinite(self.up).all(axis=1)[self.windows.log]
         self._weight = self.windows.weight * usable[:, None]
-        self._upward = np.where(usable[:, None], self.up[self.windows.log], 0.0) * UPWARD
+        self._upward = np.where(usable[:, None], self.up[self.windows.log], 0.0) * GRAVITY
         self.n = 3.0 * (self._weight > 0).sum(axis=0)
         for parent, dof, axis in known:
             self._add(parent, dof, axis)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from skin2urdf.estimation.start.from_rests import state_of
-from skin2urdf.geometry.spatial import rotation_exp
+from skin2urdf.geometry.so3 import rotation_exp
 from skin2urdf.structure.from_motion import MotionTree
 from skin2urdf.structure.records import KinematicTree
 

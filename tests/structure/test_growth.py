@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from skin2urdf.arrays import F64
-from skin2urdf.geometry.spatial import axis_rotation, rotation_exp, wahba
-from skin2urdf.structure.gravity import UPWARD, GravityWindows
+from skin2urdf.geometry.so3 import axis_rotation, rotation_exp, wahba
+from skin2urdf.geometry.units import GRAVITY
+from skin2urdf.structure.gravity import GravityWindows
 from skin2urdf.structure.growth import Growth
 
 PARENT = (-1, 0, 1, 0, 3)
@@ -38,7 +39,7 @@ class Robot:
         R = [np.tile(np.eye(3), (n, 1, 1))]
         for d, p in enumerate(PARENT):
             R.append(R[p + 1] @ axis_rotation(self.axes[d], q[:, d]))
-        g = UPWARD * unit(np.array(up))
+        g = GRAVITY * unit(np.array(up))
         felt = np.stack(
             [(r @ b).swapaxes(1, 2) @ g for r, b in zip(R, self.R_base_su, strict=True)], 1
         )

@@ -18,7 +18,16 @@ import numpy as np
 
 from skin2urdf.arrays import F64, Int, frozen
 from skin2urdf.geometry.so3 import axis_rotation, rotation_exp, skew, wahba
-from skin2urdf.signals.sampling import Sampled
+from skin2urdf.signals.encoder_noise import EncoderNoise
+from skin2urdf.signals.filters import (
+    filtered,
+    first_derivative,
+    low_pass,
+    second_derivative,
+)
+from skin2urdf.signals.information import Information
+from skin2urdf.signals.records import Features
+from skin2urdf.signals.sampling import Sampled, static_moves
 
 _STEADY = 0.02
 """Standard deviation [m/s^2] of gravity at rest that no average takes away: 2 mg, by which the
@@ -29,6 +38,9 @@ _LAG = 0.03
 """Standard deviation [s] of what the SUs' clocks, buses and filters lag the joints'."""
 _WINDOW = 0.2
 """Length of a moment of a move [s]: readings averaged over it hold nothing above 2 Hz."""
+_SLOW = 2.5
+"""Cutoff [Hz] of the joints' motion from which accelerations in such a window are judged: what an
+encoder rounds is differentiated no further than that."""
 _MOST_WINDOWS = 120
 """Windows looked at; the rest of a long log would only repeat what the steadiest ones say."""
 _PRIOR = np.array([0.5] * 3 + [0.03] * 3 + [0.01] * 3)
@@ -87,6 +99,9 @@ def gravity_windows(
     """
     q, log, reading, variance = [], [], [], []
     for g, s in enumerate(sampled):
+        rate = s.motion.grid.rate
+        smooth = filtered(s.motion.q, low_pass(_SLOW, rate))
+        qd, qdd = first_derivative(smooth, rate), second_derivative(smooth, rate)
         for begin, end, rests in _intervals(s):
             n = end - begin
             part = slice(begin, end)
@@ -94,9 +109,9 @@ def gravity_windows(
             weights = s.valid[part, :, None] / np.maximum(s.valid[part].sum(0), 1)[:, None]
             mean = (s.readings[part] * weights).sum(axis=0)
             spread = ((s.readings[part] - mean) ** 2 * weights).sum(axis=(0, 2)) / 3
-            seconds = n / s.motion.grid.rate
-            speed = np.abs(s.motion.qd[part]).sum(axis=1)
-            acceleration = np.abs(s.motion.qdd[part]).sum(axis=1)
+            seconds = n / rate
+            speed = np.abs(qd[part]).sum(axis=1)
+            acceleration = np.abs(qdd[part]).sum(axis=1)
             if rests:
                 # What rings or shakes averages out over its periods, half a second at most.
                 error = spread / (1 + 2 * seconds)
@@ -137,6 +152,35 @@ def _intervals(s: Sampled) -> list[tuple[int, int, bool]]:
             out.append((rest.begin + trim, rest.end - trim, True))
             at = rest.end
     return out
+
+
+def gravity_features(windows: GravityWindows, sampled: Sequence[Sampled]) -> Features:
+    """The windows as features of poses without patterns: ``f0`` is all that was measured.
+
+    Args:
+        windows: the measurements.
+        sampled: the logs that they come from.
+    """
+    W, U = windows.sd.shape
+    n = 1 + 2 * len(windows.dof_names)
+    coefficients = np.zeros((W, U, n, 3))
+    coefficients[:, :, 0] = windows.reading
+    only_gravity = np.zeros((1, n, n))
+    only_gravity[0, 0, 0] = 1.0
+    position_sd = np.array([np.where(s.motion.named, s.motion.noise, np.inf) for s in sampled])
+    return Features(
+        su_names=windows.su_names,
+        dof_names=windows.dof_names,
+        q=windows.q,
+        log=windows.log,
+        coefficients=coefficients,
+        information=Information.of_products(only_gravity, np.zeros((W, U), dtype=np.int64)),
+        noise=np.repeat(windows.sd[:, :, None], 3, axis=2),
+        latency=np.zeros(U),
+        latency_sd=np.full(U, np.inf),
+        moves=static_moves(sampled),
+        encoders=EncoderNoise(position_sd=position_sd[windows.log]),
+    )
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from skin2urdf.arrays import F64, Bool
+from skin2urdf.calibration.at_rest import estimate_at_rest
 from skin2urdf.calibration.clock import Clock, Progress, Tell
 from skin2urdf.calibration.result import BAD_FIT, Calibration, Source
 from skin2urdf.calibration.rounds import (
@@ -71,6 +72,9 @@ def calibrate(
     structure = find_structure(sampled, features, clock)
     if settings.method == "paper":
         solution = _estimate_by_the_paper(sampled, features, structure, clock)
+    elif not structure.patterns_felt:
+        solution = estimate_at_rest(sampled, structure, clock)
+        check_fit(solution.found)
     else:
         first = estimate_robot(sampled, features, structure, clock)
         solution = clock.run(

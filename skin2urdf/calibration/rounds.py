@@ -67,6 +67,11 @@ class Structure:
     contradiction: StructureError | None = None
 
     @property
+    def patterns_felt(self) -> bool:
+        """Whether any SU felt a pattern around any pose."""
+        return bool(np.nanmax(self.seen.dynamic, initial=0.0) >= 1.0)
+
+    @property
     def certain_tree(self) -> KinematicTree:
         """The tree.
 

@@ -36,6 +36,8 @@ class Findings:
         expected_orientation: the same of SU orientations [rad].
         worst_position: largest error to expect of an SU that is determined; NaN without any [m].
         worst_orientation: the same of SU orientations [rad].
+        positions_open: whether the log shows no position of any SU on any joint that turns it;
+            then that is told once, and not of every SU and branch.
         unknown: per SU what the log does not tell.
         between_branches: what the log does not tell of branches relative to each other.
     """
@@ -50,6 +52,7 @@ class Findings:
     expected_orientation: float
     worst_position: float
     worst_orientation: float
+    positions_open: bool
     unknown: tuple[tuple[Unknown, ...], ...]
     between_branches: tuple[Unknown, ...]
 
@@ -70,13 +73,15 @@ def findings(calibration: Calibration) -> Findings:
     tree = calibration.model.tree
     su_sd = np.sqrt(np.einsum("uii->ui", found.su_covariance).clip(min=0.0))
     nothing = np.array([len(rows) == 6 for rows in found.su_unobservable], dtype=bool)
-    unseen = nothing | (tree.su_joint < 0)  # the position of an SU on the RS is never seen
+    # The position of an SU on the RS is never seen.
+    unseen = nothing | (tree.su_joint < 0) | np.array([_no_place(r) for r in found.su_unobservable])
+    positions_open = bool(unseen.all())
     covariance = joint_placement_covariance(
         calibration.estimate, found, calibration.T_canonical_joint
     )
     variance = np.einsum("dii->di", covariance).clip(min=0.0)
     # Where an axis on the RS passes is a free choice, where a prismatic one passes means nothing.
-    anywhere = (tree.parent < 0) | tree.prismatic
+    anywhere = (tree.parent < 0) | tree.prismatic | positions_open
     (position, orientation), worst = _expected(calibration)
     return Findings(
         verdict=verdict(calibration, *worst),
@@ -89,9 +94,28 @@ def findings(calibration: Calibration) -> Findings:
         expected_orientation=orientation,
         worst_position=worst[0],
         worst_orientation=worst[1],
-        unknown=unknowns(calibration.model, found.su_unobservable, state.up),
+        positions_open=positions_open,
+        unknown=unknowns(
+            calibration.model,
+            [_turns(r) for r in found.su_unobservable] if positions_open else found.su_unobservable,
+            state.up,
+        ),
         between_branches=between_branches(calibration.model, calibration.open_directions, state.up),
     )
+
+
+def _no_place(rows: F64) -> bool:
+    """Whether unobservable twists (k, 6) hold every shift."""
+    return bool(np.linalg.matrix_rank(rows[:, :3], tol=0.5) == 3)
+
+
+def _turns(rows: F64) -> F64:
+    """(k, 6) orthonormal twists that only turn, of the span of unobservable ones."""
+    if not _no_place(rows) or len(rows) == 6:
+        return rows
+    _, size, turns = np.linalg.svd(rows[:, 3:], full_matrices=False)
+    turns = turns[size > 0.5]
+    return np.concatenate([np.zeros_like(turns), turns], axis=1)
 
 
 def _expected(calibration: Calibration) -> tuple[tuple[float, float], tuple[float, float]]:

@@ -8,6 +8,7 @@ from skin2urdf.calibration.result import Calibration
 from skin2urdf.geometry.units import MILLI_G
 from skin2urdf.report.findings import Findings, findings
 from skin2urdf.report.tables import bullets, number, span, table
+from skin2urdf.report.words import NO_POSITIONS
 from skin2urdf.signals.records import Features
 
 _MM = 1e3
@@ -136,4 +137,6 @@ def _latency(features: Features | None, su: str) -> float:
 def _not_known(found: Findings) -> list[str]:
     """Everything the log does not tell, one line each."""
     lines = [str(unknown) for su in found.unknown for unknown in su]
-    return lines + [str(unknown) for unknown in found.between_branches]
+    if not found.positions_open:
+        return lines + [str(unknown) for unknown in found.between_branches]
+    return [str(NO_POSITIONS), *lines]

@@ -41,6 +41,13 @@ class Unknown:
         return f"{self.what}: {self.why}" + (f"; {self.remedy}" if self.remedy else "")
 
 
+NO_POSITIONS = Unknown(
+    "positions of all joints and SUs, which are zero in the URDF",
+    "the log holds rests and slow motion, in which gravity alone is felt",
+    "record moves of all joints at 0.5 rad/s or more, or patterns around the poses",
+)
+
+
 def unknowns(
     model: KinematicModel, unobservable: Sequence[F64], up: F64
 ) -> tuple[tuple[Unknown, ...], ...]:

@@ -120,7 +120,10 @@ def estimate(
     blocks = feature_blocks(features, tree)
     cost = Cost(tree, blocks, settings.priors)
     free = _free(cost, settings)
-    _check_amount(cost, free)
+    if search or start is None:
+        _check_amount(cost, free)
+    else:
+        _check_gravity(cost)
     state, hypotheses = followed_starts(cost, free, start, search)
     weight = np.ones(blocks.count.shape)
     state, chi2 = minimise(cost, state, free)
@@ -185,6 +188,17 @@ def _check_amount(cost: Cost, free: Free) -> None:
             "joints move at once that their motions depend on each other",
             f"{remedy}; joints that move at once need frequencies of their own and time enough "
             "to tell these apart, half a second for each joint between 1 and 4 Hz",
+        )
+
+
+def _check_gravity(cost: Cost) -> None:
+    """Raise where not even the directions that gravity shows are determined."""
+    unknown = 2 * cost.tree.n_joints + 3 * cost.tree.n_sus
+    if cost.n_data < unknown:
+        raise InsufficientDataError(
+            f"{cost.n_data} independent measurements for {unknown} directions of "
+            f"{cost.tree.n_joints} joints and {cost.tree.n_sus} SUs",
+            "record more rests in other poses",
         )
 
 

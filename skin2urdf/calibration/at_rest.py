@@ -1,0 +1,32 @@
+"""What logs without patterns tell at rest and in slow motion: the tree, and directions."""
+
+from __future__ import annotations
+
+from skin2urdf.calibration.clock import Clock
+from skin2urdf.calibration.rounds import Logs, Solution, Structure
+from skin2urdf.estimation.solve.estimate import estimate
+from skin2urdf.estimation.start.from_rests import state_of
+from skin2urdf.structure.from_motion import trees_from_motion
+from skin2urdf.structure.gravity import gravity_features, gravity_windows
+
+
+def estimate_at_rest(logs: Logs, structure: Structure, clock: Clock) -> Solution:
+    """The tree and the directions that gravity shows; positions stay open.
+
+    Args:
+        logs: the logs.
+        structure: what their first features show.
+        clock: runs the stages.
+
+    Raises:
+        InsufficientDataError: the logs lack what directions need.
+        StructureError: no SU feels any joint move.
+    """
+    best = clock.run("structure", lambda _: trees_from_motion(logs.sampled, logs.su_names))[0]
+    features = gravity_features(gravity_windows(logs.sampled, logs.su_names), logs.sampled)
+    settings = logs.settings.estimation
+    found = clock.run(
+        "estimation",
+        lambda _: estimate(features, best.tree, settings, state_of(best), search=False),
+    )
+    return Solution(logs, structure.seen, found, features)

@@ -1,0 +1,371 @@
+"""Trees grown outwards: which joint, next to what is known, explains the gravity an SU feels.
+
+Every segment whose rotation is known carries upward gravity into its frame. An SU sits on it if a
+constant orientation explains what it feels; an SU one joint further out, if one axis does besides.
+Of all joints, segments and SUs the one is taken next that leaves least unexplained, as long as that
+is worth more than its parameters; where segments in between carry no SU, two or three joints are
+put in at once. Nothing is compared with a threshold: what a fit leaves is weighed by the logarithm
+of its chi-squared, which holds whatever the noise is, and parameters by that of the measurements.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import permutations
+
+import numpy as np
+
+from skin2urdf.arrays import F64, Int
+from skin2urdf.geometry.so3 import axis_rotation
+from skin2urdf.geometry.units import GRAVITY
+from skin2urdf.structure.gravity import (
+    GravityFits,
+    GravityWindows,
+    axis_losses,
+    fibonacci_sphere,
+    fit_gravity,
+)
+
+_GRID = 200
+"""Candidate axes of a joint, some 14 deg apart: no axis is further than 8 deg from one of them, and
+Gauss-Newton converges from there."""
+_REFINED = 12
+"""Most promising pairs of SU and joint that are fitted before one is chosen."""
+_STARTS = 2
+"""Axes from which each of them is fitted; where gravity hardly moves, two mirror images compete."""
+_SEARCHED = 60
+"""Windows on which chains of several joints are searched before they are fitted to all."""
+_RANDOM_STARTS = {2: 16, 3: 24}
+"""Random axes from which chains of several joints are fitted. Of simulated chains of two (three)
+joints with 45 rests, one start in three (one in six) leads to the optimum."""
+
+
+_CHUNK = 400_000
+"""Entries of Jacobians that are held at a time."""
+
+_Problem = tuple[int, int, tuple[int, ...]]
+"""An SU, the known segment, and the joints beyond it."""
+
+
+@dataclass(frozen=True, eq=False)
+class Segment:
+    """A rigid body whose rotation is known in all windows.
+
+    Attributes:
+        parent: index of the segment before it; -1 for the RS.
+        dof: index of the joint that carries it; -1 for the RS.
+        axis: (3,) the joint's axis at position zero, in the base frame.
+        R: (W, 3, 3) rotation of the segment in the base frame, identity at position zero.
+        fits: how well each of the U SUs would sit on it.
+        misfit: (U,) what those fits leave, as :meth:`Growth.misfit`.
+    """
+
+    parent: int
+    dof: int
+    axis: F64
+    R: F64
+    fits: GravityFits
+    misfit: F64
+
+
+@dataclass(frozen=True, eq=False)
+class _Extension:
+    """Joints beyond a known segment that explain what an SU feels.
+
+    Attributes:
+        su: the SU.
+        segment: the known segment.
+        dofs: joints beyond it, outwards.
+        axes: (m, 3) their axes.
+        misfit: what the fit leaves.
+        gain: what that is less than on the best known segment, less the price of the parameters.
+    """
+
+    su: int
+    segment: int
+    dofs: tuple[int, ...]
+    axes: F64
+    misfit: float
+    gain: float
+
+
+class Growth:
+    """A tree that grows, joint by joint.
+
+    Attributes:
+        windows: the measurements.
+        up: (G, 3) upward unit vectors of the logs in the base frame; NaN where not known yet.
+        segments: the known segments, the RS first; parents come before their children.
+    """
+
+    def __init__(self, windows: GravityWindows, moved: Sequence[int], rng: np.random.Generator):
+        self.windows = windows
+        self._moved = tuple(moved)
+        self._rng = rng
+        self._grid = fibonacci_sphere(_GRID)
+        logs = int(windows.log.max(initial=0)) + 1
+        # The log that holds most of the motion shows the first joints.
+        spread = [
+            float(np.ptp(windows.q[windows.log == g], axis=0).sum()) if g in windows.log else 0.0
+            for g in range(logs)
+        ]
+        self.up = np.full((logs, 3), np.nan)
+        self.up[int(np.argmax(spread))] = (0.0, 0.0, 1.0)
+        self.segments: list[Segment] = []
+        self._begin([(-1, -1, np.zeros(3))])
+
+    def _begin(self, known: Sequence[tuple[int, int, F64]]) -> None:
+        """Start with known segments (parent, joint, axis), once the logs' gravity is known."""
+        self.segments = []
+        self._losses: dict[tuple[int, int], F64] = {}
+        self._fitted: dict[tuple[int, int, int], tuple[float, F64]] = {}
+        usable = np.isfinite(self.up).all(axis=1)[self.windows.log]
+        self._weight = self.windows.weight * usable[:, None]
+        self._upward = np.where(usable[:, None], self.up[self.windows.log], 0.0) * GRAVITY
+        self.n = 3.0 * (self._weight > 0).sum(axis=0)
+        for parent, dof, axis in known:
+            self._add(parent, dof, axis)
+
+    def misfit(self, chi2: F64, sus: Int | slice = slice(None)) -> F64:
+        """Half the logarithm of chi-squared per measurement, summed over the measurements.
+
+        A log-likelihood whose noise is no less than stated and else unknown.
+        """
+        n = np.maximum(self.n[sus], 1.0)
+        return np.asarray(n / 2 * np.log1p(chi2 / n))
+
+    def grow(self) -> None:
+        """Add joints until none is worth its parameters."""
+        while True:
+            found = self._next()
+            if found is None:
+                return
+            at = found.segment
+            for dof, axis in zip(found.dofs, found.axes, strict=True):
+                self._add(at, dof, axis)
+                at = len(self.segments) - 1
+            self._look_at_other_logs(found.su)
+
+    @property
+    def unplaced(self) -> tuple[int, ...]:
+        """Joints that moved and are not in the tree."""
+        placed = {s.dof for s in self.segments}
+        return tuple(d for d in self._moved if d not in placed)
+
+    def best(self) -> tuple[Int, F64]:
+        """(U,) segment that suits each SU best, and (U,) what it leaves.
+
+        Of segments that suit as well the one with fewest joints is taken.
+        """
+        misfit = np.array([s.misfit for s in self.segments])
+        depth = np.array([len(self.chain(i)) for i in range(len(self.segments))])
+        lowest = misfit.min(axis=0)
+        # An SU further out has no more parameters; the joint itself was paid for.
+        alike = misfit < lowest + 0.5
+        at = np.where(alike, depth[:, None], len(depth)).argmin(axis=0)
+        return at.astype(np.int64), lowest
+
+    def chain(self, segment: int) -> tuple[int, ...]:
+        """Segments from the first moving one to the given one."""
+        path: list[int] = []
+        while segment > 0:
+            path.append(segment)
+            segment = self.segments[segment].parent
+        return tuple(reversed(path))
+
+    def _add(self, parent: int, dof: int, axis: F64) -> None:
+        W, U = self.windows.sd.shape
+        if dof < 0:
+            R = np.tile(np.eye(3), (W, 1, 1))
+        else:
+            R = self.segments[parent].R @ axis_rotation(axis, self.windows.q[:, dof])
+        x = np.broadcast_to(self._gravity(R), (U, W, 3))
+        y = self.windows.reading.swapaxes(0, 1)
+        fits = fit_gravity(np.zeros((U, W, 0)), x, y, self._weight.T, np.zeros((U, 0, 3)))
+        misfit = self.misfit(fits.chi2)
+        self.segments.append(Segment(parent, dof, axis, R, fits, misfit))
+
+    def _gravity(self, R: F64) -> F64:
+        """(W, 3) upward gravity in the frame of a segment [m/s^2]."""
+        return np.asarray((np.swapaxes(R, 1, 2) @ self._upward[..., None])[..., 0])
+
+    def _next(self) -> _Extension | None:
+        """The extension that leaves least, of those that are worth their parameters."""
+        found = self._single()
+        for length in _RANDOM_STARTS:
+            if found is not None and self._explained(found):
+                break
+            longer = self._longer(length)
+            price = 0.0 if longer is None else self._price(longer.su, length, 1)
+            if longer and (found is None or longer.misfit + price < found.misfit):
+                found = longer
+        return found
+
+    def _explained(self, option: _Extension) -> bool:
+        """Whether an extension leaves no more than the noise that is stated."""
+        return option.misfit <= float(self._noise()[option.su])
+
+    def _noise(self) -> F64:
+        """(U,) misfit that noise as stated stays below in all but one of a million cases."""
+        return self.misfit(self.n + 5 * np.sqrt(2 * self.n))
+
+    def _price(self, su: int, joints: int, candidates: int) -> float:
+        """Half the logarithm of the measurements for each parameter, and that of the candidates."""
+        return joints * float(np.log(max(self.n[su], 2.0))) + float(np.log(max(candidates, 1)))
+
+    def _single(self) -> _Extension | None:
+        """The best extension by one joint."""
+        free = self.unplaced
+        for s, segment in enumerate(self.segments):
+            gravity = self._gravity(segment.R)
+            for d in free:
+                if (s, d) not in self._losses:
+                    self._losses[s, d] = axis_losses(
+                        self.windows.q[:, d], gravity, self.windows.reading, self._weight,
+                        self._grid,
+                    )  # fmt: skip
+        _, now = self.best()
+        self._fit_most_promising(free)
+        candidates = len(free) * len(self.segments) * len(now)
+        options = [
+            _Extension(u, s, (d,), axis[None], left, now[u] - left - self._price(u, 1, candidates))
+            for (u, s, d), (left, axis) in self._fitted.items()
+            if d in free
+        ]
+        worth = [o for o in options if o.gain > 0]
+        return min(worth, key=self._left, default=None)
+
+    def _left(self, option: _Extension) -> tuple[float, float]:
+        """What to compare extensions by: misfit per measurement, then gain."""
+        return option.misfit / max(float(self.n[option.su]), 1.0), -option.gain
+
+    def _fit_most_promising(self, free: Sequence[int]) -> None:
+        """Fit the extensions of one joint that promise most, until the best are fitted."""
+        rows = [
+            (float(left), u, s, d)
+            for (s, d), losses in self._losses.items()
+            if d in free
+            for u, left in enumerate(losses.min(axis=1) / np.maximum(self.n, 1.0))
+            if (u, s, d) not in self._fitted and self.n[u] > 0
+        ]
+        rows = sorted(rows)[:_REFINED]
+        keys, starts = [], []
+        for _, u, s, d in rows:
+            order = np.argsort(self._losses[s, d][u], kind="stable")
+            for axis in _spread(self._grid[order], _STARTS):
+                keys.append((u, s, d))
+                starts.append(axis)
+        if not keys:
+            return
+        chi2, axes = self._fit([(u, s, (d,)) for u, s, d in keys], np.array(starts)[:, None])
+        for key, c, k in zip(keys, chi2, axes, strict=True):
+            left = float(self.misfit(c, np.array(key[0])))
+            if key not in self._fitted or left < self._fitted[key][0]:
+                self._fitted[key] = left, k[0]
+
+    def _fit(
+        self,
+        problems: Sequence[_Problem],
+        axes: F64,
+        *,
+        windows: Int | None = None,
+        iterations: int = 12,
+    ) -> tuple[F64, F64]:
+        """Chi-squared and axes of extensions from given axes (K, m, 3)."""
+        at = np.arange(len(self.windows.q)) if windows is None else windows
+        gravity = {s: self._gravity(self.segments[s].R)[at] for s in {s for _, s, _ in problems}}
+        length = axes.shape[1]
+        chunk = max(1, _CHUNK // (3 * len(at) * (12 + 2 * length)))
+        chi2, found = [], []
+        for first in range(0, len(problems), chunk):
+            some = problems[first : first + chunk]
+            sus = np.array([u for u, _, _ in some])
+            fits = fit_gravity(
+                np.array([self.windows.q[np.ix_(at, np.array(dofs))] for _, _, dofs in some]),
+                np.array([gravity[s] for _, s, _ in some]),
+                self.windows.reading[np.ix_(at, sus)].swapaxes(0, 1),
+                self._weight[np.ix_(at, sus)].T,
+                axes[first : first + chunk],
+                iterations,
+            )
+            chi2.append(fits.chi2)
+            found.append(fits.axes)
+        return np.concatenate(chi2), np.concatenate(found)
+
+    def _longer(self, length: int) -> _Extension | None:
+        """The best extension by several joints, of SUs that are not explained yet."""
+        free = self.unplaced
+        if len(free) < length:
+            return None
+        _, now = self.best()
+        unexplained = np.flatnonzero((now > self._noise()) & (self.n > 0))
+        best: _Extension | None = None
+        for u in sorted(unexplained, key=lambda u: now[u] / self.n[u]):
+            option = self._longer_chain(int(u), length, free, now[u])
+            if option and (best is None or self._left(option) < self._left(best)):
+                best = option
+            if best is not None and self._explained(best):
+                break
+        return best
+
+    def _longer_chain(
+        self, su: int, length: int, free: Sequence[int], now: float
+    ) -> _Extension | None:
+        """The best extension by several joints of one SU: from random axes, in two rounds."""
+        problems: list[_Problem] = [
+            (su, s, dofs)
+            for s in range(len(self.segments))
+            for dofs in permutations(free, length)
+            for _ in range(_RANDOM_STARTS[length])
+        ]
+        axes = self._rng.standard_normal((len(problems), length, 3))
+        axes /= np.linalg.norm(axes, axis=-1, keepdims=True)
+        heaviest = np.argsort(-self._weight[:, su], kind="stable")[: 2 * _SEARCHED]
+        few = heaviest[:: max(1, len(heaviest) // _SEARCHED)]
+        chi2, axes = self._fit(problems, axes, windows=few, iterations=4)
+        kept = np.argsort(chi2, kind="stable")[: max(16, len(chi2) // 10)]
+        some = [problems[i] for i in kept]
+        chi2, axes = self._fit(some, axes[kept], windows=few)
+        kept = np.argsort(chi2, kind="stable")[:8]
+        some = [some[i] for i in kept]
+        chi2, axes = self._fit(some, axes[kept])
+        i = int(np.argmin(chi2))
+        left = float(self.misfit(chi2[i], np.array(su)))
+        gain = now - left - self._price(su, length, len(problems) // _RANDOM_STARTS[length])
+        return _Extension(su, some[i][1], some[i][2], axes[i], left, gain) if gain > 0 else None
+
+    def _look_at_other_logs(self, su: int) -> None:
+        """Gravity in logs where it is not known yet, as an SU feels it on the newest segment."""
+        unknown = np.flatnonzero(np.isnan(self.up).any(axis=1))
+        if not len(unknown):
+            return
+        newest = self.segments[-1]
+        bias, shape = newest.fits.sensor[su, :3], newest.fits.sensor[su, 3:]
+        M = np.eye(3) + np.array(
+            [[shape[0], shape[5], shape[4]], [shape[5], shape[1], shape[3]],
+             [shape[4], shape[3], shape[2]]]
+        )  # fmt: skip
+        felt = np.linalg.solve(M, (self.windows.reading[:, su] - bias)[..., None])
+        up = (newest.R @ newest.fits.R[su] @ felt)[..., 0]
+        weight = self.windows.weight[:, su]
+        found = False
+        for g in unknown:
+            mine = (self.windows.log == g) & (weight > 0)
+            if mine.any():
+                mean = (weight[mine, None] * up[mine]).sum(axis=0)
+                self.up[g] = mean / np.linalg.norm(mean)
+                found = True
+        if found:
+            self._begin([(s.parent, s.dof, s.axis) for s in self.segments])
+
+
+def _spread(candidates: F64, most: int) -> F64:
+    """The first of each neighbourhood of 15 degrees, ``most`` at most."""
+    kept: list[F64] = []
+    for k in candidates[: 20 * most]:
+        if all(k @ o < np.cos(np.deg2rad(15.0)) for o in kept):
+            kept.append(k)
+        if len(kept) == most:
+            break
+    return np.array(kept)

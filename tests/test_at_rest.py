@@ -1,0 +1,77 @@
+"""Logs without patterns: what gravity tells, and that it tells no more."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from skin2urdf import calibrate
+from skin2urdf.arrays import F64
+from skin2urdf.geometry.so3 import axis_rotation, rotation_exp
+from skin2urdf.geometry.units import GRAVITY
+from skin2urdf.recording.records import JointStream, Recording, SuStream
+from skin2urdf.report.findings import findings
+
+AXES = ((0.5, 0.0, 0.8), (0.0, 1.0, 0.0), (0.6, 0.0, -0.8))
+RATE = 50.0
+
+
+def at_rest(n_joints: int = 3, poses: int = 14) -> tuple[Recording, F64]:
+    """A chain that rests in poses between slow moves, an SU on every segment, and its axes."""
+    rng = np.random.default_rng(0)
+    axes = np.array(AXES[:n_joints])
+    axes /= np.linalg.norm(axes, axis=1, keepdims=True)
+    goals = rng.uniform(-1.2, 1.2, (poses, n_joints))
+    x = np.linspace(0, 1, int(2.5 * RATE))[:, None]
+    step = x**3 * (10 - 15 * x + 6 * x**2)
+    pieces = [np.repeat(goals[:1], int(RATE), axis=0)]
+    for a, b in pairwise(goals):
+        pieces += [a + step * (b - a), np.repeat(b[None], int(RATE), axis=0)]
+    q = np.concatenate(pieces)
+    t = np.arange(len(q)) / RATE
+    R = np.tile(np.eye(3), (len(q), 1, 1))
+    sus = []
+    for d, axis in enumerate(axes):
+        R = R @ axis_rotation(axis, q[:, d])
+        R_su = R @ rotation_exp(rng.standard_normal(3))
+        felt = R_su.swapaxes(1, 2) @ (0.0, 0.0, GRAVITY)
+        sus.append(SuStream(f"su{d}", t, felt + 0.01 * rng.standard_normal(felt.shape)))
+    joints = tuple(
+        JointStream(f"joint{d}", t, np.round(q[:, d] / 1e-4) * 1e-4) for d in range(n_joints)
+    )
+    return Recording(joints=joints, sus=tuple(sus), start=0.0, source="rests"), axes
+
+
+def test_rests_show_tree_and_directions_and_leave_positions_open() -> None:
+    recording, axes = at_rest()
+    found = calibrate(recording)
+    tree = found.model.tree
+    assert [tree.joint_names[j] for j in tree.chain(2)] == ["joint0", "joint1", "joint2"]
+    assert tree.su_joint.tolist() == [0, 1, 2]
+    for j in (1, 2):
+        cosine = found.model.T_parent_joint[j][2, 2]
+        assert abs(cosine) == pytest.approx(abs(axes[j - 1] @ axes[j]), abs=0.02)
+    assert found.quality == "fair"
+    told = findings(found)
+    assert told.positions_open
+    assert np.isnan(told.su_position_sd).all()
+    assert np.isnan(told.axis_position_sd).all()
+    assert (told.axis_direction_sd < np.deg2rad(2.0)).all()
+
+
+def test_one_joint_is_fair_at_most() -> None:
+    recording, _ = at_rest(1, 5)
+    found = calibrate(recording)
+    assert found.model.tree.joint_names == ("joint0",)
+    assert found.quality == "fair"
+
+
+def test_a_joint_that_holds_still_is_left_out() -> None:
+    recording, _ = at_rest(2)
+    first, second = recording.joints
+    still = replace(first, name="still", position=np.full_like(first.position, 0.3))
+    found = calibrate(replace(recording, joints=(first, second, still)))
+    assert found.model.tree.joint_names == ("joint0", "joint1")

@@ -129,6 +129,7 @@ def _calibration(
             )
         ),
         seconds=clock.seconds,
+        clocks=tuple(s.clocks for s in sampled),
     )
 
 

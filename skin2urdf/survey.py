@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from skin2urdf.arrays import F64, Bool, frozen
+from skin2urdf.arrays import Bool, frozen
 from skin2urdf.errors import (
     InsufficientDataError,
     Skin2UrdfError,
@@ -23,6 +23,7 @@ from skin2urdf.recording.inventory import LogInventory
 from skin2urdf.recording.reading import inventory, read
 from skin2urdf.recording.records import Recording
 from skin2urdf.signals.features import extract_features
+from skin2urdf.signals.motion import travel
 from skin2urdf.signals.records import Features
 from skin2urdf.signals.sampling import Sampled, sampled_together
 from skin2urdf.structure.activity import STATIC_THRESHOLD, Activity, activity
@@ -175,19 +176,16 @@ _SMALL_MOVE = 0.05
 
 def _weak_motion(sampled: Sampled) -> list[str]:
     """What the motion lacks, whatever the readings are."""
-    names, spans = sampled.motion.dof_names, _spans(sampled)
-    still = [name for name, span in zip(names, spans, strict=True) if span < 1e-3]
-    lazy = [name for name, span in zip(names, spans, strict=True) if 1e-3 <= span < _SMALL_MOVE]
+    names, spans = sampled.motion.dof_names, travel(sampled.motion)
+    moved = sampled.motion.moved
+    still = [name for name, moves in zip(names, moved, strict=True) if not moves]
+    lazy = [
+        name for name, span, moves in zip(names, spans, moved, strict=True)
+        if moves and span < _SMALL_MOVE
+    ]  # fmt: skip
     problems = [f"{name} never moves: it will not be in the URDF" for name in still]
     problems += [f"{name} hardly moves: its axis will be uncertain" for name in lazy]
     return problems
-
-
-def _spans(sampled: Sampled) -> F64:
-    """(D,) how far each joint moves in all [rad or m]."""
-    q = sampled.motion.q[sampled.motion.valid]
-    span: F64 = q.max(axis=0) - q.min(axis=0)
-    return span
 
 
 def _weak_poses(features: Features, excited: Bool) -> list[str]:

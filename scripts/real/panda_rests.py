@@ -17,9 +17,9 @@ log, and nothing that rests on motion, noise or clocks.
 
 ``imu_link0`` is no sensor: the listing holds 1, 1, 1 for it in every rest, and it is left out.
 
-What is known of the robot: IMU k was stuck to link k, as the names say; the places of
-``robots/panda_arm.urdf.xacro`` are nominal. The program that recorded the rests reads the
-positions in the order panda_joint1 to panda_joint7.
+What is known of the robot: a Panda, joints in the order panda_joint1 to panda_joint7, and IMUs
+numbered from base to tip. The number in a name is not that of the link: gravity turns by the angle
+of panda_joint2 in imu_link1, and each further joint up to panda_joint6 turns one IMU less.
 
 Exit status: 0; 2 where the data can not be read as these rests or the log not be written.
 """

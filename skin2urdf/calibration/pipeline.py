@@ -141,6 +141,7 @@ def _calibration(
             )
         ),
         seconds=clock.seconds,
+        clocks=tuple(s.clocks for s in sampled),
     )
 
 

@@ -21,7 +21,7 @@ from skin2urdf.estimation.uncertainty.outliers import (
 from skin2urdf.faults import Fault
 from skin2urdf.geometry.se3 import inverse
 from skin2urdf.model.records import KinematicModel, OpenDirection
-from skin2urdf.signals.records import Features
+from skin2urdf.signals.records import Features, SuClock
 from skin2urdf.structure.activity import Activity
 
 Quality = Literal["good", "fair", "bad"]
@@ -69,6 +69,7 @@ class Calibration:
         faults: what is wrong with SUs, encoders or the recording, and was mended or left out.
         notes: what else was found, in words.
         seconds: time each stage took [s].
+        clocks: for each log, the SUs whose clock ran differently from the joints'.
     """
 
     model: KinematicModel
@@ -86,6 +87,7 @@ class Calibration:
     faults: tuple[Fault, ...]
     notes: tuple[str, ...]
     seconds: dict[str, float]
+    clocks: tuple[tuple[SuClock, ...], ...] = ()
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "limits", frozen(self.limits))

@@ -82,6 +82,7 @@ def as_document(calibration: Calibration) -> dict[str, Any]:
         },
         "faults": [asdict(fault) for fault in calibration.faults],
         "notes": calibration.notes,
+        "clocks": [[asdict(clock) for clock in clocks] for clocks in calibration.clocks],
         "seconds": calibration.seconds,
     }
     plain: dict[str, Any] = to_plain(document)

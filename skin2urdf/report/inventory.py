@@ -8,6 +8,7 @@ import numpy as np
 
 from skin2urdf.arrays import F64
 from skin2urdf.recording.records import JointStream, Recording, SuStream
+from skin2urdf.report.clocks import clock_notes
 from skin2urdf.report.document import to_plain
 from skin2urdf.report.tables import bullets, number, span, table
 from skin2urdf.survey import Surveyed
@@ -185,4 +186,7 @@ def _notes(surveyed: Surveyed) -> list[str]:
     notes = list(surveyed.inventory.notes)
     for stage in (surveyed.recording, surveyed.sampled, surveyed.features):
         notes += [note for note in (stage.notes if stage else ()) if note not in notes]
+    if surveyed.sampled is not None:
+        notes += [str(fault) for fault in surveyed.sampled.faults]
+        notes += clock_notes(surveyed.sampled.clocks)
     return notes

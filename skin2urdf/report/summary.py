@@ -6,6 +6,7 @@ import numpy as np
 
 from skin2urdf.calibration.result import Calibration
 from skin2urdf.geometry.units import MILLI_G
+from skin2urdf.report.clocks import clock_notes
 from skin2urdf.report.findings import Findings, findings
 from skin2urdf.report.tables import bullets, number, span, table
 from skin2urdf.report.words import NO_POSITIONS
@@ -37,7 +38,7 @@ def as_text(calibration: Calibration) -> str:
         *_hidden(calibration),
         *bullets("Not observable from this log", _not_known(found)),
         *bullets("Faults", [str(fault) for fault in calibration.faults]),
-        *bullets("Notes", calibration.notes),
+        *bullets("Notes", [*calibration.notes, *_clocks(calibration)]),
     ]
     return "\n".join(lines) + "\n"
 
@@ -140,3 +141,13 @@ def _not_known(found: Findings) -> list[str]:
     if not found.positions_open:
         return lines + [str(unknown) for unknown in found.between_branches]
     return [str(NO_POSITIONS), *lines]
+
+
+def _clocks(calibration: Calibration) -> list[str]:
+    """What was found of the clocks of each log."""
+    several = len(calibration.clocks) > 1
+    return [
+        note
+        for i, clocks in enumerate(calibration.clocks)
+        for note in clock_notes(clocks, f"log {i + 1}" if several else "")
+    ]

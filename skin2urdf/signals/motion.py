@@ -16,6 +16,11 @@ from skin2urdf.signals.turns import unwrapped
 
 GRID_RATE = 125.0
 """Rate of the common grid [Hz]; patterns are a few Hz."""
+STILL = 1e-3
+"""Travel [rad or m] that is none: it turns gravity by less than 0.01 m/s^2."""
+_CREEP = 6.0
+"""Travel in steps of the encoder that is none: held joints creep by up to 4 steps and round to the
+next on either side (an iCub's leg)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,6 +60,23 @@ class Motion:
             object.__setattr__(self, name, frozen(getattr(self, name)))
         for name in ("named", "wraps"):
             object.__setattr__(self, name, frozen(getattr(self, name), np.bool_))
+
+    @property
+    def moved(self) -> Bool:
+        """(D,) False for joints that kept still: all they did is what encoders do at rest."""
+        return np.asarray(travel(self) > self.creep)
+
+    @property
+    def creep(self) -> F64:
+        """(D,) how far the position of a joint at rest may seem to go [rad or m]."""
+        encoder = np.maximum(_CREEP * self.resolution, 2 * _CREEP * self.noise)
+        return np.asarray(np.maximum(STILL, encoder))
+
+
+def travel(motion: Motion) -> F64:
+    """(D,) how far each joint goes in all, where the log is whole [rad or m]."""
+    q = motion.q[motion.valid]
+    return np.ptp(q, axis=0) if len(q) else np.zeros(q.shape[1])
 
 
 def joint_motion(recording: Recording, dof_names: Sequence[str] | None = None) -> Motion:

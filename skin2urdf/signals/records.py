@@ -15,19 +15,21 @@ from skin2urdf.signals.information import Information
 
 @dataclass(frozen=True, eq=False)
 class StaticMoves:
-    """Rests before and after a single DoF moved (paper II-B.1, the static effect).
+    """Rests before and after one DoF moved, by and large (paper II-B.1, the static effect).
 
     Attributes:
         dof: (S,) index of the DoF that moved.
         distance: (S,) how far it moved [rad or m].
         change: (S, U, 3) change of each SU's static reading [m/s^2]; NaN where it has none.
         doubt: (S,) what the small motions of the other joints can have changed [m/s^2].
+        moved: (D,) False for DoFs that kept still in all logs; empty where that is not known.
     """
 
     dof: Int
     distance: F64
     change: F64
     doubt: F64 = field(default_factory=lambda: np.zeros(()))
+    moved: Bool = field(default_factory=lambda: np.zeros(0, dtype=bool))
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "dof", frozen(self.dof, np.int64))
@@ -35,6 +37,7 @@ class StaticMoves:
         object.__setattr__(self, "change", frozen(self.change))
         doubt = np.broadcast_to(np.asarray(self.doubt, dtype=np.float64), self.distance.shape)
         object.__setattr__(self, "doubt", frozen(doubt))
+        object.__setattr__(self, "moved", frozen(self.moved, np.bool_))
 
 
 @dataclass(frozen=True, eq=False)
@@ -162,3 +165,37 @@ class EncoderError:
     log: int = 0
     begin: float = -np.inf
     deviation: float = np.inf
+
+
+@dataclass(frozen=True)
+class SuClock:
+    """How an SU's clock runs against the joints' in one log.
+
+    A sample stamped ``t`` was taken at the joints' time ``t'`` with
+    ``t - t' = latency + drift (t' - middle)``.
+
+    Attributes:
+        su: name of the SU.
+        latency: by how much its stamps are late in the middle of the log [s].
+        latency_sd: standard deviation of it [s].
+        drift: by how much its clock is too fast [s/s].
+        drift_sd: standard deviation of it [s/s].
+        middle: the middle of the log, on the joints' clock [s].
+        shared: True where the SU shows nothing of it itself, and has what all others share.
+    """
+
+    su: str
+    latency: float
+    latency_sd: float
+    drift: float
+    drift_sd: float
+    middle: float
+    shared: bool = False
+
+    def undone(self, time: F64) -> F64:
+        """(M,) times on the joints' clock [s] of times on the SU's."""
+        return self.middle + (time - self.latency - self.middle) / (1.0 + self.drift)
+
+    def stamped(self, time: F64) -> F64:
+        """(M,) times on the SU's clock [s] of times on the joints'."""
+        return self.middle + self.latency + (1.0 + self.drift) * (time - self.middle)

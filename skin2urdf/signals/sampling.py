@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -11,17 +11,26 @@ from skin2urdf.arrays import F64, Bool
 from skin2urdf.errors import InsufficientDataError
 from skin2urdf.faults import Fault
 from skin2urdf.geometry.units import GRAVITY
-from skin2urdf.recording.records import Recording
+from skin2urdf.recording.records import Recording, SuStream
+from skin2urdf.signals.clocks import su_clocks
 from skin2urdf.signals.filters import sample, spread
 from skin2urdf.signals.health import checked, unusable
 from skin2urdf.signals.mending import computed
-from skin2urdf.signals.motion import Motion, joint_motion
+from skin2urdf.signals.motion import Motion, joint_motion, travel
 from skin2urdf.signals.poses import Neighbourhood, Rest, find_neighbourhoods, find_rests
-from skin2urdf.signals.records import StaticMoves
+from skin2urdf.signals.records import StaticMoves, SuClock
 
 _G_UNITS = (0.5, 2.0)
 _FEWEST = 5
 """Grid samples of a rest that tell a change of gravity from noise."""
+_LEAST_MOVE = 0.09
+"""Smallest move [rad or m], and over the DoF's travel where that is less: gravity then turns by
+0.9 m/s^2, far more than sensors drift; patterns and sag leave rests that differ by less."""
+_ASIDE = 0.25
+"""What all other joints may move, by the root of the sum of squares, over the move: an SU that only
+they turn then shows less than `activity` asks of one beyond the DoF, 0.3 of the largest effect."""
+_MEMORY = 200
+"""Rests that a rest is compared with, some minutes: sensors drift, and so do skins."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,6 +47,7 @@ class Sampled:
         notes: words for the user.
         computed: (N, U) where they were missing, and were computed from the rest of the window.
         faults: what is wrong with the SUs' streams.
+        clocks: SUs whose clock runs differently from the joints'; their samples are set right.
     """
 
     motion: Motion
@@ -49,6 +59,7 @@ class Sampled:
     notes: tuple[str, ...]
     computed: Bool
     faults: tuple[Fault, ...] = ()
+    clocks: tuple[SuClock, ...] = ()
 
 
 def sample_recording(
@@ -72,7 +83,9 @@ def sample_recording(
     grid = motion.grid
     at_rest = [(grid.start + r.begin / grid.rate, grid.start + r.end / grid.rate) for r in rests]
     span = (grid.start, grid.start + grid.size / grid.rate)
-    streams = {c.stream.name: c for c in checked(recording.sus, at_rest, span)}
+    clocks = {clock.su: clock for clock in su_clocks(recording.sus, motion)}
+    sus = [_on_time(su, clocks.get(su.name)) for su in recording.sus]
+    streams = {c.stream.name: c for c in checked(sus, at_rest, span)}
     readings = np.zeros((grid.size, len(su_names), 3))
     valid = np.zeros((grid.size, len(su_names)), dtype=bool)
     notes = list(recording.notes)
@@ -101,8 +114,13 @@ def sample_recording(
     readings, filled = computed(motion, neighbourhoods, cutoff, readings, valid)
     return Sampled(
         motion, rests, neighbourhoods, readings, valid | filled, cutoff, tuple(notes), filled,
-        tuple(faults),
+        tuple(faults), tuple(clocks.values()),
     )  # fmt: skip
+
+
+def _on_time(su: SuStream, clock: SuClock | None) -> SuStream:
+    """The stream on the joints' clock."""
+    return su if clock is None else replace(su, time=clock.undone(su.time))
 
 
 def _check_unit(motion: Motion, source: str) -> None:
@@ -171,28 +189,41 @@ def sampled_together(
 
 
 def static_moves(sampled: Sequence[Sampled]) -> StaticMoves:
-    """Readings at rest before and after a single DoF moved (paper II-B.1)."""
+    """Readings at rest before and after a single DoF moved (paper II-B.1).
+
+    Held joints creep by counts and sag, and robots that move as they please change several joints
+    from one rest to the next. So a move counts where one DoF makes most of it, and a rest is
+    compared with the latest earlier one from which it differs by such a move.
+    """
     dofs, distances, changes, doubts = [], [], [], []
+    moved = np.zeros(len(sampled[0].motion.dof_names), dtype=bool)
     for s in sampled:
-        span = np.ptp(s.motion.q, axis=0)
-        small = np.minimum(0.03, np.maximum(0.03 * span, 1e-4))
-        for a, b in zip(s.rests[:-1], s.rests[1:], strict=True):
-            step = b.q - a.q
-            moved = np.flatnonzero(np.abs(step) > small)
-            if len(moved) != 1 or abs(step[moved[0]]) < 3 * small[moved[0]]:
+        here = s.motion.moved
+        moved |= here
+        least = np.where(here, np.minimum(_LEAST_MOVE, _LEAST_MOVE * travel(s.motion)), np.inf)
+        q = np.array([rest.q for rest in s.rests])
+        for k in range(1, len(s.rests)):
+            if not (np.abs(q[k] - q[k - 1]) >= least).any():
+                continue  # the same place again
+            steps = q[k] - q[:k][-_MEMORY:][::-1]
+            dof = np.abs(steps).argmax(axis=1)
+            size = np.abs(steps)[np.arange(len(steps)), dof]
+            others = np.sqrt(np.maximum((steps**2).sum(axis=1) - size**2, 0.0))
+            single = np.flatnonzero((size >= least[dof]) & (others <= _ASIDE * size))
+            if not len(single):
                 continue
-            before, after = _mean(s, a), _mean(s, b)
-            dofs.append(int(moved[0]))
-            distances.append(float(step[moved[0]]))
-            changes.append(after - before)
-            others = np.abs(step).sum() - abs(step[moved[0]])
-            doubts.append(GRAVITY * float(others))
+            back = single[0]
+            dofs.append(int(dof[back]))
+            distances.append(float(steps[back, dof[back]]))
+            changes.append(_mean(s, s.rests[k]) - _mean(s, s.rests[k - 1 - back]))
+            doubts.append(GRAVITY * float(np.abs(steps[back]).sum() - size[back]))
     U = sampled[0].readings.shape[1]
     return StaticMoves(
         np.array(dofs, dtype=np.int64),
         np.array(distances),
         np.array(changes).reshape(-1, U, 3),
         np.array(doubts),
+        moved,
     )
 
 

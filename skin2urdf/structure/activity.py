@@ -9,7 +9,7 @@ import numpy as np
 
 from skin2urdf.arrays import F64, Bool, frozen
 from skin2urdf.geometry.units import GRAVITY
-from skin2urdf.signals.records import Features
+from skin2urdf.signals.records import Features, StaticMoves
 
 STATIC_THRESHOLD = 0.05 * GRAVITY
 """Change of a static reading that makes an SU active, 0.05 g [m/s^2] (paper III)."""
@@ -39,8 +39,8 @@ class Activity:
     Attributes:
         su_names: U SU names.
         dof_names: D DoF names.
-        static: (U, D) largest change of a static reading when only that DoF moved, over the
-            threshold; NaN where no such move was recorded.
+        static: (U, D) change of a static reading when that DoF moved, by and large alone, as all
+            its moves together tell, over the threshold; NaN where no such move was recorded.
         dynamic: (U, D) what the reading owes to a DoF's pattern, over what chance and the
             second-order effects of other patterns can make; NaN where none was recorded.
         static_doubt: (D,) largest static evidence that noise and the small motions of other joints
@@ -70,7 +70,8 @@ class Activity:
         A DoF that turns gravity turns it by the same angle in every SU beyond it: where the largest
         static effect stands out from doubt, all SUs are judged by how close they come to it.
         Dynamic evidence decides for the DoFs that turn no gravity in this log. An SU that was not
-        recorded while a DoF moved is undecided, 0.
+        recorded while a DoF moved is undecided, 0, and so are all where a DoF without dynamic
+        evidence turns no gravity: its axis may be vertical.
         """
         static = np.nan_to_num(self.static, nan=0.0)
         largest = static.max(axis=0, initial=0.0)
@@ -81,7 +82,8 @@ class Activity:
         known = np.isfinite(self.static) & (largest >= self.static_doubt) & alike
         dynamic = np.nan_to_num(self.dynamic, nan=0.0)
         strongest = np.where(known, relative, np.maximum(static, dynamic))
-        return np.where(self.tested, np.log(np.maximum(strongest, 1e-3)), 0.0)
+        told = np.isfinite(self.dynamic) | (np.isfinite(self.static) & (known | (static >= 1.0)))
+        return np.where(told, np.log(np.maximum(strongest, 1e-3)), 0.0)
 
     @property
     def tested(self) -> Bool:
@@ -104,6 +106,8 @@ class Activity:
         dynamic = np.array(self.dynamic)
         for name in dofs:
             d = self.dof_names.index(name)
+            if not self.tested[:, d].any():
+                continue
             u = int(np.argmax(self.evidence[:, d]))
             dynamic[u, d] = np.fmax(dynamic[u, d], 1.01)
         return replace(self, dynamic=dynamic)
@@ -127,17 +131,8 @@ def activity(features: Features, threshold: float = STATIC_THRESHOLD) -> Activit
         threshold: change of a static reading that counts [m/s^2].
     """
     U, D = features.n_sus, features.n_dofs
-    static = np.full((U, D), np.nan)
-    static_doubt = np.ones(D)
     moves = features.moves
-    for d in range(D):
-        mine = moves.dof == d
-        if mine.any():
-            size = np.linalg.norm(moves.change[mine], axis=-1)
-            heard = np.isfinite(size).any(axis=0)
-            static[heard, d] = np.nanmax(size[:, heard], axis=0) / threshold
-            others = float(moves.doubt[mine].max()) / threshold
-            static_doubt[d] = min(1.0, _SMALLEST_STATIC + 3 * others)
+    static, static_doubt = _static(moves, D, threshold)
     significance, effect = np.zeros((U, D)), np.zeros((U, D))
     patterned, excited = np.zeros((U, D), dtype=bool), np.zeros(D, dtype=bool)
     finite = features.valid
@@ -155,6 +150,8 @@ def activity(features: Features, threshold: float = STATIC_THRESHOLD) -> Activit
         info = own[:, :, d]
         seen = (np.einsum("puii->pu", info) > 0) & finite
         excited[d] = bool(seen.any()) or bool((moves.dof == d).any())
+        if len(moves.moved):
+            excited[d] = moves.moved[d]
         patterned[:, d] = seen.any(axis=0)
         explained = np.einsum("puia,puij,puja->pu", c, info, c) * seen
         variance = noise2.mean(axis=-1) * seen
@@ -177,6 +174,41 @@ def activity(features: Features, threshold: float = STATIC_THRESHOLD) -> Activit
         excited=excited,
         heard=np.asarray(finite.any(axis=0)),
     )
+
+
+def _static(moves: StaticMoves, n_dofs: int, threshold: float) -> tuple[F64, F64]:
+    """What the moves of each DoF say together: a regression on how far each turns gravity.
+
+    A move turns gravity alike in all SUs beyond the DoF, by as much as in the one that shows most,
+    and not at all in the others. So an SU's changes are regressed on the largest of each move,
+    moves in which other joints took part counting less.
+
+    Args:
+        moves: S moves, U SUs.
+        n_dofs: number D of DoFs.
+        threshold: change of a static reading that counts [m/s^2].
+
+    Returns:
+        (U, D) changes over the threshold, NaN for SUs without readings, and (D,) what noise and the
+        other joints can have made of them.
+    """
+    size = np.linalg.norm(moves.change, axis=-1)
+    static, doubt = np.full((size.shape[1], n_dofs), np.nan), np.ones(n_dofs)
+    for d in np.unique(moves.dof):
+        mine = moves.dof == d
+        heard = np.isfinite(size[mine])
+        felt = np.where(heard, size[mine], 0.0)
+        largest = felt.max(axis=1, initial=0.0)
+        others = moves.doubt[mine]
+        certain = largest / (others**2 + (_SMALLEST_STATIC * threshold) ** 2)
+        known = certain @ (heard * largest[:, None])
+        # An SU may have been recorded in moves alone that turned gravity by little.
+        scale = (heard * largest[:, None]).max(axis=0, initial=0.0) / threshold
+        ratio = np.divide(certain @ felt, known, out=np.zeros_like(known), where=known > 0)
+        static[:, d] = np.where(heard.any(axis=0), ratio * scale, np.nan)
+        share = float(certain @ others) / max(float(certain @ largest), 1e-12)
+        doubt[d] = min(1.0, _SMALLEST_STATIC + 3 * share * float(scale.max(initial=0.0)))
+    return static, doubt
 
 
 def _largest_other(effect: F64) -> F64:

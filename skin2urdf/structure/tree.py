@@ -40,10 +40,9 @@ def kinematic_tree(activity: Activity, features: Features) -> KinematicTree:
     notes += repairs
     felt = bits.any(axis=0)
     for d in np.flatnonzero(~felt):
-        why = "no SU feels it" if activity.excited[d] else "it never moved in this log"
-        if activity.excited[d] and not activity.tested[heard, d].all():
-            why = "no SU that was recorded while it moved feels it"
-        notes.append(f"{activity.dof_names[d]} is left out of the tree: {why}")
+        notes.append(
+            f"{activity.dof_names[d]} is left out of the tree: {_why(activity, heard, int(d))}"
+        )
     if not felt.any():
         raise StructureError(
             "no SU is moved by any DoF: every row of the activity matrix is empty",
@@ -66,6 +65,20 @@ def kinematic_tree(activity: Activity, features: Features) -> KinematicTree:
         np.array(su_joint, dtype=np.int64),
         tuple(notes),
     )
+
+
+def _why(activity: Activity, heard: Int, dof: int) -> str:
+    """Why a DoF is in no tree."""
+    if not activity.excited[dof]:
+        return "it never moved in this log"
+    tested = activity.tested[heard, dof]
+    if not tested.any():
+        return "it moved, but neither alone nor in a pattern, so what it moves is not known"
+    if not np.isfinite(activity.dynamic[heard, dof]).any():
+        return (
+            "it turns no gravity: its axis is vertical, it slides, or nothing beyond carries an SU"
+        )
+    return "no SU feels it" if tested.all() else "no SU that was recorded while it moved feels it"
 
 
 def _never_together(activity: Activity, heard: Int, bits: Bool) -> list[str]:

@@ -24,6 +24,7 @@ from skin2urdf.recording.records import JointStream, SuStream
 from skin2urdf.signals.encoder_noise import EncoderNoise
 from skin2urdf.signals.features import extract_features
 from skin2urdf.signals.records import Features
+from skin2urdf.signals.sampling import static_moves
 from skin2urdf.simulation import Simulation
 
 KINDS = {"f0": 0, "s": 1, "tau": 2}
@@ -313,6 +314,44 @@ def test_static_moves_are_those_of_the_structural_phase() -> None:
     ]  # fmt: skip
     # Only sag moves what lies before the joint.
     assert abs(moves.change[moves.dof == last][:, before_last]).max() < 0.15
+
+
+def test_joints_that_creep_by_counts_veto_no_move() -> None:
+    """A held joint goes on by a few steps of a coarse encoder at every rest, as an iCub's do."""
+    sim = simulation("panda")
+    held, step = sim.recording.joints[3].name, 1.5e-3
+
+    def creeping(joint: JointStream) -> JointStream:
+        rounded = np.round(joint.position / step) * step
+        if joint.name == held:
+            rounded = step * (np.arange(len(rounded)) // 700 % 4)
+        return replace(joint, position=rounded)
+
+    sampled = sampled_of(changed_joints(sim.recording, creeping))
+    moves = static_moves([sampled])
+    d = sampled.motion.dof_names.index(held)
+    assert moves.moved.sum() == len(moves.moved) - 1
+    assert not moves.moved[d]
+    others = set(range(len(moves.moved))) - {d}
+    assert others <= set(moves.dof)
+    assert d not in moves.dof
+
+
+def test_a_rest_is_compared_with_an_earlier_one_that_only_one_joint_lies_between() -> None:
+    """Rests out of their order: what two joints did in a row is taken apart."""
+    sampled = sampled_of(simulation("panda").recording)
+    first = sampled.rests[0]
+    places = np.zeros((4, 7))
+    places[1, 0] = 0.8
+    places[2:, 3] = 0.7
+    places[2:, 2] = 0.5, 0.01
+    rests = tuple(replace(first, q=first.q + place) for place in places)
+    moves = static_moves([replace(sampled, rests=rests)])
+    np.testing.assert_array_equal(moves.dof, [0, 2])
+    np.testing.assert_allclose(moves.distance, [0.8, -0.49])
+    assert moves.doubt[0] == pytest.approx(0.0, abs=1e-9)
+    # The last rest differs from the third by joint 2, and by 0.01 rad of another joint from none.
+    assert moves.doubt[1] == pytest.approx(0.0, abs=1e-9)
 
 
 def _joint_of(sim: Simulation, name: str) -> int:

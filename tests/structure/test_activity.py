@@ -142,6 +142,50 @@ def test_an_su_without_a_reading_of_a_move_is_undecided_by_it(quiet: Features) -
     np.testing.assert_array_equal(seen.matrix[1:, 0], [True, True])
 
 
+def test_a_dof_that_turns_no_gravity_is_undecided_and_not_out_of_the_tree_of_others(
+    quiet: Features,
+) -> None:
+    """Gravity alone can not tell an upright first axis from one that carries nothing."""
+    unfelt = replace(quiet, information=quiet.information.scaled(np.r_[1.0, np.zeros(6)]))
+    seen = activity(with_moves(unfelt, 1, [0.0, 0.01, 0.01], doubt=0.0))
+    assert seen.tested[:, 1].all()
+    assert not seen.evidence[:, 1].any()
+
+
+def test_moves_say_together_what_one_of_them_would_say_wrongly(quiet: Features) -> None:
+    """In the second move another joint turned the first SU as well, and so it counts for less."""
+    g = 9.81
+    change = np.array([[0.0, 0.5, 0.5], [0.2, 0.5, 0.5]]) * g
+    moves = StaticMoves(
+        np.array([1, 1]), np.ones(2), change[..., None] * np.array([0.0, 0.6, 0.8]),
+        np.array([0.0, 0.2 * g]),
+    )  # fmt: skip
+    seen = activity(replace(quiet, moves=moves))
+    np.testing.assert_array_equal(seen.matrix[:, 1], [False, True, True])
+    assert abs(seen.evidence[0, 1]) > CERTAIN
+
+
+def test_an_su_recorded_in_weak_moves_alone_is_not_taken_to_be_moved(quiet: Features) -> None:
+    """The first log has no SU beyond the DoF, the second has no SU before it."""
+    nan = np.nan
+    change = np.array([[0.01, 0.02, nan], [nan, nan, 5.0]])
+    moves = StaticMoves(
+        np.array([1, 1]), np.ones(2), change[..., None] * np.array([0.0, 0.6, 0.8]), np.zeros(2)
+    )
+    seen = activity(replace(quiet, moves=moves))
+    np.testing.assert_array_equal(seen.matrix[:, 1], [False, False, True])
+
+
+def test_a_dof_that_moved_unmeasured_did_not_keep_still(quiet: Features) -> None:
+    nothing = replace(quiet, information=quiet.information.scaled(np.r_[1.0, np.zeros(6)]))
+    moves = StaticMoves(
+        np.zeros(0), np.zeros(0), np.zeros((0, 3, 3)), moved=np.array([True, False, True])
+    )
+    seen = activity(replace(nothing, moves=moves))
+    np.testing.assert_array_equal(seen.excited, [True, False, True])
+    assert not seen.tested.any()
+
+
 def test_a_dof_that_never_moved_is_not_excited(quiet: Features) -> None:
     moving = np.ones(7)
     moving[[2, 5]] = 0.0

@@ -16,7 +16,8 @@ def static_activity(moves: StaticMoves, n_dofs: int, threshold: float = STATIC_T
     """Threshold the static readings before and after one DoF at a time moved (lines 2 and 3).
 
     An entry is 1 where the mean reading of any of the three axes changed by more than the
-    threshold (paper III). Several moves of a DoF are combined by OR.
+    threshold (paper III), and by more than the other joints' small motions can have changed it.
+    Several moves of a DoF are combined by OR.
 
     Args:
         moves: rests before and after single DoFs moved, of U SUs.
@@ -28,7 +29,8 @@ def static_activity(moves: StaticMoves, n_dofs: int, threshold: float = STATIC_T
     """
     n_sus = moves.change.shape[1]
     active = np.zeros((n_sus, n_dofs), dtype=bool)
-    changed = np.any(np.abs(np.nan_to_num(moves.change)) > threshold, axis=-1)
+    least = np.maximum(threshold, moves.doubt)[:, None, None]
+    changed = np.any(np.abs(np.nan_to_num(moves.change)) > least, axis=-1)
     for dof, row in zip(moves.dof, changed, strict=True):
         active[:, dof] |= row
     return active

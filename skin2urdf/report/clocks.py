@@ -1,0 +1,55 @@
+"""Clocks of SUs that run differently from the joints', in words."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from skin2urdf.report.tables import number
+from skin2urdf.signals.records import SuClock
+
+_ALIKE = 4.0
+"""Standard deviations within which clocks are told as one."""
+_LEAST = 1e-3, 1e-5
+"""Latency [s] and drift [s/s] by which clocks differ at least to be told apart."""
+
+
+def clock_notes(clocks: Sequence[SuClock], log: str = "") -> list[str]:
+    """What was found of the clocks of one log, SUs with the same clock in one sentence.
+
+    Args:
+        clocks: the clocks that are off.
+        log: how to call the log, where there are several.
+    """
+    groups: list[list[SuClock]] = []
+    for clock in clocks:
+        for group in groups:
+            if _alike(clock, group[0]):
+                group.append(clock)
+                break
+        else:
+            groups.append([clock])
+    where = f" in {log}" if log else ""
+    return [f"{_words(group)}{where}; the samples were set right" for group in groups]
+
+
+def _alike(a: SuClock, b: SuClock) -> bool:
+    """Whether two SUs may have one clock."""
+    latency = max(_LEAST[0], _ALIKE * (a.latency_sd + b.latency_sd))
+    drift = max(_LEAST[1], _ALIKE * (a.drift_sd + b.drift_sd))
+    return abs(a.latency - b.latency) <= latency and abs(a.drift - b.drift) <= drift
+
+
+def _words(group: Sequence[SuClock]) -> str:
+    """Latency and drift of a group, of the SU that shows them best."""
+    best = min(group, key=lambda clock: clock.latency_sd)
+    names = ", ".join(clock.su for clock in group[:4])
+    whose = f"the clocks of {names}{f' and {len(group) - 4} more' if len(group) > 4 else ''} are"
+    if len(group) == 1:
+        whose = f"the clock of {names} is"
+    sense = "late" if best.latency >= 0 else "early"
+    pace = "fast" if best.drift >= 0 else "slow"
+    return (
+        f"{whose} {number(abs(best.latency) * 1e3)} ms {sense} against the joints' "
+        f"(sd {number(best.latency_sd * 1e3)} ms) and {number(abs(best.drift) * 1e6)} ppm too "
+        f"{pace} (sd {number(best.drift_sd * 1e6)} ppm)"
+    )

@@ -1,0 +1,112 @@
+"""Clocks of SUs that are late and run too fast, on recordings whose streams are retimed."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from simulated import changed_sus, sampled_of, simulation
+
+from skin2urdf.recording.records import Recording, SuStream
+from skin2urdf.report.clocks import clock_notes
+from skin2urdf.signals.clocks import su_clocks
+from skin2urdf.signals.motion import joint_motion
+from skin2urdf.signals.records import SuClock
+
+
+def retimed(recording: Recording, latency: float, drift: float, only: str = "") -> Recording:
+    """SUs (or one) with a clock that is late in the middle of the log and too fast."""
+    middle = (recording.joints[0].time[0] + recording.joints[0].time[-1]) / 2
+
+    def on_its_clock(su: SuStream) -> SuStream:
+        if only not in ("", su.name):
+            return su
+        return replace(su, time=su.time + latency + drift * (su.time - middle))
+
+    return changed_sus(recording, on_its_clock)
+
+
+def moving(recording: Recording) -> set[str]:
+    """SUs that the base does not carry."""
+    carried = {su.name for su in simulation("ur5").truth.sus if su.joint >= 0}
+    return carried & {su.name for su in recording.sus}
+
+
+def test_a_sound_log_has_no_clocks_to_set() -> None:
+    recording = simulation("ur5").recording
+    assert su_clocks(recording.sus, joint_motion(recording)) == ()
+
+
+@pytest.mark.parametrize(
+    ("latency", "drift"),
+    [(0.08, 0.0), (0.17, 0.0), (2.0, 0.0), (-0.5, 1e-4), (0.0, 1e-3), (0.3, 3.3e-3), (1.0, -9e-3)],
+)
+def test_offset_and_drift_are_found_together(latency: float, drift: float) -> None:
+    recording = retimed(simulation("ur5").recording, latency, drift)
+    clocks = {clock.su: clock for clock in su_clocks(recording.sus, joint_motion(recording))}
+    # The SU on the base feels nothing, and runs on the clock that all others share.
+    assert set(clocks) == {su.name for su in recording.sus}
+    for su in moving(recording):
+        assert not clocks[su].shared
+        assert clocks[su].latency == pytest.approx(latency, abs=1e-3)
+        assert clocks[su].drift == pytest.approx(drift, abs=2e-5)
+        assert clocks[su].latency_sd < 1e-3
+        assert clocks[su].drift_sd < 2e-5
+    assert {su for su, clock in clocks.items() if clock.shared} == set(clocks) - moving(recording)
+
+
+def test_one_clock_of_many_is_set_alone() -> None:
+    plain = simulation("ur5").recording
+    odd = sorted(moving(plain))[2]
+    recording = retimed(plain, 0.4, 5e-4, only=odd)
+    (clock,) = su_clocks(recording.sus, joint_motion(recording))
+    assert clock.su == odd
+    assert clock.latency == pytest.approx(0.4, abs=1e-3)
+
+
+def test_readings_come_to_the_joints_time() -> None:
+    plain = simulation("ur5").recording
+    late = sampled_of(retimed(plain, 0.17, 3.3e-3))
+    there = sampled_of(plain)
+    both = late.valid & there.valid
+    for u, su in enumerate(plain.sus):
+        apart = (late.readings - there.readings)[both[:, u], u]
+        assert np.sqrt(np.mean(apart**2)) < 0.03, su.name
+    assert {clock.su for clock in late.clocks} == {su.name for su in plain.sus}
+    assert not there.clocks
+
+
+def test_lost_samples_and_spikes_do_not_disturb_the_clock() -> None:
+    rng = np.random.default_rng(0)
+
+    def torn(su: SuStream) -> SuStream:
+        kept = rng.random(len(su.time)) > 0.02
+        kept[4000:4600] = False
+        values = su.specific_force + 20.0 * (rng.random((len(su.time), 1)) < 1e-3)
+        return replace(su, time=su.time[kept], specific_force=values[kept])
+
+    recording = changed_sus(retimed(simulation("ur5").recording, 0.3, 1e-3), torn)
+    clocks = su_clocks(recording.sus, joint_motion(recording))
+    assert moving(recording) <= {clock.su for clock in clocks}
+    for clock in clocks:
+        assert clock.latency == pytest.approx(0.3, abs=2e-3)
+        assert clock.drift == pytest.approx(1e-3, abs=2e-5)
+
+
+def test_the_two_ways_between_clocks_are_inverse() -> None:
+    clock = SuClock("su", 0.3, 1e-4, -2e-3, 1e-6, 40.0)
+    time = np.linspace(0.0, 80.0, 9)
+    np.testing.assert_allclose(clock.undone(clock.stamped(time)), time, atol=1e-12)
+    np.testing.assert_allclose(clock.stamped(time) - time, 0.3 - 2e-3 * (time - 40.0))
+
+
+def test_sus_on_one_clock_are_told_together() -> None:
+    one = SuClock("su_a", 0.17, 1e-4, 3e-4, 1e-6, 40.0)
+    notes = clock_notes([one, replace(one, su="su_b"), replace(one, su="su_c", latency=0.9)])
+    assert len(notes) == 2
+    assert "su_a" in notes[0]
+    assert "su_b" in notes[0]
+    assert "170" in notes[0]
+    assert "300" in notes[0]
+    assert "su_c" in notes[1]

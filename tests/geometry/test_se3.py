@@ -11,7 +11,9 @@ from hypothesis.extra.numpy import arrays
 from skin2urdf.geometry import se3
 
 DIRECTIONS = arrays(float, 6, elements=st.floats(-1, 1))
-SIZES = st.one_of(st.sampled_from([0.0, 1e-12, 1e-5, 1e-4, 1.1e-4, 9.9e-3, 1.1e-2]), st.floats(0, 3.0))
+SIZES = st.one_of(
+    st.sampled_from([0.0, 1e-12, 1e-5, 1e-4, 1.1e-4, 9.9e-3, 1.1e-2]), st.floats(0, 3.0)
+)
 
 
 def twist(direction: np.ndarray, angle: float) -> np.ndarray:

@@ -16,7 +16,7 @@ from skin2urdf.arrays import F64
 from skin2urdf.calibration.pipeline import calibrate
 from skin2urdf.calibration.result import CalibrationSettings
 from skin2urdf.calibration.rounds import Clock
-from skin2urdf.hypotheses.encoders import Encoders, _better, sized_by_the_fit
+from skin2urdf.hypotheses.encoders import Encoders, misfit_gone, sized_by_the_fit
 from skin2urdf.hypotheses.solution import solved
 from skin2urdf.hypotheses.suspicions import suspicions
 from skin2urdf.recording.records import JointStream, Recording
@@ -105,7 +105,7 @@ def test_encoders_were_wrong_where_their_misfit_is_gone(
         chi2 = np.full((10, 100), misfit)
         return SimpleNamespace(cost_per_dof=cost, chi2_by_block=chi2, degrees_of_freedom=1000)
 
-    assert _better(found(*before), found(*after)) == better
+    assert misfit_gone(found(*before), found(*after)) == better
 
 
 @pytest.mark.parametrize("factor", [1.02])

@@ -72,7 +72,7 @@ def _calibrate(options: argparse.Namespace) -> int:
     """Logs to URDF and JSON."""
     begin = time.perf_counter()
     _refuse_to_overwrite(options.logs, options.output, Path(options.output).with_suffix(".json"))
-    settings = _calibration_settings(options)
+    settings = calibration_settings(options)
     from skin2urdf.output import output_paths, save
 
     output_paths(options.output)
@@ -97,7 +97,7 @@ def _calibrate(options: argparse.Namespace) -> int:
     return _TO_REPAIR if any(fault.to_repair for fault in calibration.faults) else 0
 
 
-def _calibration_settings(options: argparse.Namespace) -> CalibrationSettings:
+def calibration_settings(options: argparse.Namespace) -> CalibrationSettings:
     """Settings as the options say."""
     least = {"bias": 0.0, "scale": 0.0, "cross": 0.0, "gravity": 1.0}
     given = {name: getattr(options, name) for name in least if getattr(options, name) is not None}

@@ -12,21 +12,21 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from rich.progress import Progress, TaskID
 
-_PATIENCE = 1.0
+PATIENCE = 1.0
 """How long work may take before a progress bar appears [s]."""
 
 
 class Bar:
     """A progress bar on the error stream that appears once the work takes over a second."""
 
-    def __init__(self, shown: bool) -> None:
+    def __init__(self, shown: bool, patience: float = PATIENCE) -> None:
         self._lock = threading.Lock()
         self._closed = False
         self._progress: Progress | None = None
         self._shares: dict[str, float] = {}
         self._tasks: dict[str, TaskID] = {}
         # A timer, because one long stage may be all there is, and it tells nothing meanwhile.
-        self._timer = threading.Timer(_PATIENCE, self._appear)
+        self._timer = threading.Timer(patience, self._appear)
         self._timer.daemon = True
         if shown:
             self._timer.start()
@@ -81,9 +81,14 @@ def _started() -> Progress:
 
 
 @contextlib.contextmanager
-def progress_bar(quiet: bool) -> Iterator[Bar]:
-    """A bar for the work inside; silent when asked to be, and where nobody watches."""
-    bar = Bar(shown=not quiet and sys.stderr.isatty())
+def progress_bar(quiet: bool, patience: float = PATIENCE) -> Iterator[Bar]:
+    """A bar for the work inside; silent when asked to be, and where nobody watches.
+
+    Args:
+        quiet: whether to show none.
+        patience: how long the work may take before the bar appears [s].
+    """
+    bar = Bar(shown=not quiet and sys.stderr.isatty(), patience=patience)
     try:
         yield bar
     finally:

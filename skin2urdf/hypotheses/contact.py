@@ -94,10 +94,10 @@ def pushed_joint(touched: Disturbance, found: Estimate, features: Features) -> t
         beyond = effects[j].any(axis=(1, 2))
         rough = np.where(touched.cut_off[column] & beyond, 1.0, _ROUGH)
         noise = np.hypot(touched.noise[column], rough * size)
-        left.append(_unexplained(residual, noise, encoders, effects[j]))
+        left.append(unexplained(residual, noise, encoders, effects[j]))
     best = int(np.argmin(left))
     noise = np.hypot(touched.noise[column], _ROUGH * size)
-    whole = _unexplained(residual, noise, encoders, np.zeros_like(effects[0]))
+    whole = unexplained(residual, noise, encoders, np.zeros_like(effects[0]))
     return best, left[best] / max(whole, 1e-12)
 
 
@@ -110,7 +110,7 @@ def _effects(rows: F64, chains: Chains, j: int) -> F64:
     return effects
 
 
-def _unexplained(y: F64, noise: F64, shared: F64, effects: F64) -> float:
+def unexplained(y: F64, noise: F64, shared: F64, effects: F64) -> float:
     """Weighted sum of squares that two effects leave of N moments.
 
     Args:

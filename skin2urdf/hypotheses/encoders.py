@@ -144,7 +144,7 @@ def with_encoders_corrected(leaping: Encoders, first: Solution, clock: Clock) ->
             best = solved(now.corrected(), settings, clock, steady=steady)
         except (StructureError, InsufficientDataError):
             return replace(first, faults=(*first.faults, *_faults(leaping, first)))
-    if now is not leaping and not _better(first.found, best.found):
+    if now is not leaping and not misfit_gone(first.found, best.found):
         now, best = leaping, slips_after_all(first, clock)
     elif now is not leaping and any(fault.kind == "loose" for fault in best.faults):
         # A slip is likelier than a slip and an encoder that jumps at the same time.
@@ -208,7 +208,7 @@ def _with_signs(encoders: Encoders, first: Solution, clock: Clock) -> tuple[Enco
         best = solved(now.corrected(), settings, clock)
     except (StructureError, InsufficientDataError):
         return encoders, first
-    return (now, best) if _better(first.found, best.found) else (encoders, first)
+    return (now, best) if misfit_gone(first.found, best.found) else (encoders, first)
 
 
 def _mirrored(solution: Solution) -> set[str]:
@@ -291,7 +291,7 @@ def _hopeless(found: Estimate) -> bool:
     return bool(found.chi2_by_block.sum() > BAD_FIT * found.count.sum())
 
 
-def _better(before: Estimate, after: Estimate) -> bool:
+def misfit_gone(before: Estimate, after: Estimate) -> bool:
     """Whether the misfit is gone, or nearly; of a fit that is good without it, half is enough."""
 
     def excess(found: Estimate) -> float:

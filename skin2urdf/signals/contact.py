@@ -119,21 +119,21 @@ def disturbances(
             for p, begin, residual in _residuals(s, readings, features, curvature, log, taps):
                 done += 1
                 progress(done / windows)
-                own = _own_noise(residual, features.tau[p], variance)
-                pushes = _pushes(residual, features.tau[p], variance, own)
-                for a, b, at, strength in _peaks(pushes, allowance * limit, grid.rate, cutoff):
+                own = own_noise(residual, features.tau[p], variance)
+                pushes = push_strengths(residual, features.tau[p], variance, own)
+                for a, b, at, strength in moments(pushes, allowance * limit, grid.rate, cutoff):
                     out.append(
                         Disturbance(
                             log, p, begin + a, begin + b, float(grid.time[begin + at]), strength,
                             residual[a:b], _UNSTEADY * own, np.sqrt(variance),
-                            _felt_by(residual, a, b),
+                            felt_by(residual, a, b),
                             _cut_off(readings, begin + a, begin + b),
                         )
                     )  # fmt: skip
     return tuple(_merged(out))
 
 
-def _own_noise(residual: F64, tau: F64, variance: F64) -> F64:
+def own_noise(residual: F64, tau: F64, variance: F64) -> F64:
     """(U,) noise per axis of residuals (N, U, 3) that the encoders do not bring [m/s^2].
 
     Args:
@@ -150,7 +150,7 @@ def _own_noise(residual: F64, tau: F64, variance: F64) -> F64:
     return np.where(whole > 0, np.maximum(own, _LEAST_NOISE), np.inf)
 
 
-def _pushes(residual: F64, tau: F64, variance: F64, own: F64) -> F64:
+def push_strengths(residual: F64, tau: F64, variance: F64, own: F64) -> F64:
     """Signed square roots of what accelerations that encoders do not see would explain.
 
     A matched filter at each moment: the likelihood ratio of an acceleration of one joint in
@@ -180,7 +180,7 @@ def _pushes(residual: F64, tau: F64, variance: F64, own: F64) -> F64:
     return np.asarray(score[:, felt] / np.sqrt(expected[felt]))
 
 
-def _felt_by(residual: F64, begin: int, end: int) -> tuple[int, ...]:
+def felt_by(residual: F64, begin: int, end: int) -> tuple[int, ...]:
     """Numbers of the SUs whose residuals (N, U, 3) stand out in an interval, one at least."""
     size = np.linalg.norm(residual, axis=-1)
     usual = np.median(size, axis=0)
@@ -259,7 +259,7 @@ def _residuals(
             yield p, a, smooth[a - lo : b - lo]
 
 
-def _peaks(
+def moments(
     pushes: F64, limit: float, rate: float, cutoff: float
 ) -> Iterator[tuple[int, int, int, float]]:
     """Intervals of a window in which something stands out.

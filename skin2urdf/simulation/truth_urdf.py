@@ -54,21 +54,21 @@ def _copy_joint(robot: ET.Element, joint: ET.Element, mechanism: Mechanism) -> N
     copy.set("type", "fixed")
     position = mechanism.locked.get(name, 0.0)
     if position != 0.0:
-        T = _origin(joint.find("origin")) @ _joint_transform(joint, position)
+        T = origin_placement(joint.find("origin")) @ _joint_transform(joint, position)
         if (old := copy.find("origin")) is not None:
             copy.remove(old)
-        copy.insert(0, _origin_element(T))
+        copy.insert(0, origin_element(T))
 
 
 def _add_su(robot: ET.Element, su: PlacedSu) -> None:
     ET.SubElement(robot, "link", name=su.name)
     joint = ET.SubElement(robot, "joint", name=f"{su.name}_joint", type="fixed")
-    joint.append(_origin_element(su.T_link_su))
+    joint.append(origin_element(su.T_link_su))
     ET.SubElement(joint, "parent", link=su.link)
     ET.SubElement(joint, "child", link=su.name)
 
 
-def _origin(element: ET.Element | None) -> F64:
+def origin_placement(element: ET.Element | None) -> F64:
     """(4, 4) transform of an origin element; identity where there is none."""
     T = np.eye(4)
     if element is not None:
@@ -100,7 +100,7 @@ def _rotation(axis: Iterable[float], angle: float) -> F64:
     return np.asarray(np.eye(3) + sin(angle) * K + (1.0 - cos(angle)) * (K @ K))
 
 
-def _origin_element(T: F64) -> ET.Element:
+def origin_element(T: F64) -> ET.Element:
     """Origin element of a (4, 4) transform."""
     return ET.Element("origin", xyz=_text(T[:3, 3]), rpy=_text(_rpy(T[:3, :3])))
 

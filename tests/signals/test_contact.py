@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from skin2urdf.arrays import F64
-from skin2urdf.hypotheses.contact import _unexplained
-from skin2urdf.signals.contact import _felt_by, _own_noise, _peaks, _pushes
+from skin2urdf.hypotheses.contact import unexplained
+from skin2urdf.signals.contact import felt_by, moments, own_noise, push_strengths
 
 RATE, CUTOFF, LIMIT = 125.0, 9.0, 7.0
 OWN = np.array([0.02, 0.05, 0.03])
@@ -40,11 +40,11 @@ def test_pushes_are_likelihood_ratios() -> None:
     columns = tau.swapaxes(1, 2).reshape(-1, 3)
     score = y.reshape(50, -1) @ inverse @ columns
     expected = score / np.sqrt(np.diagonal(columns.T @ inverse @ columns))
-    np.testing.assert_allclose(_pushes(y, tau, VARIANCE, OWN), expected, rtol=1e-9)
+    np.testing.assert_allclose(push_strengths(y, tau, VARIANCE, OWN), expected, rtol=1e-9)
 
 
 def test_pushes_have_variance_1_where_nothing_is_pushed() -> None:
-    spread = _pushes(noise(40_000), responses(), VARIANCE, OWN).std(axis=0)
+    spread = push_strengths(noise(40_000), responses(), VARIANCE, OWN).std(axis=0)
     np.testing.assert_allclose(spread, 1.0, rtol=0.02)
 
 
@@ -54,7 +54,9 @@ def test_the_noise_of_an_encoder_does_not_hide_a_push_that_other_sus_do_not_feel
     tau[2, 2] /= 30
     push = 3.0 * tau[2, 2]
     pushed = y + np.where(np.arange(3)[:, None] == 2, push, 0.0)
-    change = np.abs(_pushes(pushed, tau, VARIANCE, OWN) - _pushes(y, tau, VARIANCE, OWN))[0, 2]
+    change = np.abs(
+        push_strengths(pushed, tau, VARIANCE, OWN) - push_strengths(y, tau, VARIANCE, OWN)
+    )[0, 2]
     alone = np.linalg.norm(push) / np.sqrt(covariance(tau, OWN)[6:, 6:].trace() / 3)
     assert alone < 0.5 < 2.0 < change
 
@@ -63,13 +65,13 @@ def test_sus_that_are_not_there_and_joints_that_no_su_feels_have_no_part() -> No
     y, tau = noise(5000), responses()
     y[:, 1] = 0.0
     tau[2, 2] = 0.0
-    own = _own_noise(y, tau, VARIANCE)
+    own = own_noise(y, tau, VARIANCE)
     assert np.isposinf(own[1])
     assert np.isfinite(own[[0, 2]]).all()
     some = [0, 2]
-    pushes = _pushes(y, tau, VARIANCE, own)
+    pushes = push_strengths(y, tau, VARIANCE, own)
     assert pushes.shape == (5000, 2)
-    expected = _pushes(y[:, some], tau[some][:, :2], VARIANCE[:2], own[some])
+    expected = push_strengths(y[:, some], tau[some][:, :2], VARIANCE[:2], own[some])
     np.testing.assert_allclose(pushes, expected, rtol=1e-9)
 
 
@@ -77,7 +79,7 @@ def test_sus_that_are_not_there_and_joints_that_no_su_feels_have_no_part() -> No
 def test_pushes_are_finite_whatever_readings_owe_to_the_joints(size: float) -> None:
     tau = responses() * size
     tau[:, 1] = tau[:, 0]
-    pushes = _pushes(noise(20), tau, VARIANCE, np.full(3, 1e-6))
+    pushes = push_strengths(noise(20), tau, VARIANCE, np.full(3, 1e-6))
     assert np.isfinite(pushes).all()
 
 
@@ -88,8 +90,8 @@ def test_own_noise_is_what_encoders_do_not_bring() -> None:
     tau = np.full((2, 1, 3), 1.0)
     shared = y + 0.7 * rng.normal(size=(20_000, 1, 1)) * tau[None, :, 0]
     none, some = np.array([0.0]), np.array([0.49])
-    np.testing.assert_allclose(_own_noise(y, tau, none), own, rtol=0.02)
-    np.testing.assert_allclose(_own_noise(shared, tau, some), own, rtol=0.1)
+    np.testing.assert_allclose(own_noise(y, tau, none), own, rtol=0.02)
+    np.testing.assert_allclose(own_noise(shared, tau, some), own, rtol=0.1)
 
 
 def test_a_swing_through_zero_is_one_moment() -> None:
@@ -97,7 +99,7 @@ def test_a_swing_through_zero_is_one_moment() -> None:
     t = np.arange(1000) / RATE
     inside = np.abs(t - 4.0) < 0.15
     x[inside, 1] += 60 * np.sin(2 * np.pi * 6 * (t[inside] - 3.9))
-    ((a, b, at, strength),) = _peaks(x, LIMIT, RATE, CUTOFF)
+    ((a, b, at, strength),) = moments(x, LIMIT, RATE, CUTOFF)
     assert t[a] < 3.86
     assert t[b] > 4.14
     assert b - a < 0.6 * RATE
@@ -107,19 +109,19 @@ def test_a_swing_through_zero_is_one_moment() -> None:
 
 def test_noise_does_not_stand_out_and_what_lasts_is_no_moment() -> None:
     x = np.random.default_rng(5).normal(size=(4000, 30))
-    assert not list(_peaks(x, LIMIT, RATE, CUTOFF))
+    assert not list(moments(x, LIMIT, RATE, CUTOFF))
     x[1000:1200, 0] += 60
-    assert not list(_peaks(x, LIMIT, RATE, CUTOFF))
-    assert not list(_peaks(x[:100], LIMIT, RATE, CUTOFF))
-    assert not list(_peaks(x[:, :0], LIMIT, RATE, CUTOFF))
+    assert not list(moments(x, LIMIT, RATE, CUTOFF))
+    assert not list(moments(x[:100], LIMIT, RATE, CUTOFF))
+    assert not list(moments(x[:, :0], LIMIT, RATE, CUTOFF))
 
 
 def test_at_least_one_su_feels_a_push() -> None:
     y = np.random.default_rng(6).normal(size=(500, 4, 3))
     y[:, 2] = 0.0
-    assert len(_felt_by(y, 200, 210)) == 1
+    assert len(felt_by(y, 200, 210)) == 1
     y[205, [0, 3]] += 20.0
-    assert _felt_by(y, 200, 210) == (0, 3)
+    assert felt_by(y, 200, 210) == (0, 3)
 
 
 def test_what_effects_leave_is_weighted_least_squares() -> None:
@@ -135,6 +137,6 @@ def test_what_effects_leave_is_weighted_least_squares() -> None:
         root = np.linalg.cholesky(np.linalg.inv(covariance)).T
         _, left, *_ = np.linalg.lstsq(root @ effects.reshape(-1, 2), root @ residual, rcond=None)
         expected += float(left[0])
-    assert _unexplained(y, own, shared, effects) == pytest.approx(expected)
-    whole = _unexplained(y, own, shared, np.zeros_like(effects))
+    assert unexplained(y, own, shared, effects) == pytest.approx(expected)
+    whole = unexplained(y, own, shared, np.zeros_like(effects))
     assert whole > expected

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from skin2urdf.arrays import F64
 from skin2urdf.simulation import Simulation, SimulationSettings, load_robot, simulate
 from skin2urdf.simulation.mechanism import load_mechanism
-from skin2urdf.simulation.truth_urdf import _origin, _origin_element
+from skin2urdf.simulation.truth_urdf import origin_element, origin_placement
 
 SHORT = SimulationSettings(n_poses=1, imu_rate=50.0, joint_rate=50.0)
 
@@ -76,7 +76,7 @@ def test_rotations_survive_as_rpy(rpy: tuple[float, float, float], locked_up: bo
     T = np.eye(4)
     T[:3, :3] = pin.rpy.rpyToMatrix(*rpy)
     T[:3, 3] = 0.1, 1 / 3, -2e-7
-    again = _origin(_origin_element(T))
+    again = origin_placement(origin_element(T))
     np.testing.assert_allclose(again, T, atol=1e-14)
 
 

@@ -48,7 +48,6 @@ class MotionInformation:
         shared_su: (U, 15, Z) its coupling with x and with y.
         errors: pulls of spans of time with the residuals as they are, and
         draws: with independent noise.
-        prior_z: (Z,) pull of one standard deviation of what is known of z before.
         prior_xz: (U, Q, J + Z) pulls of what is known of each SU before, on x and z, and
         prior_y: (U, Q, 15) on y.
         shares: (S, J) and (S, U, 15) part of the information on each coordinate that a span has.
@@ -60,7 +59,6 @@ class MotionInformation:
     shared_su: F64
     errors: Pulls
     draws: tuple[Pulls, ...]
-    prior_z: F64
     prior_xz: F64
     prior_y: F64
     shares: tuple[F64, F64]
@@ -115,7 +113,7 @@ def motion_information(problem: MotionProblem, fitted: Fitted, n_spans: int) -> 
         _pulls(joint_scores, su_scores, by_x, by_y, J)
         for joint_scores, su_scores in _fitted_scores(spans, full, free_joint, free_su)
     ]
-    joint_prior, su_prior, _, _ = problem.prior_information(fitted.state)
+    _, su_prior, _, _ = problem.prior_information(fitted.state)
     scores = _roots(np.where(free_su[:, :, None] & free_su[:, None, :], su_prior, 0.0))
     chains = Chains.of(tree)
     columns = columns_of(chains, tree.n_joints, layout.n_logs)
@@ -131,7 +129,6 @@ def motion_information(problem: MotionProblem, fitted: Fitted, n_spans: int) -> 
         shared_su=coupling[..., J:],
         errors=pulls[0],
         draws=tuple(pulls[1:]),
-        prior_z=np.sqrt(joint_prior[J:]) * free_joint[J:],
         prior_xz=-scores[..., N_SU:] @ by_x,
         prior_y=scores[..., :N_SU] - scores[..., N_SU:] @ by_y,
         shares=(
@@ -196,7 +193,15 @@ def _of_chains(mixed: F64, columns: Int, chains: Chains) -> F64:
 
 @dataclass(frozen=True, eq=False)
 class _Response:
-    """How x, y and z answer to pulls."""
+    """How x, z and the SUs, for known x and z, answer to pulls.
+
+    Attributes:
+        weights: the inverse of the information on x and y for known z.
+        lean: (U, 15, J) how each SU follows x.
+        z_x: (Z, J) coupling of z and x, whatever the SUs are.
+        own_z: (U, 15, Z) minus how each SU follows z.
+        inverse_z: (Z, Z) covariance of z if the weights are right.
+    """
 
     weights: ArrowCovariance
     lean: F64
@@ -210,54 +215,51 @@ class _Response:
         lean = np.zeros((len(weights.own), N_SU, J))
         for u, columns in enumerate(weights.columns):
             np.add.at(lean[u].T, columns, weights.lean[u].T)
-        # What z does to x, whatever the SUs are, and what is left to know it by.
         z_x = info.shared_joint + np.einsum("uiz,uij->zj", info.shared_su, lean)
         own_z = np.einsum("uij,ujz->uiz", weights.own, info.shared_su)
         left = info.shared - np.einsum("uiz,uiw->zw", info.shared_su, own_z)
         left -= z_x @ weights.joint @ z_x.T
         return _Response(weights, lean, z_x, own_z, np.linalg.inv(0.5 * (left + left.T)))
 
+    @property
+    def x_z(self) -> F64:
+        """(J, Z) how x follows z."""
+        return np.asarray(-self.weights.joint @ self.z_x.T)
+
     def to(self, pulls: Pulls) -> tuple[F64, F64]:
-        """Changes (E, J) of x and (U, E, 15) of y."""
+        """Changes (E, J) of x, and (U, E, 15) of y for known x and z."""
         pull = pulls.x + np.einsum("uei,uij->ej", pulls.y, self.lean)
         rest = pulls.z - np.einsum("uei,uiz->ez", pulls.y, self.own_z)
         dz = (rest - pull @ self.weights.joint @ self.z_x.T) @ self.inverse_z
-        dx = (pull - dz @ self.z_x) @ self.weights.joint
-        dy = pulls.y @ self.weights.own - dz @ np.swapaxes(self.own_z, 1, 2)
-        return dx, dy + dx @ np.swapaxes(self.lean, 1, 2)
-
-    def to_noise(self) -> tuple[F64, F64]:
-        """Covariance (J, J) of x and (U, 15, 15) of y if the weights are right."""
-        W = self.weights
-        x_z = -W.joint @ self.z_x.T
-        joint = W.joint + x_z @ self.inverse_z @ x_z.T
-        y_z = -self.own_z + self.lean @ x_z
-        su = W.own + self.lean @ W.joint @ np.swapaxes(self.lean, 1, 2)
-        return joint, su + y_z @ self.inverse_z @ np.swapaxes(y_z, 1, 2)
+        return (pull - dz @ self.z_x) @ self.weights.joint, pulls.y @ self.weights.own
 
 
 def disturbed(weights: ArrowCovariance, info: MotionInformation) -> ArrowCovariance:
     """The covariance of an estimate under the errors that the residuals show.
+
+    What all SUs share beyond the joints (z) joins the joint part, behind the logs' coordinates.
 
     Args:
         weights: the inverse of the information on x and y for known z.
         info: the information and the errors.
     """
     response = _Response.of(weights, info)
-    joint, su = response.to_noise()
-    prior_joint, prior_su = _of_priors(response, info)
+    known = _of_priors(response, info)
     seen = _variances(response, info.errors)
     drawn = [_variances(response, each) for each in info.draws]
     expected = tuple(np.mean(each, axis=0) for each in zip(*drawn, strict=True))
-    ratios = _ratios(seen, expected, info.shares)
-    joint = _scaled(joint, prior_joint, ratios[0])
-    su = _scaled(su, prior_su, ratios[1])
-    own = su - response.lean @ joint @ np.swapaxes(response.lean, 1, 2)
-    return ArrowCovariance(joint, weights.columns, weights.lean, own)
+    by_joint, by_su = _ratios(seen, expected, info.shares)
+    x_z, z = response.x_z, response.inverse_z
+    apart = _scaled(weights.joint, known[0], by_joint)
+    joint = np.block([[apart + x_z @ z @ x_z.T, x_z @ z], [z @ x_z.T, z]])
+    J, Z, U = len(apart), len(z), len(weights.own)
+    columns = np.concatenate([weights.columns, np.tile(J + np.arange(Z), (U, 1))], axis=1)
+    lean = np.concatenate([weights.lean, -response.own_z], axis=2)
+    return ArrowCovariance(joint, columns, lean, _scaled(weights.own, known[1], by_su))
 
 
 def _variances(response: _Response, pulls: Pulls) -> tuple[F64, F64]:
-    """Variances (J,) of x and (U, 15) of y under independent errors."""
+    """Variances (J,) of x, and (U, 15) of y for known x and z, under independent errors."""
     dx, dy = response.to(pulls)
     return (dx**2).sum(axis=0), (dy**2).sum(axis=1)
 
@@ -279,25 +281,31 @@ def _ratios(
     return out[0], out[1]
 
 
-def _scaled(covariance: F64, prior: F64, ratio: F64) -> F64:
-    """A covariance (..., n, n) with the part of it that data have scaled by ratios (..., n).
+def _scaled(covariance: F64, known: F64, ratio: F64) -> F64:
+    """A covariance (..., n, n) with the part that data have in variances scaled by ratios (..., n).
 
-    What was known before is one error that goes through all coordinates, and keeps its shape.
+    Args:
+        covariance: what it is if the weights are right.
+        known: (..., n) the part of the variances that was known before.
+        ratio: of the data's part.
     """
-    root = np.sqrt(ratio)
-    return np.asarray((covariance - prior) * root[..., :, None] * root[..., None, :] + prior)
+    total = np.einsum("...ii->...i", covariance)
+    left = np.minimum(known, total)
+    factor = np.sqrt(
+        np.divide(left + ratio * (total - left), total, out=np.ones_like(total), where=total > 0)
+    )
+    return np.asarray(covariance * factor[..., :, None] * factor[..., None, :])
 
 
 def _of_priors(response: _Response, info: MotionInformation) -> tuple[F64, F64]:
-    """Covariances (J, J) and (U, 15, 15) that come from what was known before."""
+    """Variances (J,) and (U, 15) that come from what was known of the SUs before."""
     U, Q, _ = info.prior_y.shape
-    J, Z = info.shared_joint.shape[1], len(info.shared)
-    dx, dy = response.to(Pulls(np.zeros((Z, J)), np.diag(info.prior_z), np.zeros((U, Z, N_SU))))
-    joint, su = dx.T @ dx, np.swapaxes(dy, 1, 2) @ dy
+    J = info.shared_joint.shape[1]
+    joint, own = np.zeros(J), np.zeros((U, N_SU))
     for u in range(U):
         y = np.zeros((U, Q, N_SU))
         y[u] = info.prior_y[u]
         dx, dy = response.to(Pulls(info.prior_xz[u][:, :J], info.prior_xz[u][:, J:], y))
-        joint += dx.T @ dx
-        su += np.swapaxes(dy, 1, 2) @ dy
-    return joint, su
+        joint += (dx**2).sum(axis=0)
+        own[u] = (dy[u] ** 2).sum(axis=0)
+    return joint, own

@@ -17,7 +17,7 @@ from skin2urdf.calibration.clock import Clock
 from skin2urdf.calibration.pipeline import calibrate
 from skin2urdf.calibration.rounds import estimate_once
 from skin2urdf.calibration.settings import CalibrationSettings
-from skin2urdf.hypotheses.encoders import Encoders, _better, sized_by_the_fit
+from skin2urdf.hypotheses.encoders import Encoders, misfit_gone, sized_by_the_fit
 from skin2urdf.hypotheses.solution import solved
 from skin2urdf.hypotheses.suspicions import suspicions
 from skin2urdf.recording.records import JointStream, Recording
@@ -108,7 +108,7 @@ def test_encoders_were_wrong_where_their_misfit_is_gone(
         chi2 = np.full((10, 100), misfit)
         return SimpleNamespace(cost_per_dof=cost, chi2_by_block=chi2, degrees_of_freedom=1000)
 
-    assert _better(found(*before), found(*after)) == better
+    assert misfit_gone(found(*before), found(*after)) == better
 
 
 @pytest.mark.parametrize("factor", [1.02])

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import io
 import json
 import subprocess
 import sys
+import time
 from collections.abc import Callable
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -13,7 +15,9 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from skin2urdf import cli, options, survey, terminal
+from skin2urdf import survey
+from skin2urdf.cli import main as cli
+from skin2urdf.cli import options, terminal
 from skin2urdf.cli.main import main
 from skin2urdf.errors import BadFitError, StructureError
 from skin2urdf.estimation.problem.cost import Priors
@@ -39,7 +43,7 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> Files:
     folder = tmp_path_factory.mktemp("cli")
     made = Files(*(folder / n for n in ("log.mcap", "truth.urdf", "robot.urdf", "robot.json")))
     to = ["-o", str(made.log), "--truth", str(made.truth)]
-    assert main(["simulate", "panda", *to, *SHORT]) == 0
+    assert main(["simulate", "so101", *to, *SHORT]) == 0
     assert main(["calibrate", str(made.log), "-o", str(made.urdf), "--quiet"]) == 0
     return made
 
@@ -62,7 +66,7 @@ def test_calibrate_tells_the_verdict_first_and_the_files_last(
     status, out, err = run("calibrate", files.log, "-o", tmp_path / "a.urdf", "--name", "arm")
     assert (status, err) == (0, "")
     lines = out.splitlines()
-    assert lines[0].startswith("good: 7 joints, 8 SUs;")
+    assert lines[0].startswith("good: 5 joints, 6 SUs;")
     assert "a.urdf" in lines[-1]
     assert "a.json" in lines[-1]
     assert (tmp_path / "a.json").is_file()
@@ -117,7 +121,7 @@ def test_compare_without_the_json_says_so(files: Files, run: Run, tmp_path: Path
 def test_compare_of_different_trees_exits_with_1(files: Files, run: Run, tmp_path: Path) -> None:
     wrong = tmp_path / "wrong.urdf"
     text = files.truth.read_text()
-    wrong.write_text(text.replace('name="panda_joint3"', 'name="elbow"'))
+    wrong.write_text(text.replace('name="elbow_flex"', 'name="other"'))
     status, out, _ = run("compare", files.urdf, wrong)
     assert status == 1
     assert out.startswith("Tree: WRONG")
@@ -126,9 +130,9 @@ def test_compare_of_different_trees_exits_with_1(files: Files, run: Run, tmp_pat
 def test_explore_shows_matrix_tree_and_limbs(files: Files, run: Run) -> None:
     status, out, _ = run("explore", files.log)
     assert status == 0
-    assert "limb 1: 7 DoF: panda_joint1 >" in out
+    assert "limb 1: 5 DoF: shoulder_pan >" in out
     status, out, _ = run("explore", files.log, "--json")
-    assert len(json.loads(out)["tree"]["joints"]) == 7
+    assert len(json.loads(out)["tree"]["joints"]) == 5
 
 
 def test_explore_shows_a_contradiction_and_fails(
@@ -190,25 +194,25 @@ def test_simulate_moves_without_patterns(run: Run, tmp_path: Path) -> None:
     ("words", "status", "says"),
     [
         (["calibrate", "{log}", "-o", "{tmp}/none/a.urdf"], 2, "mkdir -p"),
-        (["calibrate", "{log}", "-o", "{log}"], 2, "would be overwritten"),
+        (["calibrate", "{log}", "-o", "{log}"], 2, "{log}"),
         (["calibrate", "{log}", "-o", "{tmp}/a.json"], 2, "robot.urdf"),
-        (["calibrate", "{tmp}/none.mcap", "-o", "{tmp}/a.urdf"], 2, "check the path"),
-        (["calibrate", "{empty}", "-o", "{tmp}/a.urdf"], 2, "the file is empty"),
-        (["calibrate", "{text}", "-o", "{tmp}/a.urdf"], 2, "not an MCAP file"),
+        (["calibrate", "{tmp}/none.mcap", "-o", "{tmp}/a.urdf"], 2, "{tmp}/none.mcap"),
+        (["calibrate", "{empty}", "-o", "{tmp}/a.urdf"], 2, "{empty}"),
+        (["calibrate", "{text}", "-o", "{tmp}/a.urdf"], 2, "{text}"),
         (["calibrate", "{log}", "-o", "{tmp}/a.urdf", "--bias", "nan"], 2, "--bias"),
         (["calibrate", "{log}", "-o", "{tmp}/a.urdf", "--threshold", "-1"], 2, "--threshold"),
         (["calibrate", "{log}", "-o", "{tmp}/a.urdf", "--gravity", "0"], 2, "--gravity"),
-        (["compare", "{text}", "{truth}"], 2, "is not XML"),
-        (["compare", "{truth}", "{tmp}/none.urdf"], 2, "check the path"),
+        (["compare", "{text}", "{truth}"], 2, "{text}"),
+        (["compare", "{truth}", "{tmp}/none.urdf"], 2, "{tmp}/none.urdf"),
         (["compare", "{truth}", "{truth}", "--seed", "-1"], 2, "--seed"),
-        (["explore", "{text}"], 2, "not an MCAP file"),
+        (["explore", "{text}"], 2, "{text}"),
         (["explore", "{log}", "--plot", "{tmp}/none/a.svg"], 2, "mkdir -p"),
-        (["info", "{text}"], 2, "not an MCAP file"),
+        (["info", "{text}"], 2, "{text}"),
         (["simulate", "panda"], 2, "--list"),
         (["simulate", "marvin", "-o", "{tmp}/a.mcap"], 2, "panda"),
         (["simulate", "panda", "-o", "{tmp}/none/a.mcap"], 2, "mkdir -p"),
         (["simulate", "panda", "-o", "{tmp}/a", "--truth", "{tmp}/a"], 2, "two names"),
-        (["simulate", "{truth}", "-o", "{truth}"], 2, "would be overwritten"),
+        (["simulate", "{truth}", "-o", "{truth}"], 2, "{truth}"),
         (["simulate", "panda", "-o", "{tmp}/a.mcap", "--poses", "0"], 2, "n_poses"),
     ],
     ids=lambda value: " ".join(value[:1]) if isinstance(value, list) else str(value),
@@ -231,7 +235,7 @@ def test_errors_say_what_to_do_and_leave_nothing(
     first, second = err.splitlines()
     assert first.startswith("error: ")
     assert second.startswith("  -> ")
-    assert says in err
+    assert says.format(**places) in err
     assert [path.name for path in tmp_path.iterdir()] == ["inputs"]
     assert sorted(path.name for path in inputs.iterdir()) == ["empty", "text"]
 
@@ -260,10 +264,10 @@ def test_a_bad_fit_writes_nothing(
 def test_no_traceback_reaches_a_user(
     run: Run, monkeypatch: pytest.MonkeyPatch, raised: BaseException, status: int, says: str
 ) -> None:
-    def fail(_: object) -> int:
+    def fail(*_: object, **__: object) -> None:
         raise raised
 
-    monkeypatch.setitem(cli._COMMANDS, "info", fail)
+    monkeypatch.setattr(survey, "survey", fail)
     done, out, err = run("info", "log.mcap")
     assert (done, out) == (status, "")
     assert says in err
@@ -274,10 +278,10 @@ def test_no_traceback_reaches_a_user(
 def test_debug_shows_where_an_error_comes_from(
     monkeypatch: pytest.MonkeyPatch, error: Exception
 ) -> None:
-    def fail(_: object) -> int:
+    def fail(*_: object, **__: object) -> None:
         raise error
 
-    monkeypatch.setitem(cli._COMMANDS, "info", fail)
+    monkeypatch.setattr(survey, "survey", fail)
     with pytest.raises(type(error)):
         main(["info", "log.mcap", "--debug"])
 
@@ -305,7 +309,7 @@ def test_a_terminal_without_the_characters_is_no_error(files: Files) -> None:
         timeout=120,
     )
     assert (done.returncode, done.stderr) == (0, b"")
-    assert b"panda_joint7" in done.stdout
+    assert b"wrist_roll" in done.stdout
 
 
 def test_defaults_in_the_help_are_those_of_the_estimation(
@@ -314,7 +318,7 @@ def test_defaults_in_the_help_are_those_of_the_estimation(
     monkeypatch.setenv("COLUMNS", "160")
     parser = options.parser(tuple)
     given = parser.parse_args(["calibrate", "log.mcap", "-o", "robot.urdf"])
-    settings = cli._calibration_settings(given)
+    settings = cli.calibration_settings(given)
     assert asdict(settings.estimation.priors) == asdict(Priors())
     with pytest.raises(SystemExit):
         parser.parse_args(["calibrate", "--help"])
@@ -334,7 +338,7 @@ def test_options_reach_the_settings() -> None:
     words = ["--bias", "10", "--scale", "0", "--cross", "0.002", "--gravity", "9.78"]
     words += ["--no-intrinsics", "--refine", "casadi", "--threshold", "0.1"]
     given = options.parser(tuple).parse_args(["calibrate", "l", "-o", "r", *words])
-    settings = cli._calibration_settings(given)
+    settings = cli.calibration_settings(given)
     priors = settings.estimation.priors
     assert priors.bias == pytest.approx(10e-3 * 9.81)
     assert (priors.scale, priors.cross, priors.gravity) == (0.0, 0.002, 9.78)
@@ -353,27 +357,36 @@ def test_help_teaches_with_an_example(command: str, capsys: pytest.CaptureFixtur
     assert "--quiet" in out
 
 
+class Watched(io.StringIO):
+    """An error stream that is a terminal."""
+
+    def isatty(self) -> bool:
+        """It is."""
+        return True
+
+
 def test_a_bar_appears_after_a_while_and_only_where_someone_watches(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    early = terminal.Bar(shown=True)
-    early("reading", 0.5)
-    early.close()
-    assert early._progress is None
-    monkeypatch.setattr(terminal, "_PATIENCE", 0.0)
-    bar = terminal.Bar(shown=True)
-    bar("reading", 0.7)
-    bar._timer.join(timeout=30)
-    bar("features", 0.0)
-    assert bar._progress is not None
-    tasks = [(task.description, task.total, task.completed) for task in bar._progress.tasks]
-    assert tasks == [("reading", 1.0, 0.7), ("features", None, 0)]
-    bar.close()
+    def shown(stream: io.StringIO, patience: float, quiet: bool = False) -> str:
+        """What a bar has put on a stream until it is there, or for a while."""
+        monkeypatch.setattr(sys, "stderr", stream)
+        with terminal.progress_bar(quiet, patience) as bar:
+            bar("reading", 0.7)
+            bar("features", 0.0)
+            end = time.monotonic() + (20.0 if patience < 1.0 and stream.isatty() else 0.1)
+            while "features" not in stream.getvalue() and time.monotonic() < end and not quiet:
+                time.sleep(0.01)
+        return stream.getvalue()
+
+    monkeypatch.setenv("TERM", "xterm")
+    text = shown(Watched(), 0.0)
+    assert "reading" in text
+    assert "features" in text
+    assert shown(Watched(), 60.0) == ""
+    assert shown(Watched(), 0.0, quiet=True) == ""
+    assert shown(io.StringIO(), 0.0) == ""  # standard error is no terminal here
     assert capsys.readouterr().out == ""
-    with terminal.progress_bar(quiet=False) as silent:  # standard error is no terminal here
-        silent("reading", 0.5)
-        assert not silent._timer.is_alive()
-        assert silent._progress is None
 
 
 def test_explore_draws_a_picture(files: Files, run: Run, tmp_path: Path) -> None:
@@ -386,4 +399,4 @@ def test_the_written_truth_is_whole(files: Files, tmp_path: Path) -> None:
     text = files.truth.read_text()
     write_atomically(tmp_path / "copy.urdf", text)
     assert text.rstrip().endswith("</robot>")
-    assert all(f"panda_joint{i}" in text for i in range(1, 8))
+    assert all(name in text for name in ("shoulder_pan", "elbow_flex", "wrist_roll"))

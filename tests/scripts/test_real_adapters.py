@@ -10,7 +10,7 @@ import numpy as np
 
 from skin2urdf.recording.reading import read
 
-SCRIPTS = Path(__file__).resolve().parents[1] / "scripts" / "real"
+SCRIPTS = Path(__file__).resolve().parents[2] / "scripts" / "real"
 
 
 def adapt(script: str, data: Path, log: Path) -> subprocess.CompletedProcess[str]:

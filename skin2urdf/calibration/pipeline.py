@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -102,7 +103,7 @@ def _calibration(
     """All that is known, in one record."""
     found, features, sampled = solution.found, solution.features, solution.logs.sampled
     tree = found.tree
-    streams = [fault for s in sampled for fault in s.faults]
+    streams = [replace(f, log=log) for log, s in enumerate(sampled) for f in s.faults]
     span = np.array([_range(sampled, name) for name in tree.joint_names]).reshape(-1, 3)
     return Calibration(
         model=canonical(found.state.model(tree)),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Literal
@@ -34,32 +35,55 @@ _TO_REPAIR: tuple[FaultKind, ...] = (
 )  # fmt: skip
 
 
+Detail = Literal[
+    "", "no samples", "no samples at rest", "silent", "always", "between logs", "in a log"
+]
+"""Which way a fault shows, where a kind has several."""
+
+
 @dataclass(frozen=True)
 class Fault:
-    """A fault that was found in the logs.
+    """A fault that was found in the logs, in numbers; the report makes words of them.
+
+    Times are those of the log [s]; what does not apply or is not known is NaN.
 
     Attributes:
         kind: what sort of fault.
         subject: the SU or joint that has it.
-        words: a sentence: what, where, and what was done about it.
-        remedy: what to check or to record.
-        sus: of a contact the SUs that felt it, of a loose SU its names before and after.
+        detail: which way it shows.
+        log: index of the log it is in, or begins in; None where it is in all of them.
+        begin: when it begins, of a slip the last moment at which the SU certainly sat as before;
+            of a silent SU its first sample, of an intermittent one the beginning of its longest
+            gap; NaN from the beginning on.
+        end: when it ends, of a slip the first moment at which the SU certainly sits as after; of a
+            silent SU its last sample; NaN where it lasts.
+        end_log: index of the log of ``end``.
+        size: how large it is.
+        unit: of ``size`` and ``deviation``: ``rad``, ``m``, ``g``, ``s``, or ``1`` for a factor or
+            a share.
+        deviation: standard deviation of ``size``.
+        turn: of a slip, how far the SU turned [rad].
+        sus: of a contact the SUs that felt it, of a loose SU its names before and after, of a
+            swapped SU the name it has.
     """
 
     kind: FaultKind
     subject: str
-    words: str
-    remedy: str = ""
+    detail: Detail = ""
+    log: int | None = None
+    begin: float = math.nan
+    end: float = math.nan
+    end_log: int | None = None
+    size: float = math.nan
+    unit: str = "1"
+    deviation: float = math.nan
+    turn: float = math.nan
     sus: tuple[str, ...] = ()
 
     @property
     def to_repair(self) -> bool:
         """Whether something has to be set right before the URDF fits the robot as it is."""
         return self.kind in _TO_REPAIR
-
-    def __str__(self) -> str:
-        """All of it in one line."""
-        return f"{self.words}: {self.remedy}" if self.remedy else self.words
 
 
 def distinct(faults: Iterable[Fault]) -> tuple[Fault, ...]:

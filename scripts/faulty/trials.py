@@ -21,6 +21,7 @@ from skin2urdf.calibration.result import Calibration
 from skin2urdf.errors import InsufficientDataError, Skin2UrdfError
 from skin2urdf.recording.records import Recording
 from skin2urdf.recording.retiming import retimed
+from skin2urdf.report.faults import fault_words
 from skin2urdf.simulation import SimulationSettings, Truth, load_robot, simulate
 from skin2urdf.simulation.faults import FAULTS, Sound, in_two
 from skin2urdf.simulation.joint_faults import JOINT_FAULTS
@@ -190,7 +191,10 @@ def _judged(blank: Figures, found: Calibration, truth: Truth, without: Sequence[
     position, orientation, tree_right = errors(found, truth, without)
     return replace(
         blank,
-        faults=tuple((fault.kind, fault.subject, str(fault)) for fault in found.faults),
+        faults=tuple(
+            (fault.kind, fault.subject, str(fault_words(fault, len(found.sources))))
+            for fault in found.faults
+        ),
         quality=found.quality,
         cost_per_dof=found.estimate.cost_per_dof,
         tree_right=tree_right,

@@ -114,7 +114,7 @@ def _calibration(
     """All that is known, in one record."""
     found, features, sampled = solution.found, solution.features, solution.logs.sampled
     tree = found.tree
-    streams = [fault for s in sampled for fault in s.faults]
+    streams = [replace(f, log=log) for log, s in enumerate(sampled) for f in s.faults]
     span = np.array([_range(sampled, name) for name in tree.joint_names]).reshape(-1, 3)
     return Calibration(
         model=canonical(found.state.model(tree)),

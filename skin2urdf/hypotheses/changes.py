@@ -83,8 +83,10 @@ def changes_within(logs: Logs, found: Estimate | None, clock: Clock) -> Changes:
                 logs.su_names.index(n) for n in called
             ]
             sampled[log], time = _renamed_from(s, columns, between)
-            where = f"from {time:.2f} s on" + (f" in log {log + 1}" if len(sampled) > 1 else "")
-            faults += [_fault(n, c, where) for n, c in zip(names, called, strict=True)]
+            faults += [
+                Fault("swapped", n, "in a log", log=log, begin=time, sus=(c,))
+                for n, c in zip(names, called, strict=True)
+            ]
     return Changes(logs.of(sampled), tuple(faults), tuple(turns))
 
 
@@ -256,8 +258,3 @@ def _renamed_from(s: Sampled, columns: Int, between: tuple[float, float]) -> tup
         s, readings=readings, valid=valid | filled, computed=(s.computed & valid) | filled
     )
     return new, float(time[at])
-
-
-def _fault(name: str, called: str, where: str) -> Fault:
-    words = f"{name} is called {called} {where}: the names are swapped; the earlier ones were used"
-    return Fault("swapped", name, words, "check the names of the SUs and their cables")

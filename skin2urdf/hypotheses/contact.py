@@ -39,7 +39,7 @@ def with_contacts_left_out(solution: Solution, clock: Clock) -> Solution:
     # What hit the robot shows undistorted to an estimate that does not know those moments.
     names, joints = solution.features.su_names, solution.found.tree.joint_names
     faults = [
-        _fault(d, joints[pushed], names, len(logs) > 1)
+        _fault(d, joints[pushed], names, logs[d.log])
         for d, pushed in _disturbed(logs, solution, clock)
     ]
     return replace(solution, faults=(*solution.faults, *faults))
@@ -133,16 +133,11 @@ def unexplained(y: F64, noise: F64, shared: F64, effects: F64) -> float:
     return float((Q[:, 0, 0] - explained[:, 0, 0]).sum())
 
 
-def _fault(touched: Disturbance, joint: str, su_names: tuple[str, ...], several: bool) -> Fault:
-    """A disturbance in words."""
-    felt = ", ".join(su_names[u] for u in touched.felt[:4])
-    more = f" and {len(touched.felt) - 4} others" if len(touched.felt) > 4 else ""
-    log = f" of log {touched.log + 1}" if several else ""
+def _fault(touched: Disturbance, joint: str, su_names: tuple[str, ...], s: Sampled) -> Fault:
+    """A disturbance of a log as a fault of the joint that was pushed."""
+    time = s.motion.grid.time
     return Fault(
-        "contact",
-        joint,
-        f"something hit or pushed the robot at {touched.time:.1f} s{log}: {joint} moved without "
-        f"its encoder seeing all of it, felt by {felt}{more}; those readings are left out",
-        "keep people and things away from the robot while it moves",
-        tuple(su_names[u] for u in touched.felt),
-    )
+        "contact", joint, log=touched.log, begin=float(time[touched.begin]),
+        end=float(time[touched.end - 1]), size=touched.strength,
+        sus=tuple(su_names[u] for u in touched.felt),
+    )  # fmt: skip

@@ -367,42 +367,14 @@ def _stands_out(error: EncoderError, deviation: float) -> bool:
 
 
 def _fault(error: EncoderError, turns: bool) -> Fault:
-    """An encoder's error in words."""
-    if error.kind == "sign":
-        if not np.isfinite(error.begin):
-            words = (
-                f"{error.dof} counts the other way in log {error.log + 1} than in the first; its "
-                "positions in that log were taken negative"
-            )
-            remedy = "check what changed between the logs: the URDF's axis is for the first log's"
-            return Fault("encoder sign", error.dof, words, f"{remedy} sense")
-        log = f" of log {error.log + 1}" if error.log else ""
-        return Fault(
-            "encoder sign",
-            error.dof,
-            f"{error.dof} counts the other way from {error.begin:.2f} s{log} on; its positions "
-            "after it were mirrored",
-            "check the encoder's cables and what changed then: the URDF's axis and zero are those "
-            "of the log's beginning",
-        )
-    unit, factor = ("deg", np.degrees(1.0)) if turns else ("mm", 1e3)
+    """An encoder's error as a fault."""
+    known = error.deviation if np.isfinite(error.deviation) else np.nan
     if error.kind == "scale":
-        return Fault(
-            "encoder scale",
-            error.dof,
-            f"{error.dof} reports {error.size:.5f} (sd {error.deviation:.5f}) times its true "
-            "motion; it was calibrated on the corrected positions, and so are its limits",
-            f"divide its positions by {error.size:.5f} before you use the URDF: check the gear "
-            "ratio and the encoder's resolution in the driver",
-        )
-    sure = f" (sd {factor * error.deviation:.3f})" if np.isfinite(error.deviation) else ""
-    where = f"at {error.begin:.2f} s" if np.isfinite(error.begin) else "as against the first log"
-    log = f" of log {error.log + 1}" if error.log or not np.isfinite(error.begin) else ""
+        return Fault("encoder scale", error.dof, size=error.size, deviation=known)
+    begin = error.begin if np.isfinite(error.begin) else np.nan
+    if error.kind == "sign":
+        return Fault("encoder sign", error.dof, log=error.log, begin=begin)
     return Fault(
-        "encoder jump",
-        error.dof,
-        f"{error.dof}'s encoder jumps by {factor * error.size:.2f} {unit}{sure} {where}{log}; "
-        "positions after it were corrected",
-        "check the coupling between joint and encoder, its index and its cable; the URDF's zero "
-        "is that of the first log's beginning",
-    )
+        "encoder jump", error.dof, log=error.log, begin=begin, size=error.size,
+        unit="rad" if turns else "m", deviation=known,
+    )  # fmt: skip

@@ -22,7 +22,7 @@ def mirrored_negated(logs: Logs, found: Estimate) -> tuple[Logs, list[Fault]]:
         found: an estimate from them, however bad.
     """
     names = [found.tree.su_names[u] for u in mirrored_sus(found)]
-    return negated(logs, names), [_fault(name) for name in names]
+    return negated(logs, names), [Fault("mirrored", name) for name in names]
 
 
 def negated(logs: Logs, names: Iterable[str]) -> Logs:
@@ -36,13 +36,3 @@ def _negated(sampled: Sampled, sus: Sequence[int]) -> Sampled:
     readings = np.array(sampled.readings)
     readings[:, list(sus)] *= -1
     return replace(sampled, readings=readings)
-
-
-def _fault(name: str) -> Fault:
-    return Fault(
-        "mirrored",
-        name,
-        f"{name} reports negated readings or a left-handed frame, unlike the other SUs; it was "
-        "calibrated on the negated readings",
-        "mind that when you use its frame",
-    )

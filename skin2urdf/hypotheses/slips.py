@@ -39,18 +39,34 @@ _TICK = 1e-6
 
 
 @dataclass(frozen=True)
+class Moment:
+    """When an SU slipped: after ``until`` and before ``since``, each log and time [s]."""
+
+    until: tuple[int, float]
+    since: tuple[int, float]
+
+    @classmethod
+    def between(cls, features: Features, before: int, after: int) -> Moment:
+        """From the end of one pose to the beginning of another."""
+        return cls(
+            (int(features.log[before]), float(features.span[before, 1])),
+            (int(features.log[after]), float(features.span[after, 0])),
+        )
+
+
+@dataclass(frozen=True)
 class Parted:
     """An SU that was taken apart.
 
     Attributes:
         name: the SU, which keeps its name for its last placement.
         earlier: name of the SU that stands for the placement before.
-        when: when it slipped, in words.
+        at: when it slipped.
     """
 
     name: str
     earlier: str
-    when: str
+    at: Moment
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,7 +87,7 @@ class Parting:
 
     @property
     def faults(self) -> list[Fault]:
-        """The slips in words."""
+        """The slips."""
         return [_fault(self.found, part) for part in self.parted]
 
 
@@ -117,7 +133,7 @@ def _apart(before: Parting, slip: Slip, clock: Clock) -> Parting | None:
     features = before.features
     name = before.found.tree.su_names[slip.su]
     earlier = _fresh(f"{name}_before", before.logs.su_names)
-    at = _Moment.between(features, slip.before, slip.after)
+    at = Moment.between(features, slip.before, slip.after)
     for _ in range(2):
         try:
             logs, found, features = _estimated(before, name, earlier, at, clock)
@@ -129,7 +145,7 @@ def _apart(before: Parting, slip: Slip, clock: Clock) -> Parting | None:
         at = inside
     if _like_an_encoder(found, name, earlier) or _small(found, name, earlier):
         return None
-    part = Parted(name, earlier, at.words(len(logs.sampled)))
+    part = Parted(name, earlier, at)
     return Parting(logs, found, features, (*before.parted, part))
 
 
@@ -182,32 +198,8 @@ def _like_an_encoder(found: Estimate, name: str, earlier: str) -> bool:
     return bool((np.array(rest) < allowed).all())
 
 
-@dataclass(frozen=True)
-class _Moment:
-    """When an SU slipped: after ``until`` and before ``since``, each log and time [s]."""
-
-    until: tuple[int, float]
-    since: tuple[int, float]
-
-    @classmethod
-    def between(cls, features: Features, before: int, after: int) -> _Moment:
-        """From the end of one pose to the beginning of another."""
-        return cls(
-            (int(features.log[before]), float(features.span[before, 1])),
-            (int(features.log[after]), float(features.span[after, 0])),
-        )
-
-    def words(self, n_logs: int) -> str:
-        """It in words."""
-        (log, begin), (later, end) = self.until, self.since
-        if log < later:
-            return f"between log {log + 1} and log {later + 1}"
-        where = f" of log {log + 1}" if n_logs > 1 else ""
-        return f"between {begin:.0f} and {end:.0f} s{where}"
-
-
 def _estimated(
-    before: Parting, name: str, earlier: str, at: _Moment, clock: Clock
+    before: Parting, name: str, earlier: str, at: Moment, clock: Clock
 ) -> tuple[Logs, Estimate, Features]:
     """The logs with an SU under two names, and the estimate from them."""
     tree, features = before.found.tree, before.features
@@ -223,8 +215,8 @@ def _estimated(
 
 
 def _straddled(
-    found: Estimate, name: str, earlier: str, at: _Moment, features: Features
-) -> _Moment | None:
+    found: Estimate, name: str, earlier: str, at: Moment, features: Features
+) -> Moment | None:
     """The moment without the pose beside it that its placement does not explain, if there is one.
 
     The SU slipped while the robot was in that pose.
@@ -251,7 +243,7 @@ def _fresh(name: str, taken: Sequence[str]) -> str:
     return name
 
 
-def _doubled(sampled: Sampled, u: int, log: int, at: _Moment) -> Sampled:
+def _doubled(sampled: Sampled, u: int, log: int, at: Moment) -> Sampled:
     """A log with one more SU, which has the readings of SU u before a moment; u those after it."""
     time = sampled.motion.grid.time
 
@@ -273,13 +265,11 @@ def _doubled(sampled: Sampled, u: int, log: int, at: _Moment) -> Sampled:
 
 
 def _fault(found: Estimate, part: Parted) -> Fault:
-    """A slip in words, with its size."""
+    """A slip with its size."""
     distance, turn = _moved(found, part.name, part.earlier)
     moving = found.tree.su_joint[found.tree.su_names.index(part.name)] >= 0
-    where = f"{1e3 * distance:.1f} mm and " if moving and np.isfinite(distance) else ""
-    words = (
-        f"{part.name} is loose: it moved by {where}{np.rad2deg(turn):.2f} deg {part.when}; its "
-        f"placement is the later one, the earlier one is {part.earlier}"
-    )
-    remedy = "fix it rigidly and record again"
-    return Fault("loose", part.name, words, remedy, (part.name, part.earlier))
+    (log, begin), (end_log, end) = part.at.until, part.at.since
+    return Fault(
+        "loose", part.name, log=log, begin=begin, end=end, end_log=end_log,
+        size=distance if moving else np.nan, unit="m", turn=turn, sus=(part.name, part.earlier),
+    )  # fmt: skip

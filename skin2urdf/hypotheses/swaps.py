@@ -64,11 +64,7 @@ def names_agreeing(logs: Logs, clock: Clock) -> tuple[Logs, list[Fault]]:
         for u in np.flatnonzero(called != np.arange(len(called))):
             name, alias = names[u], names[called[u]]
             columns[logs.su_names.index(name)] = logs.su_names.index(alias)
-            words = (
-                f"{name} of log {reference + 1} is called {alias} in log {log + 1}: the names are "
-                f"swapped; those of log {reference + 1} were used"
-            )
-            faults.append(Fault("swapped", name, words, "check the names of the SUs in the logs"))
+            faults.append(Fault("swapped", name, "between logs", log=log, sus=(alias,)))
         sampled[log] = _renamed(other, columns)
     return (logs.of(sampled), faults) if faults else (logs, [])
 

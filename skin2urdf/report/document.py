@@ -14,7 +14,9 @@ import numpy as np
 
 from skin2urdf.calibration.result import Calibration
 from skin2urdf.estimation.uncertainty.goodness import Share
+from skin2urdf.faults import Fault
 from skin2urdf.geometry.dh import joint_placement, prismatic_placement
+from skin2urdf.report.faults import fault_words
 from skin2urdf.report.findings import Findings, findings
 from skin2urdf.signals.records import Features
 from skin2urdf.structure.activity import Activity
@@ -80,7 +82,7 @@ def as_document(calibration: Calibration) -> dict[str, Any]:
             "sus": [n for n in calibration.activity.su_names if n not in tree.su_names],
             "joints": [n for n in calibration.activity.dof_names if n not in tree.joint_names],
         },
-        "faults": [asdict(fault) for fault in calibration.faults],
+        "faults": [_fault(fault, len(calibration.sources)) for fault in calibration.faults],
         "notes": calibration.notes,
         "clocks": [[asdict(clock) for clock in clocks] for clocks in calibration.clocks],
         "seconds": calibration.seconds,
@@ -242,6 +244,12 @@ def _stream(features: Features | None, su: str) -> dict[str, Any]:
         "latency_sd": features.latency_sd[heard],
         "noise": np.median(noise, axis=0) if len(noise) else None,
     }
+
+
+def _fault(fault: Fault, n_logs: int) -> dict[str, Any]:
+    """A fault in numbers and in words."""
+    words = fault_words(fault, n_logs)
+    return {**asdict(fault), "words": words.what, "remedy": words.remedy}
 
 
 def _name(names: Sequence[str], index: int) -> str | None:

@@ -7,6 +7,7 @@ import numpy as np
 from skin2urdf.calibration.result import Calibration
 from skin2urdf.geometry.units import MILLI_G
 from skin2urdf.report.clocks import clock_notes
+from skin2urdf.report.faults import fault_words
 from skin2urdf.report.findings import Findings, findings
 from skin2urdf.report.tables import bullets, number, span, table
 from skin2urdf.report.words import NO_POSITIONS
@@ -37,7 +38,7 @@ def as_text(calibration: Calibration) -> str:
         *_sus(calibration, found),
         *_hidden(calibration),
         *bullets("Not observable from this log", _not_known(found)),
-        *bullets("Faults", [str(fault) for fault in calibration.faults]),
+        *bullets("Faults", _faults(calibration)),
         *bullets("Notes", [*calibration.notes, *_clocks(calibration)]),
     ]
     return "\n".join(lines) + "\n"
@@ -125,6 +126,12 @@ def _sus(calibration: Calibration, found: Findings) -> list[str]:
         "verdict",
     )  # fmt: skip
     return table(head, rows, "<<>>>>><")
+
+
+def _faults(calibration: Calibration) -> list[str]:
+    """Everything that is wrong with SUs, encoders or the recording, one line each."""
+    n_logs = len(calibration.sources)
+    return [str(fault_words(fault, n_logs)) for fault in calibration.faults]
 
 
 def _latency(features: Features | None, su: str) -> float:

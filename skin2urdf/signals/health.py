@@ -11,7 +11,6 @@ from skin2urdf.arrays import F64, Bool, Int
 from skin2urdf.faults import Fault
 from skin2urdf.recording.records import SuStream
 
-CHECK_SENSOR = "check its cable and its driver"
 _PLAUSIBLE = (0.6, 1.4)
 """Static readings of a working sensor, in g."""
 _VARIED = 50
@@ -83,12 +82,7 @@ def checked(
             faults = [*_silences(su, span), *_losses(su), *_noisiness(su.name, u, noise)]
         clipped = clipping(whole.specific_force, still[u][kept])
         if share := float(clipped.mean()) if len(clipped) else 0.0:
-            words = (
-                f"{su.name} is at the end of its range in {100 * share:.3g} % of its samples; "
-                "they were left out"
-            )
-            remedy = "use a larger range or weaker patterns"
-            faults = [*faults, Fault("saturated", su.name, words, remedy)]
+            faults = [*faults, Fault("saturated", su.name, size=share)]
         out.append(Checked(whole, clipped, tuple(faults)))
     return out
 
@@ -104,16 +98,13 @@ def unusable(name: str, readings: F64, still: Bool, valid: Bool, gravity: float)
         gravity: magnitude of gravity [m/s^2].
     """
     if not valid.any():
-        words = f"{name} has no samples while the joints were recorded, and is left out"
-        return Fault("dead", name, words, CHECK_SENSOR)
+        return Fault("dead", name, "no samples")
     static = readings[still & valid]
     if not len(static):
-        words = f"{name} has no samples while the robot rests, and is left out"
-        return Fault("dead", name, words, CHECK_SENSOR)
+        return Fault("dead", name, "no samples at rest")
     size = float(np.median(np.linalg.norm(static, axis=1))) / gravity
     if not _PLAUSIBLE[0] < size < _PLAUSIBLE[1]:
-        words = f"{name} reads {size:.2g} g at rest and is left out"
-        return Fault("wrong unit", name, words, "check its unit and its scale")
+        return Fault("wrong unit", name, size=size, unit="g")
     return None
 
 
@@ -168,14 +159,10 @@ def _thawed(su: SuStream, chance: float) -> tuple[Bool, list[Fault]]:
         return kept, []
     if kept.sum() < 0.02 * len(kept):
         zero = bool((su.specific_force[~kept] == 0).all())
-        what = "reads zero" if zero else "repeats one value"
-        words = f"{su.name} {what} all the time and is left out"
-        fault = Fault("dead" if zero else "frozen", su.name, words, CHECK_SENSOR)
-        return np.zeros_like(kept), [fault]
-    places = " and ".join(f"from {a:.1f} to {b:.1f} s" for a, b in sorted(stretches)[:3])
-    more = " and at other times" if len(stretches) > 3 else ""
-    words = f"{su.name} repeats one value {places}{more}; these samples were left out"
-    return kept, [Fault("frozen", su.name, words, CHECK_SENSOR)]
+        return np.zeros_like(kept), [Fault("dead" if zero else "frozen", su.name, "always")]
+    first, last = min(a for a, _ in stretches), max(b for _, b in stretches)
+    long = sum(b - a for a, b in stretches)
+    return kept, [Fault("frozen", su.name, begin=first, end=last, size=long, unit="s")]
 
 
 def _silences(su: SuStream, span: tuple[float, float]) -> list[Fault]:
@@ -183,15 +170,14 @@ def _silences(su: SuStream, span: tuple[float, float]) -> list[Fault]:
     if not len(su.time):
         return []
     begin, end = float(su.time[0]), float(su.time[-1])
-    where = []
-    if begin - span[0] > _SILENT:
-        where.append(f"until {begin:.1f} s")
-    if span[1] - end > _SILENT:
-        where.append(f"from {end:.1f} s on")
-    if not where:
+    late, early = begin - span[0] > _SILENT, span[1] - end > _SILENT
+    if not (late or early):
         return []
-    words = f"{su.name} sends nothing {' and '.join(where)}; the rest of its readings was used"
-    return [Fault("dead", su.name, words, CHECK_SENSOR)]
+    return [
+        Fault(
+            "dead", su.name, "silent", begin=begin if late else np.nan, end=end if early else np.nan
+        )
+    ]
 
 
 def _losses(su: SuStream) -> list[Fault]:
@@ -206,11 +192,9 @@ def _losses(su: SuStream) -> list[Fault]:
     share = float(missing.sum() / (missing.sum() + len(su.time)))
     if share < _LOST:
         return []
-    words = (
-        f"{su.name} lost {100 * share:.0f} % of its samples (longest gap {steps.max():.2f} s); "
-        "what is there was used"
-    )
-    return [Fault("intermittent", su.name, words, CHECK_SENSOR)]
+    longest = int(np.argmax(steps))
+    begin, end = su.time[longest : longest + 2]
+    return [Fault("intermittent", su.name, begin=float(begin), end=float(end), size=share)]
 
 
 def _noisiness(name: str, u: int, noise: F64) -> list[Fault]:
@@ -220,11 +204,7 @@ def _noisiness(name: str, u: int, noise: F64) -> list[Fault]:
     usual = max(float(np.median(np.delete(noise, u))), _LEAST_NOISE)
     if noise[u] < _NOISY * usual:
         return []
-    words = (
-        f"{name} has {noise[u] / usual:.0f} times the noise of the other SUs ({noise[u]:.2g} "
-        "m/s^2) and counts accordingly less"
-    )
-    return [Fault("noisy", name, words, "check its fixing, its supply and its filter")]
+    return [Fault("noisy", name, size=float(noise[u] / usual))]
 
 
 def clipping(raw: F64, still: Bool) -> Bool:

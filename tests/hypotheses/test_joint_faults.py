@@ -60,9 +60,11 @@ def test_a_jump_is_named_with_its_time_and_size(degrees: float, at: float, tmp_p
     found = calibrate(wrong)
     (fault,) = found.faults
     assert (fault.kind, fault.subject) == ("encoder jump", JOINT)
-    assert f"by {degrees:.2f} deg" in fault.words
-    assert float(fault.words.split(" at ")[1].split()[0]) == pytest.approx(t, abs=0.02)
-    assert fault.remedy
+    assert fault.unit == "rad"
+    assert np.degrees(fault.size) == pytest.approx(degrees, abs=0.01)
+    assert fault.begin == pytest.approx(t, abs=0.02)
+    assert fault.log == 0
+    assert 0 < np.degrees(fault.deviation) < 0.01
     assert found.quality == "fair"
     assert found.estimate.cost_per_dof < 1.3
     assert position_error(wrong, tmp_path) < 1.1 * position_error(r, tmp_path)
@@ -118,7 +120,8 @@ def test_a_wrong_scale_is_named_with_its_size(factor: float, tmp_path: Path) -> 
     found = calibrate(wrong)
     (fault,) = found.faults
     assert (fault.kind, fault.subject) == ("encoder scale", JOINT)
-    assert float(fault.words.split()[2]) == pytest.approx(factor, abs=2e-4)
+    assert fault.size == pytest.approx(factor, abs=2e-4)
+    assert abs(fault.size - factor) < 5 * fault.deviation
     assert position_error(wrong, tmp_path) < 1.1 * position_error(r, tmp_path)
 
 
@@ -186,7 +189,7 @@ def test_a_sense_that_changes_in_a_log_is_named_with_its_time(
     found = calibrate(turned)
     (fault,) = found.faults
     assert (fault.kind, fault.subject) == ("encoder sign", JOINT)
-    assert float(fault.words.split(" from ")[1].split()[0]) == pytest.approx(t, abs=0.02)
+    assert (fault.log, fault.begin) == (0, pytest.approx(t, abs=0.02))
     assert fault.to_repair
     assert position_error(turned, tmp_path) < 1.1 * position_error(r, tmp_path)
 

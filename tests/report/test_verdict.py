@@ -54,7 +54,7 @@ def test_many_names_are_cut_short() -> None:
 
 
 def test_a_fault_makes_a_good_fit_fair() -> None:
-    fault = Fault("loose", "su_x", "su_x came loose at 12 s")
+    fault = Fault("loose", "su_x", begin=12.0)
     found = replace(calibration(), faults=(fault,))
     assert found.quality == "fair"
     assert line(found).startswith("fair: ")
@@ -66,7 +66,7 @@ def test_an_su_unlike_the_rest_makes_it_fair() -> None:
     name = found.model.tree.su_names[4]
     assert found.quality == "fair"
     assert f"{name} fits far worse than the other SUs" in line(found)
-    told = replace(found, faults=(Fault("loose", name, "it came loose"),))
+    told = replace(found, faults=(Fault("loose", name),))
     assert f"but 1 fault: {name} loose; 2 of 7" in line(told)
 
 

@@ -15,11 +15,10 @@ import numpy as np
 from skin2urdf.arrays import F64
 from skin2urdf.geometry.units import GRAVITY
 from skin2urdf.recording.records import JointStream, Recording, SuStream
-from skin2urdf.simulation.mechanism import load_mechanism
 from skin2urdf.simulation.robots import RobotSpec
 from skin2urdf.simulation.sensors import Accelerometer
 from skin2urdf.simulation.settings import SimulationSettings
-from skin2urdf.simulation.simulate import Simulation, base_rpy
+from skin2urdf.simulation.simulate import Simulation
 from skin2urdf.simulation.streams import Draw, record_sus, shift_clock
 
 _WHEN = (0.3, 0.7)
@@ -279,20 +278,19 @@ def _slip(distance: float, angle: float, rng: np.random.Generator) -> F64:
 
 def _recorded_after(sound: Sound, name: str, slip: F64) -> SuStream:
     """What an SU would have recorded, had it slipped before; its stamps and noise are the same."""
-    truth, settings = sound.simulation.truth, sound.settings
-    mechanism = load_mechanism(sound.robot, base_rpy(sound.robot, settings))
+    truth, settings, moved = sound.simulation.truth, sound.settings, sound.simulation.moved
     sus = tuple(
         replace(su, T_joint_su=su.T_joint_su @ slip, T_link_su=su.T_link_su @ slip)
         if su.name == name
         else su
-        for su in truth.sus
+        for su in moved.sus
     )
     sensors = [
         Accelerometer(settings.sensor_grade, matrix, bias)
         for matrix, bias in zip(truth.sensor_matrix, truth.bias, strict=True)
     ]
     streams = record_sus(
-        mechanism, truth.motion, sus, sensors, truth.lag, settings, Draw(settings.seed)
+        moved.mechanism, moved.motion, sus, sensors, truth.lag, settings, Draw(settings.seed)
     )
     (stream,) = shift_clock([s for s in streams if s.name == name], -truth.start)
     return stream

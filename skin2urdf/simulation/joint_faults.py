@@ -93,32 +93,38 @@ def encoder_turn(sound: Sound, rng: np.random.Generator) -> Faulty:
 
 
 def contact(sound: Sound, rng: np.random.Generator) -> Faulty:
-    """A joint that is hit or pushed during a pattern, for 30 to 300 ms.
+    """A joint that is hit or pushed during a pattern (a move without any), for 30 to 300 ms.
 
     It gives way with 0.05 to 0.15 rad/s, and comes back. Its encoder, on the other side of a gear
     that gives way as well, sees up to half of that.
     """
     truth, settings = sound.simulation.truth, sound.settings
     d = int(rng.integers(len(truth.joint_names)))
-    patterns = [p for p in truth.phases if p.kind == "pattern"]
-    pattern = patterns[int(rng.integers(len(patterns)))]
-    at = rng.uniform(pattern.start + 0.3, pattern.end - 0.3)
+    wanted = "pattern" if any(p.kind == "pattern" for p in truth.phases) else "move"
+    busy = [p for p in truth.phases if p.kind == wanted and p.end - p.start > 0.6]
+    phase = busy[int(rng.integers(len(busy)))]
+    at = rng.uniform(phase.start + 0.3, phase.end - 0.3)
     length, seen = rng.uniform(0.03, 0.3), rng.uniform(0.0, 0.5)
     size = rng.uniform(0.05, 0.15) * length * rng.choice([-1, 1])
-    bumps = np.zeros_like(truth.motion.position)
-    inside = np.abs(truth.motion.time - at) < length / 2
-    phase = np.pi * (truth.motion.time[inside] - at) / length
-    bumps[inside, d] = size * np.cos(phase) ** 4
-    mechanism = load_mechanism(sound.robot, base_rpy(sound.robot, settings))
+
+    def hit(motion: JointMotion, joint: int, part: float) -> JointMotion:
+        position = np.array(motion.position)
+        inside = np.abs(motion.time - at) < length / 2
+        angle = np.pi * (motion.time[inside] - at) / length
+        position[inside, joint] += part * size * np.cos(angle) ** 4
+        return JointMotion(motion.time, position)
+
+    moved = sound.simulation.moved
     sensors = [
         Accelerometer(settings.sensor_grade, matrix, bias)
         for matrix, bias in zip(truth.sensor_matrix, truth.bias, strict=True)
     ]
-    true = JointMotion(truth.motion.time, truth.motion.position + bumps)
-    reported = JointMotion(truth.motion.time, truth.motion.position + seen * bumps)
+    true = hit(moved.motion, int(moved.rows[d]), 1.0)
+    reported = hit(moved.motor, d, seen)
     draw = Draw(settings.seed)
     # The same sensors, clocks and noise as without the hit.
-    sus = record_sus(mechanism, true, truth.sus, sensors, truth.lag, settings, draw)
+    sus = record_sus(moved.mechanism, true, moved.sus, sensors, truth.lag, settings, draw)
+    mechanism = load_mechanism(sound.robot, base_rpy(sound.robot, settings))
     joints = record_joints(mechanism, reported, settings, draw)
     recording = replace(
         sound.recording,

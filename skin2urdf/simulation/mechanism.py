@@ -81,7 +81,7 @@ class Mechanism:
         return q
 
 
-def load_mechanism(spec: RobotSpec, base_rpy: Vector3) -> Mechanism:
+def load_mechanism(spec: RobotSpec, base_rpy: Vector3, gravity: float = GRAVITY) -> Mechanism:
     """Load a robot's URDF and lock what does not move.
 
     Locked are: mimic joints, joints with more than one DoF, joints without room between their
@@ -90,6 +90,7 @@ def load_mechanism(spec: RobotSpec, base_rpy: Vector3) -> Mechanism:
     Args:
         spec: the robot.
         base_rpy: roll, pitch, yaw of the base in the world [rad].
+        gravity: its size [m/s^2].
 
     Raises:
         UnreadableInputError: the file is not a URDF that Pinocchio can load.
@@ -113,7 +114,7 @@ def load_mechanism(spec: RobotSpec, base_rpy: Vector3) -> Mechanism:
             "lock fewer joints, or check their types and limits in the URDF",
         )
     R_world_base = pin.rpy.rpyToMatrix(*base_rpy)
-    model.gravity.linear = R_world_base.T @ np.array([0.0, 0.0, -GRAVITY])
+    model.gravity.linear = R_world_base.T @ np.array([0.0, 0.0, -gravity])
     joints = list(model.joints)[1:]
     names = tuple(model.names)[1:]
     lower, upper = zip(*(_limits(model, joint) for joint in joints), strict=True)

@@ -12,8 +12,9 @@ import numpy as np
 
 from skin2urdf.arrays import F64, frozen
 from skin2urdf.simulation.mechanism import Mechanism
+from skin2urdf.simulation.motion_settings import MotionSettings
 from skin2urdf.simulation.pattern import Tones, distinct_time, swing, tone_pairs
-from skin2urdf.simulation.settings import Excitation, MotionSettings
+from skin2urdf.simulation.settings import Excitation
 from skin2urdf.simulation.trajectory import JointMotion, PathBuilder, Phase
 
 _LIMIT_MARGIN = 0.03

@@ -32,7 +32,7 @@ from types import MappingProxyType
 from typing import Any
 
 from skin2urdf.errors import UnreadableInputError, UsageError
-from skin2urdf.simulation.settings import MotionSettings
+from skin2urdf.simulation.motion_settings import MotionSettings
 
 Vector3 = tuple[float, float, float]
 

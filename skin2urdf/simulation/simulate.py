@@ -8,15 +8,19 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from skin2urdf.arrays import F64, frozen
+from skin2urdf.geometry.units import GRAVITY
 from skin2urdf.recording.records import Recording
+from skin2urdf.simulation.defects.flexible import move_flexibly
+from skin2urdf.simulation.defects.records import Flexibility, Moved
 from skin2urdf.simulation.mechanism import Mechanism, load_mechanism, read_urdf
 from skin2urdf.simulation.motion import Reference, plan_moves, plan_reference
+from skin2urdf.simulation.motion_settings import MotionSettings
 from skin2urdf.simulation.plant import actual_motion
 from skin2urdf.simulation.robots import RobotSpec, SkinLayout, Vector3
 from skin2urdf.simulation.sensors import draw_accelerometer
-from skin2urdf.simulation.settings import MotionSettings, SimulationSettings
+from skin2urdf.simulation.settings import SimulationSettings
 from skin2urdf.simulation.skins import PlacedSu, place_skin
-from skin2urdf.simulation.streams import Draw, record_joints, record_sus, shift_clock
+from skin2urdf.simulation.streams import Draw, draw_for, record_joints, record_sus, shift_clock
 from skin2urdf.simulation.trajectory import JointMotion, Phase
 from skin2urdf.simulation.truth_urdf import truth_urdf
 
@@ -66,11 +70,13 @@ class Simulation:
     Attributes:
         recording: what a robot would have logged.
         truth: what nobody on a real robot knows.
+        moved: what moved how, bending bodies and all.
         joint_order: joint names in the shuffled order of a joint state message.
     """
 
     recording: Recording
     truth: Truth
+    moved: Moved
     joint_order: tuple[str, ...]
 
 
@@ -89,15 +95,19 @@ def simulate(robot: RobotSpec, settings: SimulationSettings) -> Simulation:
         UsageError: the settings do not fit the robot.
     """
     draw = Draw(settings.seed)
-    mechanism = load_mechanism(robot, base_rpy(robot, settings))
+    mechanism = load_mechanism(robot, base_rpy(robot, settings), _gravity(settings))
     sus = place_skin(mechanism, _layout(robot, settings), draw("skin"))
     reference = _plan(mechanism, sus, settings.motion or robot.motion, settings, draw("motion"))
-    motion = actual_motion(mechanism, reference.motion, settings.plant, draw("plant"))
+    motor = actual_motion(mechanism, reference.motion, settings.plant, draw("plant"))
+    flexibility = Flexibility.none(mechanism.n_joints)
+    for defect in settings.defects:
+        flexibility = defect.loosen(flexibility, mechanism, draw_for(draw, defect))
+    moved = move_flexibly(mechanism, sus, motor, flexibility)
     rng = draw("sensors")
     sensors = [draw_accelerometer(settings.sensor_grade, rng) for _ in sus]
     lag = draw("lag").uniform(0.0, settings.lag, len(sus))
-    joint_streams = record_joints(mechanism, motion, settings, draw)
-    su_streams = record_sus(mechanism, motion, sus, sensors, lag, settings, draw)
+    joint_streams = record_joints(mechanism, motor, settings, draw)
+    su_streams = record_sus(moved.mechanism, moved.motion, moved.sus, sensors, lag, settings, draw)
     start = min(float(time[0]) for time in [joint_streams[0].time, *(s.time for s in su_streams)])
     recording = Recording(
         joints=shift_clock(joint_streams, -start),
@@ -110,7 +120,7 @@ def simulate(robot: RobotSpec, settings: SimulationSettings) -> Simulation:
         joint_names=mechanism.joint_names,
         poses=reference.poses,
         phases=reference.phases,
-        motion=motion,
+        motion=moved.links,
         start=start,
         gravity_base=mechanism.gravity_base,
         sus=sus,
@@ -119,7 +129,7 @@ def simulate(robot: RobotSpec, settings: SimulationSettings) -> Simulation:
         lag=lag,
     )
     order = draw("joint order").permutation(mechanism.n_joints)
-    return Simulation(recording, truth, tuple(mechanism.joint_names[d] for d in order))
+    return Simulation(recording, truth, moved, tuple(mechanism.joint_names[d] for d in order))
 
 
 def _plan(
@@ -137,6 +147,14 @@ def _plan(
     return plan_reference(
         mechanism, reach, motion, settings.n_poses, settings.excite, rng, structural
     )
+
+
+def _gravity(settings: SimulationSettings) -> float:
+    """Size of gravity where the robot stands [m/s^2]."""
+    gravity = GRAVITY
+    for defect in settings.defects:
+        gravity = defect.gravity(gravity)
+    return gravity
 
 
 def base_rpy(robot: RobotSpec, settings: SimulationSettings) -> Vector3:

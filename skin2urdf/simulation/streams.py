@@ -11,6 +11,7 @@ import numpy as np
 
 from skin2urdf.arrays import F64, frozen
 from skin2urdf.recording.records import JointStream, SuStream
+from skin2urdf.simulation.defects.records import Defect, Felt
 from skin2urdf.simulation.mechanism import Mechanism
 from skin2urdf.simulation.sensors import Accelerometer, encode, stamp
 from skin2urdf.simulation.settings import SimulationSettings
@@ -32,6 +33,11 @@ class Draw:
         return np.random.default_rng([self._seed, *purpose.encode()])
 
 
+def draw_for(draw: Draw, defect: Defect, whom: str = "") -> np.random.Generator:
+    """The generator for what a defect does to somebody, whatever other defects there are."""
+    return draw(f"{type(defect).__name__} {whom}")
+
+
 def record_joints(
     mechanism: Mechanism, motion: JointMotion, settings: SimulationSettings, draw: Draw
 ) -> tuple[JointStream, ...]:
@@ -39,7 +45,7 @@ def record_joints(
 
     Args:
         mechanism: the robot.
-        motion: what its joints do.
+        motion: what its encoders see.
         settings: rate, resolutions, jitter.
         draw: source of the jitter.
 
@@ -71,10 +77,10 @@ def record_sus(
     Args:
         mechanism: the robot.
         motion: what its joints do.
-        sus: U SUs.
+        sus: U SUs, of which the robot's joints may be more than those that are recorded.
         sensors: their U accelerometers.
         lag: (U,) lags of their clocks [s].
-        settings: rate, jitter, stagger.
+        settings: rate, jitter, stagger, defects.
         draw: source of phases, noise and jitter.
 
     Returns:
@@ -88,9 +94,21 @@ def record_sus(
     forces.reverse()
     for u, su in enumerate(sus):
         # Of a long recording there is no room for what the SUs feel and what they report.
-        sampled, force = _shifted(time, forces.pop(), phase[u])
-        stamps = stamp(sampled, settings.jitter, lag[u], clock)
-        streams.append(SuStream(su.name, stamps, sensors[u].read(force, noise), su.topic))
+        defects = [(defect, draw_for(draw, defect, su.name)) for defect in settings.defects]
+        felt = Felt(su.name, time, forces.pop(), _speed(mechanism, motion, su.joint, time))
+        for defect, rng in defects:
+            felt = replace(felt, force=defect.shake(felt, rng))
+        for defect, rng in defects:
+            felt = replace(felt, force=defect.sense(felt, rng))
+        sampled, force = _shifted(time, felt.force, phase[u])
+        shown = sampled
+        for defect, rng in defects:
+            shown = defect.clock(shown, rng)
+        stamps = stamp(shown, settings.jitter, lag[u], clock)
+        stream = SuStream(su.name, stamps, sensors[u].read(force, noise), su.topic)
+        for defect, rng in defects:
+            stream = defect.send(stream, rng)
+        streams.append(stream)
     return tuple(streams)
 
 
@@ -98,6 +116,15 @@ def shift_clock(streams: Sequence[Stream], shift: float) -> tuple[Stream, ...]:
     """Add a time to all stamps; streams that share a time array still do [s]."""
     shifted = {id(stream.time): frozen(stream.time + shift) for stream in streams}
     return tuple(replace(stream, time=shifted[id(stream.time)]) for stream in streams)
+
+
+def _speed(mechanism: Mechanism, motion: JointMotion, joint: int, time: F64) -> F64:
+    """(N,) sum of the speeds of a joint and those that carry it [rad/s, m/s]."""
+    chain = []
+    while joint >= 0:
+        chain.append(joint)
+        joint = int(mechanism.parent[joint])
+    return np.asarray(np.abs(motion.at(time)[1][:, chain]).sum(axis=1))
 
 
 def _sample_times(motion: JointMotion, rate: float) -> F64:

@@ -1,0 +1,1 @@
+"""Parts of scripts/defects.py: rows of defects, one recording of one of them, and the table."""

@@ -1,0 +1,234 @@
+"""One recording with the defects of a row: what is stated of the result, and what is true."""
+
+from __future__ import annotations
+
+import tempfile
+import time
+import warnings
+from collections.abc import Mapping
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from batch.figures import rms
+from batch.records import Record
+from validation.measure import sensor_rotations, truth_as_felt
+
+from bench.rows import ROWS
+from skin2urdf import Calibration, CalibrationSettings, calibrate, compare, save
+from skin2urdf.arrays import F64
+from skin2urdf.errors import Skin2UrdfError, UsageError
+from skin2urdf.estimation.uncertainty.observability import aligned_deviations
+from skin2urdf.recording.retiming import retimed
+from skin2urdf.simulation import SimulationSettings, Truth, load_robot, simulate
+from skin2urdf.simulation.settings import Excitation
+
+TWO_ARMS = "two_arms"
+"""The tree of the bench; all other robots are those of the package."""
+CONFIGURATIONS = 60
+
+
+@dataclass(frozen=True)
+class Case:
+    """A recording to make and calibrate.
+
+    Attributes:
+        robot: name in robots/, or ``two_arms``.
+        row: name of its defects.
+        seed: of the recording.
+        excite: pattern of its motion.
+        poses: number of poses; without patterns the time counts.
+        minutes: how long it moves without patterns [min].
+        grade: sensor grade.
+        motion: which samples the calibration takes; empty for its default.
+    """
+
+    robot: str
+    row: str
+    seed: int
+    excite: Excitation = "one"
+    poses: int = 8
+    minutes: float = 3.0
+    grade: str = "mems"
+    motion: str = ""
+
+    @property
+    def circumstance(self) -> str:
+        """All but row and seed, in words."""
+        length = f"{self.minutes:g}min" if self.excite == "none" else f"{self.poses}poses"
+        words = (self.robot, self.grade, self.excite, length)
+        return " ".join((*words, f"motion={self.motion}") if self.motion else words)
+
+    @property
+    def key(self) -> str:
+        """Names the case."""
+        return f"{self.circumstance} {self.row} seed{self.seed}"
+
+    @property
+    def settings(self) -> SimulationSettings:
+        """Of the recording."""
+        return SimulationSettings(
+            n_poses=self.poses,
+            excite=self.excite,
+            minutes=self.minutes if self.excite == "none" else None,
+            seed=self.seed,
+            grade=self.grade,
+            defects=ROWS[self.row],
+        )
+
+
+@dataclass(frozen=True)
+class Figures:
+    """What came of it; None where there is no figure.
+
+    Attributes:
+        position_mm: true error of the SUs' positions, rms over SUs and configurations [mm].
+        position_stated_mm: the same as the calibration states it [mm].
+        orientation_deg: true error of their orientations [deg].
+        orientation_stated_deg: as stated [deg].
+        verdict: of the calibration; empty where it refused.
+        exit_status: of the command line.
+        refusal: its words where it gave no result.
+        named: kind and subject of all that was said to be wrong.
+        notes: of the calibration.
+        cost_per_dof: of the calibration.
+        tree_right: whether the tree is right.
+        n_sus: number of SUs.
+        n_undetermined: SUs that are stated to be not determined.
+        seconds: time of the calibration [s].
+    """
+
+    position_mm: float | None = None
+    position_stated_mm: float | None = None
+    orientation_deg: float | None = None
+    orientation_stated_deg: float | None = None
+    verdict: str = ""
+    exit_status: int = 0
+    refusal: str = ""
+    named: tuple[tuple[str, str], ...] = ()
+    notes: tuple[str, ...] = ()
+    cost_per_dof: float | None = None
+    tree_right: bool = False
+    n_sus: int = 0
+    n_undetermined: int = 0
+    seconds: float = 0.0
+
+    @property
+    def position_ratio(self) -> float | None:
+        """True position error over the stated one."""
+        return _over(self.position_mm, self.position_stated_mm)
+
+    @property
+    def orientation_ratio(self) -> float | None:
+        """True orientation error over the stated one."""
+        return _over(self.orientation_deg, self.orientation_stated_deg)
+
+
+Trial = Record[Case, Figures]
+"""One line of the output."""
+
+
+def robot_path(name: str) -> str | Path:
+    """What `load_robot` takes for a robot of the bench."""
+    return Path(__file__).parent / f"{name}.toml" if name == TWO_ARMS else name
+
+
+def calibration_settings(motion: str) -> CalibrationSettings:
+    """Settings that take these samples, where the package has the choice.
+
+    Raises:
+        UsageError: it has not.
+    """
+    if not motion:
+        return CalibrationSettings()
+    if "motion" not in {field.name for field in fields(CalibrationSettings)}:
+        raise UsageError("this package takes the samples that it takes", "leave --motion out")
+    chosen: dict[str, Any] = {"motion": motion}
+    return CalibrationSettings(**chosen)
+
+
+def perform(case: Case) -> Figures:
+    """Do a case; that the package refuses a recording is part of it."""
+    warnings.simplefilter("ignore")
+    simulation = simulate(load_robot(robot_path(case.robot)), case.settings)
+    settings = calibration_settings(case.motion)
+    truth = simulation.truth
+    recording = retimed(simulation.recording)
+    del simulation
+    begin = time.perf_counter()
+    try:
+        found = calibrate(recording, settings)
+    except Skin2UrdfError as error:
+        return Figures(
+            exit_status=error.exit_status,
+            refusal=f"{type(error).__name__}: {error}",
+            n_sus=len(truth.sus),
+            seconds=time.perf_counter() - begin,
+        )
+    seconds = time.perf_counter() - begin
+    with tempfile.TemporaryDirectory() as folder:
+        return _compared(found, truth, Path(folder), seconds)
+
+
+def _compared(found: Calibration, truth: Truth, folder: Path, seconds: float) -> Figures:
+    """The figures of a result."""
+    tree, seen = found.model.tree, found.observability
+    verdicts = dict(zip(tree.su_names, seen.su_verdict, strict=True))
+    free: Mapping[str, F64] = dict(zip(tree.su_names, seen.su_unobservable, strict=True))
+    urdf, _ = save(found, folder / "estimate.urdf", visuals=False)
+    true = folder / "truth.urdf"
+    felt = truth_as_felt(truth, sensor_rotations(truth.sensor_matrix))
+    true.write_text(felt, encoding="utf-8")
+    plain = Figures(
+        verdict=found.quality,
+        exit_status=_exit_status(found),
+        named=tuple((fault.kind, fault.subject) for fault in found.faults),
+        notes=found.notes,
+        cost_per_dof=float(found.estimate.cost_per_dof),
+        n_sus=len(truth.sus),
+        n_undetermined=sum(verdict != "determined" for verdict in verdicts.values()),
+        seconds=seconds,
+    )
+    try:
+        comparison = compare(
+            urdf, true, unobservable=free,
+            anchors=[name for name, verdict in verdicts.items() if verdict == "determined"],
+            open_directions=found.open_directions, sus=[su.name for su in truth.sus],
+            n_configurations=CONFIGURATIONS, rng=np.random.default_rng(0),
+        )  # fmt: skip
+    except Skin2UrdfError as error:
+        return replace(plain, refusal=f"not comparable: {error}")
+    # Stated over configurations of the joints in the ranges that were seen, as any user has them.
+    span = np.random.default_rng(0).uniform(size=(CONFIGURATIONS, tree.n_joints))
+    q = found.limits[:, 0] + span * (found.limits[:, 1] - found.limits[:, 0])
+    position, orientation = aligned_deviations(found.estimate, seen, q)
+    row = {name: u for u, name in enumerate(tree.su_names)}
+    placed = [su for su in comparison.sus if su.position is not None]
+    turned = [su for su in comparison.sus if su.orientation is not None]
+    return replace(
+        plain,
+        position_mm=_scaled(rms(su.position.rms for su in placed if su.position), 1e3),
+        position_stated_mm=_scaled(rms(position[row[su.name]] for su in placed), 1e3),
+        orientation_deg=_scaled(rms(su.orientation.rms for su in turned if su.orientation), _DEG),
+        orientation_stated_deg=_scaled(rms(orientation[row[su.name]] for su in turned), _DEG),
+        tree_right=comparison.tree_equal,
+    )
+
+
+def _exit_status(found: Calibration) -> int:
+    """What the command line exits with for a result."""
+    if found.quality == "bad":
+        return 1
+    return 3 if any(fault.to_repair for fault in found.faults) else 0
+
+
+_DEG = float(np.rad2deg(1.0))
+
+
+def _scaled(value: float | None, scale: float) -> float | None:
+    return None if value is None else float(value * scale)
+
+
+def _over(above: float | None, below: float | None) -> float | None:
+    return above / below if above is not None and below else None

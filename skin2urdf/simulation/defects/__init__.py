@@ -1,0 +1,29 @@
+"""What real robots have and ideal ones have not, each as physics of its own and with a size."""
+
+from skin2urdf.simulation.defects.front_end import LowPass
+from skin2urdf.simulation.defects.gears import Backlash, ElasticGears, GearHarmonics
+from skin2urdf.simulation.defects.messages import Held, Lost, Spikes, SuClock
+from skin2urdf.simulation.defects.readings import BiasWalk, Nonlinearity, WarmUp
+from skin2urdf.simulation.defects.records import Defect
+from skin2urdf.simulation.defects.structure import LinkFlex, YieldingBase
+from skin2urdf.simulation.defects.vibration import Vibration
+from skin2urdf.simulation.defects.world import LocalGravity
+
+__all__ = [
+    "Backlash",
+    "BiasWalk",
+    "Defect",
+    "ElasticGears",
+    "GearHarmonics",
+    "Held",
+    "LinkFlex",
+    "LocalGravity",
+    "Lost",
+    "LowPass",
+    "Nonlinearity",
+    "Spikes",
+    "SuClock",
+    "Vibration",
+    "WarmUp",
+    "YieldingBase",
+]

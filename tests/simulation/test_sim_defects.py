@@ -1,0 +1,172 @@
+"""Defects of sensors, clocks and messages, each by itself."""
+
+from __future__ import annotations
+
+from math import pi
+
+import numpy as np
+import pytest
+
+from skin2urdf.arrays import F64
+from skin2urdf.errors import UsageError
+from skin2urdf.recording.records import SuStream
+from skin2urdf.simulation import Simulation, SimulationSettings, load_robot, simulate
+from skin2urdf.simulation.defects import (
+    BiasWalk,
+    Defect,
+    Held,
+    LocalGravity,
+    Lost,
+    LowPass,
+    Nonlinearity,
+    Spikes,
+    SuClock,
+    Vibration,
+    WarmUp,
+)
+from skin2urdf.simulation.defects.records import Felt
+
+RNG = np.random.default_rng(0)
+
+
+def felt(force: F64, rate: float = 500.0, speed: F64 | None = None) -> Felt:
+    still = np.zeros(len(force)) if speed is None else speed
+    return Felt("su", np.arange(len(force)) / rate, force, still)
+
+
+def recorded(*defects: Defect) -> Simulation:
+    settings = SimulationSettings(
+        excite="none", minutes=0.1, imu_rate=200.0, joint_rate=50.0, seed=3, defects=defects
+    )
+    return simulate(load_robot("so101"), settings)
+
+
+@pytest.mark.parametrize("frequency", [2.0, 15.0])
+@pytest.mark.parametrize(("cutoff", "order"), [(21.0, 1), (10.0, 1), (21.0, 2)])
+def test_a_low_pass_droops_and_lags_as_its_transfer_function_says(
+    cutoff: float, order: int, frequency: float
+) -> None:
+    w = 2 * pi * frequency
+    time = np.arange(2000) / 500.0
+    wave = np.sin(w * time)[:, None] * np.ones(3)
+    out = LowPass(cutoff, order).sense(felt(wave), RNG)
+    settled = time > 2.0
+    basis = np.column_stack([np.sin(w * time), np.cos(w * time)])[settled]
+    real, imaginary = np.linalg.lstsq(basis, out[settled, 0], rcond=None)[0]
+    s = 1j * frequency / cutoff
+    expected = 1 / (1 + s) if order == 1 else 1 / (1 + 2**0.5 * s + s**2)
+    assert real + 1j * imaginary == pytest.approx(expected, abs=5e-4)
+
+
+def test_a_low_pass_leaves_what_does_not_change() -> None:
+    force = np.tile([1.0, -2.0, 9.0], (500, 1))
+    np.testing.assert_allclose(LowPass(5.0, 2).sense(felt(force), RNG), force, atol=1e-12)
+    with pytest.raises(UsageError):
+        LowPass(10.0, 3)
+
+
+def test_warming_up_ends_at_its_size() -> None:
+    force = np.zeros((1000, 3))
+    out = WarmUp(2e-3).sense(felt(force), np.random.default_rng(1))
+    np.testing.assert_allclose(np.abs(out[-1]), 2e-3 * 9.81, rtol=1e-9)
+    np.testing.assert_allclose(out[0], 0.0)
+    steps = np.abs(np.diff(out, axis=0))
+    # Fast at first, slow at the end.
+    assert (steps[0] > 3 * steps[-1]).all()
+
+
+def test_biases_walk_as_far_as_set_in_a_minute() -> None:
+    rng = np.random.default_rng(2)
+    ends = np.array(
+        [BiasWalk(1e-3).sense(felt(np.zeros((61, 3)), 1.0), rng)[-1] for _ in range(300)]
+    )
+    assert ends.std() == pytest.approx(1e-3 * 9.81, rel=0.1)
+
+
+def test_nonlinearity_is_largest_at_full_scale() -> None:
+    force = np.outer([0.0, 0.5, 1.0, -1.0], 4 * 9.81 * np.ones(3))
+    off = Nonlinearity(5e-3).sense(felt(force), np.random.default_rng(0)) - force
+    full = 5e-3 * 4 * 9.81
+    part = np.outer([0.0, 0.25, 1.0, 1.0], np.ones(3))
+    np.testing.assert_allclose(np.abs(off), full * part)
+    np.testing.assert_allclose(off[2], off[3])
+
+
+def test_vibration_hums_at_its_frequency_while_joints_move() -> None:
+    speed = np.repeat([0.0, 2.0], 5000)
+    out = Vibration(0.5, frequency=40.0).shake(
+        felt(np.zeros((10_000, 3)), speed=speed), np.random.default_rng(0)
+    )
+    assert np.abs(out[:5000]).max() == 0.0
+    assert out[5000:].std() == pytest.approx(1.0, rel=0.15)
+    spectrum = np.abs(np.fft.rfft(out[5000:, 0])) ** 2
+    frequency = np.fft.rfftfreq(5000, 1 / 500)
+    near = (frequency > 30) & (frequency < 50)
+    assert spectrum[near].sum() > 0.5 * spectrum.sum()
+    # It has no mean that a pose would show.
+    assert abs(out[5000:].mean()) < 0.02
+
+
+def test_clocks_are_late_and_run_fast() -> None:
+    time = np.array([1.0, 11.0, 101.0])
+    shown = SuClock(offset=0.08, drift=1e-3).clock(time, RNG)
+    np.testing.assert_allclose(shown - time, [0.08, 0.09, 0.18])
+    own = [
+        SuClock(offset=0.1, common=False).clock(time, np.random.default_rng(i)) for i in range(20)
+    ]
+    offsets = np.array([clock[0] - time[0] for clock in own])
+    assert np.abs(offsets).max() <= 0.1
+    assert np.ptp(offsets) > 0.1
+
+
+def stream(n: int = 20_000) -> SuStream:
+    rng = np.random.default_rng(3)
+    return SuStream("su", np.arange(n) / 500.0, rng.standard_normal((n, 3)))
+
+
+def test_held_values_repeat() -> None:
+    sound = stream(103)
+    held = Held(5).send(sound, RNG)
+    for i in range(103):
+        np.testing.assert_array_equal(held.specific_force[i], sound.specific_force[i - i % 5])
+
+
+def test_spikes_strike_their_share() -> None:
+    sound = stream()
+    off = Spikes(1e-3, 2.0).send(sound, np.random.default_rng(0)).specific_force
+    off = off - sound.specific_force
+    struck = np.abs(off).max(axis=1) > 0
+    assert 8 <= struck.sum() <= 36
+    assert ((off != 0).sum(axis=1) <= 1).all()
+    assert np.abs(off).max() <= 2 * 9.81
+
+
+def test_lost_messages_are_missing() -> None:
+    sound = stream()
+    left = Lost(0.02).send(sound, np.random.default_rng(0))
+    assert len(left.time) == pytest.approx(0.98 * len(sound.time), rel=0.005)
+    kept = np.isin(sound.time, left.time)
+    np.testing.assert_array_equal(sound.specific_force[kept], left.specific_force)
+
+
+def test_an_su_at_rest_feels_the_gravity_of_the_place() -> None:
+    simulation = recorded(LocalGravity(9.781))
+    assert np.linalg.norm(simulation.truth.gravity_base) == pytest.approx(9.781)
+    base = next(su.name for su in simulation.truth.sus if su.joint < 0)
+    u = [su.name for su in simulation.truth.sus].index(base)
+    reading = simulation.recording.sus[u].specific_force.mean(axis=0)
+    assert np.linalg.norm(reading - simulation.truth.bias[u]) == pytest.approx(9.781, abs=1e-3)
+
+
+def test_one_defect_does_not_change_what_another_draws() -> None:
+    alone = recorded(WarmUp())
+    both = recorded(Lost(), WarmUp())
+    plain = recorded()
+    for one, two, none in zip(
+        alone.recording.sus, both.recording.sus, plain.recording.sus, strict=True
+    ):
+        kept = np.isin(one.time, two.time)
+        assert 0.9 < kept.mean() < 1.0
+        np.testing.assert_array_equal(one.specific_force[kept], two.specific_force)
+        np.testing.assert_array_equal(one.time, none.time)
+    assert alone.truth.urdf == both.truth.urdf == plain.truth.urdf

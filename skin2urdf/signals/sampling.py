@@ -150,23 +150,28 @@ def _cutoff(motion: Motion, neighbourhoods: Sequence[Neighbourhood]) -> float:
     The encoder's rounding, seen through two differentiations, grows with the cutoff to the power
     of 2.5; the patterns' own content sets how low it can be.
     """
+    windows = [w for pose in neighbourhoods for w in pose.windows]
+    energy = _energy(motion, windows)
+    if energy.sum() <= 0:
+        energy = _energy(motion, [(0, motion.grid.size)])
+    share = np.cumsum(energy) / max(energy.sum(), 1e-12)
+    highest = float(np.searchsorted(share, 0.98) / 8)
+    return float(np.clip(2.2 * highest + 1.0, 5.0, 20.0))
+
+
+def _energy(motion: Motion, windows: Sequence[tuple[int, int]]) -> F64:
+    """(257,) energy of all joints' motion in windows, in bands of an eighth of a hertz."""
     rate = motion.grid.rate
     energy = np.zeros(257)
-    for pose in neighbourhoods:
-        for begin, end in pose.windows:
-            if end - begin < 64:
-                continue
+    for begin, end in windows:
+        if end - begin >= 64:
             window = np.hanning(end - begin)[:, None]
             spectrum = np.abs(np.fft.rfft(motion.qd[begin:end] * window, axis=0)) ** 2
             f = np.fft.rfftfreq(end - begin, 1 / rate)
             total = spectrum / np.maximum(motion.noise * 100, 1e-4) ** 2
             index = np.minimum((f * 8).astype(int), 256)
             np.add.at(energy, index, total.sum(axis=1))
-    if energy.sum() <= 0:
-        return 10.0
-    share = np.cumsum(energy) / energy.sum()
-    highest = float(np.searchsorted(share, 0.98) / 8)
-    return float(np.clip(2.2 * highest + 1.0, 5.0, 20.0))
+    return energy
 
 
 def sampled_together(

@@ -68,6 +68,7 @@ def fit(
             joint, sus = newton_step(system, problem.free_joint)
             trial = problem.layout.moved(state, joint, sus)
             ahead = tuple(problem.predict(trial, g) for g in range(len(problem.logs)))
+            trial, ahead = problem.refit_sensors(trial, ahead, weights)
             there = _cost(problem, trial, ahead, weights)
             if there <= cost:
                 break

@@ -73,12 +73,14 @@ class Predicted:
     Attributes:
         residual: (K, U, 3) readings less prediction [m/s^2].
         measured: (K, U) where there is something to compare.
+        ideal: (K, U, 3) what perfect sensors in the SUs' places would read, as predicted [m/s^2].
         rates: (4, K, U, 3) first to fourth derivative of the readings of sensors without a front
             end, as predicted [m/s^3 .. m/s^6].
     """
 
     residual: F64
     measured: Bool
+    ideal: F64
     rates: F64
 
 
@@ -179,8 +181,8 @@ class MotionProblem:
         log, model = self.logs[g], state.placements.model(self.tree)
         up = state.placements.up[g] * state.gravity
         ideal = specific_forces(model, log.q, log.qd, log.qdd, up)
-        M = state.placements.sensor_matrix() * self._sense(state)
-        read = filtered((ideal.swapaxes(0, 1) @ M).swapaxes(0, 1), log.taps)
+        ideal = filtered(ideal * self._sense(state), log.taps)
+        read = (ideal.swapaxes(0, 1) @ state.placements.sensor_matrix()).swapaxes(0, 1)
         bend = second_derivative(read, log.rate)
         rates = np.stack(
             [
@@ -197,7 +199,43 @@ class MotionProblem:
         residual = np.empty_like(predicted)
         for u in range(self.tree.n_sus):
             residual[:, u] = taken_at(log.readings[:, u], at[:, u]) - predicted[:, u]
-        return Predicted(residual, log.valid & np.isfinite(residual).all(axis=2), rates)
+        measured = log.valid & np.isfinite(residual).all(axis=2)
+        return Predicted(residual, measured, ideal[log.kept], rates)
+
+    def refit_sensors(
+        self, state: MotionState, predicted: Sequence[Predicted], weights: Sequence[F64]
+    ) -> tuple[MotionState, tuple[Predicted, ...]]:
+        """The best bias and shape of every SU for its placement, a linear problem.
+
+        Where gravity stands still in an SU, its tilt and its bias can hardly be told apart. The
+        pairs that explain the readings form an arc, which a step in both leaves; this leads back.
+
+        Args:
+            state: placements, and sensors to begin with.
+            predicted: residuals of each log there.
+            weights: per log (K, U, 3) information of each sample [s^4/m^2].
+        """
+        at = slice(N_PLACEMENT, N_SU)
+        _, prior, _, gradient = self.prior_information(state)
+        H, g = prior[:, at, at].copy(), gradient[:, at].copy()
+        columns = [sensor_columns(p.ideal) for p in predicted]
+        for A, p, w in zip(columns, predicted, weights, strict=True):
+            r = np.where(p.measured[..., None], p.residual, 0.0)
+            H += np.einsum("kucx,kux,kudx->ucd", A, w, A, optimize=True)
+            g += np.einsum("kucx,kux->uc", A, w * r)
+        free = self.free_su[:, at]
+        H = np.where(free[:, :, None] & free[:, None], H, 0.0) + np.eye(H.shape[1]) * ~free[:, None]
+        x = np.linalg.solve(H, np.where(free, g, 0.0)[..., None])[..., 0]
+        places = replace(
+            state.placements,
+            bias=state.placements.bias + x[:, :3],
+            shape=state.placements.shape + x[:, 3:],
+        )
+        moved = tuple(
+            replace(p, residual=p.residual - np.einsum("kucx,uc->kux", A, x))
+            for A, p in zip(columns, predicted, strict=True)
+        )
+        return replace(state, placements=places), moved
 
     def _sense(self, state: MotionState) -> float:
         """What sensors read per m/s^2: gravity is what they are held against, whatever it is.
@@ -350,10 +388,7 @@ class MotionProblem:
         out = np.zeros((C + layout.n_su, 3, K))
         out[: C + N_PLACEMENT] = np.einsum("ij,cjk->cik", M * sense, ideal)
         own = out[C:]
-        own[range(6, 9), range(3)] = 1.0
-        for i, (a, b) in enumerate(_SHAPE):
-            own[9 + i, a] = here.f[b] * sense
-            own[9 + i, b] = here.f[a] * sense
+        own[N_PLACEMENT:N_SU] = sensor_columns(here.f.T[:, None] * sense)[:, 0].transpose(1, 2, 0)
         slopes = front_slopes(state.front[u])
         own[layout.front] = np.tensordot(slopes, rates[1:], 1).T
         late = -rates[0].T
@@ -444,3 +479,17 @@ class MotionProblem:
             has = np.diag(H) > 0
             total += float(s[has] @ np.linalg.solve(H[np.ix_(has, has)], s[has]))
         return total
+
+
+def sensor_columns(ideal: F64) -> F64:
+    """(K, U, 9, 3) derivatives of readings in bias and shape.
+
+    Args:
+        ideal: (K, U, 3) what perfect sensors would read [m/s^2].
+    """
+    out = np.zeros((*ideal.shape[:2], 9, 3))
+    out[..., range(3), range(3)] = 1.0
+    for i, (a, b) in enumerate(_SHAPE):
+        out[..., 3 + i, a] = ideal[..., b]
+        out[..., 3 + i, b] = ideal[..., a]
+    return out

@@ -150,13 +150,19 @@ def _cutoff(motion: Motion, neighbourhoods: Sequence[Neighbourhood]) -> float:
     The encoder's rounding, seen through two differentiations, grows with the cutoff to the power
     of 2.5; the patterns' own content sets how low it can be.
     """
-    windows = [w for pose in neighbourhoods for w in pose.windows]
-    energy = _energy(motion, windows)
-    if energy.sum() <= 0:
-        energy = _energy(motion, [(0, motion.grid.size)])
+    energy = _energy(motion, [w for pose in neighbourhoods for w in pose.windows])
+    everything = _energy(motion, [(0, motion.grid.size)])
+    # Windows of rests hold the noise of encoders, and no pattern.
+    if energy.sum() < _PATTERNS * everything.sum():
+        energy = everything
     share = np.cumsum(energy) / max(energy.sum(), 1e-12)
     highest = float(np.searchsorted(share, 0.98) / 8)
     return float(np.clip(2.2 * highest + 1.0, 5.0, 20.0))
+
+
+_PATTERNS = 0.01
+"""Energy of the motion in poses, over that of the whole log, from which there are patterns: of a
+pattern of 1 rad/s in every pose it is a tenth and more, of a robot that only rests there 1e-6."""
 
 
 def _energy(motion: Motion, windows: Sequence[tuple[int, int]]) -> F64:
@@ -170,7 +176,7 @@ def _energy(motion: Motion, windows: Sequence[tuple[int, int]]) -> F64:
             f = np.fft.rfftfreq(end - begin, 1 / rate)
             total = spectrum / np.maximum(motion.noise * 100, 1e-4) ** 2
             index = np.minimum((f * 8).astype(int), 256)
-            np.add.at(energy, index, total.sum(axis=1))
+            np.add.at(energy, index, total.sum(axis=1) / (end - begin))
     return energy
 
 

@@ -15,6 +15,11 @@ from skin2urdf.estimation.trajectory.state import MotionState
 _HUBER = 3.0
 """Residual, in standard deviations, beyond which a sample counts less; noise is one in 400."""
 _DAMPING = 1e-4
+_ROUGHLY = 30.0
+"""Length of a step, in standard deviations, from which all coordinates may move."""
+_NO_GAIN = 1e-7
+"""Part of chi-squared below which an iteration gains nothing: a hundredth of its scatter with a
+hundred thousand measurements."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,7 +48,7 @@ def fit(
     start: MotionState,
     *,
     iterations: int = 30,
-    tolerance: float = 1e-4,
+    tolerance: float = 0.1,
     tell: Callable[[float], None] = lambda _: None,
 ) -> Fitted:
     """Minimise chi-squared of all samples.
@@ -52,10 +57,24 @@ def fit(
         problem: the logs, the tree and what is known before.
         start: where to begin; orientations to some ten degrees are enough.
         iterations: at most that many linearisations.
-        tolerance: standard deviations by which no coordinate may still move at the end, and part of
-            chi-squared that an iteration has to gain where it moves further.
+        tolerance: length of the last step in standard deviations, all coordinates together.
         tell: told the share of the work that is done.
     """
+    coarse = _descend(problem, start, problem.coarse(), _ROUGHLY, iterations, tell)
+    free = problem.free_joint, problem.free_su
+    return _descend(problem, coarse.state, free, tolerance, iterations, tell)
+
+
+def _descend(
+    problem: MotionProblem,
+    start: MotionState,
+    free: tuple[Bool, Bool],
+    tolerance: float,
+    iterations: int,
+    tell: Callable[[float], None],
+) -> Fitted:
+    """Minimise chi-squared over some coordinates."""
+    free_joint, free_su = free
     state = start
     predicted = tuple(problem.predict(state, g) for g in range(len(problem.logs)))
     noise, weights = _noise(problem, predicted)
@@ -64,11 +83,11 @@ def fit(
     for i in range(iterations):
         equations = problem.equations(state, predicted, weights)
         while True:
-            system = eliminated(equations, problem.free_joint, problem.free_su, damping)
-            joint, sus = newton_step(system, problem.free_joint)
+            system = eliminated(equations, free_joint, free_su, damping)
+            joint, sus = newton_step(system, free_joint)
             trial = problem.layout.moved(state, joint, sus)
             ahead = tuple(problem.predict(trial, g) for g in range(len(problem.logs)))
-            trial, ahead = problem.refit_sensors(trial, ahead, weights)
+            trial, ahead = problem.refit_sensors(trial, ahead, weights, free_su)
             there = _cost(problem, trial, ahead, weights)
             if there <= cost:
                 break
@@ -82,7 +101,7 @@ def fit(
         noise, weights = _noise(problem, predicted)
         cost = _cost(problem, state, predicted, weights)
         tell((i + 1) / iterations)
-        if length < tolerance * 100 or gain < tolerance * 1e-2:
+        if length < tolerance or gain < _NO_GAIN:
             break
     equations = problem.equations(state, predicted, weights)
     tell(1.0)

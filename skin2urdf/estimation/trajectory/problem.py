@@ -149,6 +149,18 @@ class MotionProblem:
         self.layout = Layout(tree.n_joints, len(self.logs), knots, len(priors.compliance))
         self.free_joint, self.free_su = self._free()
 
+    def coarse(self) -> tuple[Bool, Bool]:
+        """Coordinates (J,) and (U, n) to begin with: placements, biases and lags.
+
+        From far away, a sensor's shape, droop and drift would rather explain what placements do.
+        """
+        layout, su = self.layout, np.zeros_like(self.free_su)
+        joint = self.free_joint & (np.arange(layout.n_joint) < layout.gravity)
+        su[:, : N_PLACEMENT + 3] = True
+        for g in range(layout.n_logs):
+            su[:, layout.clock(g).start] = True
+        return joint, su & self.free_su
+
     def _free(self) -> tuple[Bool, Bool]:
         layout, tree, priors = self.layout, self.tree, self.priors
         placements = identifiable(tree, len(self.logs), True)
@@ -203,7 +215,11 @@ class MotionProblem:
         return Predicted(residual, measured, ideal[log.kept], rates)
 
     def refit_sensors(
-        self, state: MotionState, predicted: Sequence[Predicted], weights: Sequence[F64]
+        self,
+        state: MotionState,
+        predicted: Sequence[Predicted],
+        weights: Sequence[F64],
+        free_su: Bool,
     ) -> tuple[MotionState, tuple[Predicted, ...]]:
         """The best bias and shape of every SU for its placement, a linear problem.
 
@@ -214,8 +230,10 @@ class MotionProblem:
             state: placements, and sensors to begin with.
             predicted: residuals of each log there.
             weights: per log (K, U, 3) information of each sample [s^4/m^2].
+            free_su: (U, n) coordinates that may move.
         """
         at = slice(N_PLACEMENT, N_SU)
+        free = free_su[:, at]
         _, prior, _, gradient = self.prior_information(state)
         H, g = prior[:, at, at].copy(), gradient[:, at].copy()
         columns = [sensor_columns(p.ideal) for p in predicted]
@@ -223,7 +241,6 @@ class MotionProblem:
             r = np.where(p.measured[..., None], p.residual, 0.0)
             H += np.einsum("kucx,kux,kudx->ucd", A, w, A, optimize=True)
             g += np.einsum("kucx,kux->uc", A, w * r)
-        free = self.free_su[:, at]
         H = np.where(free[:, :, None] & free[:, None], H, 0.0) + np.eye(H.shape[1]) * ~free[:, None]
         x = np.linalg.solve(H, np.where(free, g, 0.0)[..., None])[..., 0]
         places = replace(

@@ -121,7 +121,7 @@ def observability(estimate: Estimate, along: MotionInformation | None = None) ->
     else:
         full = with_shared_errors(weights, estimate.cost, estimate.state).scaled(scale)
     own = known @ full.own @ known + np.diag(turns)
-    covariance = replace(full, lean=known @ lean, own=own)
+    covariance = replace(full, lean=known @ full.lean, own=own)
     su_covariance = covariance.su()[:, :N_PLACEMENT, :N_PLACEMENT]
     blocks = covariance.joint[: N_JOINT * D, : N_JOINT * D].reshape(D, N_JOINT, D, N_JOINT)
     joint_covariance = np.einsum("dadb->dab", blocks)

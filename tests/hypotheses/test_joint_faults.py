@@ -30,7 +30,7 @@ from skin2urdf.simulation import SimulationSettings, load_robot, simulate
 from skin2urdf.simulation.faults import Faulty, Sound
 from skin2urdf.simulation.joint_faults import JOINT_FAULTS
 
-OPTIONS = {"n_poses": 5, "excite": "all", "seed": 3, "imu_rate": 250.0}
+OPTIONS = {"n_poses": 5, "excite": "all", "seed": 3}
 ROBOT = "so101"
 JOINT = "elbow_flex"
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import stat
 from pathlib import Path
 
@@ -64,14 +65,14 @@ def test_text_that_can_not_be_encoded_leaves_nothing(tmp_path: Path) -> None:
 
 def test_unusable_targets_are_named_with_a_remedy(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("x")
-    targets = {
-        tmp_path / "missing" / "robot.urdf": "does not exist",
-        tmp_path: "is a folder",
-        tmp_path / "file" / "robot.urdf": "is not a folder",
-        Path("/dev/null"): "not a regular file",
-    }
-    for target, words in targets.items():
-        with pytest.raises(UsageError, match=words) as caught:
+    targets = (
+        tmp_path / "missing" / "robot.urdf",
+        tmp_path,
+        tmp_path / "file" / "robot.urdf",
+        Path("/dev/null"),
+    )
+    for target in targets:
+        with pytest.raises(UsageError, match=re.escape(str(target))) as caught:
             check_target(target)
         assert caught.value.remedy
         assert caught.value.exit_status == 2
@@ -80,5 +81,5 @@ def test_unusable_targets_are_named_with_a_remedy(tmp_path: Path) -> None:
 @pytest.mark.skipif(os.geteuid() == 0, reason="root may write anywhere")
 def test_a_folder_without_permission_is_named(tmp_path: Path) -> None:
     tmp_path.chmod(0o500)
-    with pytest.raises(UsageError, match="no permission"):
+    with pytest.raises(UsageError, match=re.escape(str(tmp_path))):
         check_target(tmp_path / "robot.urdf")

@@ -99,14 +99,16 @@ class Features:
 
     def of_poses(self, chosen: Int) -> Features:
         """The features of some poses of one log, as of a first one."""
-        by_pose = (
-            "q", "coefficients", "noise", "position_sd", "pull", "hidden", "omega2", "tones",
-            "products", "white", "span",
-        )  # fmt: skip
-        parts = {name: getattr(self, name)[chosen] for name in by_pose}
-        information = self.information.of_poses(chosen)
-        log = np.zeros(len(chosen), dtype=np.int64)
-        return replace(self, log=log, information=information, **parts)
+        return replace(
+            self,
+            q=self.q[chosen],
+            log=np.zeros(len(chosen), dtype=np.int64),
+            coefficients=self.coefficients[chosen],
+            information=self.information.of_poses(chosen),
+            noise=self.noise[chosen],
+            encoders=self.encoders.of_poses(chosen),
+            span=self.span[chosen],
+        )
 
     @property
     def n_poses(self) -> int:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -15,6 +16,7 @@ from simulated import changed_joints, features_of, held_against, simulation
 from skin2urdf.arrays import F64
 from skin2urdf.calibration.clock import Clock
 from skin2urdf.calibration.pipeline import calibrate
+from skin2urdf.calibration.result import Calibration
 from skin2urdf.calibration.rounds import estimate_once
 from skin2urdf.calibration.settings import CalibrationSettings
 from skin2urdf.hypotheses.encoders import Encoders, misfit_gone, sized_by_the_fit
@@ -29,11 +31,18 @@ from skin2urdf.simulation.faults import Faulty, Sound
 from skin2urdf.simulation.joint_faults import JOINT_FAULTS
 
 OPTIONS = {"n_poses": 5, "excite": "all", "seed": 3}
-JOINT = "panda_joint4"
+ROBOT = "so101"
+JOINT = "elbow_flex"
 
 
 def recording(**options: object) -> Recording:
-    return retimed(simulation(**{**OPTIONS, **options}).recording)
+    return retimed(simulation(ROBOT, **{**OPTIONS, **options}).recording)
+
+
+@cache
+def sound() -> Calibration:
+    """The recording as it is."""
+    return calibrate(recording())
 
 
 def misreported(r: Recording, change: Callable[[F64, F64], F64], name: str = JOINT) -> Recording:
@@ -47,9 +56,9 @@ def misreported(r: Recording, change: Callable[[F64, F64], F64], name: str = JOI
     return changed_joints(r, wrong)
 
 
-def position_error(r: Recording, folder: Path) -> float:
-    truth = simulation(**OPTIONS).truth.urdf
-    return held_against(calibrate(r), truth, folder).position.rms
+def position_error(found: Calibration, folder: Path) -> float:
+    truth = simulation(ROBOT, **OPTIONS).truth.urdf
+    return held_against(found, truth, folder).position.rms
 
 
 @pytest.mark.parametrize(("degrees", "at"), [(1.0, 0.62), (-10.0, 0.45)])
@@ -67,29 +76,29 @@ def test_a_jump_is_named_with_its_time_and_size(degrees: float, at: float, tmp_p
     assert 0 < np.degrees(fault.deviation) < 0.01
     assert found.quality == "fair"
     assert found.estimate.cost_per_dof < 1.3
-    assert position_error(wrong, tmp_path) < 1.1 * position_error(r, tmp_path)
+    assert position_error(found, tmp_path) < 1.1 * position_error(sound(), tmp_path)
 
 
 def test_a_wrong_encoder_is_corrected_by_as_much_as_the_fit_says() -> None:
     """Also by what chance could have brought about, once it is known to be wrong."""
-    r = recording()
+    r, joint = retimed(simulation("panda", **OPTIONS).recording), "panda_joint4"
     solution = solved([r], CalibrationSettings(), Clock())
     begin, size = 0.6 * r.duration, 8e-5
     q = np.array(solution.features.q)
     later = solution.features.span.mean(axis=1) >= begin
-    q[later, solution.features.dof_names.index(JOINT)] += size
+    q[later, solution.features.dof_names.index(joint)] += size
     features = replace(solution.features, q=q)
     found = estimate_once(
         solution.logs, solution.found.tree, features, solution.found.state, Clock()
     )
-    known = Encoders([r], (EncoderError("offset", JOINT, 0.1, 0, begin),))
+    known = Encoders([r], (EncoderError("offset", joint, 0.1, 0, begin),))
     disturbed = replace(solution, found=found, features=features)
     after, mended = sized_by_the_fit(known, disturbed, Clock())
     (error,) = after.errors
     assert error.size == pytest.approx(0.1 + size, abs=size / 2)
     np.testing.assert_allclose(mended.features.q, solution.features.q, atol=size / 2)
     score = {s.error.begin: s.gain for s in suspicions(mended.found, mended.features)
-             if (s.error.kind, s.error.dof) == ("offset", JOINT)}  # fmt: skip
+             if (s.error.kind, s.error.dof) == ("offset", joint)}  # fmt: skip
     assert score[min(score, key=lambda t: abs(t - begin))] < 0.01
 
 
@@ -122,14 +131,15 @@ def test_a_wrong_scale_is_named_with_its_size(factor: float, tmp_path: Path) -> 
     assert (fault.kind, fault.subject) == ("encoder scale", JOINT)
     assert fault.size == pytest.approx(factor, abs=2e-4)
     assert abs(fault.size - factor) < 5 * fault.deviation
-    assert position_error(wrong, tmp_path) < 1.1 * position_error(r, tmp_path)
+    assert position_error(found, tmp_path) < 1.1 * position_error(sound(), tmp_path)
 
 
 @pytest.mark.parametrize(
     "options",
-    [{}, {"grade": "bma150"}, {"encoder_bits": 12}, {"encoder_bits": 12, "excite": "one"}],
+    [{"grade": "bma150"}, {"encoder_bits": 12}, {"encoder_bits": 12, "excite": "one"}],
 )
 def test_right_encoders_are_not_named(options: dict[str, object]) -> None:
+    assert not sound().faults
     assert not calibrate(recording(**options)).faults
 
 
@@ -191,7 +201,7 @@ def test_a_sense_that_changes_in_a_log_is_named_with_its_time(
     assert (fault.kind, fault.subject) == ("encoder sign", JOINT)
     assert (fault.log, fault.begin) == (0, pytest.approx(t, abs=0.02))
     assert fault.to_repair
-    assert position_error(turned, tmp_path) < 1.1 * position_error(r, tmp_path)
+    assert position_error(found, tmp_path) < 1.1 * position_error(sound(), tmp_path)
 
 
 def test_a_track_is_mirrored_where_it_turns_round() -> None:
@@ -206,28 +216,28 @@ def test_a_track_is_mirrored_where_it_turns_round() -> None:
     assert reversal(JointStream("j", t, x), (4.0, 16.0)) == pytest.approx(10.0)
 
 
-def faulty(kind: str, seed: int, struck: int | list[int] | None = None, poses: int = 4) -> Faulty:
+def faulty(
+    kind: str, seed: int, struck: int | list[int] | None = None, poses: int = 4, name: str = "panda"
+) -> Faulty:
     settings = SimulationSettings(n_poses=poses, excite="all", seed=seed)
-    robot = load_robot("panda")
+    robot = load_robot(name)
     sound = Sound(robot, settings, simulate(robot, settings))
     return JOINT_FAULTS[kind](sound, np.random.default_rng(seed if struck is None else struck))
 
 
 @pytest.mark.parametrize(
-    ("kind", "seed"),
+    ("kind", "robot", "seed"),
     [
-        ("contact", 1),
-        ("encoder_sign", 1),
-        ("encoder_slip", 1),
-        ("encoder_turn", 1),
-        ("gear_ratio", 1),
-        # Short hits, of which the encoder sees a third.
-        ("contact", 26),
-        ("contact", 41),
+        ("contact", "so101", 1),
+        ("encoder_sign", "so101", 1),
+        ("encoder_slip", "so101", 1),
+        ("gear_ratio", "so101", 1),
+        # A short hit, of which the encoder sees a third.
+        ("contact", "panda", 26),
     ],
 )
-def test_a_simulated_fault_is_named(kind: str, seed: int) -> None:
-    fault = faulty(kind, seed)
+def test_a_simulated_fault_is_named(kind: str, robot: str, seed: int) -> None:
+    fault = faulty(kind, seed, name=robot)
     found = calibrate([retimed(r) for r in fault.recordings])
     assert [(f.kind, f.subject) for f in found.faults] == [(fault.kind, fault.subjects[0])]
     assert found.quality == "fair"

@@ -27,7 +27,7 @@ SETTINGS = SimulationSettings(n_poses=4, excite="all", seed=1, imu_rate=250.0, j
 
 @cache
 def sound() -> Sound:
-    robot = load_robot("panda")
+    robot = load_robot("so101")
     return Sound(robot, SETTINGS, simulate(robot, SETTINGS))
 
 
@@ -152,7 +152,7 @@ def joined(first: Recording, second: Recording) -> Recording:
     return replace(first, joints=joints, sus=sus)
 
 
-@pytest.mark.parametrize("segment", range(3))
+@pytest.mark.parametrize("segment", [0, 2])
 def test_an_su_may_be_mirrored_on_any_segment(segment: int) -> None:
     truth = sound().simulation.truth
     (name,) = (su.name for su in truth.sus if su.joint == segment)

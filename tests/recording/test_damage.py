@@ -203,12 +203,12 @@ def test_a_file_without_permission_is_refused(tmp_path: Path) -> None:
 def test_a_log_without_joints_or_sus_says_what_it_holds(make_log: Any) -> None:
     log = make_log("no_joints.mcap")
     log.imu(10**9, [0, 0, 1])
-    with pytest.raises(UnreadableInputError, match=r"no joints: no topic of type JointState.*/imu"):
+    with pytest.raises(UnreadableInputError, match=r"JointState.*/imu"):
         read(log.close())
     log = make_log("no_sus.mcap")
     log.joints(10**9, {"a": 0.0})
     log.joints(10**9 + 5, {"a": 0.0})
-    with pytest.raises(UnreadableInputError, match=r"no SUs: no topic of type Imu or Accel"):
+    with pytest.raises(UnreadableInputError, match=r"Imu.*Accel"):
         read(log.close())
     log = make_log("nothing.mcap")
     with pytest.raises(UnreadableInputError, match="no messages"):
@@ -216,6 +216,6 @@ def test_a_log_without_joints_or_sus_says_what_it_holds(make_log: Any) -> None:
     log = make_log("ros1.mcap", profile="ros1")
     log.channel("/joint_states", "sensor_msgs/msg/JointState", "ros1")
     log.joints(10**9, {"a": 0.0})
-    with pytest.raises(UnreadableInputError, match="encoded as 'ros1'") as caught:
+    with pytest.raises(UnreadableInputError, match="ros1") as caught:
         read(log.close())
     assert "ROS 1" in caught.value.remedy

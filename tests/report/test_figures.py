@@ -167,9 +167,9 @@ def test_other_formats_go_by_the_ending(tmp_path: Path, ending: str, start: byte
 
 
 def test_a_path_that_can_not_be_drawn_to(tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match=r"not written as \.jpeg"):
+    with pytest.raises(UsageError, match=r"\.jpeg"):
         draw_exploration(arm(2), tmp_path / "figure.jpeg")
-    with pytest.raises(UsageError, match="does not exist"):
+    with pytest.raises(UsageError, match="nowhere"):
         draw_exploration(arm(2), tmp_path / "nowhere" / "figure.svg")
 
 

@@ -396,3 +396,16 @@ def test_no_pose_with_readings_is_an_error_in_words() -> None:
     with pytest.raises(InsufficientDataError, match="no pose") as caught:
         features_of(changed_sus(sim.recording, late))
     assert caught.value.remedy
+
+
+def test_features_of_some_poses_are_those_of_one_log() -> None:
+    whole = features_of(simulation("so101", imu_rate=250.0).recording)
+    chosen = np.array([3, 1])
+    part = whole.of_poses(chosen)
+    assert part.n_poses == 2
+    assert part.log.tolist() == [0, 0]
+    np.testing.assert_array_equal(part.q, whole.q[chosen])
+    np.testing.assert_array_equal(part.coefficients, whole.coefficients[chosen])
+    np.testing.assert_array_equal(part.encoders.hidden, whole.encoders.hidden[chosen])
+    np.testing.assert_array_equal(part.span, whole.span[chosen])
+    np.testing.assert_array_equal(part.information.dense(), whole.information.dense()[chosen])

@@ -168,9 +168,7 @@ def test_what_can_not_be(gantry: Path) -> None:
     robot = load_robot(gantry)
     with pytest.raises(UsageError, match="fits no movable joint"):
         load_mechanism(replace(robot, locked={"finger*": 0.0}), UPRIGHT)
-    with pytest.raises(
-        UsageError, match="no joint is left to move: 2 prismatic, 1 continuous, 1 revolute"
-    ):
+    with pytest.raises(UsageError, match="2 prismatic, 1 continuous, 1 revolute"):
         load_mechanism(replace(robot, moving=()), UPRIGHT)
     bare = replace(robot.skin, sus_per_segment=0, sus_on_base=0)
     with pytest.raises(UsageError, match="no SU"):

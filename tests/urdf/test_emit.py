@@ -205,8 +205,9 @@ def test_placements_that_are_no_numbers_are_refused(random_robot: Robots) -> Non
 def test_names_that_xml_can_not_hold_are_refused(random_robot: Robots, name: str) -> None:
     model = random_robot(np.random.default_rng(9))
     tree = replace(model.tree, joint_names=(name, *model.tree.joint_names[1:]))
-    with pytest.raises(UsageError, match="can not be written"):
+    with pytest.raises(UsageError) as caught:
         text_of(replace(model, tree=tree))
+    assert repr(name) in str(caught.value)
 
 
 def test_two_joints_of_one_name_are_refused(random_robot: Robots) -> None:

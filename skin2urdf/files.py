@@ -23,7 +23,13 @@ def check_target(path: str | Path) -> Path:
         UsageError: the folder does not exist or can not be written to, or ``path`` is a folder
             or another thing that is no regular file.
     """
-    target = Path(path).expanduser().resolve()
+    try:
+        target = Path(path).expanduser().resolve()
+        with contextlib.suppress(FileNotFoundError, NotADirectoryError):
+            target.stat()
+    except (OSError, RuntimeError) as error:
+        why = error.strerror if isinstance(error, OSError) else str(error)
+        raise UsageError(f"can not write {path}: {why}", "give another path") from error
     folder = target.parent
     if not folder.exists():
         raise UsageError(

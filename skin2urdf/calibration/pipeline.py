@@ -33,6 +33,7 @@ from skin2urdf.faults import distinct, without_slips
 from skin2urdf.hypotheses.encoders import Encoders, find_what_is_wrong
 from skin2urdf.model.canonical import canonical
 from skin2urdf.recording.records import Recording
+from skin2urdf.signals.filters import eroded
 from skin2urdf.signals.records import Features
 from skin2urdf.signals.sampling import Sampled
 from skin2urdf.structure.records import KinematicTree
@@ -195,9 +196,16 @@ _LARGEST_SPAN = 4 * np.pi
 
 
 def _range(sampled: Sequence[Sampled], name: str) -> tuple[float, float, float]:
-    """Lowest and highest position and highest speed of a joint over all logs."""
-    columns = [s.motion.dof_names.index(name) for s in sampled]
-    q = np.concatenate([s.motion.q[:, d] for s, d in zip(sampled, columns, strict=True)])
-    speeds = [np.abs(s.motion.qd[:, d]).max() for s, d in zip(sampled, columns, strict=True)]
-    speed = float(max(speeds))
-    return float(q.min()), float(q.max()), speed
+    """Lowest and highest measured position and highest speed of a joint over all logs."""
+    motions = [(s.motion, s.motion.dof_names.index(name)) for s in sampled]
+    motions = [(m, d) for m, d in motions if m.named[d]]
+    q = np.concatenate([m.q[m.valid, d] for m, d in motions])
+    clear = [eroded(m.valid, _DERIVED) for m, _ in motions]
+    if not any(c.any() for c in clear):
+        clear = [m.valid for m, _ in motions]
+    speeds = [np.abs(m.qd[c, d]) for (m, d), c in zip(motions, clear, strict=True)]
+    return float(q.min()), float(q.max()), float(np.concatenate(speeds).max())
+
+
+_DERIVED = 25
+"""Samples of the grid to either side that a velocity is made from."""

@@ -13,10 +13,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from skin2urdf.cli.options import parser
-from skin2urdf.cli.terminal import progress_bar, silence_stdout
+from skin2urdf.cli.terminal import open_streams, progress_bar, silence_stdout
 from skin2urdf.errors import Skin2UrdfError, UsageError
 from skin2urdf.files import check_target, write_atomically
 from skin2urdf.geometry.units import GRAVITY, MILLI_G
+from skin2urdf.recording.naming import printable
 
 if TYPE_CHECKING:
     from skin2urdf.calibration.settings import CalibrationSettings
@@ -37,6 +38,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         Exit status: 0 all is well; 1 no trustworthy result can be given, or trees differ, or an
         internal error; 2 bad usage or unreadable input; 130 interrupted.
     """
+    open_streams()
     _tolerant_output()
     _one_thread()
     options = parser(_robot_names).parse_args(arguments)
@@ -52,10 +54,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except Skin2UrdfError as error:
         if options.debug:
             raise
-        print(f"error: {error}", file=sys.stderr)
+        print(f"error: {printable(str(error))}", file=sys.stderr)
         if error.remedy:
-            print(f"  -> {error.remedy}", file=sys.stderr)
+            print(f"  -> {printable(error.remedy)}", file=sys.stderr)
         return error.exit_status
+    except OSError as error:
+        if options.debug:
+            raise
+        silence_stdout()
+        where = f"{error.filename}: " if error.filename else "the output can not be written: "
+        print(f"error: {where}{error.strerror or error}", file=sys.stderr)
+        print("  -> check the paths, and that there is space where they lead", file=sys.stderr)
+        return UsageError.exit_status
     except KeyboardInterrupt:
         print("interrupted; no file was left half-written", file=sys.stderr)
         return _INTERRUPTED

@@ -95,8 +95,23 @@ def progress_bar(quiet: bool, patience: float = PATIENCE) -> Iterator[Bar]:
         bar.close()
 
 
+def open_streams() -> None:
+    """Send to nowhere what would go to an output that was closed before the program began.
+
+    Otherwise the first file that is opened takes its place, and gets what was meant for a screen.
+    """
+    for number, name in ((1, "stdout"), (2, "stderr")):
+        if getattr(sys, name) is None:
+            with contextlib.suppress(OSError):
+                descriptor = os.open(os.devnull, os.O_WRONLY)
+                if descriptor != number:
+                    os.dup2(descriptor, number)
+                    os.close(descriptor)
+                setattr(sys, name, os.fdopen(number, "w", closefd=False))
+
+
 def silence_stdout() -> None:
-    """Send what is still to be written to nowhere, after the reader of a pipe has gone.
+    """Send what is still to be written to nowhere, after its reader has gone or its disk is full.
 
     Python writes its buffers once more on exit, which would fail again.
     """

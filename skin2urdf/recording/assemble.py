@@ -7,8 +7,16 @@ from typing import NamedTuple
 
 import numpy as np
 
-from skin2urdf.arrays import F64, Bool, Int, frozen
-from skin2urdf.recording.naming import su_names
+from skin2urdf.arrays import F64, Int, frozen
+from skin2urdf.recording.credibility import (
+    FORCES_APART,
+    POSITIONS_APART,
+    absurd,
+    several_publishers,
+    spikes,
+)
+from skin2urdf.recording.holding import held_note, measurements
+from skin2urdf.recording.naming import su_names, writable
 from skin2urdf.recording.records import JointStream, Recording, SuStream
 from skin2urdf.recording.streams import Samples
 from skin2urdf.recording.timing import Chosen, sample_times
@@ -16,7 +24,7 @@ from skin2urdf.recording.timing import Chosen, sample_times
 # Streams whose stamps differ from the log time this much more than others' were stamped by a
 # clock of their own (a device that counts from its start, say), not late [s].
 OTHER_CLOCK = 5.0
-# No joint and no accelerometer reads more [rad, m or m/s^2]; such values are damage.
+# No joint reads more [rad or m]; such values are damage.
 LARGEST_VALUE = 1e6
 
 
@@ -63,23 +71,32 @@ def timed_joints(
         credible = np.abs(samples.values) < LARGEST_VALUE
         if not credible.all():
             samples = samples._replace(values=np.where(credible, samples.values, np.nan))
+        if several_publishers(samples.values, POSITIONS_APART):
+            notes.append(
+                f"the positions of {shortened(names)} on {topic} were left out: several publishers "
+                "send them in turn, and they contradict each other; record only one of them"
+            )
+            continue
         whole = _timed("", topic, samples)
         for name, values in zip(names, whole.values.T, strict=True):
             stream, note = _finite(whole._replace(name=name, values=values), f"joint {name}")
             notes.extend(note)
             if stream is not None:
                 found.setdefault(name, []).append(stream)
+    names_found = sorted(found)
+    called, renamed = writable(names_found, "joint")
+    notes += renamed
     chosen = []
-    for name, streams in sorted(found.items()):
+    for name, streams in zip(called, (found[name] for name in names_found), strict=True):
         best = max(streams, key=lambda stream: stream.time.size)
-        chosen.append(best)
+        chosen.append(best._replace(name=name))
         others = sorted(stream.topic for stream in streams if stream is not best)
         if others:
             notes.append(
                 f"joint {name} is on several topics; {best.topic} has most samples and was used, "
                 f"{', '.join(others)} passed over"
             )
-    return chosen, notes
+    return sorted(chosen, key=lambda stream: stream.name), notes
 
 
 def timed_sus(
@@ -94,23 +111,49 @@ def timed_sus(
         One stream per SU, sorted by name, and notes for the user.
     """
     streams: list[TimedStream] = []
-    notes: list[str] = []
-    names = su_names(list(gathered))
-    for name, ((topic, _), samples) in zip(names, gathered.items(), strict=True):
+    names, notes = writable(su_names(list(gathered)), "SU")
+    few = []
+    for name, ((topic, frame), samples) in zip(names, gathered.items(), strict=True):
+        what = f"SU {name} ({topic})"
         # Without its bad samples first: they would spoil the comparison of timings.
-        credible = np.abs(samples.values) < LARGEST_VALUE
-        if not credible.all():
-            whole: Bool = np.logical_and.reduce(credible, axis=1)
-            bad = int(np.count_nonzero(~whole))
+        bad = absurd(samples.values)
+        if bad.any():
             notes.append(
-                f"SU {name} ({topic}): {bad} samples are not finite or absurdly large; left out"
+                f"{what}: {int(np.count_nonzero(bad))} samples are not finite or beyond what any "
+                "accelerometer gives; left out"
             )
-            samples = samples.at(whole)
+            samples = samples.at(~bad)
         if samples.arrival.size < 2:
-            notes.append(f"SU {name} ({topic}) was left out: fewer than two usable samples")
+            few.append(what)
             continue
-        streams.append(_timed(name, topic, samples))
+        if several_publishers(samples.values, FORCES_APART):
+            notes.append(
+                f"{what} was left out: several publishers send as {frame!r} on {topic}, and "
+                "nothing tells whose a message is; give each SU a frame_id or a topic of its own"
+            )
+            continue
+        held = measurements(samples.values)
+        if held.times > 1.0:
+            notes.append(held_note(what, held))
+            samples = samples.at(held.kept)
+        stream = _timed(name, topic, samples)
+        alone = spikes(stream.values)
+        if alone.any():
+            notes.append(
+                f"{what}: {int(np.count_nonzero(alone))} single samples depart far from all around "
+                "them; left out"
+            )
+            stream = stream._replace(time=stream.time[~alone], values=stream.values[~alone])
+        streams.append(stream)
+    if few:
+        notes.append(f"left out, with fewer than two usable samples: {shortened(few)}")
     return sorted(streams, key=lambda stream: stream.name), notes
+
+
+def shortened(names: Sequence[str], most: int = 8) -> str:
+    """The first names of a list, and how many there are more."""
+    more = f" and {len(names) - most} more" if len(names) > most else ""
+    return ", ".join(names[:most]) + more
 
 
 def timing_notes(streams: Sequence[TimedStream]) -> list[str]:

@@ -7,7 +7,6 @@ encapsulation. Offsets below are relative to that point, called the body.
 
 from __future__ import annotations
 
-from collections import Counter
 from typing import Literal, NamedTuple, TypeAlias
 
 import numpy as np
@@ -15,12 +14,17 @@ import numpy as np
 from skin2urdf.arrays import F64, Bool, Int
 from skin2urdf.recording.container import Block
 from skin2urdf.recording.gather import U8, distinct, gather, gather_rows
+from skin2urdf.recording.naming import printable
 
 ENCAPSULATION = 4
 # Body offset behind stamp (8 bytes) and length of frame_id (4 bytes): where its text starts.
 FRAME_TEXT = 12
 
 ByteOrder: TypeAlias = Literal["<", ">"]
+Passed: TypeAlias = list[tuple[str, Int]]
+"""Why messages were passed over, and their numbers within the block."""
+
+MALFORMED = "cut short or malformed"
 REPRESENTATION: dict[int, ByteOrder] = {0x0000: ">", 0x0001: "<"}
 
 
@@ -77,22 +81,23 @@ class Accelerations(NamedTuple):
     vector: F64
 
 
-def stamped_payloads(block: Block) -> tuple[list[Payloads], Counter[str]]:
+def stamped_payloads(block: Block) -> tuple[list[Payloads], Passed]:
     """Sort the messages of a block by byte order and read their std_msgs/Header up to frame_id.
 
     Args:
         block: messages of a type that starts with a Header.
 
     Returns:
-        The payloads of each byte order met, and why others were passed over (reason: messages).
+        The payloads of each byte order met, and why others were passed over.
     """
     header_size = ENCAPSULATION + FRAME_TEXT
-    rows = np.flatnonzero(block.end - block.start >= header_size)
-    if not rows.size:
-        return [], Counter({"cut short or malformed": block.start.size})
-    passed: Counter[str] = Counter()
+    long_enough = block.end - block.start >= header_size
+    rows = np.flatnonzero(long_enough)
+    passed: Passed = []
     if rows.size < block.start.size:
-        passed["cut short or malformed"] = block.start.size - rows.size
+        passed.append((MALFORMED, np.flatnonzero(~long_enough)))
+    if not rows.size:
+        return [], passed
     raw = gather(block.buffer, block.start[rows], np.dtype((np.void, header_size)))
     kinds = raw.view([("representation", ">u2"), ("rest", "V14")])["representation"]
     payloads: list[Payloads] = []
@@ -101,7 +106,7 @@ def stamped_payloads(block: Block) -> tuple[list[Payloads], Counter[str]]:
         order = REPRESENTATION.get(int(kind))
         if order is None:
             reason = f"not plain CDR (representation 0x{int(kind):04x})"
-            passed[reason] += kinds[some].size
+            passed.append((reason, rows[some]))
             continue
         layout = np.dtype(
             [
@@ -126,11 +131,12 @@ def stamped_payloads(block: Block) -> tuple[list[Payloads], Counter[str]]:
         )
         whole = found.frame_length <= found.size - FRAME_TEXT
         payloads.append(found if whole.all() else found.at(whole))
-        passed["cut short or malformed"] += int(np.count_nonzero(~whole))
-    return payloads, +passed
+        if not whole.all():
+            passed.append((MALFORMED, found.row[~whole]))
+    return payloads, passed
 
 
-def accelerations(block: Block, lead: int, tail: int) -> tuple[list[Accelerations], Counter[str]]:
+def accelerations(block: Block, lead: int, tail: int) -> tuple[list[Accelerations], Passed]:
     """Read a vector of 3 doubles at a fixed place behind the header.
 
     Args:
@@ -139,7 +145,7 @@ def accelerations(block: Block, lead: int, tail: int) -> tuple[list[Acceleration
         tail: bytes from the vector to the end of the message, the vector included.
 
     Returns:
-        The vectors, and why messages were passed over (reason: messages).
+        The vectors, and why messages were passed over.
     """
     groups, passed = stamped_payloads(block)
     found = []
@@ -149,7 +155,7 @@ def accelerations(block: Block, lead: int, tail: int) -> tuple[list[Acceleration
         # Some writers pad a payload to a multiple of 4 or 8 bytes.
         sound = (slack >= 0) & (slack < 8)
         if not sound.all():
-            passed["cut short or malformed"] += int(np.count_nonzero(~sound))
+            passed.append((MALFORMED, group.row[~sound]))
             group, fields = group.at(sound), fields[sound]
         if not group.row.size:
             continue
@@ -164,7 +170,7 @@ def accelerations(block: Block, lead: int, tail: int) -> tuple[list[Acceleration
                 frames, frame, group.row, group.stamp, group.log_time, vector.astype(np.float64)
             )
         )
-    return found, +passed
+    return found, passed
 
 
 def align(offset: Int, size: int) -> Int:
@@ -173,5 +179,6 @@ def align(offset: Int, size: int) -> Int:
 
 
 def text_at(buffer: U8, start: int, length: int) -> str:
-    """Decode a CDR string of ``length`` bytes, its closing zero left out."""
-    return buffer[start : start + length].tobytes().split(b"\0")[0].decode(errors="replace")
+    """Decode a CDR string of ``length`` bytes, its closing zero left out, as it can be printed."""
+    raw = buffer[start : start + length].tobytes().split(b"\0")[0]
+    return printable(raw.decode(errors="replace"))

@@ -6,30 +6,46 @@ Only record headers are walked in Python; messages stay bytes (https://mcap.dev/
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import IO, cast
 
 import numpy as np
-from mcap.data_stream import ReadDataStream
-from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import Channel as ChannelRecord
-from mcap.records import Chunk, Header, Schema
 
 from skin2urdf.arrays import Int
-from skin2urdf.recording.chunks import DamagedChunkError, joined, unpack_chunk
-from skin2urdf.recording.framing import MAGIC, MESSAGE_HEADER, Record, walk
+from skin2urdf.recording.chunks import (
+    LARGEST_UNPACKED,
+    DamagedChunkError,
+    MessageIndex,
+    joined,
+    packed_chunk,
+    unpack_chunk,
+)
+from skin2urdf.recording.framing import (
+    MAGIC,
+    MESSAGE_FIELDS,
+    MESSAGE_HEADER,
+    RECORD_HEADER,
+    Record,
+    text,
+    walk,
+)
 from skin2urdf.recording.gather import U8, gather
+from skin2urdf.recording.inputs import LogFile
 from skin2urdf.recording.messages import canonical_type
 
 # What parsing a damaged record can end in: too short, not text, an absurd length.
-UNPARSABLE = (McapError, UnicodeDecodeError, struct.error, OverflowError, MemoryError)
+UNPARSABLE = (UnicodeDecodeError, struct.error, MemoryError)
+# Bytes of a file that are in memory at a time: some ten chunks of rosbag2's 4 MB.
+WINDOW = 1 << 25
+# Channel ids of MCAP have 16 bits.
+CHANNEL_IDS = 1 << 16
+UNDEFINED, UNWANTED = -1, -2
 
 
 @dataclass(frozen=True)
 class Channel:
-    """One MCAP channel.
+    """One MCAP channel; channels of several files that are alike are one.
 
     Attributes:
         topic: ROS topic.
@@ -44,17 +60,21 @@ class Channel:
 
 @dataclass(frozen=True, eq=False)
 class Block:
-    """Messages of one channel that lie in one buffer, in the order of the file.
+    """Messages of one type and encoding that lie in one buffer, in the order of the file.
 
     Attributes:
-        channel: the channel of all N messages.
+        ros_type: type of all N messages.
+        encoding: their encoding.
+        channel: (N,) number of each message's channel among :attr:`Channels.known`.
         buffer: the bytes the messages lie in.
         start: (N,) where each payload starts [byte].
         end: (N,) where each payload ends [byte].
         log_time: (N,) when each message was recorded [ns].
     """
 
-    channel: Channel
+    ros_type: str
+    encoding: str
+    channel: Int
     buffer: U8
     start: Int
     end: Int
@@ -62,27 +82,60 @@ class Block:
 
 
 @dataclass(eq=False)
+class Channels:
+    """All channels of a log, numbered as they are met.
+
+    Attributes:
+        wanted: tells which channels' messages are handed out; others may be skipped unread.
+        known: the channels by number.
+        kinds: pairs of type and encoding by number.
+        kind: for each channel the number of its pair.
+    """
+
+    wanted: Callable[[Channel], bool]
+    known: list[Channel] = field(default_factory=list)
+    kinds: list[tuple[str, str]] = field(default_factory=list)
+    kind: list[int] = field(default_factory=list)
+    _number: dict[Channel, int] = field(default_factory=dict)
+    _kind_number: dict[tuple[str, str], int] = field(default_factory=dict)
+
+    def number(self, channel: Channel) -> int:
+        """Return the number of a channel, or `UNWANTED`; a new one is taken in."""
+        if channel not in self._number:
+            pair = channel.ros_type, channel.encoding
+            if pair not in self._kind_number:
+                self._kind_number[pair] = len(self.kinds)
+                self.kinds.append(pair)
+            self._number[channel] = len(self.known)
+            self.known.append(channel)
+            self.kind.append(self._kind_number[pair])
+        return self._number[channel] if self.wanted(channel) else UNWANTED
+
+
+@dataclass(eq=False)
 class McapFile:
     """One MCAP file; what is known about it grows as its blocks are handed out.
 
     Attributes:
-        data: the whole file.
-        wanted: tells which channels' messages are handed out; others may be skipped unread.
+        file: the file.
+        channels: the channels of the whole log, which this file's are added to.
+        digest: takes all bytes of the file in their order, if given.
         profile: profile of the header, "ros2" for a ROS 2 log.
         compressions: chunk compressions met; "none" for plain chunks and for files without chunks.
-        channels: channels by id.
         notes: what was damaged or missing, in words for the user.
         position: how far the file has been read [byte].
     """
 
-    data: U8
-    wanted: Callable[[Channel], bool]
+    file: LogFile
+    channels: Channels
+    digest: Callable[[U8], None] | None = None
     profile: str = ""
     compressions: set[str] = field(default_factory=set)
-    channels: dict[int, Channel] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
     position: int = len(MAGIC)
     _schemas: dict[int, str] = field(default_factory=dict)
+    _digested: int = 0
+    _numbers: Int = field(default_factory=lambda: np.full(CHANNEL_IDS, UNDEFINED, np.int64))
 
     def blocks(self) -> Iterator[Block]:
         """Hand out the messages of all wanted channels.
@@ -91,18 +144,38 @@ class McapFile:
 
         Yields:
             Blocks in the order of the file.
+
+        Raises:
+            UnreadableInputError: the file was shortened while it was read.
         """
         closed = False
-        for batch in walk(self.data.data, len(MAGIC), self.data.size):
-            closed = closed or any(r.opcode == Opcode.FOOTER for r in batch.others)
-            self._define(self.data, batch.others)
-            for buffer, messages in joined(self._chunks(batch.others)):
-                yield from self._split(buffer, messages)
-            if batch.messages.size:
-                self.compressions.add("none")
-                yield from self._split(self.data, batch.messages)
-            self.position = batch.stop
-        left = self.data.size - self.position
+        size = WINDOW
+        while not closed and self.position < self.file.size:
+            begin = self.position
+            window = self._read(begin, size)
+            last = begin + window.size == self.file.size
+            stop = 0
+            for batch in walk(window.data, 0, window.size):
+                records, stop = batch.others, batch.stop
+                closed = any(r.opcode == Opcode.FOOTER for r in records[-1:])
+                if not (closed or last):
+                    records, stop = _without_open_chunk(records, stop)
+                self._define(window, records, begin)
+                for buffer, messages in joined(self._chunks(window, records, begin)):
+                    yield from self._split(buffer, messages)
+                if batch.messages.size:
+                    self.compressions.add("none")
+                    yield from self._split(window, batch.messages)
+                self.position = begin + stop
+            size = WINDOW
+            if not stop:
+                if last or self._damaged(window):
+                    break
+                # One record, or a chunk with its indexes, is larger than the window.
+                size = self._past_large_record(window)
+        left = self.file.size - self.position
+        while self.digest is not None and self._digested < self.file.size:
+            self._read(self._digested, WINDOW)
         if not closed:
             self.notes.append(
                 "the file has no closing records, as after a crash or a copy that was cut; "
@@ -111,93 +184,141 @@ class McapFile:
                 else "the file has no closing records, as after a crash; all of it was read"
             )
 
-    def _chunks(self, records: tuple[Record, ...]) -> Iterator[tuple[U8, Int]]:
-        """Unpack the chunks among the records of the file: bytes, and where messages start."""
-        for k, record in enumerate(records):
+    def _read(self, start: int, size: int) -> U8:
+        """Read part of the file, and take the digest of what was not read before."""
+        while self.digest is not None and self._digested < start:
+            between = self.file.read(self._digested, min(WINDOW, start - self._digested))
+            self.digest(between)
+            self._digested += between.size
+        window = self.file.read(start, size)
+        if self.digest is not None:
+            self.digest(window[self._digested - start :])
+            self._digested = start + window.size
+        return window
+
+    def _past_large_record(self, window: U8) -> int:
+        """Return the size of the window that holds a record, or skip one that is too large."""
+        opcode, length = gather(window, np.zeros(1, np.int64), RECORD_HEADER)[0]
+        behind = self.position + 9 + int(length)
+        if window.size >= 9 + int(length):
+            return 2 * window.size
+        if opcode in (Opcode.CHUNK, Opcode.MESSAGE) and length <= LARGEST_UNPACKED:
+            return 9 + int(length) + WINDOW
+        if opcode in (Opcode.CHUNK, Opcode.MESSAGE):
+            self.notes.append(
+                f"the record of {int(length) >> 20} MiB at byte {self.position} was left out: "
+                f"those of up to {LARGEST_UNPACKED >> 20} MiB are read"
+            )
+        self.position = behind
+        return WINDOW
+
+    def _damaged(self, window: U8) -> bool:
+        """Tell whether no record can start where the window does."""
+        opcode, length = gather(window, np.zeros(1, np.int64), RECORD_HEADER)[0]
+        short = opcode == Opcode.MESSAGE and length < MESSAGE_FIELDS
+        return bool(opcode == 0 or short or self.position + 9 + int(length) > self.file.size)
+
+    def _chunks(
+        self, window: U8, records: Sequence[Record], begin: int
+    ) -> Iterator[tuple[U8, Int]]:
+        """Unpack the chunks among some records: bytes, and where messages start."""
+        at = 0
+        while at < len(records):
+            record = records[at]
+            at += 1
             if record.opcode != Opcode.CHUNK:
                 continue
-            self.position = record.stop
-            indexes = []
-            for follower in records[k + 1 :]:
-                if follower.opcode != Opcode.MESSAGE_INDEX:
-                    break
-                indexes.append(self.data[follower.start : follower.stop])
-            if self._all_unwanted(indexes):
-                continue
+            first = at
+            while at < len(records) and records[at].opcode == Opcode.MESSAGE_INDEX:
+                at += 1
+            self.position = begin + record.stop
+            index = MessageIndex(window, records[first:at])
             try:
-                chunk = Chunk.read(_stream(self.data, record))
-                content = unpack_chunk(chunk, indexes)
+                chunk = packed_chunk(window[record.start : record.stop])
+                if not chunk.size:
+                    continue
+                numbers = self._numbers[index.channels()]
+                if numbers.size and (numbers == UNWANTED).all():
+                    continue
+                content = unpack_chunk(chunk, index)
             except (*UNPARSABLE, DamagedChunkError) as error:
                 self.notes.append(
-                    f"the chunk at byte {record.start} is damaged ({error or 'cut short'}); "
-                    "its messages were left out"
+                    f"the chunk at byte {begin + record.start} is damaged "
+                    f"({error or 'cut short'}); its messages were left out"
                 )
                 continue
             self.compressions.add(chunk.compression or "none")
             if content.note and content.note not in self.notes:
                 self.notes.append(content.note)
-            self._define(content.buffer, content.others)
-            yield content.buffer, content.messages
+            self._define(content.buffer, content.others, 0)
+            if content.messages.size:
+                yield content.buffer, content.messages
 
-    def _all_unwanted(self, indexes: list[U8]) -> bool:
-        """Tell from its indexes that a chunk need not be unpacked."""
-        ids = [int.from_bytes(index[:2].tobytes(), "little") for index in indexes]
-        return bool(ids) and all(
-            (channel := self.channels.get(i)) is not None and not self.wanted(channel) for i in ids
-        )
-
-    def _define(self, buffer: U8, records: tuple[Record, ...]) -> None:
+    def _define(self, buffer: U8, records: Sequence[Record], begin: int) -> None:
         """Take in the definitions among some records."""
+        view = buffer.data
         for record in records:
             try:
-                if record.opcode == Opcode.HEADER:
-                    self.profile = Header.read(_stream(buffer, record)).profile
-                elif record.opcode == Opcode.SCHEMA:
-                    schema = Schema.read(_stream(buffer, record))
-                    self._schemas[schema.id] = canonical_type(schema.name)
-                elif record.opcode == Opcode.CHANNEL:
-                    channel = ChannelRecord.read(_stream(buffer, record))
-                    self.channels[channel.id] = Channel(
-                        channel.topic,
-                        self._schemas.get(channel.schema_id, ""),
-                        channel.message_encoding,
+                if record.opcode == Opcode.CHANNEL:
+                    number, schema, topic, encoding = _channel(view[record.start : record.stop])
+                    self._numbers[number] = self.channels.number(
+                        Channel(topic, self._schemas.get(schema, ""), encoding)
                     )
+                elif record.opcode == Opcode.SCHEMA:
+                    number, name = _schema(view[record.start : record.stop])
+                    self._schemas[number] = canonical_type(name)
+                elif record.opcode == Opcode.HEADER:
+                    self.profile, _ = text(view[record.start : record.stop], 0)
             except UNPARSABLE:
-                self.notes.append(f"the definition at byte {record.start} is damaged")
+                self.notes.append(f"the definition at byte {begin + record.start} is damaged")
 
     def _split(self, buffer: U8, messages: Int) -> Iterator[Block]:
-        """Sort message records by channel."""
+        """Sort message records by what they hold."""
         header = gather(buffer, messages, MESSAGE_HEADER)
+        numbers = self._numbers[header["channel"]]
+        if (numbers == UNDEFINED).any():
+            note = "some messages belong to a channel the file does not define; left out"
+            if note not in self.notes:
+                self.notes.append(note)
+        if (numbers < 0).all():
+            return
         start = messages + MESSAGE_HEADER.itemsize
         end = messages + 9 + header["length"].astype(np.int64)
         log_time = header["log_time"].astype(np.int64)
-        ids = np.ascontiguousarray(header["channel"])
-        order = np.argsort(ids, kind="stable")
-        bounds = np.flatnonzero(np.diff(ids[order])) + 1
-        for rows in np.split(order, bounds) if order.size else ():
-            channel = self.channels.get(int(ids[rows[0]]))
-            if channel is None:
-                note = "some messages belong to a channel the file does not define; left out"
-                if note not in self.notes:
-                    self.notes.append(note)
-            elif self.wanted(channel):
-                yield Block(channel, buffer, start[rows], end[rows], log_time[rows])
+        kinds = np.where(numbers < 0, -1, np.array(self.channels.kind)[numbers])
+        present = np.flatnonzero(np.bincount(kinds + 1)[1:])
+        for kind in present:
+            some = kinds == kind
+            rows: slice | Int = slice(None) if some.all() else np.flatnonzero(some)
+            yield Block(
+                *self.channels.kinds[kind],
+                channel=numbers[rows],
+                buffer=buffer,
+                start=start[rows],
+                end=end[rows],
+                log_time=log_time[rows],
+            )
 
 
-class _Window:
-    """Reads part of a buffer as if it were a file; a chunk is copied once, not twice."""
-
-    def __init__(self, view: memoryview) -> None:
-        self._view = view
-        self._at = 0
-
-    def read(self, size: int) -> bytes:
-        """Return the next ``size`` bytes, fewer at the end."""
-        piece = self._view[self._at : self._at + size].tobytes()
-        self._at += len(piece)
-        return piece
+def _without_open_chunk(records: tuple[Record, ...], stop: int) -> tuple[tuple[Record, ...], int]:
+    """Leave a chunk at the end for later, as more of its message indexes may follow."""
+    last = len(records)
+    while last and records[last - 1].opcode == Opcode.MESSAGE_INDEX:
+        last -= 1
+    # The chunk is open only if nothing but its indexes lies behind it.
+    if last and records[last - 1].opcode == Opcode.CHUNK and records[-1].stop == stop:
+        return records[: last - 1], records[last - 1].start - 9
+    return records, stop
 
 
-def _stream(buffer: U8, record: Record) -> ReadDataStream:
-    """Open a record's content for mcap's record classes."""
-    return ReadDataStream(cast("IO[bytes]", _Window(buffer.data[record.start : record.stop])))
+def _channel(content: memoryview) -> tuple[int, int, str, str]:
+    """Read a channel record: its id, that of its schema, topic and message encoding."""
+    number, schema = struct.unpack_from("<HH", content)
+    topic, at = text(content, 4)
+    encoding, _ = text(content, at)
+    return number, schema, topic, encoding
+
+
+def _schema(content: memoryview) -> tuple[int, str]:
+    """Read a schema record: its id and name."""
+    return struct.unpack_from("<H", content)[0], text(content, 2)[0]

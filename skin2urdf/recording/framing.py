@@ -11,6 +11,7 @@ import numpy as np
 from mcap.opcode import Opcode
 
 from skin2urdf.arrays import Int
+from skin2urdf.recording.naming import printable
 
 # First and last bytes of every file (https://mcap.dev/spec#magic).
 MAGIC = b"\x89MCAP0\r\n"
@@ -100,3 +101,24 @@ def walk(buffer: memoryview, start: int, stop: int, size: int = BATCH) -> Iterat
                 more = True
                 break
         yield Batch(np.array(found, np.int64), tuple(others), at)
+
+
+def text(content: memoryview, at: int) -> tuple[str, int]:
+    """Read a string of a record.
+
+    Args:
+        content: content of the record.
+        at: where the string's length stands.
+
+    Returns:
+        The string, what no terminal should be sent escaped, and where the next field stands.
+
+    Raises:
+        struct.error: the record is too short.
+        UnicodeDecodeError: these bytes are no text.
+    """
+    (length,) = struct.unpack_from("<I", content, at)
+    behind = at + 4 + length
+    if behind > len(content):
+        raise struct.error("a string is longer than its record")
+    return printable(bytes(content[at + 4 : behind]).decode()), behind

@@ -74,13 +74,49 @@ def distinct(buffer: U8, offset: Int, length: Int) -> tuple[Int, Int]:
             group[rows] = len(representative)
             representative.append(int(rows[0]))
             continue
-        # Strings of one length that differ only in trailing zeros do not exist, so NumPy's
-        # zero-stripping strings compare right, and sort faster than opaque items.
-        _, first, inverse = np.unique(
-            text.view(np.dtype((np.bytes_, int(size)))).reshape(-1),
-            return_index=True,
-            return_inverse=True,
-        )
+        first, inverse = _distinct_rows(text)
         group[rows] = len(representative) + inverse
         representative.extend(rows[first].tolist())
     return np.array(representative, np.int64), group
+
+
+def grouped(key: Int) -> list[Int]:
+    """Sort items by a key: the numbers of each group's items in their order.
+
+    Args:
+        key: (N,) whole numbers.
+
+    Returns:
+        One array per key that occurs, in the order of the keys.
+    """
+    if not key.size or (key == key[0]).all():
+        return [np.arange(key.size)] if key.size else []
+    order = np.argsort(key, kind="stable")
+    return np.split(order, np.flatnonzero(np.diff(key[order])) + 1)
+
+
+def _distinct_rows(text: U8) -> tuple[Int, Int]:
+    """Group the rows of a matrix of bytes: (G,) one row of each group, (N,) groups of rows.
+
+    Numbers sort several times faster than strings, so rows are compared by a hash, and each with
+    its group's first row; should two texts have one hash, strings are sorted.
+    """
+    count, size = text.shape
+    words = np.zeros((count, -(-size // 8) * 8), np.uint8)
+    words[:, :size] = text
+    mixed = np.zeros(count, np.uint64)
+    for column in words.view(np.uint64).T:
+        mixed = (mixed ^ column) * HASH_FACTOR
+        mixed ^= mixed >> np.uint64(29)
+    _, first, inverse = np.unique(mixed, return_index=True, return_inverse=True)
+    inverse = inverse.reshape(-1)
+    if not np.array_equal(text[first][inverse], text):
+        # Strings of one length that differ only in trailing zeros do not exist, so NumPy's
+        # zero-stripping strings compare right, and sort faster than opaque items.
+        strings = text.view(np.dtype((np.bytes_, size))).reshape(-1)
+        _, first, inverse = np.unique(strings, return_index=True, return_inverse=True)
+    return first.astype(np.int64), inverse.astype(np.int64).reshape(-1)
+
+
+# An odd number with bits all over: multiplying by it spreads every bit of a word upwards.
+HASH_FACTOR = np.uint64(0x9E3779B97F4A7C15)

@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
-import mmap
+import contextlib
 import os
 import re
+import stat
+from collections.abc import Iterator
+from dataclasses import dataclass
+from io import FileIO
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from skin2urdf.errors import UnreadableInputError
 from skin2urdf.recording.framing import MAGIC
 from skin2urdf.recording.gather import U8
+from skin2urdf.recording.naming import printable
 
 RECORD_REMEDY = (
     "record with `ros2 bag record -s mcap TOPIC ...`, a topic of joint states and the topics of "
@@ -39,67 +45,192 @@ OTHER_FORMATS: tuple[tuple[bytes, str, str], ...] = (
 )
 
 
-def log_files(path: Path) -> list[Path]:
+@dataclass(frozen=True)
+class LogFile:
+    """An MCAP file that is read piece by piece.
+
+    Pieces are read, not mapped into memory: a mapped file that someone shortens ends the process.
+
+    Attributes:
+        path: the file.
+        size: bytes it had when it was opened.
+        stream: the open file.
+    """
+
+    path: Path
+    size: int
+    stream: FileIO
+
+    def read(self, start: int, size: int) -> U8:
+        """Read bytes from ``start`` on, fewer than ``size`` at the end of the file.
+
+        Raises:
+            UnreadableInputError: the file can not be read, or was shortened since it was opened.
+        """
+        size = min(size, self.size - start)
+        buffer = np.empty(size, np.uint8)
+        done = 0
+        while done < size:
+            try:
+                self.stream.seek(start + done)
+                got = self.stream.readinto(buffer.data[done:])
+            except OSError as error:
+                raise UnreadableInputError(
+                    str(self.path), _reason(error), _os_remedy(error)
+                ) from error
+            if not got:
+                raise UnreadableInputError(
+                    str(self.path),
+                    "the file was shortened while it was read",
+                    "wait until nothing writes to it any more, then try again",
+                )
+            done += got
+        return buffer
+
+
+class Part(NamedTuple):
+    """A file of a log and its size [byte]."""
+
+    path: Path
+    size: int
+
+
+def bag_parts(path: Path) -> tuple[list[Part], list[str]]:
     """List the MCAP files of a log.
 
     Args:
         path: an MCAP file, or a rosbag2 directory with one or more of them.
 
     Returns:
-        The files, in the order rosbag2 numbers the parts of a split bag.
+        The files, in the order in which rosbag2's ``metadata.yaml`` names them, else in that in
+        which it numbers the parts of a split bag; and notes on what of the directory was left out.
 
     Raises:
-        UnreadableInputError: there is nothing there, or no MCAP file in the directory.
+        UnreadableInputError: there is nothing there, or no MCAP file that can be read.
     """
     try:
         if not path.is_dir():
-            return [path]
+            with opened(path) as file:
+                return [Part(path, file.size)], []
         names = sorted(path.iterdir(), key=_natural_order)
-    except OSError as error:
+    except (OSError, ValueError) as error:
         raise UnreadableInputError(str(path), _reason(error), _os_remedy(error)) from error
     files = [name for name in names if name.suffix == ".mcap"]
-    if files:
-        return files
+    if not files:
+        raise _no_mcap(path, names)
+    files, notes = _as_described(path, files)
+    parts: list[Part] = []
+    first: UnreadableInputError | None = None
+    for file_path in files:
+        try:
+            with opened(file_path) as file:
+                parts.append(Part(file_path, file.size))
+        except UnreadableInputError as error:
+            first = first or error
+            why = str(error).removeprefix(f"{file_path}: ")
+            notes.append(f"{printable(file_path.name)} was left out: {why}")
+    if not parts and first is not None:
+        raise first
+    return parts, notes
+
+
+def _as_described(folder: Path, files: list[Path]) -> tuple[list[Path], list[str]]:
+    """The files of a bag as its metadata.yaml names them, and notes on where the two differ."""
+    described = folder / "metadata.yaml"
+    try:
+        # rosbag2 writes the folder's name before the file's in its first versions.
+        names = [Path(name).name for name in listed_files(described.read_text(errors="replace"))]
+    except OSError:
+        return files, []
+    present = {file.name: file for file in files}
+    chosen = [present[name] for name in dict.fromkeys(names) if name in present]
+    if not chosen:
+        return files, []
+    missing = [name for name in names if name not in present]
+    others = [name for name in present if name not in names]
+    notes = [
+        f"{printable(name)} is missing, which metadata.yaml names as a part of the bag"
+        for name in missing
+    ]
+    if others:
+        notes.append(
+            f"left out, as metadata.yaml does not name it: {', '.join(map(printable, others))}"
+        )
+    return chosen, notes
+
+
+def listed_files(text: str) -> list[str]:
+    """Read ``relative_file_paths`` out of rosbag2's metadata.yaml.
+
+    Args:
+        text: the file, in which a list stands as ``- a`` on lines of its own or as ``[a, b]``.
+
+    Returns:
+        The names in their order; empty where there are none.
+    """
+    found = re.search(r"^[ ]*relative_file_paths:[ ]*(.*)$", text, re.MULTILINE)
+    if found is None:
+        return []
+    rest = text[found.start(1) :]
+    if rest.startswith("["):
+        items = rest[1:].split("]", 1)[0].split(",")
+    else:
+        listing = re.match(r"[^\n]*\n((?:[ ]*-[ ][^\n]*(?:\n|$))*)", rest)
+        lines = listing.group(1).splitlines() if listing else []
+        items = [line.strip()[1:] for line in lines]
+    return [name for item in items if (name := item.strip().strip("'\""))]
+
+
+def _no_mcap(path: Path, names: list[Path]) -> UnreadableInputError:
+    """Say what a directory without MCAP files is."""
     for name in names:
         if name.suffix == ".db3":
-            raise UnreadableInputError(
+            return UnreadableInputError(
                 str(path), OTHER_FORMATS[0][1], CONVERT_REMEDY.format(path=path)
             )
         if name.name.endswith(".mcap.zstd"):
-            raise UnreadableInputError(
+            return UnreadableInputError(
                 str(path),
                 "its MCAP files are compressed as a whole (zstd)",
                 f"unpack them with `zstd -d --rm {path}/*.mcap.zstd`",
             )
-    raise UnreadableInputError(
+    return UnreadableInputError(
         str(path), "the directory holds no .mcap file", f"give a log; {RECORD_REMEDY}"
     )
 
 
-def open_bytes(path: Path) -> U8:
-    """Map a file into memory.
+@contextlib.contextmanager
+def opened(path: Path) -> Iterator[LogFile]:
+    """Open a file for reading, and close it in the end.
 
     Args:
         path: a file that should be MCAP.
 
-    Returns:
-        (N,) the bytes of the file, read-only; read from disk as they are touched.
-
     Raises:
-        UnreadableInputError: the file can not be read, is empty, or is of another format.
+        UnreadableInputError: the file can not be read, is empty, is no regular file, or is of
+            another format.
     """
     try:
-        with path.open("rb") as stream:
-            if os.fstat(stream.fileno()).st_size == 0:
-                raise UnreadableInputError(
-                    str(path), "the file is empty", f"nothing was recorded; {RECORD_REMEDY}"
-                )
-            data = mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ)
+        # Opening a pipe waits for someone to write to it, so what it is comes first.
+        if not stat.S_ISREG(path.stat().st_mode):
+            raise UnreadableInputError(
+                str(path),
+                "this is not a regular file",
+                "logs are read more than once: write it to a file first, and give that file",
+            )
+        stream = FileIO(path)
     except (OSError, ValueError) as error:
         raise UnreadableInputError(str(path), _reason(error), _os_remedy(error)) from error
-    if data[: len(MAGIC)] != MAGIC:
-        raise _not_mcap(path, data[:32])
-    return np.frombuffer(data, np.uint8)
+    with stream:
+        file = LogFile(path, os.fstat(stream.fileno()).st_size, stream)
+        if file.size == 0:
+            raise UnreadableInputError(
+                str(path), "the file is empty", f"nothing was recorded; {RECORD_REMEDY}"
+            )
+        head = file.read(0, 32).tobytes()
+        if head[: len(MAGIC)] != MAGIC:
+            raise _not_mcap(path, head)
+        yield file
 
 
 def _not_mcap(path: Path, head: bytes) -> UnreadableInputError:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 
-from skin2urdf.recording.container import Block, Channel
+import numpy as np
+
+from skin2urdf.arrays import Int
+from skin2urdf.recording.container import Block, Channels
 from skin2urdf.recording.messages import Role, role_of
 
 
@@ -57,9 +59,14 @@ class LogInventory:
 
 @dataclass(eq=False)
 class Tally:
-    """Counts messages as the blocks of a log go by."""
+    """Counts messages as the blocks of a log go by.
 
-    _messages: Counter[Channel] = field(default_factory=Counter)
+    Attributes:
+        channels: the channels of the log.
+    """
+
+    channels: Channels
+    _messages: Int = field(default_factory=lambda: np.zeros(0, np.int64))
     _first: int | None = None
     _last: int = 0
 
@@ -68,38 +75,33 @@ class Tally:
         first, last = int(block.log_time.min()), int(block.log_time.max())
         self._first = first if self._first is None else min(first, self._first)
         self._last = max(last, self._last)
-        self._messages[block.channel] += block.start.size
+        counts = np.bincount(block.channel, minlength=self._messages.size)
+        counts[: self._messages.size] += self._messages
+        self._messages = counts
 
     def inventory(
-        self,
-        *,
-        source: str,
-        channels: Iterable[Channel],
-        profile: str,
-        compressions: Iterable[str],
-        notes: Iterable[str],
+        self, *, source: str, profile: str, compressions: Iterable[str], notes: Iterable[str]
     ) -> LogInventory:
         """Sum up.
 
         Args:
             source: path of the log.
-            channels: all channels, those without messages included.
             profile: MCAP profile.
             compressions: chunk compressions met.
             notes: notes for the user.
 
         Returns:
-            The inventory.
+            The inventory; topics without messages are in it as well.
         """
         topics = [
             TopicInventory(
                 name=channel.topic,
                 ros_type=channel.ros_type,
                 encoding=channel.encoding,
-                messages=self._messages[channel],
+                messages=int(self._messages[k]) if k < self._messages.size else 0,
                 used_as=role_of(channel.ros_type) if channel.encoding == "cdr" else "ignored",
             )
-            for channel in channels
+            for k, channel in enumerate(self.channels.known)
         ]
         return LogInventory(
             source=source,

@@ -6,21 +6,33 @@ names have no fixed size, so they are stepped over one name at a time, all messa
 
 from __future__ import annotations
 
-from collections import Counter
 from typing import NamedTuple
 
 import numpy as np
 
 from skin2urdf.arrays import F64, Int
-from skin2urdf.recording.cdr import FRAME_TEXT, Payloads, align, stamped_payloads, text_at
+from skin2urdf.recording.cdr import (
+    FRAME_TEXT,
+    MALFORMED,
+    Passed,
+    Payloads,
+    align,
+    stamped_payloads,
+    text_at,
+)
 from skin2urdf.recording.container import Block
-from skin2urdf.recording.gather import distinct, gather_rows
+from skin2urdf.recording.gather import distinct, gather_rows, grouped
+
+# Humanoids with hands have a hundred joints; a message that names far more is damaged, or would
+# take hours to make sense of.
+MOST_JOINTS = 4096
 
 
 class JointPositions(NamedTuple):
-    """Positions out of the JointState messages of one block that name the same joints.
+    """Positions out of the JointState messages of one block and channel that name the same joints.
 
     Attributes:
+        channel: number of the channel.
         names: J joint names, sorted.
         row: (N,) number of each message within its block.
         stamp: (N,) header.stamp [ns].
@@ -28,6 +40,7 @@ class JointPositions(NamedTuple):
         position: (N, J) positions in the order of `names`.
     """
 
+    channel: int
     names: tuple[str, ...]
     row: Int
     stamp: Int
@@ -35,7 +48,7 @@ class JointPositions(NamedTuple):
     position: F64
 
 
-def joint_positions(block: Block) -> tuple[list[JointPositions], Counter[str]]:
+def joint_positions(block: Block) -> tuple[list[JointPositions], Passed]:
     """Read names and positions of JointState messages.
 
     Names are decoded once per distinct order of names, not once per message.
@@ -44,33 +57,33 @@ def joint_positions(block: Block) -> tuple[list[JointPositions], Counter[str]]:
         block: messages of sensor_msgs/msg/JointState.
 
     Returns:
-        Positions per set of joints, and why messages were passed over (reason: messages).
+        Positions per channel and set of joints, and why messages were passed over.
     """
     groups, passed = stamped_payloads(block)
-    found: dict[tuple[str, ...], list[JointPositions]] = {}
+    found: dict[tuple[int, tuple[str, ...]], list[JointPositions]] = {}
     for group in groups:
         group, count, names_end = _whole_names(group, passed)
         group, values = _whole_positions(group, count, names_end, passed)
         text = group.body + FRAME_TEXT
         first, layout = distinct(group.buffer, text, values.names_end - FRAME_TEXT)
-        for k, representative in enumerate(first):
-            rows = np.flatnonzero(layout == k)
-            names = _names(group, int(representative))
+        for rows in grouped(layout + first.size * block.channel[group.row]):
+            names = _names(group, int(rows[0]))
             if len(set(names)) < len(names):
-                passed["a joint is named twice"] += rows.size
+                passed.append(("a joint is named twice", group.row[rows]))
                 continue
             order = sorted(range(len(names)), key=names.__getitem__)
             at = group.body[rows] + values.offset[rows]
             position = gather_rows(group.buffer, at, len(names), f"{group.order}f8")
             batch = JointPositions(
+                channel=int(block.channel[group.row[rows[0]]]),
                 names=tuple(names[j] for j in order),
                 row=group.row[rows],
                 stamp=group.stamp[rows],
                 log_time=group.log_time[rows],
                 position=position[:, order].astype(np.float64),
             )
-            found.setdefault(batch.names, []).append(batch)
-    return [_in_order(batches) for batches in found.values()], +passed
+            found.setdefault((batch.channel, batch.names), []).append(batch)
+    return [_in_order(batches) for batches in found.values()], [p for p in passed if p[1].size]
 
 
 class _PositionFields(NamedTuple):
@@ -80,7 +93,7 @@ class _PositionFields(NamedTuple):
     offset: Int
 
 
-def _whole_names(group: Payloads, passed: Counter[str]) -> tuple[Payloads, Int, Int]:
+def _whole_names(group: Payloads, passed: Passed) -> tuple[Payloads, Int, Int]:
     """Step over the names of JointState messages, all messages at once.
 
     Returns:
@@ -93,6 +106,9 @@ def _whole_names(group: Payloads, passed: Counter[str]) -> tuple[Payloads, Int, 
     count[whole] = group.at(whole).uint32(at[whole])
     # A name takes 5 bytes at least; this also bounds the loop for damaged messages.
     whole &= count * 5 <= group.size
+    many = whole & (count > MOST_JOINTS)
+    whole &= ~many
+    passed.append((f"more than {MOST_JOINTS} joints are named", group.row[many]))
     at = at + 4
     for k in range(int(count[whole].max(initial=0))):
         some = np.flatnonzero(whole & (k < count))
@@ -102,12 +118,12 @@ def _whole_names(group: Payloads, passed: Counter[str]) -> tuple[Payloads, Int, 
         some, here = some[fits], here[fits]
         at[some] = here + 4 + group.at(some).uint32(here)
         whole[some] &= at[some] <= group.size[some]
-    passed["cut short or malformed"] += int(np.count_nonzero(~whole))
+    passed.append((MALFORMED, group.row[~whole & ~many]))
     return group.at(whole), count[whole], at[whole]
 
 
 def _whole_positions(
-    group: Payloads, count: Int, names_end: Int, passed: Counter[str]
+    group: Payloads, count: Int, names_end: Int, passed: Passed
 ) -> tuple[Payloads, _PositionFields]:
     """Find the positions behind the names, and keep the messages that have one per name."""
     at = align(names_end, 4)
@@ -117,8 +133,8 @@ def _whole_positions(
     positions[readable] = group.at(readable).uint32(at[readable])
     empty = (positions == 0) | (count == 0)
     whole = (positions == count) & (offset + 8 * count <= group.size) & ~empty
-    passed["no positions"] += int(np.count_nonzero(empty))
-    passed["cut short or malformed"] += int(np.count_nonzero(~whole & ~empty))
+    passed.append(("no positions", group.row[empty]))
+    passed.append((MALFORMED, group.row[~whole & ~empty]))
     return group.at(whole), _PositionFields(names_end[whole], offset[whole])
 
 
@@ -152,7 +168,12 @@ def _in_order(batches: list[JointPositions]) -> JointPositions:
     )
     order = np.argsort(row)
     return JointPositions(
-        batches[0].names, row[order], stamp[order], log_time[order], position[order]
+        batches[0].channel,
+        batches[0].names,
+        row[order],
+        stamp[order],
+        log_time[order],
+        position[order],
     )
 
 

@@ -1,9 +1,17 @@
-"""Names of SUs: the frame_id where that is unique, else made from the topic."""
+"""Names: of SUs from frame_ids or topics, and what a terminal and a URDF can hold of any name."""
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from collections.abc import Sequence
+
+# Names that Pinocchio gives in every model.
+RESERVED = ("universe",)
+# Control characters, line ends, what changes the direction of writing, and what XML can not hold.
+_ACTING = re.compile(
+    "[\x00-\x1f\x7f-\x9f\u200e\u200f\u2028-\u202e\u2066-\u2069\ud800-\udfff\ufffe\uffff]"
+)
 
 
 def su_names(sources: Sequence[tuple[str, str]]) -> list[str]:
@@ -32,11 +40,61 @@ def su_names(sources: Sequence[tuple[str, str]]) -> list[str]:
 def _unique(names: list[str]) -> list[str]:
     """Number names that are still alike."""
     taken: set[str] = set()
+    given = set(names)
+    following: Counter[str] = Counter()
     result = []
     for name in names:
-        candidate, number = name, 2
-        while candidate in taken or (candidate != name and candidate in names):
-            candidate, number = f"{name}_{number}", number + 1
+        candidate = name
+        while candidate in taken or (candidate != name and candidate in given):
+            following[name] += 1
+            candidate = f"{name}_{following[name] + 1}"
         taken.add(candidate)
         result.append(candidate)
     return result
+
+
+def printable(text: str) -> str:
+    """Escape what would act on a terminal or break a line, as Python writes it in a string.
+
+    Args:
+        text: any text, such as a topic that someone else's recorder wrote.
+
+    Returns:
+        The text itself where all of it can be printed.
+    """
+    return _ACTING.sub(lambda found: found[0].encode("unicode_escape").decode(), text)
+
+
+def writable(names: Sequence[str], kind: str) -> tuple[list[str], list[str]]:
+    """Rename what the readers of a URDF can not hold.
+
+    Pinocchio, which most robotics software reads URDFs with, has a joint and a frame named
+    "universe" in every model; a name of blanks is none.
+
+    Args:
+        names: names of joints or of SUs, no two alike.
+        kind: "joint" or "SU".
+
+    Returns:
+        As many names, no two alike, and notes on those that differ.
+    """
+    taken = {name for name in names if not _unwritable(name)}
+    found = []
+    for name in names:
+        new, number = name, 2
+        if _unwritable(name):
+            plain = new = f"{name.strip()}_{kind.lower()}".strip("_")
+            while new in taken:
+                new, number = f"{plain}_{number}", number + 1
+            taken.add(new)
+        found.append(new)
+    notes = [
+        f"the {kind} {name!r} is called {new!r}, as a URDF can not hold its name"
+        for name, new in zip(names, found, strict=True)
+        if new != name
+    ]
+    return found, notes
+
+
+def _unwritable(name: str) -> bool:
+    return not name.strip() or name in RESERVED

@@ -7,12 +7,20 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from skin2urdf.errors import UnreadableInputError
-from skin2urdf.recording.assemble import recorded, timed_joints, timed_sus, timing_notes
-from skin2urdf.recording.container import Block, Channel, McapFile
-from skin2urdf.recording.inputs import RECORD_REMEDY, log_files, open_bytes
+from skin2urdf.recording.assemble import (
+    recorded,
+    shortened,
+    timed_joints,
+    timed_sus,
+    timing_notes,
+)
+from skin2urdf.recording.container import Block, Channel, Channels, McapFile
+from skin2urdf.recording.inputs import RECORD_REMEDY, bag_parts, opened
 from skin2urdf.recording.inventory import LogInventory, Tally
 from skin2urdf.recording.messages import ACCELERATION_TAIL, JOINT_STATE, role_of
+from skin2urdf.recording.naming import printable
 from skin2urdf.recording.records import Recording
+from skin2urdf.recording.segments import on_one_clock
 from skin2urdf.recording.streams import Collector
 
 __all__ = ["inventory", "read"]
@@ -41,12 +49,18 @@ def read(
     log = _Log(
         source, lambda channel: role_of(channel.ros_type) != "ignored", progress, with_digest
     )
-    collector = Collector()
+    collector = Collector(log.channels)
     for block in log.blocks():
         collector.add(block)
-    joints, joint_notes = timed_joints(collector.joints())
-    sus, su_notes = timed_sus(collector.accelerations())
-    notes = [*log.notes, *_passed_notes(collector), *joint_notes, *su_notes]
+    positions, forces = collector.joints(), collector.accelerations()
+    names = [
+        *(f"{topic} ({shortened(joints)})" for topic, joints in positions),
+        *(f"{topic} ({frame})" if frame else topic for topic, frame in forces),
+    ]
+    samples, clock_notes = on_one_clock([*positions.values(), *forces.values()], names)
+    joints, joint_notes = timed_joints(dict(zip(positions, samples, strict=False)))
+    sus, su_notes = timed_sus(dict(zip(forces, samples[len(positions) :], strict=True)))
+    notes = [*log.notes, *_passed_notes(collector), *clock_notes, *joint_notes, *su_notes]
     if not joints or not sus:
         raise _missing(source, log, notes, "joints" if not joints else "SUs")
     notes.extend(timing_notes([*joints, *sus]))
@@ -67,12 +81,11 @@ def inventory(path: str | Path) -> LogInventory:
     """
     source = Path(path)
     log = _Log(source, lambda _: True, None, with_digest=False)
-    tally = Tally()
+    tally = Tally(log.channels)
     for block in log.blocks():
         tally.add(block)
     return tally.inventory(
         source=str(path),
-        channels=log.channels,
         profile=log.profile,
         compressions=log.compressions,
         notes=log.notes,
@@ -98,34 +111,33 @@ class _Log:
         progress: Callable[[float], None] | None,
         with_digest: bool,
     ) -> None:
-        self.channels: set[Channel] = set()
+        self.channels = Channels(wanted)
         self.notes: list[str] = []
         self.profile = ""
         self.compressions: set[str] = set()
         self.digest = ""
-        self._files = log_files(path)
-        self._wanted = wanted
+        self._path = path
         self._progress = progress or (lambda _: None)
         self._with_digest = with_digest
 
     def blocks(self) -> Iterator[Block]:
         """Hand out the messages of all files."""
         digest = hashlib.sha256()
-        opened = [(path, open_bytes(path)) for path in self._files]
-        total = sum(data.size for _, data in opened)
+        parts, notes = bag_parts(self._path)
+        self.notes += notes
+        total = sum(part.size for part in parts)
         before = 0
-        for path, data in opened:
-            if self._with_digest:
-                digest.update(data.data)
-            mcap = McapFile(data, self._wanted)
-            for block in mcap.blocks():
-                yield block
-                self._progress((before + mcap.position) / total)
-            before += data.size
+        for part in parts:
+            with opened(part.path) as file:
+                take = (lambda piece: digest.update(piece.data)) if self._with_digest else None
+                mcap = McapFile(file, self.channels, take)
+                for block in mcap.blocks():
+                    yield block
+                    self._progress((before + mcap.position) / total)
+            before += file.size
             self.profile = self.profile or mcap.profile
             self.compressions |= mcap.compressions
-            self.channels |= set(mcap.channels.values())
-            prefix = f"{path.name}: " if len(opened) > 1 else ""
+            prefix = f"{printable(part.path.name)}: " if len(parts) > 1 else ""
             self.notes.extend(prefix + note for note in mcap.notes)
         self.digest = digest.hexdigest() if self._with_digest else ""
         self._progress(1.0)
@@ -144,13 +156,13 @@ def _missing(source: Path, log: _Log, notes: list[str], what: str) -> Unreadable
     """Say that a log holds no joints or no SUs, and why."""
     joint_types = (JOINT_STATE,)
     types = joint_types if what == "joints" else tuple(ACCELERATION_TAIL)
-    topics = sorted({c.topic for c in log.channels if c.ros_type in types})
+    topics = sorted({c.topic for c in log.channels.known if c.ros_type in types})
     names = " or ".join(name.rsplit("/", 1)[-1] for name in types)
     if topics:
         problem = f"no usable {what}: {', '.join(topics)} held nothing that could be used"
         remedy = "see what the topic publishes with `ros2 topic echo`, then record again"
-    elif log.channels:
-        held = ", ".join(sorted(f"{c.topic} ({c.ros_type})" for c in log.channels))
+    elif log.channels.known:
+        held = ", ".join(sorted(f"{c.topic} ({c.ros_type})" for c in log.channels.known))
         problem = f"no {what}: no topic of type {names}; the log holds {held}"
         remedy = RECORD_REMEDY
     else:

@@ -7,10 +7,12 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from skin2urdf.arrays import F64, Bool, Int
-from skin2urdf.recording.cdr import accelerations
-from skin2urdf.recording.container import Block
+from skin2urdf.recording.cdr import Passed, accelerations
+from skin2urdf.recording.container import Block, Channels
+from skin2urdf.recording.gather import grouped
 from skin2urdf.recording.joint_states import joint_positions
 from skin2urdf.recording.messages import ACCELERATION_LEAD, ACCELERATION_TAIL, role_of
 
@@ -19,7 +21,7 @@ class Samples(NamedTuple):
     """Samples of one source in the order of the log.
 
     Attributes:
-        arrival: (N,) number of each message among those of its topic.
+        arrival: (N,) numbers that rise as the messages follow each other in the log.
         stamp: (N,) header stamps [ns], 0 where unset.
         log_time: (N,) times the messages were recorded [ns].
         values: (N, C) what was measured.
@@ -40,58 +42,97 @@ class Collector:
     """Takes in blocks of messages and keeps what a calibration needs of them.
 
     Attributes:
+        channels: the channels of the log.
         passed: per topic, why messages were passed over (reason: messages).
     """
 
+    channels: Channels
     passed: defaultdict[str, Counter[str]] = field(default_factory=lambda: defaultdict(Counter))
-    _accelerations: dict[tuple[str, str], list[Samples]] = field(default_factory=dict)
+    _sources: dict[tuple[int, str], int] = field(default_factory=dict)
+    _parts: list[_Part] = field(default_factory=list)
     _joints: dict[tuple[str, tuple[str, ...]], list[Samples]] = field(default_factory=dict)
-    _arrived: Counter[str] = field(default_factory=Counter)
+    _arrived: int = 0
 
     def add(self, block: Block) -> None:
         """Take in the messages of one block.
 
         Args:
-            block: messages of a channel that `role_of` does not ignore.
+            block: messages of a type that `role_of` does not ignore.
         """
-        channel = block.channel
-        first = self._arrived[channel.topic]
-        self._arrived[channel.topic] += block.start.size
-        if channel.encoding != "cdr":
-            reason = f"encoded as {channel.encoding!r}, not as ROS 2's cdr"
-            self.passed[channel.topic][reason] += block.start.size
-            return
-        if role_of(channel.ros_type) == "joints":
-            passed = self._add_joints(block, first)
+        if block.encoding != "cdr":
+            reason = f"encoded as {block.encoding!r}, not as ROS 2's cdr"
+            passed: Passed = [(reason, np.arange(block.start.size))]
+        elif role_of(block.ros_type) == "joints":
+            passed = self._add_joints(block)
         else:
-            passed = self._add_accelerations(block, first)
-        if passed:
-            self.passed[channel.topic].update(passed)
+            passed = self._add_accelerations(block)
+        self._arrived += block.start.size
+        for reason, rows in passed:
+            counts = np.bincount(block.channel[rows], minlength=1)
+            for number in np.flatnonzero(counts):
+                self.passed[self._topic(int(number))][reason] += int(counts[number])
 
-    def _add_joints(self, block: Block, first: int) -> Counter[str]:
+    def _topic(self, number: int) -> str:
+        return self.channels.known[number].topic
+
+    def _add_joints(self, block: Block) -> Passed:
         """Take in JointState messages."""
         found, passed = joint_positions(block)
         for part in found:
-            samples = Samples(first + part.row, part.stamp, part.log_time, part.position)
-            self._joints.setdefault((block.channel.topic, part.names), []).append(samples)
+            arrival = self._arrived + part.row
+            samples = Samples(arrival, part.stamp, part.log_time, part.position)
+            key = self._topic(part.channel), part.names
+            self._joints.setdefault(key, []).append(samples)
         return passed
 
-    def _add_accelerations(self, block: Block, first: int) -> Counter[str]:
+    def _add_accelerations(self, block: Block) -> Passed:
         """Take in messages that carry an acceleration."""
-        ros_type = block.channel.ros_type
+        ros_type = block.ros_type
         found, passed = accelerations(
             block, ACCELERATION_LEAD.get(ros_type, 0), ACCELERATION_TAIL[ros_type]
         )
+        parts = []
         for part in found:
-            samples = Samples(first + part.row, part.stamp, part.log_time, part.vector)
-            for k, frame in enumerate(part.frames):
-                some = samples if len(part.frames) == 1 else samples.at(part.frame == k)
-                self._accelerations.setdefault((block.channel.topic, frame), []).append(some)
+            pair = block.channel[part.row] * len(part.frames) + part.frame
+            source = np.empty(pair.size, np.uint32)
+            for rows in grouped(pair):
+                number, frame = divmod(int(pair[rows[0]]), len(part.frames))
+                key = number, part.frames[frame]
+                source[rows] = self._sources.setdefault(key, len(self._sources))
+            parts.append(_Part(part.row, source, part.stamp, part.log_time, part.vector))
+        if len(parts) > 1:
+            # Both byte orders in one block: back into the order of the log.
+            order = np.argsort(np.concatenate([part.row for part in parts]))
+            row, source, stamp, log_time, vector = (
+                np.concatenate(arrays)[order] for arrays in zip(*parts, strict=True)
+            )
+            parts = [_Part(row, source, stamp, log_time, vector)]
+        self._parts += parts
         return passed
 
     def accelerations(self) -> dict[tuple[str, str], Samples]:
         """Return the samples of every SU, by topic and frame_id."""
-        return {key: _joined(parts) for key, parts in sorted(self._accelerations.items())}
+        # Channels of one topic and frame_id, of several files say, are one source.
+        keys = [(self._topic(number), frame) for number, frame in self._sources]
+        names = sorted(set(keys))
+        place = {name: k for k, name in enumerate(names)}
+        if not names:
+            return {}
+        small = np.uint16 if len(names) <= 1 << 16 else np.uint32
+        rank = np.array([place[key] for key in keys], small)
+        # NumPy sorts numbers of 16 bits by radix.
+        source = rank[np.concatenate([part.source for part in self._parts])]
+        order = np.argsort(source, kind="stable")
+        ends = np.cumsum(np.bincount(source, minlength=len(names)))[:-1]
+        columns = [
+            np.split(np.concatenate([part[k] for part in self._parts])[order], ends)
+            for k in range(2, 5)
+        ]
+        self._parts = []
+        return {
+            name: Samples(np.arange(stamp.size), stamp, log_time, vector)
+            for name, stamp, log_time, vector in zip(names, *columns, strict=True)
+        }
 
     def joints(self) -> dict[tuple[str, tuple[str, ...]], Samples]:
         """Return joint positions by topic and names.
@@ -101,24 +142,49 @@ class Collector:
         """
         merged: dict[tuple[str, tuple[str, ...]], Samples] = {}
         by_topic: dict[str, dict[tuple[str, ...], Samples]] = {}
-        for (topic, names), parts in sorted(self._joints.items()):
+        for (topic, names), parts in sorted(self._joints.items(), key=lambda item: item[0]):
             by_topic.setdefault(topic, {})[names] = _joined(parts)
         for topic, companies in by_topic.items():
-            membership: dict[tuple[tuple[str, ...], ...], list[str]] = {}
-            for name in sorted({name for names in companies for name in names}):
-                held_by = tuple(names for names in companies if name in names)
-                membership.setdefault(held_by, []).append(name)
+            places: dict[str, dict[int, int]] = {}
+            for company, names in enumerate(companies):
+                for column, name in enumerate(names):
+                    places.setdefault(name, {})[company] = column
+            membership: dict[tuple[int, ...], list[str]] = {}
+            for name in sorted(places):
+                membership.setdefault(tuple(places[name]), []).append(name)
+            samples = list(companies.values())
             for held_by, members in membership.items():
-                parts = [_columns(companies[names], names, members) for names in held_by]
+                parts = [
+                    _columns(samples[company], [places[name][company] for name in members])
+                    for company in held_by
+                ]
                 merged[topic, tuple(members)] = _joined(parts)
         return merged
 
 
-def _columns(samples: Samples, names: tuple[str, ...], members: list[str]) -> Samples:
-    """Return the columns of some joints."""
-    if list(names) == members:
+class _Part(NamedTuple):
+    """Accelerations out of one block.
+
+    Attributes:
+        row: (N,) number of each message within its block, rising.
+        source: (N,) number of the pair of channel and frame_id.
+        stamp: (N,) header stamps [ns].
+        log_time: (N,) times the messages were recorded [ns].
+        vector: (N, 3) accelerations.
+    """
+
+    row: Int
+    source: NDArray[np.uint32]
+    stamp: Int
+    log_time: Int
+    vector: F64
+
+
+def _columns(samples: Samples, columns: list[int]) -> Samples:
+    """Return some columns, by reference where these are all."""
+    if columns == list(range(samples.values.shape[1])):
         return samples
-    return samples._replace(values=samples.values[:, [names.index(m) for m in members]])
+    return samples._replace(values=samples.values[:, columns])
 
 
 def _joined(parts: list[Samples]) -> Samples:

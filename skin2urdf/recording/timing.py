@@ -26,6 +26,10 @@ WILD_STAMP = 10.0
 NEGLIGIBLE = 1e-3
 # Scatter of stamps [periods] up to which a stream counts as nearly regular.
 NEARLY_REGULAR = 0.25
+# In its true order a signal that moves is smoother than in another by this factor.
+SMOOTHER = 0.7
+# Wrong stamps come to lie close to another as often as they run backwards; true ones hardly do.
+CLOSE = 0.3
 
 
 class SampleTimes(NamedTuple):
@@ -60,7 +64,7 @@ def sample_times(stamp: Int, log_time: Int, signal: F64) -> SampleTimes:
     Returns:
         Times of the samples; repeated, and where need be contradicting, samples are left out.
     """
-    clock, stamped = _clock(stamp, log_time)
+    clock, stamped = stamped_clock(stamp, log_time)
     log_runs = log_time.size > 0 and int(log_time.max()) > int(log_time.min())
     offset = int(median_of(clock - log_time)) if log_runs else None
     kept = np.arange(clock.size)
@@ -85,7 +89,7 @@ def sample_times(stamp: Int, log_time: Int, signal: F64) -> SampleTimes:
     return SampleTimes(time, kept[rising], chosen, stamped, offset, noise)
 
 
-def _clock(stamp: Int, log_time: Int) -> tuple[Int, bool]:
+def stamped_clock(stamp: Int, log_time: Int) -> tuple[Int, bool]:
     """Return stamps where they are set and credible, log times moved to the same clock elsewhere.
 
     Returns:
@@ -139,27 +143,48 @@ def _order(clock: Int, signal: F64) -> Int:
     """Put samples that overtook each other on the way back in order.
 
     Stamps run backwards either because messages were swapped or because the stamps are wrong.
-    The signal is rougher in the wrong order; where it does not tell, the order of the log holds.
+    The signal is rougher in the wrong order. Where it does not tell, the stamps do: put in order,
+    those of messages that overtook each other are as far apart as any, while one that is wrong
+    comes to lie closer than half a period to another.
     """
     arrival = np.arange(clock.size)
     if not (np.diff(clock) < 0).any():
         return arrival
     stamped = np.argsort(clock, kind="stable")
     differ = np.flatnonzero(stamped != arrival)
-    if _roughness(signal[stamped], differ) < 0.7 * _roughness(signal, differ):
+    rough, smooth = _roughness(signal, stamped, differ)
+    if smooth < SMOOTHER * rough:
+        return stamped
+    step = np.diff(clock[stamped])
+    close = np.count_nonzero(step < 0.5 * median_of(step))
+    overtaken = np.count_nonzero(np.diff(clock) < 0)
+    if rough >= SMOOTHER * smooth and close < CLOSE * overtaken:
         return stamped
     return arrival
 
 
-def _roughness(signal: F64, places: Int) -> float:
-    """Sum over channels of how much the signal kinks around some places, relative to its own."""
+def _roughness(signal: F64, order: Int, places: Int) -> tuple[float, float]:
+    """Sum over channels of how much the signal kinks around some places.
+
+    Args:
+        signal: (N, C) the samples as they arrived.
+        order: (N,) their numbers in another order.
+        places: where the two orders differ.
+
+    Returns:
+        The sums in the order of arrival and in the other; both relative to the kinks of the other.
+    """
     if signal.shape[0] < 3:
-        return 0.0
-    kink = np.abs(np.diff(signal, n=2, axis=0))
-    kink = np.where(np.isfinite(kink), kink, 0.0)
-    near = np.unique(np.clip(places[:, None] - np.arange(3), 0, kink.shape[0] - 1))
-    scale = kink.mean(axis=0)
-    return float((kink[near].sum(axis=0)[scale > 0.0] / scale[scale > 0.0]).sum())
+        return 0.0, 0.0
+    near = np.unique(np.clip(places[:, None] - np.arange(3), 0, signal.shape[0] - 3))
+    kinks = []
+    for values in (signal, signal[order]):
+        kink = np.abs(np.diff(values, n=2, axis=0))
+        kinks.append(np.where(np.isfinite(kink), kink, 0.0))
+    scale = kinks[1].mean(axis=0)
+    scale = np.where(scale > 0.0, scale, np.inf)
+    rough, smooth = (float((kink[near].sum(axis=0) / scale).sum()) for kink in kinks)
+    return rough, smooth
 
 
 def _choose(stamps: F64, regular: F64 | None, signal: F64) -> Chosen:

@@ -121,7 +121,7 @@ def joint_motion(recording: Recording, dof_names: Sequence[str] | None = None) -
     for members in together.values():
         same = [streams[names[d]] for d in members]
         values, ok = sample(same[0].time, np.stack([j.position for j in same], axis=1), grid)
-        q[:, members] = values
+        q[:, members] = _bridged(values, ok)
         valid &= ok
         for d, stream in zip(members, same, strict=True):
             resolution[d], noise[d] = encoder_noise(stream)
@@ -134,6 +134,18 @@ def joint_motion(recording: Recording, dof_names: Sequence[str] | None = None) -
         grid, names, q, first_derivative(smooth, GRID_RATE), second(smooth, GRID_RATE),
         valid, resolution, noise, rate, stamps, named, wraps,
     )  # fmt: skip
+
+
+def _bridged(values: F64, ok: Bool) -> F64:
+    """Positions (N, C) with straight lines across gaps, which stay between what was measured."""
+    there = np.flatnonzero(ok)
+    missing = np.flatnonzero(~ok)
+    inside = missing[(missing > there[0]) & (missing < there[-1])] if there.size else missing[:0]
+    if inside.size:
+        values = values.copy()
+        for column in values.T:
+            column[inside] = np.interp(inside, there, column[there])
+    return values
 
 
 def encoder_noise(stream: JointStream) -> tuple[float, float]:

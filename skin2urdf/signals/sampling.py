@@ -11,6 +11,7 @@ from skin2urdf.arrays import F64, Bool
 from skin2urdf.errors import InsufficientDataError
 from skin2urdf.faults import Fault
 from skin2urdf.geometry.units import GRAVITY
+from skin2urdf.recording.holding import as_measured
 from skin2urdf.recording.records import Recording, SuStream
 from skin2urdf.signals.clocks import su_clocks
 from skin2urdf.signals.filters import sample, spread
@@ -83,12 +84,13 @@ def sample_recording(
     grid = motion.grid
     at_rest = [(grid.start + r.begin / grid.rate, grid.start + r.end / grid.rate) for r in rests]
     span = (grid.start, grid.start + grid.size / grid.rate)
-    clocks = {clock.su: clock for clock in su_clocks(recording.sus, motion)}
-    sus = [_on_time(su, clocks.get(su.name)) for su in recording.sus]
+    measured, held = as_measured(recording.sus)
+    clocks = {clock.su: clock for clock in su_clocks(measured, motion)}
+    sus = [_on_time(su, clocks.get(su.name)) for su in measured]
     streams = {c.stream.name: c for c in checked(sus, at_rest, span)}
     readings = np.zeros((grid.size, len(su_names), 3))
     valid = np.zeros((grid.size, len(su_names)), dtype=bool)
-    notes = list(recording.notes)
+    notes = [*recording.notes, *held]
     faults: list[Fault] = []
     still = np.zeros(grid.size, dtype=bool)
     for r in rests:

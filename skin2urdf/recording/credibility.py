@@ -1,0 +1,98 @@
+"""Which readings no accelerometer gave: absurd values, spikes, several sensors under one name."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from skin2urdf.arrays import F64, Bool
+from skin2urdf.recording.numbering import median_of
+
+# Accelerometers that robots carry end at 16 to 50 g; more than this is damage [m/s^2].
+LARGEST_FORCE = 500.0
+LARGEST_IN_ANY_UNIT = 1e6
+# A spike departs from its neighbours by so many times what samples usually do. The distance of
+# Gaussian noise comes to five times its median once in 1e9 samples; shocks come to more, but last.
+_FAR = 10.0
+# What the samples next to a spike may differ among themselves, over the size of the spike.
+_RETURNED = 0.25
+_AROUND = 10
+
+# Publishers of one name are looked for up to half as many as this.
+_LAGS = 16
+_STARTS = 4096
+# Samples of one sensor come as close to another of the next K, over the one next to them, as the
+# smallest of K distances in C dimensions, K^(-1 / C); with a margin of three.
+_CLOSE = 0.3
+# Accelerometers that differ by less (3 deg of their tilt) are not told from one that vibrates
+# [m/s^2], encoders not from one of 10 bits between two digits [rad or m].
+FORCES_APART = 0.5
+POSITIONS_APART = 6e-3
+
+
+def absurd(force: F64) -> Bool:
+    """(N,) True for readings (N, 3) that are not finite, or larger than any sensor's range.
+
+    Where most are larger, it is their unit that is odd, for others to say; none is marked then
+    but those that no unit explains.
+    """
+    size = np.abs(force).max(axis=1)
+    bad = ~(size < LARGEST_FORCE)
+    if 2 * np.count_nonzero(bad & np.isfinite(size)) > np.count_nonzero(np.isfinite(size)):
+        bad = ~(size < LARGEST_IN_ANY_UNIT)
+    return np.asarray(bad)
+
+
+def spikes(values: F64) -> Bool:
+    """(N,) True for single samples that depart far from those around them, which agree.
+
+    Args:
+        values: (N, C) samples in the order of their times.
+    """
+    found = np.zeros(len(values), dtype=bool)
+    if len(values) < 2 * _AROUND:
+        return found
+    kink = np.linalg.norm(values[1:-1] - 0.5 * (values[:-2] + values[2:]), axis=1)
+    steps = np.abs(np.diff(values[:: len(values) // 4096 | 1], axis=0))
+    digit = float(steps[steps > 0].min(initial=np.inf)) if steps.any() else 0.0
+    usual = max(median_of(kink), digit)
+    # A second spike two samples further halves the kink of the first.
+    suspects = np.flatnonzero(kink > 0.5 * _FAR * usual) + 1
+    if not suspects.size or usual == 0.0:
+        return found
+    last = len(values) - 1
+    nearby = values[np.clip(suspects[:, None] + np.arange(-3, 4), 0, last)]
+    middle = np.median(nearby, axis=1)
+    off = np.linalg.norm(nearby - middle[:, None], axis=2)
+    around = np.clip(suspects[:, None] - 1 + np.arange(-_AROUND, _AROUND + 1), 0, kink.size - 1)
+    local = np.maximum(np.median(kink[around], axis=1), usual)
+    # Those next to it agree with the middle, and all but one of the others, a second spike.
+    others = np.sort(off[:, [0, 1, 2, 4, 5, 6]], axis=1)[:, -2]
+    returns = np.maximum(others, np.maximum(off[:, 2], off[:, 4])) < _RETURNED * off[:, 3]
+    found[suspects[(off[:, 3] > _FAR * local) & returns]] = True
+    return found
+
+
+def several_publishers(values: F64, least: float) -> bool:
+    """Whether samples (N, C) of one name come from several sensors in turn.
+
+    A sensor's next sample is the one most like the last. Where those of several are mixed, the next
+    is another's, and the one like the last comes some samples later.
+
+    Args:
+        values: the samples in the order of their arrival.
+        least: distance of samples in a row that one sensor may have.
+    """
+    count, channels = values.shape
+    if count < 4 * _LAGS:
+        return False
+    start = np.arange(0, count - _LAGS, (count - _LAGS) // _STARTS | 1)
+    distance = np.stack(
+        [np.linalg.norm(values[start + lag] - values[start], axis=1) for lag in range(1, _LAGS + 1)]
+    )
+    whole = np.isfinite(distance).all(axis=0)
+    if not whole.any():
+        return False
+    following = float(np.median(distance[0, whole]))
+    closest = float(np.median(distance[1:, whole].min(axis=0)))
+    like = _CLOSE * (_LAGS - 1) ** (-1 / channels)
+    return following > least and closest < like * following

@@ -1,0 +1,98 @@
+"""Readings that are sent several times: one measurement each, at the time it first appeared.
+
+A driver that sends faster than its sensor measures repeats the latest value, and so do boards that
+poll their sensors. As samples these are stairs, late by half a step in the middle and wrong by the
+motion of a step everywhere.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from skin2urdf.arrays import F64, Int
+from skin2urdf.recording.records import SuStream
+
+# A sensor that hardly moves repeats itself where its steps are of a digit or two. Between larger
+# ones it does so by a chance of some per cent at most, where noise is as large as the digits.
+_DIGITS = 3.0
+_SHARE = 0.05
+# Values between two large steps that have to be there for their repetitions to tell.
+_FEWEST = 20
+# A value that stands longer than so many times the usual is a sensor that froze, for others to say.
+_FROZEN = 3.0
+
+
+class Held(NamedTuple):
+    """The measurements of a stream.
+
+    Attributes:
+        kept: (M,) numbers of the samples at which they appeared.
+        times: how often each was sent, in the mean; 1 where none is sent twice.
+    """
+
+    kept: Int
+    times: float
+
+
+def measurements(values: F64) -> Held:
+    """Find the samples that are measurements and no repetitions of the one before.
+
+    Values stand still where nothing moves and the digits are coarse; that is no repetition. But one
+    that came by several digits, and goes by several digits, stood for a single measurement. How
+    many samples such values last says how many measurements the others are.
+
+    Args:
+        values: (N, C) samples in their order.
+
+    Returns:
+        The measurements; all samples where the sensor's digits explain what repeats.
+    """
+    count = len(values)
+    changed = np.logical_or.reduce(values[1:] != values[:-1], axis=1)
+    start = np.concatenate([[0], np.flatnonzero(changed) + 1])
+    everything = Held(np.arange(count), 1.0)
+    if count - start.size < _SHARE * count or start.size < _FEWEST:
+        return everything
+    length = np.diff(start, append=count)
+    step = np.abs(np.diff(values[start], axis=0))
+    digit = np.array([np.quantile(s[s > 0], 0.02) if s.any() else np.inf for s in step.T])
+    large = (step > _DIGITS * digit).any(axis=1)
+    one = np.append(large, False) & np.insert(large, 0, False)
+    if np.count_nonzero(one) < _FEWEST or np.mean(length[one] > 1) < _SHARE:
+        return everything
+    one &= length <= _FROZEN * np.median(length[one])
+    times = float(length[one].mean())
+    number = np.where(one, 1, np.maximum(np.rint(length / times), 1)).astype(np.int64)
+    within = np.arange(number.sum()) - np.repeat(np.cumsum(number) - number, number)
+    return Held(np.repeat(start, number) + np.rint(times * within).astype(np.int64), times)
+
+
+def as_measured(sus: Sequence[SuStream]) -> tuple[list[SuStream], list[str]]:
+    """Leave the repetitions out of streams.
+
+    Args:
+        sus: streams as they were sent.
+
+    Returns:
+        The streams with each measurement once, and a note on each that had others.
+    """
+    out, notes = [], []
+    for su in sus:
+        held = measurements(su.specific_force)
+        if held.times > 1.0:
+            notes.append(held_note(f"SU {su.name} ({su.topic})" if su.topic else su.name, held))
+            su = replace(su, time=su.time[held.kept], specific_force=su.specific_force[held.kept])
+        out.append(su)
+    return out, notes
+
+
+def held_note(what: str, held: Held) -> str:
+    """A note on a stream whose readings are sent several times."""
+    return (
+        f"{what} sends each reading {held.times:.3g} times in the mean; they count once, at the "
+        "time they first appear"
+    )

@@ -1,0 +1,220 @@
+"""Stretches of one clock: where stamps jump by more than their stream explains, or step back.
+
+A clock that is set in mid-log, and a recorder that pauses, leave stretches that are whole by
+themselves. Nothing is known of how far apart they are, so nothing may be interpolated between them.
+What jumps in all streams alike is a jump of their common clock: the stretches follow each other
+after a short pause. Where the clock of a single stream jumps, its relation to the others is lost:
+the longest stretch counts.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+
+from skin2urdf.arrays import F64, Int
+from skin2urdf.recording.numbering import median_of
+from skin2urdf.recording.streams import Samples
+from skin2urdf.recording.timing import NS_PER_S, stamped_clock
+
+# Messages are late, early or bundled by less than this, and a clock that is disciplined in small
+# steps stays within it [s].
+JUMP = 0.5
+# A pause of all streams this long is left out of the common clock [s].
+LONG_PAUSE = 10.0
+# What is left of a pause: long enough that no stream takes it for lost messages [s, periods].
+SHORT_PAUSE = 1.0
+PERIODS = 60
+# Samples whose median is the level of the clock before and after a jump.
+LEVEL = 8
+# A stream whose stamps jump more often than this has no clock to follow.
+MOST_JUMPS = 64
+
+
+class Jump(NamedTuple):
+    """A lasting jump of the stamps of one stream.
+
+    Attributes:
+        first: first sample after it.
+        before: time of the last sample before it [s].
+        after: time of the first sample after it [s].
+        follows: whether the log's times, and so what was sent, jump with it.
+    """
+
+    first: int
+    before: float
+    after: float
+    follows: bool
+
+    @property
+    def size(self) -> float:
+        """By how much the clock jumps [s]."""
+        return self.after - self.before
+
+    def alike(self, other: Jump) -> bool:
+        """Whether another stream's jump is one of the same clock at the same time."""
+        return abs(self.before - other.before) < JUMP + 1 and abs(self.size - other.size) < JUMP + 1
+
+
+def on_one_clock(
+    streams: Sequence[Samples], names: Sequence[str]
+) -> tuple[list[Samples], list[str]]:
+    """Join the stretches of a clock that jumped.
+
+    Args:
+        streams: samples of all joints and SUs in the order of their arrival.
+        names: what each is called in notes.
+
+    Returns:
+        The samples on a clock that runs on, and notes for the user.
+    """
+    origin = min((int(s.log_time[0]) for s in streams if s.log_time.size), default=0)
+    clocks = [stamped_clock(s.stamp, s.log_time)[0] for s in streams]
+    jumps = [
+        _jumps((clock - origin) / NS_PER_S, (s.log_time - origin) / NS_PER_S)
+        for clock, s in zip(clocks, streams, strict=True)
+    ]
+    if not any(jumps):
+        return list(streams), []
+    common = _common(jumps, clocks, origin)
+    events = [[_of_stream(event, found) for event in common] for found in jumps]
+    pause = _pause(clocks)
+    shifts = [0.0]
+    for e, _ in enumerate(common):
+        met = [event for row in events if (event := row[e]) is not None]
+        gap = min(m.after for m in met) - max(m.before for m in met)
+        shifts.append(shifts[-1] + pause - gap)
+    notes = [_words(event, pause) for event in common]
+    out = []
+    for samples, clock, found, own, name in zip(streams, clocks, jumps, events, names, strict=True):
+        bounds = _bounds(clock, own, common, origin)
+        moved = _moved(samples, clock, bounds, shifts)
+        alone = [j for j in found if j not in own and not j.follows]
+        if alone:
+            edges = [0, *(jump.first for jump in alone), len(clock)]
+            begin, end = max(pairwise(edges), key=lambda piece: piece[1] - piece[0])
+            sizes = ", ".join(f"{jump.size:+.3g} s" for jump in alone[:3])
+            notes.append(
+                f"the clock of {name} jumps by itself ({sizes}): the longest stretch, "
+                f"{100 * (end - begin) / len(clock):.0f} % of the samples, was used"
+            )
+            moved = moved.at(np.arange(begin, end))
+        out.append(moved)
+    return out, notes
+
+
+def _jumps(clock: F64, log: F64) -> list[Jump]:
+    """Find the lasting jumps in times (N,) of the stamps and of the log [s]."""
+    if clock.size < 2 * LEVEL:
+        return []
+    step = np.diff(clock)
+    period = max(median_of(step), 0.0)
+    least = max(JUMP, 20 * period)
+    suspects = np.flatnonzero(np.abs(step - period) > least)
+    suspects = suspects[(suspects >= LEVEL - 1) & (suspects < clock.size - LEVEL)]
+    if not suspects.size or suspects.size > len(clock) // LEVEL:
+        return []
+    ahead = np.arange(LEVEL)
+
+    def levels(values: F64) -> tuple[F64, F64]:
+        before = np.median(values[suspects[:, None] - ahead] + period * ahead, axis=1)
+        after = np.median(values[suspects[:, None] + 1 + ahead] - period * ahead, axis=1)
+        return before, after
+
+    before, after = levels(clock)
+    log_before, log_after = levels(log)
+    runs = log[-1] > log[0]
+    found: list[Jump] = []
+    for k in np.flatnonzero(np.abs(after - before - period) > least):
+        size = after[k] - before[k]
+        follows = bool(size > 0 and runs and abs(log_after[k] - log_before[k] - size) < least)
+        jump = Jump(int(suspects[k]) + 1, float(before[k]), float(after[k]), follows)
+        # Messages that overtook each other at a jump show it several times.
+        if found and jump.first - found[-1].first < LEVEL and abs(jump.size) <= abs(found[-1].size):
+            continue
+        if found and jump.first - found[-1].first < LEVEL:
+            found.pop()
+        found.append(jump)
+    return found if len(found) <= MOST_JUMPS else []
+
+
+def _common(jumps: Sequence[Sequence[Jump]], clocks: Sequence[Int], origin: int) -> list[Jump]:
+    """The jumps that all streams have which are there before and after, in their order."""
+    most = max(range(len(jumps)), key=lambda k: len(clocks[k]))
+    chosen = []
+    for jump in jumps[most]:
+        if jump.follows and jump.size < LONG_PAUSE:
+            continue
+        if all(
+            _of_stream(jump, found) is not None or not _spans(clock, jump, origin)
+            for found, clock in zip(jumps, clocks, strict=True)
+        ):
+            chosen.append(jump)
+    return chosen
+
+
+def _of_stream(event: Jump, found: Sequence[Jump]) -> Jump | None:
+    """A stream's own view of a jump, None where it has none."""
+    return next((jump for jump in found if jump.alike(event)), None)
+
+
+def _spans(clock: Int, jump: Jump, origin: int) -> bool:
+    """Whether a stream has samples on both sides of a jump that it does not show."""
+    if not clock.size:
+        return False
+    first, last = (np.array([clock[0], clock[-1]]) - origin) / NS_PER_S
+    return bool(first < jump.before and last > max(jump.before, jump.after))
+
+
+def _bounds(
+    clock: Int, own: Sequence[Jump | None], common: Sequence[Jump], origin: int
+) -> list[int]:
+    """For each jump of the common clock, the first sample of a stream after it."""
+    out = []
+    for jump, event in zip(own, common, strict=True):
+        if jump is not None:
+            out.append(jump.first)
+            continue
+        # A stream that is there on one side only.
+        first = (int(clock[0]) - origin) / NS_PER_S if clock.size else 0.0
+        later = first >= event.after and not (event.size < 0 and first < event.before)
+        out.append(0 if later else len(clock))
+    return out
+
+
+def _moved(samples: Samples, clock: Int, bounds: Sequence[int], shifts: Sequence[float]) -> Samples:
+    """Samples with the stretches moved; log times keep their distance from the stamps."""
+    if not bounds or bounds[0] >= len(clock):
+        return samples
+    part = np.searchsorted(np.asarray(bounds), np.arange(len(clock)), side="right")
+    moved = clock + np.rint(np.asarray(shifts)[part] * NS_PER_S).astype(np.int64)
+    if not (samples.stamp > 0).any():
+        return samples._replace(log_time=moved)
+    ahead = clock - samples.log_time
+    level = np.zeros(len(shifts), np.int64)
+    for k in np.unique(part):
+        level[k] = int(median_of(ahead[part == k]))
+    return samples._replace(stamp=moved, log_time=moved - ahead + (level - level[part[0]])[part])
+
+
+def _pause(clocks: Sequence[Int]) -> float:
+    """The pause [s] between stretches, from the slowest stream of a common kind."""
+    periods = [median_of(np.diff(clock)) / NS_PER_S for clock in clocks if clock.size > 2]
+    slow = float(np.median(periods)) if periods else 0.0
+    return max(SHORT_PAUSE, min(PERIODS * slow, LONG_PAUSE))
+
+
+def _words(event: Jump, pause: float) -> str:
+    """A note on a jump of the common clock."""
+    if event.follows:
+        what = f"there are no messages for {event.size:.4g} s"
+    else:
+        way = "forward" if event.size > 0 else "back"
+        what = f"all stamps jump {way} by {abs(event.size):.4g} s"
+    return (
+        f"{what}: the stretches before and after are used with a pause of {pause:.3g} s between "
+        "them, as nothing tells how far apart they are"
+    )

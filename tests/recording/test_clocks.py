@@ -1,0 +1,91 @@
+"""Logs whose stamps jump, step back or come in the wrong order."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from skin2urdf.recording.reading import read
+from skin2urdf.recording.records import Recording
+from skin2urdf.recording.timing import sample_times
+
+EPOCH = 1_700_000_000 * 10**9
+MS = 10**6
+N = 600
+
+
+def value(k: int, phase: float) -> list[float]:
+    """A motion of 2 Hz at 100 samples a second."""
+    return [float(np.sin(0.126 * k + phase + axis)) for axis in range(3)]
+
+
+def recorded(log: Any, stamp: Any, log_time: Any, sus: tuple[str, ...] = ("a", "b")) -> Recording:
+    """Joints and SUs whose stamps and log times are functions of source and message number."""
+    for k in range(N):
+        at = log_time("joints", k)
+        log.joints(stamp("joints", k), {"j": value(k, 0)[0], "k": float(k)}, log_time=at)
+        for phase, su in enumerate(sus):
+            at = log_time(su, k)
+            log.imu(stamp(su, k), value(k, phase), su, f"/{su}", log_time=at)
+    return read(log.close())
+
+
+def at(_: str, k: int) -> int:
+    return EPOCH + 10 * MS * k
+
+
+@pytest.mark.parametrize("log_steps", [False, True], ids=["stamps", "stamps and log"])
+@pytest.mark.parametrize("seconds", [-2.0, 3600.0, 86400.0])
+def test_a_clock_that_is_set_leaves_two_whole_stretches(
+    seconds: float, log_steps: bool, ros_log: Any
+) -> None:
+    def stepped(source: str, k: int) -> int:
+        return at(source, k) + (round(seconds * 1e9) if k >= N // 2 else 0)
+
+    recording = recorded(ros_log, stepped, stepped if log_steps else at)
+    joint = recording.joints[1]
+    assert np.array_equal(joint.position, np.arange(N))
+    assert recording.duration < 0.01 * N + 2.0
+    pause = np.diff(joint.time)
+    assert pause[N // 2 - 1] > 0.5
+    np.testing.assert_allclose(np.delete(pause, N // 2 - 1), 0.01, atol=1e-6)
+    for su in recording.sus:
+        np.testing.assert_allclose(su.time, joint.time, atol=1e-6)
+    assert any("stretches" in note for note in recording.notes)
+
+
+def test_an_su_whose_clock_jumps_by_itself_counts_up_to_there(ros_log: Any) -> None:
+    def stepped(source: str, k: int) -> int:
+        return at(source, k) + (3600 * 10**9 if source == "b" and k >= 400 else 0)
+
+    recording = recorded(ros_log, stepped, at)
+    a, b = recording.sus
+    assert a.time.size == N
+    np.testing.assert_allclose(b.time, recording.joints[0].time[:400], atol=1e-6)
+    assert any("/b" in note and "jumps by itself" in note for note in recording.notes)
+
+
+def test_a_pause_of_one_su_is_no_jump_of_its_clock(ros_log: Any) -> None:
+    for k in range(3 * N):
+        ros_log.joints(at("", k), {"j": float(k)})
+        if not 100 <= k < 1300:
+            ros_log.imu(at("", k), value(k, 0.0))
+    (su,) = read(ros_log.close()).sus
+    assert su.time.size == 3 * N - 1200
+    assert np.diff(su.time).max() == pytest.approx(12.01)
+
+
+@pytest.mark.parametrize("jitter", [0.0, 0.2])
+@pytest.mark.parametrize("noise", [0.0, 0.05])
+def test_messages_reordered_within_a_window_are_sorted(jitter: float, noise: float) -> None:
+    rng = np.random.default_rng(0)
+    true = 0.01 * np.arange(4000)
+    stamp = EPOCH + np.rint((true + 0.01 * jitter * rng.random(true.size)) * 1e9).astype(np.int64)
+    swing = np.where(true % 4 < 2, np.sin(4 * np.pi * true), 0.0)
+    signal = np.stack([swing, 0.5 * swing, -swing], axis=1)
+    signal = signal + noise * rng.standard_normal(signal.shape)
+    order = np.argsort(np.arange(true.size) + 40 * rng.random(true.size))
+    times = sample_times(stamp[order], stamp[order], signal[order])
+    assert np.array_equal(order[times.kept], np.arange(true.size))

@@ -1,0 +1,78 @@
+"""Readings that are sent several times count once."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from skin2urdf.arrays import F64
+from skin2urdf.recording.holding import measurements
+from skin2urdf.recording.reading import read
+
+N = 6000
+
+
+def signal(noise: float, digit: float, seed: int = 0) -> F64:
+    """Rests and patterns at 500 samples a second."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(N)[:, None] / 500.0
+    swing = np.where(t % 6 < 3, np.sin(4 * np.pi * t), 0.0) * [5.0, 3.0, 4.0]
+    values = swing + [3.0, 2.0, 9.0] + noise * rng.standard_normal((N, 3))
+    return np.round(values / digit) * digit if digit else values
+
+
+@pytest.mark.parametrize(
+    ("noise", "digit"), [(0.01, 0.0), (0.01, 1e-3), (0.08, 0.077), (0.0, 0.077), (0.0, 1e-3)]
+)
+def test_a_sensor_that_sends_each_reading_once_is_left_alone(noise: float, digit: float) -> None:
+    assert measurements(signal(noise, digit)).kept.size == N
+
+
+@pytest.mark.parametrize(("noise", "digit"), [(0.01, 0.0), (0.01, 1e-3), (0.08, 0.02)])
+@pytest.mark.parametrize("times", [2, 5])
+def test_each_measurement_is_kept_where_it_first_appears(
+    times: int, noise: float, digit: float
+) -> None:
+    values = signal(noise, digit)[np.arange(N) // times * times]
+    held = measurements(values)
+    assert held.times == pytest.approx(times, rel=0.02)
+    first = np.arange(0, N, times)
+    assert np.isin(first, held.kept).mean() > 0.99
+    assert np.isin(held.kept, first).mean() > 0.99
+
+
+def test_where_digits_are_coarse_equal_measurements_stay() -> None:
+    """At rest the readings of a coarse sensor repeat; dropping those would shift their mean."""
+    values = signal(0.08, 0.077)[np.arange(N) // 5 * 5]
+    held = measurements(values)
+    rest = (np.arange(N) % 3000) >= 1500
+    kept = values[held.kept[rest[held.kept]]]
+    np.testing.assert_allclose(kept.mean(axis=0), values[rest].mean(axis=0), atol=3e-3)
+    assert held.kept.size == pytest.approx(N / 5, rel=0.1)
+
+
+def test_a_sensor_polled_out_of_step_gives_its_own_measurements() -> None:
+    at = np.floor(np.arange(N) * 0.37).astype(int)
+    held = measurements(signal(0.01, 0.0)[at])
+    assert held.times == pytest.approx(1 / 0.37, rel=0.02)
+    assert np.array_equal(held.kept, np.flatnonzero(np.diff(at, prepend=-1)))
+
+
+def test_a_sensor_that_freezes_for_a_while_is_left_to_others() -> None:
+    values = signal(0.01, 0.0)
+    values[2000:3000] = values[2000]
+    assert measurements(values).kept.size == N
+
+
+def test_the_rate_of_a_log_is_that_of_its_measurements(ros_log: Any) -> None:
+    values = signal(0.01, 1e-3)[np.arange(N) // 5 * 5]
+    for k in range(800):
+        at = 10**9 * 1_700_000_000 + 2 * 10**6 * k
+        ros_log.joints(at, {"j": 0.01 * k})
+        ros_log.imu(at, values[k])
+    recording = read(ros_log.close())
+    (su,) = recording.sus
+    np.testing.assert_allclose(np.diff(su.time), 0.01, atol=1e-6)
+    assert any("5 times" in note for note in recording.notes)

@@ -1,0 +1,60 @@
+"""A short form of scripts/fuzz.py: mutants of a small log through the commands that read logs."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from fuzz import MUTATIONS, PATIENCE, STATUSES, mutated_messages, perform
+
+from skin2urdf.cli.main import main
+
+
+@pytest.fixture(scope="module")
+def sound(tmp_path_factory: pytest.TempPathFactory) -> bytes:
+    """A log that calibrates, as small as one can be."""
+    path = tmp_path_factory.mktemp("fuzz") / "log.mcap"
+    words = ["simulate", "ur3", "-o", str(path), "--poses", "2", "--seed", "5", "--excite", "all"]
+    assert main([*words, "--imu-rate", "50", "--joint-rate", "50", "--quiet"]) == 0
+    return path.read_bytes()
+
+
+@pytest.mark.parametrize("mutation", MUTATIONS, ids=lambda mutation: mutation.__name__)
+def test_mutants_end_in_time_and_in_words(
+    mutation: object, sound: bytes, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    assert callable(mutation)
+    log = tmp_path / "log.mcap"
+    log.write_bytes(sound)
+    begin = time.monotonic()
+    assert main(["info", str(log)]) == 0
+    usual = time.monotonic() - begin
+    for seed in range(2):
+        log.write_bytes(mutation(sound, np.random.default_rng(seed)))
+        begin = time.monotonic()
+        assert main(["info", str(log)]) in STATUSES
+        told = capfd.readouterr()
+        assert "internal error" not in told.out + told.err
+        assert time.monotonic() - begin < PATIENCE * usual + 10.0
+
+
+def test_a_mutant_through_the_whole_way(sound: bytes, tmp_path: Path) -> None:
+    log = tmp_path / "log.mcap"
+    log.write_bytes(mutated_messages(sound, np.random.default_rng(1)))
+    outcome = perform(["calibrate", str(log), "-o", str(tmp_path / "a.urdf")], 120.0, 1 << 31)
+    assert outcome.fault == ""
+
+
+def test_what_a_command_does_wrong_is_seen(tmp_path: Path) -> None:
+    assert perform(["info", str(tmp_path / "none.mcap")], 60.0, 1 << 30).status == 2
+    assert "took more" in perform(["simulate", "--list"], 1e-4, 1 << 30).fault
+    assert perform(["info", "--no-such-option"], 60.0, 1 << 30).status == 2
+
+
+def test_mutants_can_be_made_again(sound: bytes) -> None:
+    for mutation in MUTATIONS:
+        first, second = (mutation(sound, np.random.default_rng(3)) for _ in range(2))
+        assert first == second
+        assert first != sound

@@ -45,6 +45,13 @@ _EXPLAINED = 0.6
 """Share of a stretch's energy that motion must explain for its lag to count."""
 _FEWEST = 3
 """Stretches from which a line is known to be one."""
+_LEAST_LEFT = 1e-3
+"""Share of a stretch's energy that is left beside linear motion at the least."""
+_PRIOR_FREEDOM = 4.0
+"""Degrees of freedom for which the stretches' own variances count beside their scatter about the
+line: few moves scatter little about any line, and slow ones over large angles share one error."""
+_MEDIAN = 0.455
+"""Median of the square of a standard normal variable."""
 _SIGNIFICANT = 4.0
 """Standard deviations from which an offset or a drift is no chance."""
 _LEAST_OFFSET = 5e-3
@@ -175,10 +182,9 @@ def _together(group: Sequence[SuClock]) -> list[SuClock]:
     """The clocks of a group, each with the weighted mean of all."""
 
     def mean(values: F64, sds: F64) -> tuple[float, float]:
+        # The SUs' errors come from the same motion, so that many are not better than the best.
         weight = 1 / sds**2
-        value = float(weight @ values / weight.sum())
-        excess = float(weight @ (values - value) ** 2) / max(len(values) - 1, 1)
-        return value, float(np.sqrt(max(1.0, excess) / weight.sum()))
+        return float(weight @ values / weight.sum()), float(sds.min())
 
     latency, latency_sd = mean(*np.array([(c.latency, c.latency_sd) for c in group]).T)
     drift, drift_sd = mean(*np.array([(c.drift, c.drift_sd) for c in group]).T)
@@ -362,7 +368,12 @@ def _best(
 
 
 def _refined(time: F64, score: F64, lags: F64, offset: float, drift: float) -> _Line | None:
-    """A line through the peaks of the stretches near a line, by robust weighted least squares."""
+    """A line through the peaks of the stretches near a line, by robust weighted least squares.
+
+    What is left in a stretch rises with the square of the lag's error; how fast tells the width of
+    the readings' spectrum, and with it how many independent values three axes have in a stretch.
+    What is left at the best lag, over both, is the variance of the peak.
+    """
     step = lags[1] - lags[0]
     near = np.rint((offset + drift * time - lags[0]) / step).astype(int)
     peaks, weights, rows = [], [], []
@@ -377,25 +388,28 @@ def _refined(time: F64, score: F64, lags: F64, offset: float, drift: float) -> _
         if i in (a, b - 1) or bend <= 0:
             continue
         peaks.append(lags[i] + 0.5 * step * (before - after) / bend)
-        weights.append(bend / here)
+        rise = bend / (2 * step**2)
+        values = max(1.0, 6 * _STRETCH * np.sqrt(rise) / (2 * np.pi))
+        weights.append(values * rise / (here - _MODEL + _LEAST_LEFT))
         rows.append(w)
     if len(rows) < _FEWEST:
         return None
-    x, y, strength = time[rows], np.array(peaks), np.array(weights)
+    x, y, certain = time[rows], np.array(peaks), np.array(weights)
     X = np.stack([np.ones_like(x), x], axis=1)
     solution = np.array([offset, drift])
+    # Neighbouring stretches share half their samples.
+    freedom = max(len(y) / 2 - 2, 0.0)
     for _ in range(10):
-        residual = y - X @ solution
-        scale = max(1.4826 * float(np.median(np.abs(residual))), 1e-5)
-        weight = strength / (1 + (residual / (2 * scale)) ** 2) ** 2
+        square = certain * (y - X @ solution) ** 2
+        bound = max(4 * float(np.median(square)) / _MEDIAN, 1e-4)
+        weight = certain / (1 + square / bound) ** 2
         products = X.T @ (weight[:, None] * X)
         if np.linalg.cond(products) > 1e12:
             return None
         solution = np.linalg.solve(products, X.T @ (weight * y))
-    residual = y - X @ solution
-    # Neighbouring stretches share half their samples.
-    freedom = max(len(y) / 2 - 2, 1.0)
-    variance = float((weight * residual**2).sum() / weight.sum()) * len(y) / 2 / freedom
-    covariance = np.linalg.inv(products) * weight.sum() * variance / (len(y) / 2)
-    sd = np.sqrt(np.diag(covariance))
+    square = weight * (y - X @ solution) ** 2
+    scale = (_PRIOR_FREEDOM + float(square.mean()) * freedom) / (_PRIOR_FREEDOM + freedom)
+    sd = np.sqrt(2 * scale * np.diag(np.linalg.inv(products)))
+    if abs(solution[0]) > 1.1 * LARGEST_OFFSET or abs(solution[1]) > 1.1 * LARGEST_DRIFT:
+        return None
     return _Line(float(solution[0]), float(solution[1]), float(sd[0]), float(sd[1]), len(y))

@@ -22,6 +22,7 @@ from scipy.fft import irfft, next_fast_len, rfft
 
 from skin2urdf.arrays import F64, Bool
 from skin2urdf.recording.records import SuStream
+from skin2urdf.signals.commotion import change, refined, searched, speeds
 from skin2urdf.signals.motion import Motion
 from skin2urdf.signals.records import SuClock
 
@@ -64,6 +65,8 @@ _NEAR = 0.05
 """What is left of lags after the first pass, at most [s]."""
 _SETTLED = 2e-4
 """Change of lags from one pass to the next that is none [s]."""
+_VAGUE = 0.01
+"""Deviation of a latency [s] from which it is worth another look."""
 _SAMPLES = 8
 """Samples of a stream that may tell anything."""
 _FEW = 16
@@ -100,11 +103,14 @@ def su_clocks(sus: Sequence[SuStream], motion: Motion) -> tuple[SuClock, ...]:
         One record for each SU whose clock is off significantly, none for the others.
     """
     stretches = _stretches(motion)
-    if len(stretches) < _FEWEST:
-        return ()
     grid = motion.grid
     middle = grid.start + (grid.size - 1) / (2 * grid.rate)
-    clocks = _clocks([su for su in sus if len(su.time) >= _SAMPLES], motion, stretches, middle)
+    sus_heard = [su for su in sus if len(su.time) >= _SAMPLES]
+    clocks = _clocks(sus_heard, motion, stretches, middle)
+    vague = [u for u, clock in enumerate(clocks) if clock.latency_sd > _VAGUE]
+    rough = _by_commotion([sus_heard[u] for u in vague], motion, middle)
+    for u, clock in zip(vague, rough, strict=True):
+        clocks[u] = min(clocks[u], clock, key=lambda c: c.latency_sd)
     groups = _groups([clock for clock in clocks if np.isfinite(clock.latency_sd)])
     off = [clock for group in groups for clock in group if _is_off(clock, motion)]
     if off and len(groups) == 1:
@@ -146,6 +152,40 @@ def _clocks(
         if not open_:
             break
     return clocks
+
+
+def _by_commotion(sus: Sequence[SuStream], motion: Motion, middle: float) -> list[SuClock]:
+    """The clock of each SU as how much it is moved when tells; infinite deviations where not."""
+    rate = motion.grid.rate / _EVERY
+    n = motion.grid.size // _EVERY
+    q = motion.q[: n * _EVERY].reshape(n, _EVERY, -1).mean(axis=1)
+    regressors = speeds(q[:, motion.moved], rate)
+    return [_of_one(su, motion, regressors, middle) for su in sus]
+
+
+def _of_one(su: SuStream, motion: Motion, regressors: F64, middle: float) -> SuClock:
+    """The clock of one SU by its commotion."""
+    nothing = SuClock(su.name, 0.0, np.inf, 0.0, np.inf, middle)
+    integral, rate = _Integral.of(su), motion.grid.rate / _EVERY
+    size = change(*integral.means(nothing, motion), rate)
+    if size is None:
+        return nothing
+    found = searched(size, regressors, rate, LARGEST_OFFSET, LARGEST_DRIFT)
+    if found is None:
+        return nothing
+    clock = replace(nothing, latency=found[0], drift=found[1])
+    for _ in range(_PASSES):
+        size = change(*integral.means(clock, motion), rate)
+        step = None if size is None else refined(size, regressors, rate)
+        if step is None:
+            return nothing
+        (late, fast), (late_sd, fast_sd) = step
+        clock = replace(
+            clock, latency=clock.latency + float(late), latency_sd=float(late_sd),
+            drift=clock.drift + float(fast), drift_sd=float(fast_sd),
+        )  # fmt: skip
+    far = abs(clock.latency - found[0]) > _NEAR or abs(clock.drift) > 1.1 * LARGEST_DRIFT
+    return nothing if far else clock
 
 
 def _is_off(clock: SuClock, motion: Motion) -> bool:

@@ -159,7 +159,7 @@ def survey(log: str | Path, *, progress: Progress | None = None) -> Surveyed:
         return Surveyed(listed, recording, sampled, None, nothing, problems)
     tell("features", 1.0)
     excited = excited_dofs(features)
-    problems = (*_weak_motion(sampled), *_weak_poses(features, excited))
+    problems = (*_weak_motion(sampled), *_weak_poses(sampled, features, excited))
     return Surveyed(listed, recording, sampled, features, excited, problems)
 
 
@@ -188,7 +188,7 @@ def _weak_motion(sampled: Sampled) -> list[str]:
     return problems
 
 
-def _weak_poses(features: Features, excited: Bool) -> list[str]:
+def _weak_poses(sampled: Sampled, features: Features, excited: Bool) -> list[str]:
     """What the poses lack."""
     problems = []
     patterned = int(excited.any(axis=1).sum())
@@ -210,8 +210,12 @@ def _weak_poses(features: Features, excited: Bool) -> list[str]:
             "no structural moves: let one joint at a time move by half a radian, at rest before "
             "and after; patterns alone may do"
         )
-    deaf = [name for u, name in enumerate(features.su_names) if not features.valid[:, u].any()]
-    return problems + [f"{name} has no usable readings around any pose" for name in deaf]
+    told = {fault.subject for fault in sampled.faults}
+    return problems + [
+        f"{name} has no usable readings around any pose"
+        for u, name in enumerate(features.su_names)
+        if not features.valid[:, u].any() and name not in told
+    ]
 
 
 def _words(error: Skin2UrdfError, log: str | Path) -> str:

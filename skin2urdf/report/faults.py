@@ -98,7 +98,7 @@ def _of_a_stream(fault: Fault) -> Words:
     when = {
         "no samples": "has no samples while the joints were recorded,",
         "no samples at rest": "has no samples while the robot rests,",
-    }.get(fault.detail, "reads zero all the time")
+    }.get(fault.detail, "is dead: it reads one value all the time, in which there is no gravity,")
     return Words(f"{su} {when} and is left out", _CHECK_SENSOR)
 
 

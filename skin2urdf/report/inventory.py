@@ -10,6 +10,7 @@ from skin2urdf.arrays import F64
 from skin2urdf.recording.records import JointStream, Recording, SuStream
 from skin2urdf.report.clocks import clock_notes
 from skin2urdf.report.document import to_plain
+from skin2urdf.report.faults import fault_words
 from skin2urdf.report.tables import bullets, number, span, table
 from skin2urdf.survey import Surveyed
 
@@ -38,9 +39,10 @@ def as_text(surveyed: Surveyed) -> str:
     if surveyed.sampled is not None:
         lines += ["", _found(surveyed, len(surveyed.sampled.rests))]
     lines += bullets("Notes", _notes(surveyed))
+    lines += bullets("Faults", _faults(surveyed))
     if surveyed.problems:
         lines += bullets("Missing", surveyed.problems)
-    else:
+    elif not _faults(surveyed):
         lines += ["", "Nothing is missing: calibrate with `skin2urdf calibrate`."]
     return "\n".join(lines) + "\n"
 
@@ -71,6 +73,7 @@ def as_document(surveyed: Surveyed) -> dict[str, Any]:
             "poses": len(surveyed.features.q) if surveyed.features else 0,
             "poses_with_pattern": int(surveyed.excited.any(axis=-1).sum()),
             "notes": _notes(surveyed),
+            "faults": _faults(surveyed),
             "missing": surveyed.problems,
         }
     )
@@ -181,12 +184,17 @@ def _found(surveyed: Surveyed, rests: int) -> str:
     return f"{rests} rests in {poses} poses; patterns around {patterned} of them"
 
 
+def _faults(surveyed: Surveyed) -> list[str]:
+    """What is wrong with the SUs' streams, in words."""
+    faults = surveyed.sampled.faults if surveyed.sampled is not None else ()
+    return [str(fault_words(fault, 1)) for fault in faults]
+
+
 def _notes(surveyed: Surveyed) -> list[str]:
     """Notes of every stage, each once."""
     notes = list(surveyed.inventory.notes)
     for stage in (surveyed.recording, surveyed.sampled, surveyed.features):
         notes += [note for note in (stage.notes if stage else ()) if note not in notes]
     if surveyed.sampled is not None:
-        notes += [str(fault) for fault in surveyed.sampled.faults]
         notes += clock_notes(surveyed.sampled.clocks)
     return notes

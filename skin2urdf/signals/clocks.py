@@ -22,6 +22,7 @@ from scipy.fft import irfft, next_fast_len, rfft
 
 from skin2urdf.arrays import F64, Bool
 from skin2urdf.recording.records import SuStream
+from skin2urdf.signals.commotion import change, refined, searched, speeds
 from skin2urdf.signals.motion import Motion
 from skin2urdf.signals.records import SuClock
 
@@ -45,6 +46,13 @@ _EXPLAINED = 0.6
 """Share of a stretch's energy that motion must explain for its lag to count."""
 _FEWEST = 3
 """Stretches from which a line is known to be one."""
+_LEAST_LEFT = 1e-3
+"""Share of a stretch's energy that is left beside linear motion at the least."""
+_PRIOR_FREEDOM = 4.0
+"""Degrees of freedom for which the stretches' own variances count beside their scatter about the
+line: few moves scatter little about any line, and slow ones over large angles share one error."""
+_MEDIAN = 0.455
+"""Median of the square of a standard normal variable."""
 _SIGNIFICANT = 4.0
 """Standard deviations from which an offset or a drift is no chance."""
 _LEAST_OFFSET = 5e-3
@@ -57,6 +65,8 @@ _NEAR = 0.05
 """What is left of lags after the first pass, at most [s]."""
 _SETTLED = 2e-4
 """Change of lags from one pass to the next that is none [s]."""
+_VAGUE = 0.01
+"""Deviation of a latency [s] from which it is worth another look."""
 _SAMPLES = 8
 """Samples of a stream that may tell anything."""
 _FEW = 16
@@ -93,11 +103,14 @@ def su_clocks(sus: Sequence[SuStream], motion: Motion) -> tuple[SuClock, ...]:
         One record for each SU whose clock is off significantly, none for the others.
     """
     stretches = _stretches(motion)
-    if len(stretches) < _FEWEST:
-        return ()
     grid = motion.grid
     middle = grid.start + (grid.size - 1) / (2 * grid.rate)
-    clocks = _clocks([su for su in sus if len(su.time) >= _SAMPLES], motion, stretches, middle)
+    sus_heard = [su for su in sus if len(su.time) >= _SAMPLES]
+    clocks = _clocks(sus_heard, motion, stretches, middle)
+    vague = [u for u, clock in enumerate(clocks) if clock.latency_sd > _VAGUE]
+    rough = _by_commotion([sus_heard[u] for u in vague], motion, middle)
+    for u, clock in zip(vague, rough, strict=True):
+        clocks[u] = min(clocks[u], clock, key=lambda c: c.latency_sd)
     groups = _groups([clock for clock in clocks if np.isfinite(clock.latency_sd)])
     off = [clock for group in groups for clock in group if _is_off(clock, motion)]
     if off and len(groups) == 1:
@@ -141,6 +154,40 @@ def _clocks(
     return clocks
 
 
+def _by_commotion(sus: Sequence[SuStream], motion: Motion, middle: float) -> list[SuClock]:
+    """The clock of each SU as how much it is moved when tells; infinite deviations where not."""
+    rate = motion.grid.rate / _EVERY
+    n = motion.grid.size // _EVERY
+    q = motion.q[: n * _EVERY].reshape(n, _EVERY, -1).mean(axis=1)
+    regressors = speeds(q[:, motion.moved], rate)
+    return [_of_one(su, motion, regressors, middle) for su in sus]
+
+
+def _of_one(su: SuStream, motion: Motion, regressors: F64, middle: float) -> SuClock:
+    """The clock of one SU by its commotion."""
+    nothing = SuClock(su.name, 0.0, np.inf, 0.0, np.inf, middle)
+    integral, rate = _Integral.of(su), motion.grid.rate / _EVERY
+    size = change(*integral.means(nothing, motion), rate)
+    if size is None:
+        return nothing
+    found = searched(size, regressors, rate, LARGEST_OFFSET, LARGEST_DRIFT)
+    if found is None:
+        return nothing
+    clock = replace(nothing, latency=found[0], drift=found[1])
+    for _ in range(_PASSES):
+        size = change(*integral.means(clock, motion), rate)
+        step = None if size is None else refined(size, regressors, rate)
+        if step is None:
+            return nothing
+        (late, fast), (late_sd, fast_sd) = step
+        clock = replace(
+            clock, latency=clock.latency + float(late), latency_sd=float(late_sd),
+            drift=clock.drift + float(fast), drift_sd=float(fast_sd),
+        )  # fmt: skip
+    far = abs(clock.latency - found[0]) > _NEAR or abs(clock.drift) > 1.1 * LARGEST_DRIFT
+    return nothing if far else clock
+
+
 def _is_off(clock: SuClock, motion: Motion) -> bool:
     """Whether a clock is off significantly, and by more than the poses' own search mends."""
     half = motion.grid.size / motion.grid.rate / 2
@@ -175,10 +222,9 @@ def _together(group: Sequence[SuClock]) -> list[SuClock]:
     """The clocks of a group, each with the weighted mean of all."""
 
     def mean(values: F64, sds: F64) -> tuple[float, float]:
+        # The SUs' errors come from the same motion, so that many are not better than the best.
         weight = 1 / sds**2
-        value = float(weight @ values / weight.sum())
-        excess = float(weight @ (values - value) ** 2) / max(len(values) - 1, 1)
-        return value, float(np.sqrt(max(1.0, excess) / weight.sum()))
+        return float(weight @ values / weight.sum()), float(sds.min())
 
     latency, latency_sd = mean(*np.array([(c.latency, c.latency_sd) for c in group]).T)
     drift, drift_sd = mean(*np.array([(c.drift, c.drift_sd) for c in group]).T)
@@ -362,7 +408,12 @@ def _best(
 
 
 def _refined(time: F64, score: F64, lags: F64, offset: float, drift: float) -> _Line | None:
-    """A line through the peaks of the stretches near a line, by robust weighted least squares."""
+    """A line through the peaks of the stretches near a line, by robust weighted least squares.
+
+    What is left in a stretch rises with the square of the lag's error; how fast tells the width of
+    the readings' spectrum, and with it how many independent values three axes have in a stretch.
+    What is left at the best lag, over both, is the variance of the peak.
+    """
     step = lags[1] - lags[0]
     near = np.rint((offset + drift * time - lags[0]) / step).astype(int)
     peaks, weights, rows = [], [], []
@@ -377,25 +428,28 @@ def _refined(time: F64, score: F64, lags: F64, offset: float, drift: float) -> _
         if i in (a, b - 1) or bend <= 0:
             continue
         peaks.append(lags[i] + 0.5 * step * (before - after) / bend)
-        weights.append(bend / here)
+        rise = bend / (2 * step**2)
+        values = max(1.0, 6 * _STRETCH * np.sqrt(rise) / (2 * np.pi))
+        weights.append(values * rise / (here - _MODEL + _LEAST_LEFT))
         rows.append(w)
     if len(rows) < _FEWEST:
         return None
-    x, y, strength = time[rows], np.array(peaks), np.array(weights)
+    x, y, certain = time[rows], np.array(peaks), np.array(weights)
     X = np.stack([np.ones_like(x), x], axis=1)
     solution = np.array([offset, drift])
+    # Neighbouring stretches share half their samples.
+    freedom = max(len(y) / 2 - 2, 0.0)
     for _ in range(10):
-        residual = y - X @ solution
-        scale = max(1.4826 * float(np.median(np.abs(residual))), 1e-5)
-        weight = strength / (1 + (residual / (2 * scale)) ** 2) ** 2
+        square = certain * (y - X @ solution) ** 2
+        bound = max(4 * float(np.median(square)) / _MEDIAN, 1e-4)
+        weight = certain / (1 + square / bound) ** 2
         products = X.T @ (weight[:, None] * X)
         if np.linalg.cond(products) > 1e12:
             return None
         solution = np.linalg.solve(products, X.T @ (weight * y))
-    residual = y - X @ solution
-    # Neighbouring stretches share half their samples.
-    freedom = max(len(y) / 2 - 2, 1.0)
-    variance = float((weight * residual**2).sum() / weight.sum()) * len(y) / 2 / freedom
-    covariance = np.linalg.inv(products) * weight.sum() * variance / (len(y) / 2)
-    sd = np.sqrt(np.diag(covariance))
+    square = weight * (y - X @ solution) ** 2
+    scale = (_PRIOR_FREEDOM + float(square.mean()) * freedom) / (_PRIOR_FREEDOM + freedom)
+    sd = np.sqrt(2 * scale * np.diag(np.linalg.inv(products)))
+    if abs(solution[0]) > 1.1 * LARGEST_OFFSET or abs(solution[1]) > 1.1 * LARGEST_DRIFT:
+        return None
     return _Line(float(solution[0]), float(solution[1]), float(sd[0]), float(sd[1]), len(y))

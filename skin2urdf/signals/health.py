@@ -9,6 +9,7 @@ import numpy as np
 
 from skin2urdf.arrays import F64, Bool, Int
 from skin2urdf.faults import Fault
+from skin2urdf.geometry.units import GRAVITY
 from skin2urdf.recording.records import SuStream
 
 _PLAUSIBLE = (0.6, 1.4)
@@ -25,6 +26,12 @@ _PLATEAU = 6
 """Samples in a row at an extreme from which their sides tell whether it was cut off."""
 _DIGIT = 2.5e-3
 """A digit of a 10 bit sensor, over its range."""
+_MOVING = 100
+"""Measurements while the robot moves from which a range can be judged."""
+_ALIKE = 0.8
+"""End of an axis' range over that of another: scale and bias that drivers correct are less."""
+_SPIKES = 5
+"""Samples that may lie beyond any range, as damage of the transmission."""
 _FALSE_ALARM = 1e-9
 """Probability that chance alone makes an SU of a log count as frozen."""
 _SHORTEST_FREEZE = 0.25
@@ -158,8 +165,9 @@ def _thawed(su: SuStream, chance: float) -> tuple[Bool, list[Fault]]:
     if not stretches:
         return kept, []
     if kept.sum() < 0.02 * len(kept):
-        zero = bool((su.specific_force[~kept] == 0).all())
-        return np.zeros_like(kept), [Fault("dead" if zero else "frozen", su.name, "always")]
+        size = float(np.median(np.linalg.norm(su.specific_force, axis=1)))
+        gravity = any(_PLAUSIBLE[0] < size / one_g < _PLAUSIBLE[1] for one_g in (1.0, GRAVITY))
+        return np.zeros_like(kept), [Fault("frozen" if gravity else "dead", su.name, "always")]
     first, last = min(a for a, _ in stretches), max(b for _, b in stretches)
     long = sum(b - a for a, b in stretches)
     return kept, [Fault("frozen", su.name, begin=first, end=last, size=long, unit="s")]
@@ -214,23 +222,38 @@ def clipping(raw: F64, still: Bool) -> Bool:
     so that its extreme holds far more samples than the values next to it. That is judged while
     the robot moves: a sensor without noise may rest at its extreme.
     """
-    ends = []
-    moving, noise = raw[~still], rest_noise(raw, still)
-    if len(moving) < 100:
+    # A value that is sent again is no measurement that stayed where it was.
+    new = np.ones(len(raw), dtype=bool)
+    new[1:] = (np.diff(raw, axis=0) != 0).any(axis=1)
+    values, quiet = raw[new], still[new]
+    moving, noise = values[~quiet], rest_noise(raw, still)
+    if len(moving) < _MOVING:
         return np.zeros(len(raw), dtype=bool)
-    for column, motion in zip(raw.T, moving.T, strict=True):
-        values, counts = np.unique(motion, return_counts=True)
-        if values[-1] - values[0] < _LEAST_NOISE:
-            continue
-        for inward in (slice(None), slice(None, None, -1)):
-            end, many = values[inward], counts[inward]
-            begin, stop = _longest((column == end[0]) & ~still)
-            long = len(values) > _VARIED and stop - begin >= _PLATEAU
-            if (long and _steep(column, begin, stop)) or _piled(motion == end[0], end, many, noise):
-                ends.append(abs(float(end[0])))
-    # One range for all axes, but for the digit that two's complement lacks above zero.
+    ends = [abs(end) for column in values.T for end in _ends(column, quiet, noise)]
+    # One range for all axes: what another reads beyond is inside of it, but for what a driver
+    # corrects of each axis, and for spikes.
+    size = np.abs(values).max(axis=1)
+    largest = float(np.partition(size, -_SPIKES)[-_SPIKES])
+    ends = [end for end in ends if end > _ALIKE * largest]
+    # The digit that two's complement lacks above zero is in it.
     limit = min(ends, default=np.inf) * (1 - _DIGIT)
     return np.asarray((np.abs(raw) >= limit).any(axis=1))
+
+
+def _ends(column: F64, still: Bool, noise: float) -> list[float]:
+    """Ends of the range that one axis (M,) meets while the robot moves."""
+    values, counts = np.unique(column[~still], return_counts=True)
+    if values[-1] - values[0] < _LEAST_NOISE:
+        return []
+    ends = []
+    for inward in (slice(None), slice(None, None, -1)):
+        end, many = values[inward], counts[inward]
+        begin, stop = _longest((column == end[0]) & ~still)
+        long = len(values) > _VARIED and stop - begin >= _PLATEAU
+        at = column[~still] == end[0]
+        if (long and _steep(column, begin, stop)) or _piled(at, end, many, noise):
+            ends.append(float(end[0]))
+    return ends
 
 
 def _piled(at: Bool, values: F64, counts: Int, noise: float) -> bool:

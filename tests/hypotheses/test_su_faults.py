@@ -271,6 +271,33 @@ def test_one_peak_that_is_cut_off_is_clipped_and_a_flat_one_is_not() -> None:
     assert not clipping(slow, moving).any()
 
 
+def test_values_that_are_sent_again_are_no_plateau() -> None:
+    """Boards that are polled faster than they measure repeat all axes, at an extreme as well."""
+    time = np.arange(800) / 20
+    rng = np.random.default_rng(3)
+    wave = 9.8 * np.sin(0.7 * time[:, None] + [0.0, 1.0, 2.0])
+    wave += rng.normal(scale=0.03, size=wave.shape)
+    wave[400] = [11.5, -2.0, 3.0]
+    held = np.repeat(np.round(wave / 0.01) * 0.01, 7, axis=0)
+    assert not clipping(held, np.zeros(len(held), dtype=bool)).any()
+
+
+def test_no_axis_ends_where_another_reads_on() -> None:
+    """An axis along the joint's hardly moves, and stays at its extreme for long."""
+    time = np.arange(6000) / 500
+    wave = 9.8 * np.sin(np.pi * time[:, None] + [0.0, 1.5, 0.0])
+    wave[:, 2] = np.minimum(0.5 * np.sin(1.5 * time), 0.45)
+    digital = np.round(wave / 0.01) * 0.01
+    assert not clipping(digital, np.zeros(len(digital), dtype=bool)).any()
+
+
+@pytest.mark.parametrize(("value", "kind"), [(0.0, "dead"), (-6e-4, "dead"), (5.7, "frozen")])
+def test_one_value_throughout_is_dead_unless_gravity_may_be_in_it(value: float, kind: str) -> None:
+    whole = stream(noise())
+    same = replace(whole, specific_force=np.full_like(whole.specific_force, value))
+    assert kinds(same, whole, whole)[0] == [kind]
+
+
 def test_each_fault_is_told_once() -> None:
     a, b = Fault("dead", "su_1", log=0), Fault("dead", "su_2", log=0)
     assert distinct([a, b, replace(a, log=1)]) == (a, b)

@@ -110,3 +110,19 @@ def test_sus_on_one_clock_are_told_together() -> None:
     assert "170" in notes[0]
     assert "300" in notes[0]
     assert "su_c" in notes[1]
+
+
+@pytest.mark.parametrize(("latency", "drift"), [(0.0, 0.0), (0.17, 3.3e-3), (-1.5, -9e-3)])
+def test_moves_of_all_joints_show_the_clock(latency: float, drift: float) -> None:
+    """No stretch is linear there; how much is moved when tells the time all the same."""
+    sim = simulation("panda", excite="none", minutes=1.5, seed=7)
+    recording = retimed(sim.recording, latency, drift)
+    clocks = su_clocks(recording.sus, joint_motion(recording))
+    if not latency:
+        assert not clocks
+        return
+    assert {clock.su for clock in clocks} == {su.name for su in recording.sus}
+    for clock in clocks:
+        assert clock.latency == pytest.approx(latency, abs=4e-3)
+        assert clock.drift == pytest.approx(drift, abs=2e-4)
+        assert abs(clock.latency - latency) < 4 * clock.latency_sd

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from math import pi
 from typing import TypeVar
@@ -39,7 +39,11 @@ def draw_for(draw: Draw, defect: Defect, whom: str = "") -> np.random.Generator:
 
 
 def record_joints(
-    mechanism: Mechanism, motion: JointMotion, settings: SimulationSettings, draw: Draw
+    mechanism: Mechanism,
+    motion: JointMotion,
+    settings: SimulationSettings,
+    draw: Draw,
+    torque: Callable[[F64], F64] | None = None,
 ) -> tuple[JointStream, ...]:
     """Sample the encoders.
 
@@ -48,6 +52,8 @@ def record_joints(
         motion: what its encoders see.
         settings: rate, resolutions, jitter.
         draw: source of the jitter.
+        torque: what the gears bear (N, D) at times (N,) of the motion's clock, where that is
+            measured [N m or N].
 
     Returns:
         D streams sorted by name that share one time array, on the motion's clock.
@@ -60,7 +66,13 @@ def record_joints(
     position = encode(motion.at(time)[0], resolution)
     stamps = frozen(stamp(time, settings.jitter, 0.0, draw("joint clock")))
     by_name = sorted(enumerate(mechanism.joint_names), key=lambda item: item[1])
-    return tuple(JointStream(name, stamps, position[:, d]) for d, name in by_name)
+    if torque is None or settings.torque_noise is None:
+        return tuple(JointStream(name, stamps, position[:, d]) for d, name in by_name)
+    noise = settings.torque_noise * draw("torque").standard_normal(position.shape)
+    effort = torque(time) + noise
+    return tuple(
+        JointStream(name, stamps, position[:, d], effort=effort[:, d]) for d, name in by_name
+    )
 
 
 def record_sus(

@@ -103,16 +103,20 @@ def record_sus(
     phase = draw("phase").uniform(0.0, float(settings.stagger), len(sus)) / settings.imu_rate
     noise, clock = draw("noise"), draw("SU clock")
     streams = []
+    speeds = np.abs(motion.at(time)[1]) if settings.defects else np.empty((0, 0))
     forces.reverse()
     for u, su in enumerate(sus):
         # Of a long recording there is no room for what the SUs feel and what they report.
         defects = [(defect, draw_for(draw, defect, su.name)) for defect in settings.defects]
-        felt = Felt(su.name, time, forces.pop(), _speed(mechanism, motion, su.joint, time))
-        for defect, rng in defects:
-            felt = replace(felt, force=defect.shake(felt, rng))
-        for defect, rng in defects:
-            felt = replace(felt, force=defect.sense(felt, rng))
-        sampled, force = _shifted(time, felt.force, phase[u])
+        force = forces.pop()
+        if defects:
+            felt = Felt(su.name, time, force, speeds[:, _chain(mechanism, su.joint)].sum(axis=1))
+            for defect, rng in defects:
+                felt = replace(felt, force=defect.shake(felt, rng))
+            for defect, rng in defects:
+                felt = replace(felt, force=defect.sense(felt, rng))
+            force = felt.force
+        sampled, force = _shifted(time, force, phase[u])
         shown = sampled
         for defect, rng in defects:
             shown = defect.clock(shown, rng)
@@ -130,13 +134,13 @@ def shift_clock(streams: Sequence[Stream], shift: float) -> tuple[Stream, ...]:
     return tuple(replace(stream, time=shifted[id(stream.time)]) for stream in streams)
 
 
-def _speed(mechanism: Mechanism, motion: JointMotion, joint: int, time: F64) -> F64:
-    """(N,) sum of the speeds of a joint and those that carry it [rad/s, m/s]."""
+def _chain(mechanism: Mechanism, joint: int) -> list[int]:
+    """A joint and all that carry it; none for -1."""
     chain = []
     while joint >= 0:
         chain.append(joint)
         joint = int(mechanism.parent[joint])
-    return np.asarray(np.abs(motion.at(time)[1][:, chain]).sum(axis=1))
+    return chain
 
 
 def _sample_times(motion: JointMotion, rate: float) -> F64:

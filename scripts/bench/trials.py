@@ -21,11 +21,12 @@ from skin2urdf.arrays import F64
 from skin2urdf.errors import Skin2UrdfError, UsageError
 from skin2urdf.estimation.uncertainty.observability import aligned_deviations
 from skin2urdf.recording.retiming import retimed
-from skin2urdf.simulation import SimulationSettings, Truth, load_robot, simulate
+from skin2urdf.simulation import RobotSpec, SimulationSettings, Truth, load_robot, simulate
+from skin2urdf.simulation.robots import example_robot_data
 from skin2urdf.simulation.settings import Excitation
 
 TWO_ARMS = "two_arms"
-"""The tree of the bench; all other robots are those of the package."""
+"""The tree of the bench: Baxter's shoulders and elbows, two arms of four joints on one torso."""
 CONFIGURATIONS = 60
 
 
@@ -129,9 +130,12 @@ Trial = Record[Case, Figures]
 """One line of the output."""
 
 
-def robot_path(name: str) -> str | Path:
-    """What `load_robot` takes for a robot of the bench."""
-    return Path(__file__).parent / f"{name}.toml" if name == TWO_ARMS else name
+def robot(name: str) -> RobotSpec:
+    """A robot of the package, or the bench's own."""
+    if name != TWO_ARMS:
+        return load_robot(name)
+    baxter = load_robot(example_robot_data() / "baxter_description/urdf/baxter.urdf")
+    return replace(baxter, name=name, moving=("left_[se]*", "right_[se]*"))
 
 
 def calibration_settings(motion: str) -> CalibrationSettings:
@@ -151,7 +155,7 @@ def calibration_settings(motion: str) -> CalibrationSettings:
 def perform(case: Case) -> Figures:
     """Do a case; that the package refuses a recording is part of it."""
     warnings.simplefilter("ignore")
-    simulation = simulate(load_robot(robot_path(case.robot)), case.settings)
+    simulation = simulate(robot(case.robot), case.settings)
     settings = calibration_settings(case.motion)
     truth = simulation.truth
     recording = retimed(simulation.recording)

@@ -14,13 +14,16 @@ LITTLE_ENDIAN_CDR = b"\x00\x01\x00\x00"
 NOT_MEASURED = [-1.0] + [0.0] * 8
 
 
-def joint_state_payloads(stamp: Int, names: Sequence[str], position: F64) -> U8:
-    """Build sensor_msgs/msg/JointState payloads without velocities and efforts.
+def joint_state_payloads(
+    stamp: Int, names: Sequence[str], position: F64, effort: F64 | None = None
+) -> U8:
+    """Build sensor_msgs/msg/JointState payloads without velocities.
 
     Args:
         stamp: (N,) header stamps [ns].
         names: J joint names.
         position: (N, J) positions [rad or m].
+        effort: (N, J) efforts [N m or N]; None to leave them out.
 
     Returns:
         (N, L) payloads, little endian.
@@ -29,8 +32,12 @@ def joint_state_payloads(stamp: Int, names: Sequence[str], position: F64) -> U8:
     for name in names:
         body = _string(body, name)
     body = _padded(body, 4) + struct.pack("<I", len(names))
-    behind = struct.pack("<II", 0, 0)
-    return _rows(stamp, _padded(body, 8), position, behind)
+    if effort is None:
+        return _rows(stamp, _padded(body, 8), position, struct.pack("<II", 0, 0))
+    # Doubles are 8 bytes, and so are the two lengths between them: all stay aligned.
+    lengths = np.frombuffer(struct.pack("<II", 0, len(names)), "<f8")
+    between = np.broadcast_to(lengths, (len(stamp), 1))
+    return _rows(stamp, _padded(body, 8), np.hstack([position, between, effort]), b"")
 
 
 def imu_payloads(stamp: Int, frame_id: str, specific_force: F64) -> U8:

@@ -16,16 +16,20 @@ class JointStream:
         time: (N,) strictly increasing times [s] since the recording's start.
         position: (N,) measured positions [rad, or m for a prismatic joint].
         stamp_noise: scatter of the stamps, one by one, that the times were made from [s].
+        effort: (N,) measured torques [N m, or N for a prismatic joint]; None where there are none.
     """
 
     name: str
     time: F64
     position: F64
     stamp_noise: float = 0.0
+    effort: F64 | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "time", frozen(self.time))
         object.__setattr__(self, "position", frozen(self.position))
+        if self.effort is not None:
+            object.__setattr__(self, "effort", frozen(self.effort))
 
 
 @dataclass(frozen=True, eq=False)

@@ -32,8 +32,10 @@ def retimed(recording: Recording) -> Recording:
         signal = np.stack([j.position for j in members], axis=1)
         time, kept, noise = _times(members[0].time, signal)
         for j in members:
-            position = _of(j.position, kept)
-            joints[j.name] = replace(j, time=time, position=position, stamp_noise=noise)
+            effort = None if j.effort is None else _of(j.effort, kept)
+            joints[j.name] = replace(
+                j, time=time, position=_of(j.position, kept), stamp_noise=noise, effort=effort
+            )
     return replace(
         recording, joints=tuple(joints[j.name] for j in recording.joints), sus=tuple(sus)
     )

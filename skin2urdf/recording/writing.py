@@ -155,7 +155,10 @@ def _channels(
         stamp = _stamps(group[0].time, start)
         position = np.stack([joint.position for joint in group], axis=1)
         names = [joint.name for joint in group]
-        payload = joint_state_payloads(stamp, names, position)
+        efforts = [joint.effort for joint in group if joint.effort is not None]
+        # A message has the efforts of all of its joints or of none.
+        effort = np.stack(efforts, axis=1) if len(efforts) == len(group) else None
+        payload = joint_state_payloads(stamp, names, position, effort)
         yield _Channel(joint_topic, JOINT_STATE, stamp, payload)
     for su in recording.sus:
         topic = su.topic or f"/{su.name}"

@@ -229,7 +229,8 @@ def _between(recording: Recording, begin: float, end: float) -> Recording:
     joints, sus = [], []
     for joint in recording.joints:
         time, rows = part(joint)
-        joints.append(replace(joint, time=time, position=joint.position[rows]))
+        effort = None if joint.effort is None else joint.effort[rows]
+        joints.append(replace(joint, time=time, position=joint.position[rows], effort=effort))
     for su in recording.sus:
         time, rows = part(su)
         sus.append(replace(su, time=time, specific_force=su.specific_force[rows]))

@@ -71,6 +71,8 @@ class SimulationSettings:
         encoder_bits: resolution of revolute encoders [bits per revolution]; None for exact ones.
         linear_resolution: resolution of prismatic encoders [m]; without effect where
             ``encoder_bits`` is None.
+        torque_noise: rms noise of the torque that every gear bears, measured on the link's side and
+            sent as effort with the positions [N m or N]; None for no efforts.
         jitter: rms noise of the time stamps on regular samples [s].
         lag: clock lag of each SU is drawn uniformly from [0, lag] [s].
         stagger: True gives each SU its own sampling phase; False samples all at the same instants.
@@ -93,6 +95,7 @@ class SimulationSettings:
     joint_rate: float = 250.0
     encoder_bits: int | None = 17
     linear_resolution: float = 1e-6
+    torque_noise: float | None = None
     jitter: float = 1e-4
     lag: float = 0.0
     stagger: bool = True
@@ -108,7 +111,10 @@ class SimulationSettings:
             "imu_rate and joint_rate must be positive": min(self.imu_rate, self.joint_rate) > 0,
             "encoder_bits must be positive": self.encoder_bits is None or self.encoder_bits > 0,
             "linear_resolution must be positive": self.linear_resolution > 0,
-            "jitter and lag must not be negative": min(self.jitter, self.lag) >= 0,
+            "jitter, lag and torque_noise must not be negative": min(
+                self.jitter, self.lag, self.torque_noise or 0.0
+            )
+            >= 0,
             "numbers of SUs must not be negative": min(
                 self.sus_per_segment or 0, self.sus_on_base or 0
             )

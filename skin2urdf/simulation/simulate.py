@@ -106,7 +106,7 @@ def simulate(robot: RobotSpec, settings: SimulationSettings) -> Simulation:
     rng = draw("sensors")
     sensors = [draw_accelerometer(settings.sensor_grade, rng) for _ in sus]
     lag = draw("lag").uniform(0.0, settings.lag, len(sus))
-    joint_streams = record_joints(mechanism, motor, settings, draw)
+    joint_streams = record_joints(mechanism, motor, settings, draw, moved.torque)
     su_streams = record_sus(moved.mechanism, moved.motion, moved.sus, sensors, lag, settings, draw)
     start = min(float(time[0]) for time in [joint_streams[0].time, *(s.time for s in su_streams)])
     recording = Recording(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from math import pi
 from typing import TypeVar
@@ -39,7 +39,11 @@ def draw_for(draw: Draw, defect: Defect, whom: str = "") -> np.random.Generator:
 
 
 def record_joints(
-    mechanism: Mechanism, motion: JointMotion, settings: SimulationSettings, draw: Draw
+    mechanism: Mechanism,
+    motion: JointMotion,
+    settings: SimulationSettings,
+    draw: Draw,
+    torque: Callable[[F64], F64] | None = None,
 ) -> tuple[JointStream, ...]:
     """Sample the encoders.
 
@@ -48,6 +52,8 @@ def record_joints(
         motion: what its encoders see.
         settings: rate, resolutions, jitter.
         draw: source of the jitter.
+        torque: what the gears bear (N, D) at times (N,) of the motion's clock, where that is
+            measured [N m or N].
 
     Returns:
         D streams sorted by name that share one time array, on the motion's clock.
@@ -60,7 +66,13 @@ def record_joints(
     position = encode(motion.at(time)[0], resolution)
     stamps = frozen(stamp(time, settings.jitter, 0.0, draw("joint clock")))
     by_name = sorted(enumerate(mechanism.joint_names), key=lambda item: item[1])
-    return tuple(JointStream(name, stamps, position[:, d]) for d, name in by_name)
+    if torque is None or settings.torque_noise is None:
+        return tuple(JointStream(name, stamps, position[:, d]) for d, name in by_name)
+    noise = settings.torque_noise * draw("torque").standard_normal(position.shape)
+    effort = torque(time) + noise
+    return tuple(
+        JointStream(name, stamps, position[:, d], effort=effort[:, d]) for d, name in by_name
+    )
 
 
 def record_sus(
@@ -91,16 +103,20 @@ def record_sus(
     phase = draw("phase").uniform(0.0, float(settings.stagger), len(sus)) / settings.imu_rate
     noise, clock = draw("noise"), draw("SU clock")
     streams = []
+    speeds = np.abs(motion.at(time)[1]) if settings.defects else np.empty((0, 0))
     forces.reverse()
     for u, su in enumerate(sus):
         # Of a long recording there is no room for what the SUs feel and what they report.
         defects = [(defect, draw_for(draw, defect, su.name)) for defect in settings.defects]
-        felt = Felt(su.name, time, forces.pop(), _speed(mechanism, motion, su.joint, time))
-        for defect, rng in defects:
-            felt = replace(felt, force=defect.shake(felt, rng))
-        for defect, rng in defects:
-            felt = replace(felt, force=defect.sense(felt, rng))
-        sampled, force = _shifted(time, felt.force, phase[u])
+        force = forces.pop()
+        if defects:
+            felt = Felt(su.name, time, force, speeds[:, _chain(mechanism, su.joint)].sum(axis=1))
+            for defect, rng in defects:
+                felt = replace(felt, force=defect.shake(felt, rng))
+            for defect, rng in defects:
+                felt = replace(felt, force=defect.sense(felt, rng))
+            force = felt.force
+        sampled, force = _shifted(time, force, phase[u])
         shown = sampled
         for defect, rng in defects:
             shown = defect.clock(shown, rng)
@@ -118,13 +134,13 @@ def shift_clock(streams: Sequence[Stream], shift: float) -> tuple[Stream, ...]:
     return tuple(replace(stream, time=shifted[id(stream.time)]) for stream in streams)
 
 
-def _speed(mechanism: Mechanism, motion: JointMotion, joint: int, time: F64) -> F64:
-    """(N,) sum of the speeds of a joint and those that carry it [rad/s, m/s]."""
+def _chain(mechanism: Mechanism, joint: int) -> list[int]:
+    """A joint and all that carry it; none for -1."""
     chain = []
     while joint >= 0:
         chain.append(joint)
         joint = int(mechanism.parent[joint])
-    return np.asarray(np.abs(motion.at(time)[1][:, chain]).sum(axis=1))
+    return chain
 
 
 def _sample_times(motion: JointMotion, rate: float) -> F64:

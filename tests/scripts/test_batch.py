@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
+import defects
 import faults
 import monte_carlo
 import pytest
@@ -229,7 +230,7 @@ def test_two_states_of_the_code_are_told(
 
 def test_all_scripts_have_the_same_options() -> None:
     shared = ("output", "first_seed", "recordings", "jobs", "scheduler", "retry", "summary_only")
-    for script in (validate, faults, monte_carlo, random_chains):
+    for script in (validate, defects, faults, monte_carlo, random_chains):
         options = script.parser().parse_args(
             ["--output", "x", "--first-seed", "7", "--recordings", "2", "--jobs", "0"]
         )

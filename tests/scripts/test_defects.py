@@ -11,9 +11,8 @@ from batch.records import Record
 from batch.store import Store
 from bench.rows import ROWS, SOUND
 from bench.table import report, shortfalls
-from bench.trials import TWO_ARMS, Case, Figures, Trial, robot_path
+from bench.trials import TWO_ARMS, Case, Figures, Trial, robot
 
-from skin2urdf.simulation import load_robot
 from skin2urdf.simulation.mechanism import load_mechanism
 
 GOOD = Figures(
@@ -94,7 +93,7 @@ def test_impossible_options_are_refused_in_words(capsys: pytest.CaptureFixture[s
 
 
 def test_the_tree_has_two_arms() -> None:
-    spec = load_robot(robot_path(TWO_ARMS))
+    spec = robot(TWO_ARMS)
     parent = load_mechanism(spec, spec.base_rpy).parent
     assert len(parent) == 8
     assert list(parent).count(-1) == 2

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from math import pi
+from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
 import pytest
 
 from skin2urdf.arrays import F64
+from skin2urdf.recording.reading import read
+from skin2urdf.recording.writing import write
 from skin2urdf.simulation import Simulation, SimulationSettings, load_robot, simulate
 from skin2urdf.simulation.defects import (
     Backlash,
@@ -206,12 +210,14 @@ def test_the_log_of_elastic_gears_holds_the_motors_positions(elastic: Simulation
 
 def test_gears_tell_the_torque_that_they_carry(elastic: Simulation) -> None:
     moved = elastic.moved
-    assert moved.torque is not None
     k = np.array([9000.0] * 3 + [4000.0] * 3)
     motor, _, _ = moved.motor.at(moved.motion.time)
     twist = motor - moved.motion.position
     n = int(np.searchsorted(moved.motion.time, rest_of(elastic)))
-    np.testing.assert_allclose(moved.torque[n], k * twist[n], atol=0.1)
+    torque = moved.torque(moved.motion.time[n : n + 1])[0]
+    np.testing.assert_allclose(torque, k * twist[n], atol=0.1)
+    weight = gravity_torque(moved.motion.position[n])
+    np.testing.assert_allclose(torque, weight, atol=0.3)
 
 
 def test_a_base_tilts_by_the_moment_of_the_weight() -> None:
@@ -297,3 +303,23 @@ def test_backlash_is_half_a_gap_where_the_load_is_clear() -> None:
     assert clear.sum() >= 2
     expected = 0.5e-3 * np.sign(load[clear]) + load[clear] / 1e6
     np.testing.assert_allclose(off[clear], expected, atol=2e-5)
+
+
+def test_efforts_are_what_holds_the_links(tmp_path: Path) -> None:
+    settings = SimulationSettings(
+        excite="none", minutes=0.05, imu_rate=50.0, joint_rate=50.0, seed=2, torque_noise=0.0
+    )
+    simulation = simulate(load_robot("ur5"), settings)
+    plain = simulate(load_robot("ur5"), replace(settings, torque_noise=None)).recording
+    assert all(joint.effort is None for joint in plain.joints)
+    by_name = {joint.name: joint for joint in simulation.recording.joints}
+    first = simulation.truth.motion.at(np.array([simulation.truth.start]))[0][0]
+    efforts = [by_name[name].effort for name in simulation.truth.joint_names]
+    started = np.array([effort[0] for effort in efforts if effort is not None])
+    np.testing.assert_allclose(started, gravity_torque(first), atol=0.05)
+    # A file with efforts is read as one without: positions stay where they are.
+    write(simulation.recording, tmp_path / "log.mcap")
+    back = read(tmp_path / "log.mcap")
+    assert [joint.name for joint in back.joints] == sorted(by_name)
+    for joint in back.joints:
+        np.testing.assert_array_equal(joint.position, by_name[joint.name].position)

@@ -111,8 +111,8 @@ class Moved:
         sus: U SUs at their places on it.
         rows: (D,) which of its joints are the robot's D joints.
         motor: the motion that the encoders of the D joints see.
-        torque: (K, D) what the gears carry at the times of ``motion``, link-side [N m or N]; None
-            where nothing gives way.
+        borne: (K, D) what the gears bear at the times of ``motion``, link-side [N m or N]; None
+            where nothing gives way, since then nobody needed it.
     """
 
     mechanism: Mechanism
@@ -120,12 +120,12 @@ class Moved:
     sus: tuple[PlacedSu, ...]
     rows: Int
     motor: JointMotion
-    torque: F64 | None = None
+    borne: F64 | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "rows", frozen(self.rows, np.int64))
-        if self.torque is not None:
-            object.__setattr__(self, "torque", frozen(self.torque))
+        if self.borne is not None:
+            object.__setattr__(self, "borne", frozen(self.borne))
 
     @property
     def links(self) -> JointMotion:
@@ -133,6 +133,19 @@ class Moved:
         if self.motion.position.shape[1] == len(self.rows):
             return self.motion
         return JointMotion(self.motion.time, self.motion.position[:, self.rows])
+
+    def torque(self, time: F64) -> F64:
+        """(N, D) what the gears bear at times (N,), link-side [N m or N]."""
+        if self.borne is not None:
+            from scipy.interpolate import make_interp_spline
+
+            return np.asarray(make_interp_spline(self.motion.time, self.borne, k=3)(time))
+        import pinocchio as pin
+
+        model, data = self.mechanism.model, self.mechanism.model.createData()
+        position, velocity, acceleration = self.motion.at(time)
+        rows = zip(self.mechanism.configuration(position), velocity, acceleration, strict=True)
+        return np.array([np.array(pin.rnea(model, data, q, v, a)) for q, v, a in rows])
 
 
 @dataclass(frozen=True, eq=False)

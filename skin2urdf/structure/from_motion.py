@@ -12,7 +12,7 @@ if there are more.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -20,9 +20,11 @@ from skin2urdf.arrays import F64, Bool, frozen
 from skin2urdf.errors import StructureError
 from skin2urdf.geometry.so3 import frame_with_z
 from skin2urdf.signals.sampling import Sampled
+from skin2urdf.structure.accelerations import Along, ChainJoint, along
+from skin2urdf.structure.draft import Draft, in_best_order, with_unseen_joints
 from skin2urdf.structure.gravity import gravity_windows
 from skin2urdf.structure.growth import Growth
-from skin2urdf.structure.records import JointType, KinematicTree
+from skin2urdf.structure.records import KinematicTree
 
 _STEPS = 4.0
 """Deviations of an encoder by which a joint moves that stands still."""
@@ -34,19 +36,20 @@ class MotionTree:
 
     All directions are given in the base frame of the first log, whose z axis points up, with the
     robot at position zero: a segment's rotation is ``Rot(k_1, q_1) .. Rot(k_n, q_n)``. What only
-    turns everything about the vertical is arbitrary.
+    turns everything about the vertical is arbitrary, and so is a branch's turn about it before the
+    first joint that turns gravity.
 
     Attributes:
         tree: the structure, D joints and U SUs.
-        axes: (D, 3) unit joint axes.
+        axes: (D, 3) unit joint axes, or directions of sliding joints.
         R_base_su: (U, 3, 3) SU orientations.
         up: (G, 3) unit vectors opposite to gravity, per log; the first is z.
         bias: (U, 3) of the SUs [m/s^2].
         shape: (U, 6) scale errors xx, yy, zz and cross-axis yz, xz, xy of the SUs [1].
         chi2: (U,) chi-squared per measurement that gravity leaves of each SU; about 1 or less where
             it is explained, given what accelerations can make of it.
-        misfit: half the logarithm of chi-squared per measurement, summed over all of them, and the
-            price of all parameters: less is better, and a difference of 10 is certain.
+        left: (U,) rms of what a linear fit of the accelerations along the whole logs leaves of each
+            SU's readings [m/s^2]: the noise where the structure is right.
     """
 
     tree: KinematicTree
@@ -56,11 +59,16 @@ class MotionTree:
     bias: F64
     shape: F64
     chi2: F64
-    misfit: float
+    left: F64
 
     def __post_init__(self) -> None:
-        for name in ("axes", "R_base_su", "up", "bias", "shape", "chi2"):
+        for name in ("axes", "R_base_su", "up", "bias", "shape", "chi2", "left"):
             object.__setattr__(self, name, frozen(getattr(self, name)))
+
+    @property
+    def misfit(self) -> float:
+        """Rms of what is left of all SUs' readings [m/s^2]."""
+        return float(np.sqrt(np.mean(self.left**2)))
 
 
 def trees_from_motion(
@@ -73,6 +81,9 @@ def trees_from_motion(
         su_names: U SU names.
         seed: of the random axes from which chains are searched where segments carry no SU.
 
+    Returns:
+        The best tree, and those that the log does not tell from it for certain.
+
     Raises:
         StructureError: no SU feels any joint move.
     """
@@ -80,12 +91,21 @@ def trees_from_motion(
     moved = moved_joints(sampled)
     growth = Growth(windows, tuple(np.flatnonzero(moved)), np.random.default_rng(seed))
     growth.grow()
-    if len(growth.segments) < 2:
+    samples = along(sampled)
+    draft = _as_grown(growth)
+    unplaced = [int(d) for d in np.flatnonzero(moved) if d not in {j.dof for j in draft.joints}]
+    draft, otherwise = with_unseen_joints(draft, samples, unplaced)
+    if not draft.joints:
         raise StructureError(
             "no SU feels any joint move",
             "check that the joints moved during the log, and that the SUs sit on moving segments",
         )
-    return (_motion_tree(growth, sampled, moved),)
+    draft, reordered = in_best_order(draft, samples)
+    best, *others = (
+        _motion_tree(d, growth, samples, sampled, moved) for d in (draft, *reordered, *otherwise)
+    )
+    notes = (*best.tree.notes, *(_doubt(best.tree, other.tree) for other in others))
+    return replace(best, tree=replace(best.tree, notes=notes)), *others
 
 
 def moved_joints(sampled: Sequence[Sampled]) -> Bool:
@@ -98,46 +118,104 @@ def moved_joints(sampled: Sequence[Sampled]) -> Bool:
     return out
 
 
-def _motion_tree(growth: Growth, sampled: Sequence[Sampled], moved: Bool) -> MotionTree:
-    """The tree as grown, without joints that no SU sits beyond."""
-    windows = growth.windows
-    at, misfit = growth.best()
-    heard = np.flatnonzero(growth.n > 0)
-    carrying = sorted({s for u in heard for s in growth.chain(int(at[u]))})
+def _as_grown(growth: Growth) -> Draft:
+    """The tree that gravity shows, without joints that no SU sits beyond."""
+    at, _ = growth.best()
+    heard = growth.n > 0
+    carrying = sorted({s for u in np.flatnonzero(heard) for s in growth.chain(int(at[u]))})
     index = {s: j for j, s in enumerate(carrying)} | {0: -1, -1: -1}
     segments = [growth.segments[s] for s in carrying]
-    names, notes = windows.dof_names, []
-    notes += [
+    fits = [growth.segments[int(s)].fits.one(u) for u, s in enumerate(at)]
+    return Draft(
+        joints=tuple(ChainJoint(s.dof, "revolute", _triple(s.axis)) for s in segments),
+        parent=tuple(index[s.parent] for s in segments),
+        su_joint=np.array(
+            [index[int(s)] if ok else -2 for s, ok in zip(at, heard, strict=True)], dtype=np.int64
+        ),
+        R=np.array([f.R[0] for f in fits]),
+        sensor=np.array([f.sensor[0] for f in fits]),
+        up=np.where(np.isnan(growth.up), (0.0, 0.0, 1.0), growth.up),
+    )
+
+
+def _triple(axis: F64) -> tuple[float, float, float]:
+    """A vector as what a frozen record may hold."""
+    return float(axis[0]), float(axis[1]), float(axis[2])
+
+
+def _motion_tree(
+    draft: Draft, growth: Growth, samples: Along, sampled: Sequence[Sampled], moved: Bool
+) -> MotionTree:
+    """A draft in the frame of the first log, with words on what is left out."""
+    windows = growth.windows
+    names = windows.dof_names
+    heard = np.flatnonzero(draft.su_joint >= -1)
+    notes = [
         f"{windows.su_names[u]} has no usable readings and is left out"
-        for u in np.flatnonzero(growth.n == 0)
+        for u in np.flatnonzero(draft.su_joint < -1)
     ]
-    felt = {s.dof for s in segments}
-    span = np.max([np.ptp(s.motion.q, axis=0) for s in sampled], axis=0)
-    for d, name in enumerate(names):
-        if d not in felt:
-            why = f"it moved by {span[d]:.2g}, and no SU shows that it did"
-            notes.append(f"{name} is left out of the tree: {why if moved[d] else 'it never moved'}")
-    types: list[JointType] = ["revolute" for _ in segments]
+    felt = {joint.dof for joint in draft.joints}
+    notes += [
+        f"{name} is left out of the tree: {_why_left_out(sampled, d, bool(moved[d]))}"
+        for d, name in enumerate(names)
+        if d not in felt
+    ]
     tree = KinematicTree(
-        tuple(names[s.dof] for s in segments),
-        np.array([index[s.parent] for s in segments], dtype=np.int64),
-        tuple(types),
+        tuple(names[j.dof] for j in draft.joints),
+        np.array(draft.parent, dtype=np.int64),
+        tuple(j.kind for j in draft.joints),
         tuple(windows.su_names[u] for u in heard),
-        np.array([index[int(at[u])] for u in heard], dtype=np.int64),
+        draft.su_joint[heard],
         tuple(notes),
     )
-    fits = [growth.segments[int(at[u])].fits.one(int(u)) for u in heard]
-    up = np.where(np.isnan(growth.up), (0.0, 0.0, 1.0), growth.up)
-    R = frame_with_z(up[0]).T
-    sensor = np.array([f.sensor[0] for f in fits])
-    price = float(np.log(np.maximum(growth.n[heard], 2.0)).mean()) * len(segments)
+    at, _ = growth.best()
+    chi2 = [growth.segments[int(at[u])].fits.chi2[u] / growth.n[u] for u in heard]
+    judged = [draft.judged(samples, int(u)) for u in heard]
+    R = frame_with_z(draft.up[0]).T
     return MotionTree(
         tree,
-        np.array([s.axis for s in segments]) @ R.T,
-        R @ np.array([f.R[0] for f in fits]),
-        up @ R.T,
-        sensor[:, :3],
-        sensor[:, 3:],
-        np.array([f.chi2[0] for f in fits]) / growth.n[heard],
-        float(misfit[heard].sum()) + price,
+        np.array([j.axis for j in draft.joints]).reshape(-1, 3) @ R.T,
+        R @ draft.R[heard],
+        draft.up @ R.T,
+        draft.sensor[heard, :3],
+        draft.sensor[heard, 3:],
+        np.array(chi2),
+        np.array([np.sqrt(j.loss.sum() / max(j.count.sum(), 1.0)) for j in judged]),
+    )
+
+
+def _doubt(tree: KinematicTree, other: KinematicTree) -> str:
+    """Words on a tree that the log does not tell from the one that was taken."""
+    theirs = dict(_chains(other))
+    taken, instead = next(
+        ((chain, theirs[name]) for name, chain in _chains(tree) if chain != theirs[name]),
+        (tree.joint_names, other.joint_names),
+    )
+    if taken == instead:
+        return (
+            "the log does not tell the sense of every axis: record quicker moves, and the base "
+            "tilted by 20 degrees or more"
+        )
+    return (
+        f"the log does not tell the order {' > '.join(taken)} from {' > '.join(instead)}: record "
+        "quicker moves of these joints, or put an SU on every segment"
+    )
+
+
+def _chains(tree: KinematicTree) -> list[tuple[str, tuple[str, ...]]]:
+    """The SUs, and the joints before each."""
+    return [
+        (name, tuple(tree.joint_names[j] for j in tree.chain(int(joint))))
+        for name, joint in zip(tree.su_names, tree.su_joint, strict=True)
+    ]
+
+
+def _why_left_out(sampled: Sequence[Sampled], dof: int, moved: bool) -> str:
+    """Why a joint is no part of the tree."""
+    if not moved:
+        return "it never moved"
+    span = max(float(np.ptp(s.motion.q[:, dof])) for s in sampled)
+    return (
+        f"it moved by {span:.2g} rad (or m), but no SU shows it: none sits beyond it, or its axis "
+        "is vertical and it moved slowly"
     )

@@ -43,9 +43,9 @@ _SLOW = 2.5
 encoder rounds is differentiated no further than that."""
 _MOST_WINDOWS = 120
 """Windows looked at; the rest of a long log would only repeat what the steadiest ones say."""
-_PRIOR = np.array([0.5] * 3 + [0.03] * 3 + [0.01] * 3)
+PRIOR = np.array([0.5] * 3 + [0.03] * 3 + [0.01] * 3)
 """Standard deviations of bias [m/s^2], scale and cross-axis errors of common accelerometers."""
-_SHAPE_INDEX = ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))
+SHAPE_INDEX = ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))
 
 
 @dataclass(frozen=True, eq=False)
@@ -253,7 +253,7 @@ def fit_gravity(
         step = np.asarray(-np.linalg.solve(H, g[..., None])[..., 0])
         trial_axes = np.stack(
             [
-                (rotation_exp((_tangent(axes[:, i]) @ step[:, 2 * i : 2 * i + 2, None])[..., 0])
+                (rotation_exp((tangent(axes[:, i]) @ step[:, 2 * i : 2 * i + 2, None])[..., 0])
                  @ axes[:, i, :, None])[..., 0]
                 for i in range(m)
             ],
@@ -279,7 +279,7 @@ def fit_gravity(
 
 def _centring(weight: F64) -> F64:
     """(...) share of its mean that a series keeps no longer once its bias is anyone's guess."""
-    return np.asarray(1 - 1 / np.sqrt(1 + weight.sum(axis=-1) * _PRIOR[0] ** 2))
+    return np.asarray(1 - 1 / np.sqrt(1 + weight.sum(axis=-1) * PRIOR[0] ** 2))
 
 
 def _centred(v: F64, weight: F64, gamma: F64) -> F64:
@@ -289,7 +289,7 @@ def _centred(v: F64, weight: F64, gamma: F64) -> F64:
     return np.asarray(v - gamma[..., None, None] * mean)
 
 
-def _tangent(k: F64) -> F64:
+def tangent(k: F64) -> F64:
     """(K, 3, 2) orthonormal bases of the planes perpendicular to k (K, 3)."""
     flat = np.argmin(np.abs(k), axis=1)
     a = np.cross(k, np.eye(3)[flat])
@@ -310,12 +310,12 @@ def _linearised(
         Rt = np.swapaxes(axis_rotation(k[:, None], q[..., i]), -1, -2)
         slopes = [Rt @ slope for slope in slopes]
         # Turning k by delta: exp(delta) Rot exp(-delta).
-        slopes.append((Rt @ skew(before) - skew(z)) @ _tangent(k)[:, None])
+        slopes.append((Rt @ skew(before) - skew(z)) @ tangent(k)[:, None])
     Rt = np.swapaxes(R, 1, 2)[:, None]
     g = (Rt @ z[..., None])[..., 0]
     M = np.tile(np.eye(3), (K, 1, 1))
     by_shape = np.zeros((K, N, 3, 6))
-    for c, (a, b) in enumerate(_SHAPE_INDEX):
+    for c, (a, b) in enumerate(SHAPE_INDEX):
         M[:, a, b] += sensor[:, 3 + c]
         by_shape[:, :, a, c] += g[..., b]
         if a != b:
@@ -327,9 +327,9 @@ def _linearised(
     J = np.concatenate(columns, axis=-1) * root[..., None, None]
     r = (predicted - y) * root[..., None]
     prior = np.zeros((K, 9, J.shape[-1]))
-    prior[:, np.arange(9), J.shape[-1] - 9 + np.arange(9)] = 1 / _PRIOR
+    prior[:, np.arange(9), J.shape[-1] - 9 + np.arange(9)] = 1 / PRIOR
     return (
-        np.concatenate([r.reshape(K, -1), sensor / _PRIOR], axis=1),
+        np.concatenate([r.reshape(K, -1), sensor / PRIOR], axis=1),
         np.concatenate([J.reshape(K, 3 * N, -1), prior], axis=1),
     )
 

@@ -21,7 +21,7 @@ def test_the_state_has_the_directions_of_the_tree_and_no_offsets() -> None:
     R = rotation_exp(rng.standard_normal((2, 3)))
     sensor = rng.standard_normal((2, 9)) * 0.01
     up = np.array([[0.0, 0.0, 1.0]])
-    found = MotionTree(tree, axes, R, up, sensor[:, :3], sensor[:, 3:], np.ones(2), 0.0)
+    found = MotionTree(tree, axes, R, up, sensor[:, :3], sensor[:, 3:], np.ones(2), np.ones(2))
     state = state_of(found)
     first, second = state.T_parent_joint
     T_base_joint = np.array([first, first @ second])

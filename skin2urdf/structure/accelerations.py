@@ -1,0 +1,267 @@
+"""What the accelerations of moves say of an SU's chain, for what gravity can not show.
+
+With the directions of a chain known, the reading along a whole move is linear in all offsets::
+
+    f = R_n^T [ g up + sum_i (skew(alpha_i) + skew(omega_i)^2) R_i l_i ]
+
+with omega_i, alpha_i the motion of segment i and l_i the offset it carries. A sliding joint beyond
+segment i adds ``(q'' + 2 skew(omega_i) q' + (skew(alpha_i) + skew(omega_i)^2) q) R_i b`` with its
+direction b. Small errors of directions, sensors and clocks are further columns. So any chain is
+judged by one linear regression: how well what it leaves open, fitted to some stretches of time,
+predicts the others.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from skin2urdf.arrays import F64, Bool, Int, frozen
+from skin2urdf.geometry.so3 import axis_rotation, skew
+from skin2urdf.geometry.units import GRAVITY
+from skin2urdf.signals.filters import (
+    eroded,
+    filtered,
+    first_derivative,
+    low_pass,
+    second_derivative,
+)
+from skin2urdf.signals.sampling import Sampled
+from skin2urdf.structure.gravity import PRIOR, SHAPE_INDEX, tangent, turned
+from skin2urdf.structure.records import JointType
+
+_CUTOFF = 4.0
+"""Low-pass [Hz] of both sides: moves from pose to pose hold little beyond."""
+_STRETCH = 4.0
+"""Length of a stretch of time [s] that is predicted from the others: longer than most moves."""
+_ROUGH = 0.1
+"""Error [m/s^2] of a sample by which priors are weighed against samples."""
+_TURN, _OFFSET, _LAG = 0.05, 1.0, 0.05
+"""Standard deviations of directions from gravity [rad], of offsets [m] and of clocks [s]."""
+
+
+@dataclass(frozen=True)
+class ChainJoint:
+    """A joint of an SU's chain.
+
+    Attributes:
+        dof: index of the joint.
+        kind: revolute or prismatic.
+        axis: unit axis at position zero in the base frame; without meaning for a prismatic one,
+            whose direction is estimated.
+    """
+
+    dof: int
+    kind: JointType
+    axis: tuple[float, float, float]
+
+
+@dataclass(frozen=True, eq=False)
+class Along:
+    """Low-passed samples along all logs.
+
+    Attributes:
+        q: (N, D) positions, and their derivatives
+        qd: (N, D) and
+        qdd: (N, D).
+        readings: (N, U, 3) [m/s^2], and
+        change: (N, U, 3) their derivatives [m/s^3].
+        valid: (N, U) where they are whole.
+        log: (N,) which log.
+        stretch: (N,) which stretch of time, counted through all logs.
+    """
+
+    q: F64
+    qd: F64
+    qdd: F64
+    readings: F64
+    change: F64
+    valid: Bool
+    log: Int
+    stretch: Int
+
+    def __post_init__(self) -> None:
+        for name in ("q", "qd", "qdd", "readings", "change"):
+            object.__setattr__(self, name, frozen(getattr(self, name)))
+        object.__setattr__(self, "valid", frozen(self.valid, np.bool_))
+        for name in ("log", "stretch"):
+            object.__setattr__(self, name, frozen(getattr(self, name), np.int64))
+
+    @property
+    def n_stretches(self) -> int:
+        """Number of stretches."""
+        return int(self.stretch.max(initial=-1)) + 1
+
+
+def along(sampled: Sequence[Sampled]) -> Along:
+    """All logs, low-passed and thinned out."""
+    parts = []
+    stretches = 0
+    for g, s in enumerate(sampled):
+        rate = s.motion.grid.rate
+        taps = low_pass(_CUTOFF, rate)
+        half = len(taps) // 2
+        q, y = filtered(s.motion.q, taps), filtered(s.readings, taps)
+        whole = s.valid & s.motion.valid[:, None]
+        ok = np.stack([eroded(column, half) for column in whole.T], axis=1)
+        kept = np.arange(0, len(q), max(1, int(rate / (3 * _CUTOFF))))
+        stretch = stretches + (kept / (rate * _STRETCH)).astype(np.int64)
+        stretches = int(stretch.max(initial=stretches - 1)) + 1
+        parts.append(
+            (
+                q[kept],
+                first_derivative(q, rate)[kept],
+                second_derivative(q, rate)[kept],
+                y[kept],
+                first_derivative(y, rate)[kept],
+                ok[kept],
+                np.full(len(kept), g),
+                stretch,
+            )
+        )
+    q, qd, qdd, y, yd, ok, log, stretch = (np.concatenate([p[i] for p in parts]) for i in range(8))
+    return Along(q, qd, qdd, y, yd, ok, log, stretch)
+
+
+@dataclass(frozen=True, eq=False)
+class Judged:
+    """How well a chain predicts an SU's readings in stretches that it was not fitted to.
+
+    Attributes:
+        loss: (B,) sum of squared errors in each stretch [m^2/s^4].
+        count: (B,) measurements in each.
+        slide: (k, 3) directions b of the sliding joints, in the order of the chain; of length 1
+            where they are what they are taken for.
+        slide_sd: (k,) standard deviations of their lengths.
+        lever: distance of the SU from the chain's last revolute axis [m].
+    """
+
+    loss: F64
+    count: F64
+    slide: F64
+    slide_sd: F64
+    lever: float
+
+    def __post_init__(self) -> None:
+        for name in ("loss", "count", "slide", "slide_sd"):
+            object.__setattr__(self, name, frozen(getattr(self, name)))
+
+
+def judge(
+    samples: Along, su: int, chain: Sequence[ChainJoint], R: F64, sensor: F64, up: F64
+) -> Judged:
+    """Fit a chain to half of the stretches, predict the other half, and the other way round.
+
+    Args:
+        samples: the logs.
+        su: which SU.
+        chain: its joints from the RS outwards.
+        R: (3, 3) the SU's orientation at position zero in the base frame.
+        sensor: (9,) its bias and shape.
+        up: (G, 3) unit vectors opposite to gravity, per log.
+    """
+    use = samples.valid[:, su]
+    A, y, prior, slides, last = _regression(samples, su, use, chain, R, sensor, up)
+    B, n = samples.n_stretches, A.shape[-1]
+    rows = samples.stretch[use]
+    AtA, Aty, yty = np.zeros((B, n, n)), np.zeros((B, n)), np.zeros(B)
+    edges = np.searchsorted(rows, np.arange(B + 1))
+    for b in range(B):
+        part = A[edges[b] : edges[b + 1]].reshape(-1, n)
+        left = y[edges[b] : edges[b + 1]].ravel()
+        AtA[b], Aty[b], yty[b] = part.T @ part, part.T @ left, left @ left
+    count = 3.0 * np.diff(edges)
+    ridge = np.diag((_ROUGH / prior) ** 2)
+    loss = np.zeros(B)
+    for fold in (0, 1):
+        held = np.arange(B) % 2 == fold
+        x = np.linalg.solve(AtA[~held].sum(axis=0) + ridge, Aty[~held].sum(axis=0))
+        quadratic = np.einsum("i,bij,j->b", x, AtA[held], x)
+        loss[held] = yty[held] - 2 * Aty[held] @ x + quadratic
+    H = AtA.sum(axis=0) + ridge
+    x = np.linalg.solve(H, Aty.sum(axis=0))
+    total = max(float(count.sum()), 1.0)
+    covariance = np.linalg.inv(H) * max(float(loss.sum()) / total, 1e-12)
+    slide = np.array([x[s : s + 3] for s in slides]).reshape(-1, 3)
+    slide_sd = np.array([np.sqrt(np.trace(covariance[s : s + 3, s : s + 3])) for s in slides])
+    offset = x[last[0] : last[0] + 3]
+    lever = float(np.linalg.norm(np.cross(last[1], offset))) if last[0] >= 0 else 0.0
+    return Judged(np.maximum(loss, 0.0), count, slide, slide_sd, lever)
+
+
+def _regression(
+    samples: Along,
+    su: int,
+    use: Bool,
+    chain: Sequence[ChainJoint],
+    R: F64,
+    sensor: F64,
+    up: F64,
+) -> tuple[F64, F64, F64, list[int], tuple[int, F64]]:
+    """Columns (N, 3, n), what they have to explain (N, 3), and the columns' priors (n,).
+
+    Returns:
+        These, where the directions of sliding joints begin, and where the last offset begins with
+        the axis it turns about.
+    """
+    q, qd, qdd = samples.q[use], samples.qd[use], samples.qdd[use]
+    N = len(q)
+    turn = np.tile(np.eye(3), (N, 1, 1))
+    omega, alpha = np.zeros((N, 3)), np.zeros((N, 3))
+    spin = np.zeros((N, 3, 3))
+    z = up[samples.log[use]] * GRAVITY
+    columns: list[F64] = []
+    priors: list[float] = []
+    slides: list[int] = []
+    slopes: list[F64] = []
+    last = (-1, np.zeros(3))
+    at = 0
+    for i, joint in enumerate(chain):
+        d, axis = joint.dof, np.array(joint.axis)
+        if joint.kind == "prismatic":
+            moved = (
+                qdd[:, d, None, None] * np.eye(3)
+                + 2 * qd[:, d, None, None] * skew(omega)
+                + q[:, d, None, None] * spin
+            )
+            columns.append(moved @ turn)
+            priors += [_OFFSET] * 3
+            slides.append(at)
+            at += 3
+        else:
+            a = turn @ axis
+            alpha = alpha + a * qdd[:, d, None] + np.cross(omega, a) * qd[:, d, None]
+            omega = omega + a * qd[:, d, None]
+            spin = skew(alpha) + skew(omega) @ skew(omega)
+            turn = turn @ axis_rotation(axis, q[:, d])
+            before = z
+            z = turned(axis, q[:, d], before)
+            back = axis_rotation(axis, -q[:, d])
+            slopes = [back @ slope for slope in slopes]
+            slopes.append((back @ skew(before) - skew(z)) @ tangent(axis[None])[0])
+        carried = i + 1 == len(chain) or chain[i + 1].kind == "revolute"
+        if carried and omega.any():
+            columns.append(spin @ turn)
+            priors += [_OFFSET] * 3
+            last = (at, axis if joint.kind == "revolute" else last[1])
+            at += 3
+    onto = R.T @ turn.swapaxes(1, 2)
+    M = np.eye(3)
+    by_shape = np.zeros((N, 3, 6))
+    g = z @ R
+    for c, (a_, b_) in enumerate(SHAPE_INDEX):
+        M[a_, b_] += sensor[3 + c]
+        by_shape[:, a_, c] += g[:, b_]
+        if a_ != b_:
+            M[b_, a_] += sensor[3 + c]
+            by_shape[:, b_, c] += g[:, a_]
+    felt = [M @ (onto @ column) for column in columns]
+    felt += [M @ (R.T @ slope) for slope in slopes]
+    felt += [M @ skew(g), np.tile(np.eye(3), (N, 1, 1)), by_shape]
+    felt.append(samples.change[use, su][..., None])
+    turns = [_TURN] * (2 * len(slopes) + 3)
+    prior = np.array([*priors, *turns, *PRIOR, _LAG])
+    y = samples.readings[use, su] - sensor[:3] - g @ M.T
+    return np.concatenate(felt, axis=-1), y, prior, slides, last

@@ -1,0 +1,351 @@
+"""A tree in the making, and what accelerations add to what gravity shows of it.
+
+Gravity never shows joints whose axis is vertical, nor sliding ones, nor in which order joints with
+parallel axes follow each other where no SU sits in between. Where such a joint is put in, the
+accelerations of the moves fit or do not: every place is tried, and what is beyond it is decided for
+every branch and SU by itself.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from skin2urdf.arrays import F64, Int, frozen
+from skin2urdf.structure.accelerations import Along, ChainJoint, Judged, judge
+from skin2urdf.structure.records import JointType
+
+CERTAIN = 10.0
+"""Difference of log-likelihoods beyond which one of two structures is certain: 20,000 to 1."""
+_CONSISTENT = 4.0
+"""Standard deviations by which the gain of a joint stands out from its scatter between stretches
+of time: errors that are alike for a while count once."""
+_QUIET = 1e-3
+"""Noise [m/s^2] of low-passed samples below which no error matters: a tenth of a mg."""
+_PARALLEL = 0.9962
+"""Cosine of the angle up to which neighbouring axes turn gravity alike: 5 deg."""
+_PUSH = 0.1
+"""Deviation of a sliding joint's push from unit length that scale and errors of fit may cause."""
+_NEAREST = 0.005
+"""Lever arm [m] of an SU below which it is shaken rather than turned by a vertical axis: half of
+the width of a sensor's case."""
+
+
+@dataclass(frozen=True, eq=False)
+class Draft:
+    """Joints, and SUs on them.
+
+    Attributes:
+        joints: what each joint is; parents come before their children.
+        parent: index of the joint before each; -1 for the RS.
+        su_joint: (U,) joint that each SU sits on; -1 for the RS, -2 for SUs without readings.
+        R: (U, 3, 3) orientation of each SU at position zero, in the base frame.
+        sensor: (U, 9) bias and shape.
+        up: (G, 3) unit vectors opposite to gravity, per log.
+    """
+
+    joints: tuple[ChainJoint, ...]
+    parent: tuple[int, ...]
+    su_joint: Int
+    R: F64
+    sensor: F64
+    up: F64
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "su_joint", frozen(self.su_joint, np.int64))
+        for name in ("R", "sensor", "up"):
+            object.__setattr__(self, name, frozen(getattr(self, name)))
+
+    def path(self, joint: int) -> tuple[int, ...]:
+        """Indices of the joints from the RS to the given one."""
+        out: list[int] = []
+        while joint >= 0:
+            out.append(joint)
+            joint = self.parent[joint]
+        return tuple(reversed(out))
+
+    def judged(self, samples: Along, su: int) -> Judged:
+        """How well the chain of an SU predicts what it feels."""
+        chain = [self.joints[j] for j in self.path(int(self.su_joint[su]))]
+        return judge(samples, su, chain, self.R[su], self.sensor[su], self.up)
+
+    def beyond(self, joint: int) -> list[int]:
+        """SUs that a joint moves."""
+        return [u for u, j in enumerate(self.su_joint) if joint in self.path(int(j))]
+
+    def with_joint(
+        self, new: ChainJoint, at: int, children: Sequence[int], sus: Sequence[int]
+    ) -> Draft:
+        """With a joint put in behind another one, before some of its children and SUs.
+
+        Args:
+            new: the joint.
+            at: the joint that it follows; -1 for the RS.
+            children: joints that follow it.
+            sus: SUs that sit on it.
+        """
+        place = at + 1
+        moved = [j if j < place else j + 1 for j in range(len(self.joints))]
+
+        def renamed(j: int) -> int:
+            return moved[j] if j >= 0 else j
+
+        parent = [renamed(p) for p in self.parent]
+        for c in children:
+            parent[c] = place
+        parent.insert(place, at)
+        joints = list(self.joints)
+        joints.insert(place, new)
+        su_joint = np.array([renamed(int(j)) for j in self.su_joint])
+        su_joint[list(sus)] = place
+        return replace(self, joints=tuple(joints), parent=tuple(parent), su_joint=su_joint)
+
+    def gathered(self, joint: int, children: Sequence[int], sus: Sequence[int]) -> Draft:
+        """With branches and SUs that sat beside a joint beyond it.
+
+        Args:
+            joint: the joint.
+            children: joints that follow it from here on, and
+            sus: SUs that sit on it.
+        """
+        parent = list(self.parent)
+        for c in children:
+            parent[c] = joint
+        su_joint = np.array(self.su_joint)
+        su_joint[list(sus)] = joint
+        shuffled = replace(self, parent=tuple(parent), su_joint=su_joint)
+        order = sorted(range(len(parent)), key=lambda j: len(shuffled.path(j)))
+        place = {j: i for i, j in enumerate(order)} | {-1: -1, -2: -2}
+        return replace(
+            self,
+            joints=tuple(self.joints[j] for j in order),
+            parent=tuple(place[parent[j]] for j in order),
+            su_joint=np.array([place[int(j)] for j in su_joint]),
+        )
+
+    def swapped(self, joint: int) -> Draft:
+        """With a joint and the one before it in the other order."""
+        joints, before = list(self.joints), self.parent[joint]
+        joints[before], joints[joint] = joints[joint], joints[before]
+        return replace(self, joints=tuple(joints))
+
+
+@dataclass(frozen=True, eq=False)
+class _Place:
+    """A joint put in somewhere, and what it is worth."""
+
+    draft: Draft
+    gain: float
+
+
+def with_unseen_joints(
+    draft: Draft, samples: Along, unplaced: Sequence[int]
+) -> tuple[Draft, tuple[Draft, ...]]:
+    """The draft with joints that gravity does not show, where accelerations do.
+
+    Args:
+        draft: what gravity shows.
+        samples: the logs.
+        unplaced: joints that moved and are not in it.
+
+    Returns:
+        The draft, and others that the log does not tell from it.
+    """
+    left = list(unplaced)
+    others: list[Draft] = []
+    while left:
+        now = [draft.judged(samples, u) if j >= -1 else None for u, j in enumerate(draft.su_joint)]
+        places = [p for d in left for p in _places(draft, samples, d, now, len(left))]
+        if not places:
+            break
+        places.sort(key=lambda p: -p.gain)
+        best = places[0]
+        added = {j.dof for j in best.draft.joints}
+        others = [
+            p.draft
+            for p in places[1:]
+            if p.gain > best.gain - CERTAIN and {j.dof for j in p.draft.joints} == added
+        ]
+        draft = best.draft
+        left = [d for d in left if d not in added]
+    return _with_all_that_they_move(draft, samples, unplaced), tuple(others)
+
+
+def in_best_order(draft: Draft, samples: Along) -> tuple[Draft, tuple[Draft, ...]]:
+    """The draft with neighbours that gravity does not order in the order that moves show.
+
+    Returns:
+        The draft, and others that the log does not tell from it.
+    """
+    for _ in range(len(draft.joints)):
+        others: list[Draft] = []
+        better: Draft | None = None
+        for joint in _alike(draft):
+            swapped = draft.swapped(joint)
+            sus = draft.beyond(joint)
+            gain = sum(
+                _gain(draft.judged(samples, u), swapped.judged(samples, u)).sum() for u in sus
+            )
+            if gain > CERTAIN:
+                better = swapped
+                break
+            if gain > -CERTAIN:
+                others.append(swapped)
+        if better is None:
+            return draft, tuple(others)
+        draft = better
+    return draft, ()
+
+
+def _alike(draft: Draft) -> Iterator[int]:
+    """Joints whose axis is parallel to the one before, with nothing else in between."""
+    for j, before in enumerate(draft.parent):
+        if before < 0 or before in draft.su_joint or draft.parent.count(before) > 1:
+            continue
+        a, b = draft.joints[before], draft.joints[j]
+        if "prismatic" in (a.kind, b.kind):
+            continue
+        if abs(np.array(a.axis) @ np.array(b.axis)) > _PARALLEL:
+            yield j
+
+
+def _gain(now: Judged, then: Judged) -> F64:
+    """(B,) log-likelihood that another chain gains in each stretch, whatever its noise is."""
+    floor = _QUIET**2 * now.count + 1e-12
+    return np.asarray(now.count / 2 * np.log((now.loss + floor) / (then.loss + floor)))
+
+
+def _places(
+    draft: Draft, samples: Along, dof: int, now: Sequence[Judged | None], left: int
+) -> Iterator[_Place]:
+    """Everywhere that a joint may be, if that is worth its parameters."""
+    price = _price(samples, left, len(draft.joints) + 1)
+    for at in range(-1, len(draft.joints)):
+        vertical = all(
+            draft.joints[j].kind == "prismatic" or abs(draft.joints[j].axis[2]) > _PARALLEL
+            for j in draft.path(at)
+        )
+        kinds = [ChainJoint(dof, "prismatic", (0.0, 0.0, 1.0))]
+        if vertical:
+            kinds += [ChainJoint(dof, "revolute", (0.0, 0.0, s)) for s in (1.0, -1.0)]
+        for joint in kinds:
+            place = _placed(draft, samples, joint, at, now, price)
+            if place is not None:
+                yield place
+
+
+def _placed(
+    draft: Draft, samples: Along, joint: ChainJoint, at: int, now: Sequence[Judged | None],
+    price: float,
+) -> _Place | None:  # fmt: skip
+    """A joint at one place, before those branches and SUs that gain by it."""
+    total = 0.0
+    children: list[int] = []
+    sus: list[int] = []
+    pushes: list[tuple[float, F64]] = []
+    for own, members in _groups(draft, at):
+        trial = draft.with_joint(joint, at, own, [] if own else members)
+        moved = _moved(draft, trial, samples, members, joint.kind, at, now, price)
+        if moved is None:
+            continue
+        total += moved.gain
+        children += own
+        sus += [] if own else members
+        pushes.append((moved.push_sd, moved.push))
+    if not (children or sus):
+        return None
+    if joint.kind == "prismatic":
+        push = min(pushes, key=lambda p: p[0])[1]
+        axis = push / np.linalg.norm(push)
+        joint = replace(joint, axis=(float(axis[0]), float(axis[1]), float(axis[2])))
+    return _Place(draft.with_joint(joint, at, children, sus), total - price)
+
+
+def _groups(draft: Draft, at: int) -> Iterator[tuple[list[int], list[int]]]:
+    """What sits on a segment: branches, as their first joint and their SUs, and SUs."""
+    for c, p in enumerate(draft.parent):
+        if p == at:
+            yield [c], draft.beyond(c)
+    for u, j in enumerate(draft.su_joint):
+        if j == at:
+            yield [], [u]
+
+
+@dataclass(frozen=True, eq=False)
+class _Moved:
+    """What it is worth that a joint moves a branch or an SU, and how a sliding one pushes it."""
+
+    gain: float
+    push: F64
+    push_sd: float
+
+
+def _moved(
+    draft: Draft,
+    trial: Draft,
+    samples: Along,
+    members: Sequence[int],
+    kind: JointType,
+    at: int,
+    now: Sequence[Judged | None],
+    price: float,
+) -> _Moved | None:
+    """Whether SUs are beyond a joint that a trial puts before them, behind segment ``at``."""
+    pairs = [(a, trial.judged(samples, u)) for u in members if (a := now[u]) is not None]
+    if not pairs:
+        return None
+    each = np.array([_gain(a, b) for a, b in pairs])
+    gains = each.sum(axis=0)
+    scatter = float(np.std(gains)) * np.sqrt(len(gains)) + 1e-12
+    if gains.sum() < max(price, _CONSISTENT * scatter):
+        return None
+    # What moves a branch moves every SU on it.
+    if each.sum(axis=1).min() < -CERTAIN:
+        return None
+    if kind == "revolute":
+        near = len(pairs) == 1 and pairs[0][1].lever < _NEAREST
+        own = trial.path(int(trial.su_joint[members[0]]))
+        shaken = near and len(own) == len(draft.path(at)) + 1
+        return None if shaken else _Moved(float(gains.sum()), np.zeros(3), 0.0)
+    # It comes after the sliding joints on the way to it.
+    index = sum(draft.joints[j].kind == "prismatic" for j in draft.path(at))
+    push = np.array([b.slide[index] for _, b in pairs])
+    sd = np.array([b.slide_sd[index] for _, b in pairs])
+    off = np.abs(np.linalg.norm(push, axis=1) - 1)
+    if np.max(off - 4 * sd) > _PUSH:
+        return None
+    best = int(np.argmin(sd))
+    return _Moved(float(gains.sum()), push[best], float(sd[best]))
+
+
+def _with_all_that_they_move(draft: Draft, samples: Along, dofs: Sequence[int]) -> Draft:
+    """The draft with branches and SUs beyond joints put in, where all joints known show it."""
+    price = _price(samples, 1, 1)
+    while True:
+        for j, joint in enumerate(draft.joints):
+            if joint.dof not in dofs:
+                continue
+            for own, members in _groups(draft, draft.parent[j]):
+                if own == [j]:
+                    continue
+                trial = draft.gathered(j, own, [] if own else members)
+                now = [
+                    draft.judged(samples, u) if u in members else None
+                    for u in range(len(draft.su_joint))
+                ]
+                at = draft.parent[j]
+                if _moved(draft, trial, samples, members, joint.kind, at, now, price):
+                    draft = trial
+                    break
+            else:
+                continue
+            break
+        else:
+            return draft
+
+
+def _price(samples: Along, joints: int, segments: int) -> float:
+    """Half the logarithm of the samples for each parameter, and that of the places tried."""
+    return 3 * float(np.log(max(len(samples.q), 2))) + float(np.log(3 * joints * segments))

@@ -1,0 +1,108 @@
+"""Trees from recordings in which several joints move at once and nothing is excited."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from random_robots import Joint, robot_of
+
+from skin2urdf.errors import StructureError
+from skin2urdf.recording.records import Recording
+from skin2urdf.recording.retiming import retimed
+from skin2urdf.signals.sampling import Sampled, sample_recording
+from skin2urdf.simulation import SimulationSettings, simulate
+from skin2urdf.simulation.robots import SkinLayout
+from skin2urdf.structure.from_motion import MotionTree, trees_from_motion
+
+SQUARE = (np.pi / 2, 0.0, 0.0)
+HIDDEN = (
+    Joint("vertical", -1, "revolute"),
+    Joint("swings", 0, "revolute", rpy=SQUARE),
+    Joint("slides", 1, "prismatic", rpy=(0.4, 0.0, 0.0), limits=(-0.2, 0.2)),
+    Joint("turns", 2, "revolute", rpy=(0.5, 0.3, 0.0)),
+)
+PARALLEL = (
+    Joint("first", -1, "revolute", rpy=SQUARE),
+    Joint("second", 0, "revolute", xyz=(0.3, 0.0, 0.02)),
+    Joint("third", 1, "revolute", xyz=(0.25, 0.0, 0.03)),
+)
+
+
+def sampled_of(joints: tuple[Joint, ...], folder: Path, n_poses: int = 12) -> Sampled:
+    """An upright robot that goes from pose to pose, an SU on every segment, on the grid."""
+    settings = SimulationSettings(
+        n_poses=n_poses, seed=1, excite="none", upright=True, imu_rate=250.0, joint_rate=125.0
+    )
+    layout = SkinLayout(sus_per_segment=1, sus_on_base=1)
+    recording = retimed(simulate(robot_of(joints, folder, layout), settings).recording)
+    return sampled(recording)
+
+
+def sampled(recording: Recording) -> Sampled:
+    return sample_recording(
+        recording, [j.name for j in recording.joints], [s.name for s in recording.sus]
+    )
+
+
+def found_in(log: Sampled, sus: list[int]) -> tuple[MotionTree, ...]:
+    some = replace(log, readings=log.readings[:, sus], valid=log.valid[:, sus])
+    return trees_from_motion([some], [f"su{u}" for u in sus])
+
+
+def chain(found: MotionTree, su: int) -> list[str]:
+    tree = found.tree
+    at = int(tree.su_joint[tree.su_names.index(f"su{su}")])
+    return [tree.joint_names[j] for j in tree.chain(at)]
+
+
+def test_vertical_and_sliding_joints_show_in_accelerations(tmp_path: Path) -> None:
+    log = sampled_of(HIDDEN, tmp_path)
+    U = log.readings.shape[1]
+    found = found_in(log, list(range(U)))[0]
+    assert found.tree.joint_names == ("vertical", "swings", "slides", "turns")
+    assert found.tree.parent.tolist() == [-1, 0, 1, 2]
+    assert found.tree.joint_types == ("revolute", "revolute", "prismatic", "revolute")
+    assert sorted(found.tree.su_joint) == [-1, 0, 1, 2, 3]
+    assert found.axes[0] == pytest.approx([0, 0, 1], abs=1e-6)
+    assert abs(found.axes[0] @ found.axes[1]) < np.sin(np.deg2rad(1.0))
+    # 0.4 rad about the axis of the URDF's second joint's x, which is square to both.
+    assert abs(found.axes[1] @ found.axes[2]) == pytest.approx(np.cos(0.4), abs=0.02)
+    assert found.misfit < 0.01
+
+
+def test_moves_order_parallel_joints_without_an_su_in_between(tmp_path: Path) -> None:
+    log = sampled_of(PARALLEL, tmp_path)
+    sus = list(range(log.readings.shape[1]))
+    whole = found_in(log, sus)[0]
+    tip = next(u for u in sus if len(chain(whole, u)) == 3)
+    base = next(u for u in sus if not chain(whole, u))
+    best, *_ = found_in(log, [base, tip])
+    assert chain(best, tip) == ["first", "second", "third"]
+
+
+def test_an_order_that_nothing_shows_is_not_picked_silently(tmp_path: Path) -> None:
+    log = sampled_of(PARALLEL[:2], tmp_path)
+    sus = list(range(log.readings.shape[1]))
+    whole = found_in(log, sus)[0]
+    tip = next(u for u in sus if len(chain(whole, u)) == 2)
+    # At rest alone, two parallel joints could as well follow each other the other way round.
+    at_rest = np.zeros(len(log.motion.q), dtype=bool)
+    for rest in log.rests:
+        at_rest[rest.begin : rest.end] = True
+    still = replace(log, valid=log.valid & at_rest[:, None])
+    several = found_in(still, [tip])
+    orders = {tuple(chain(found, tip)) for found in several}
+    assert orders == {("first", "second"), ("second", "first")}
+    # The one that comes first says so.
+    assert any("first" in note and "second" in note for note in several[0].tree.notes)
+
+
+def test_joints_that_no_su_feels_make_no_tree(tmp_path: Path) -> None:
+    log = sampled_of(PARALLEL[:1], tmp_path)
+    whole = found_in(log, [0, 1])[0]
+    base = next(u for u in (0, 1) if not chain(whole, u))
+    with pytest.raises(StructureError):
+        found_in(log, [base])

@@ -154,7 +154,7 @@ def front_slopes(droop: F64) -> F64:
 
 
 _SMALL_DROOP = 1e-6
-"""Droop of a pole at 110 Hz [s^2]; below, the term of third order, which no pattern feels, is made to
-go through zero smoothly."""
+"""Droop of a pole at 110 Hz [s^2]; below, the term of third order, which no pattern feels, is made
+to go through zero smoothly."""
 _THIRD = 2**1.5 / 3
 """Of the term of third order: ``T^3 / 3`` with ``T = sqrt(2 a)``."""

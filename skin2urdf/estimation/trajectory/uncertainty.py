@@ -101,7 +101,8 @@ def motion_information(problem: MotionProblem, fitted: Fitted, n_spans: int) -> 
     by_y, by_x = follow[..., :N_SU], follow[..., N_SU:]
     su = full.su[:, :N_SU, :N_SU] - cross @ by_y
     coupling = mixed[:, :N_SU] - cross @ by_x
-    joint = full.joint - np.einsum("unj,unk->jk", mixed[:, own], by_x)
+    joint = np.where(free_joint[:, None] & free_joint, full.joint, 0.0)
+    joint -= np.einsum("unj,unk->jk", mixed[:, own], by_x)
     weight = problem.priors.sensors.position**-2.0
     held = N_JOINT * np.arange(tree.n_joints)[:, None] + np.arange(2)
     joint[held, held] -= weight

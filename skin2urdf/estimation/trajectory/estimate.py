@@ -11,6 +11,7 @@ from skin2urdf.arrays import F64
 from skin2urdf.estimation.problem.cost import Priors
 from skin2urdf.estimation.problem.state import State
 from skin2urdf.estimation.trajectory.fit import Fitted, fit
+from skin2urdf.estimation.trajectory.misfit import misfit, span_means
 from skin2urdf.estimation.trajectory.problem import MotionPriors, MotionProblem
 from skin2urdf.estimation.trajectory.state import MotionState
 from skin2urdf.estimation.trajectory.uncertainty import MotionInformation, motion_information
@@ -22,6 +23,16 @@ _SPAN = 2.0
 and than a pattern's period."""
 _FEWEST, _MOST = 20, 200
 """Spans in a log, at least and at most."""
+_LONG = 8.0
+"""Length of spans that show whether errors outlast the others [s]: about that of a pose."""
+_EXPLAINED = 2.0
+"""Misfit up to which nothing is missing: recordings with nothing but noise have 0.6 to 0.9, and its
+scatter over the spans of a log is a twentieth."""
+_MOST_OF_IT = 0.2
+"""Part of a misfit that may stay where a drift of biases is its cause: what bends with the robot
+looks like one only in part."""
+_KNOTS = 15.0
+"""Time between the moments that a drifting bias is given at [s]; sensors warm up in minutes."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,16 +43,26 @@ class MotionEstimate:
         problem: the logs and what was known before.
         fitted: the fit.
         information: what it is worth.
+        misfit: squares of mean residuals over spans of time, over what noise makes of them; up to 1
+            where the model explains the readings.
     """
 
     problem: MotionProblem
     fitted: Fitted
     information: MotionInformation
+    misfit: float
 
     @property
     def state(self) -> State:
         """Placements, gravity's directions, bias and shape."""
         return self.fitted.state.placements
+
+    @property
+    def drifts(self) -> F64:
+        """(U,) by how much each SU's bias changes within a log, largest less smallest [m/s^2]."""
+        knots = self.fitted.state.knots
+        ranges = [np.ptp(k, axis=0).max(axis=1) for k in knots if len(k)]
+        return np.max(ranges, axis=0) if ranges else np.zeros(self.problem.tree.n_sus)
 
 
 def estimate_along(
@@ -62,8 +83,8 @@ def estimate_along(
         latency: (U,) lag of each SU's clock to begin with [s].
         tell: told the share of the work that is done.
     """
-    problem = MotionProblem(tree, logs, priors)
     U, G = tree.n_sus, len(logs)
+    problem = MotionProblem(tree, logs, priors)
     clock = np.zeros((G, U, 2))
     clock[:, :, 0] = latency
     begin = MotionState(
@@ -74,10 +95,43 @@ def estimate_along(
         knots=tuple(np.zeros((n, U, 3)) for n in problem.layout.n_knots),
         compliance=np.zeros(problem.layout.n_compliance),
     )
+    fitted = fit(problem, begin, tell=tell)
+    left = _misfit(problem, fitted, _SPAN)
+    if left > _EXPLAINED:
+        drifting = _with_drifting_biases(problem, fitted)
+        if _misfit(*drifting, _SPAN) < _MOST_OF_IT * left:
+            problem, fitted = drifting
+            left = _misfit(problem, fitted, _SPAN)
+    # Errors that last longer than a span are larger than spans taken as independent show.
+    lasting = max(1.0, _misfit(problem, fitted, _LONG) / max(left, 1.0))
     seconds = max(float(log.time[-1] - log.time[0]) for log in logs)
     spans = int(np.clip(seconds / _SPAN, _FEWEST, _MOST))
-    fitted = fit(problem, begin, tell=tell)
-    return MotionEstimate(problem, fitted, motion_information(problem, fitted, spans))
+    information = motion_information(problem, fitted, spans, lasting)
+    return MotionEstimate(problem, fitted, information, left)
+
+
+def _misfit(problem: MotionProblem, fitted: Fitted, seconds: float) -> float:
+    return misfit(*span_means(problem, fitted.predicted, fitted.weights, seconds))
+
+
+def _with_drifting_biases(problem: MotionProblem, fitted: Fitted) -> tuple[MotionProblem, Fitted]:
+    """The fit with biases that walk, by as much as they are then found to do.
+
+    The mean square of a walk of s per root of a second, about its mean over a time T, is
+    ``s^2 T / 6``.
+    """
+    means, variances = span_means(problem, fitted.predicted, fitted.weights, _SPAN)
+    known = np.isfinite(variances)
+    slow = float((means[known] ** 2 - variances[known]).mean())
+    lengths = [float(log.time[-1] - log.time[0]) for log in problem.logs]
+    walk = np.sqrt(max(slow, 0.0) * 6 / max(lengths))
+    n_knots = [max(2, round(length / _KNOTS) + 1) for length in lengths]
+    state = replace(
+        fitted.state, knots=tuple(np.zeros((n, problem.tree.n_sus, 3)) for n in n_knots)
+    )
+    priors = replace(problem.priors, bias_walk=float(walk))
+    walking = MotionProblem(problem.tree, problem.logs, priors, n_knots)
+    return walking, fit(walking, state)
 
 
 def motion_priors(sensors: Priors, *, gravity: float, pole: float) -> MotionPriors:

@@ -50,6 +50,7 @@ class MotionInformation:
         draws: with independent noise.
         prior_xz: (U, Q, J + Z) pulls of what is known of each SU before, on x and z, and
         prior_y: (U, Q, 15) on y.
+        lasting: by how much larger variances are than spans taken as independent show.
         shares: (S, J) and (S, U, 15) part of the information on each coordinate that a span has.
     """
 
@@ -61,6 +62,7 @@ class MotionInformation:
     draws: tuple[Pulls, ...]
     prior_xz: F64
     prior_y: F64
+    lasting: float
     shares: tuple[F64, F64]
 
 
@@ -79,13 +81,16 @@ class Pulls:
     y: F64
 
 
-def motion_information(problem: MotionProblem, fitted: Fitted, n_spans: int) -> MotionInformation:
+def motion_information(
+    problem: MotionProblem, fitted: Fitted, n_spans: int, lasting: float = 1.0
+) -> MotionInformation:
     """Information and disturbances at the end of a fit.
 
     Args:
         problem: what was fitted.
         fitted: the fit.
         n_spans: spans of time per log.
+        lasting: by how much larger variances are than spans taken as independent show.
     """
     layout, tree, full = problem.layout, problem.tree, fitted.equations
     free_joint, free_su = problem.free_joint, problem.free_su
@@ -132,6 +137,7 @@ def motion_information(problem: MotionProblem, fitted: Fitted, n_spans: int) -> 
         draws=tuple(pulls[1:]),
         prior_xz=-scores[..., N_SU:] @ by_x,
         prior_y=scores[..., :N_SU] - scores[..., N_SU:] @ by_y,
+        lasting=lasting,
         shares=(
             _shares(np.einsum("sjj->sj", spans.joint)[:, :J]),
             _shares(np.einsum("sunn->sun", spans.su)[..., :N_SU]),
@@ -249,7 +255,7 @@ def disturbed(weights: ArrowCovariance, info: MotionInformation) -> ArrowCovaria
     seen = _variances(response, info.errors)
     drawn = [_variances(response, each) for each in info.draws]
     expected = tuple(np.mean(each, axis=0) for each in zip(*drawn, strict=True))
-    by_joint, by_su = _ratios(seen, expected, info.shares)
+    by_joint, by_su = (info.lasting * r for r in _ratios(seen, expected, info.shares))
     x_z, z = response.x_z, response.inverse_z
     apart = _scaled(weights.joint, known[0], by_joint)
     joint = np.block([[apart + x_z @ z @ x_z.T, x_z @ z], [z @ x_z.T, z]])

@@ -1,0 +1,50 @@
+"""How much of what a fit leaves is slow: noise averages out over a span of time, errors do not."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from skin2urdf.arrays import F64
+from skin2urdf.estimation.trajectory.problem import MotionProblem, Predicted
+
+
+def span_means(
+    problem: MotionProblem,
+    predicted: Sequence[Predicted],
+    weights: Sequence[F64],
+    seconds: float,
+) -> tuple[F64, F64]:
+    """Mean residuals over spans of time, and their variances if residuals are noise.
+
+    Args:
+        problem: what was fitted.
+        predicted: residuals of each log.
+        weights: per log (K, U, 3) information of each sample [s^4/m^2].
+        seconds: length of a span [s].
+
+    Returns:
+        (S, U, 3) means [m/s^2], and (S, U, 3) variances; infinite where nothing was measured.
+    """
+    means, variances = [], []
+    for log, p, w in zip(problem.logs, predicted, weights, strict=True):
+        n = max(1, int((log.time[-1] - log.time[0]) / seconds))
+        first = np.linspace(0, len(log.kept), n + 1).astype(int)[:-1]
+        total = np.add.reduceat(w, first, axis=0)
+        r = np.where(p.measured[..., None], p.residual, 0.0)
+        known = total > 0
+        moment = np.add.reduceat(w * r, first, axis=0)
+        means.append(np.divide(moment, total, out=np.zeros_like(total), where=known))
+        variances.append(np.divide(1.0, total, out=np.full_like(total, np.inf), where=known))
+    return np.concatenate(means), np.concatenate(variances)
+
+
+def misfit(means: F64, variances: F64) -> float:
+    """Mean squares of span means over their variances.
+
+    1 for white noise, less where noise is of high frequencies, as that of encoders; far above 1
+    where the model lacks something.
+    """
+    known = np.isfinite(variances)
+    return float((means[known] ** 2 / variances[known]).mean()) if known.any() else 0.0

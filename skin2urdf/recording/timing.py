@@ -22,6 +22,8 @@ Number = TypeVar("Number", np.int64, np.float64)
 NS_PER_S = 1_000_000_000
 # A stamp this far off its neighbours' offset from the log time is no time of a sample [s].
 WILD_STAMP = 10.0
+# Wild stamps next to each other pass for sound ones until those around them are gone.
+SWEEPS = 5
 # Stamps that scatter less than this about regular times [periods] leave nothing to choose.
 NEGLIGIBLE = 1e-3
 # Scatter of stamps [periods] up to which a stream counts as nearly regular.
@@ -100,9 +102,14 @@ def stamped_clock(stamp: Int, log_time: Int) -> tuple[Int, bool]:
         return log_time, False
     rows = np.flatnonzero(usable)
     offset = stamp[rows] - log_time[rows]
-    jumps = np.abs(np.diff(offset)) > WILD_STAMP * NS_PER_S
-    if jumps.any():
+    for _ in range(SWEEPS):
+        if not (np.abs(np.diff(offset)) > WILD_STAMP * NS_PER_S).any():
+            break
         wild = np.abs(offset - _rolling_median(offset)) > WILD_STAMP * NS_PER_S
+        # Where most are wild, the others agree with the middle of nothing.
+        wild |= _rolling_median(wild.astype(np.int64)) > 0
+        if not wild.any() or wild.all():
+            break
         rows, offset = rows[~wild], offset[~wild]
     if rows.size == stamp.size or rows.size == 0:
         return stamp, True
@@ -117,7 +124,8 @@ def stamped_clock(stamp: Int, log_time: Int) -> tuple[Int, bool]:
 def _rolling_median(values: NDArray[Number], width: int = 11) -> NDArray[Number]:
     """Median of the values around each value."""
     half = min(width // 2, values.size // 2)
-    padded = np.pad(values, half, mode="edge")
+    # Reflected without the outermost value, which would outvote its neighbours.
+    padded = np.pad(values, half, mode="reflect") if half else values
     windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * half + 1)
     middle: NDArray[Number] = np.partition(windows, half, axis=1)[:, half]
     return middle

@@ -67,6 +67,16 @@ def test_an_su_whose_clock_jumps_by_itself_counts_up_to_there(ros_log: Any) -> N
     assert any("/b" in note and "jumps by itself" in note for note in recording.notes)
 
 
+def test_stamps_that_scatter_by_minutes_give_way_to_log_times(ros_log: Any) -> None:
+    scatter = np.random.default_rng(0).integers(-400 * 10**9, 400 * 10**9, N)
+
+    def scattered(source: str, k: int) -> int:
+        return at(source, k) + (int(scatter[k]) if source == "b" and k >= 200 else 0)
+
+    for su in recorded(ros_log, scattered, at).sus:
+        np.testing.assert_allclose(su.time, 0.01 * np.arange(N), atol=1e-3)
+
+
 def test_a_pause_of_one_su_is_no_jump_of_its_clock(ros_log: Any) -> None:
     for k in range(3 * N):
         ros_log.joints(at("", k), {"j": float(k)})

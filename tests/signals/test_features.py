@@ -316,6 +316,19 @@ def test_static_moves_are_those_of_the_structural_phase() -> None:
     assert abs(moves.change[moves.dof == last][:, before_last]).max() < 0.15
 
 
+def test_features_of_some_poses_are_theirs_throughout() -> None:
+    features = first_features()
+    chosen = np.array([2, 0])
+    part = features.of_poses(chosen)
+    assert part.n_poses == 2
+    for name in ("q", "coefficients", "noise", "span"):
+        np.testing.assert_array_equal(getattr(part, name), getattr(features, name)[chosen])
+    for name in ("position_sd", "pull", "white"):
+        np.testing.assert_array_equal(
+            getattr(part.encoders, name), getattr(features.encoders, name)[chosen]
+        )
+
+
 def test_joints_that_creep_by_counts_veto_no_move() -> None:
     """A held joint goes on by a few steps of a coarse encoder at every rest, as an iCub's do."""
     sim = simulation("panda")

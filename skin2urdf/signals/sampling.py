@@ -87,7 +87,7 @@ def sample_recording(
     measured, held = as_measured(recording.sus)
     clocks = {clock.su: clock for clock in su_clocks(measured, motion)}
     sus = [_on_time(su, clocks.get(su.name)) for su in measured]
-    streams = {c.stream.name: c for c in checked(sus, at_rest, span)}
+    streams = {c.stream.name: c for c in checked(sus, at_rest, span, _pauses(motion))}
     readings = np.zeros((grid.size, len(su_names), 3))
     valid = np.zeros((grid.size, len(su_names)), dtype=bool)
     notes = [*recording.notes, *held]
@@ -118,6 +118,15 @@ def sample_recording(
         motion, rests, neighbourhoods, readings, valid | filled, cutoff, tuple(notes), filled,
         tuple(faults), tuple(clocks.values()),
     )  # fmt: skip
+
+
+def _pauses(motion: Motion) -> list[tuple[float, float]]:
+    """Times [s] in which joints were not recorded."""
+    grid = motion.grid
+    edges = np.flatnonzero(np.diff(np.r_[True, motion.valid, True].astype(np.int8)))
+    return [
+        (grid.start + a / grid.rate, grid.start + b / grid.rate) for a, b in edges.reshape(-1, 2)
+    ]
 
 
 def _on_time(su: SuStream, clock: SuClock | None) -> SuStream:

@@ -224,6 +224,18 @@ def test_a_few_lost_samples_are_no_fault_and_many_are() -> None:
     assert kinds(losing(0.02), losing(0.3)) == [[], ["intermittent"]]
 
 
+def test_a_pause_of_the_whole_recording_is_no_loss() -> None:
+    whole = stream(noise())
+    kept = (whole.time % 4.0) < 2.5
+    torn = replace(whole, time=whole.time[kept], specific_force=whole.specific_force[kept])
+    pauses = [(4.0 * k + 2.5, 4.0 * k + 4.0) for k in range(5)]
+    spans = [(0.0, 1.0)]
+    (with_pauses,) = checked([torn], spans, (0.0, 10.0), pauses)
+    assert not with_pauses.faults
+    (without_pauses,) = checked([torn], spans, (0.0, 10.0))
+    assert [fault.kind for fault in without_pauses.faults] == ["intermittent"]
+
+
 def test_a_stream_that_ends_early_is_dead_from_then_on() -> None:
     whole = stream(noise())
     short = replace(whole, time=whole.time[:3000], specific_force=whole.specific_force[:3000])

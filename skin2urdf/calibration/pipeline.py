@@ -87,7 +87,8 @@ def calibrate(
     along = None
     if settings.method != "paper" and settings.motion == "all":
         along = clock.run("all samples", lambda tell: fit_samples(solution, tell))
-        solution = replace(solution, found=with_samples(solution.found, along))
+        if along is not None:
+            solution = replace(solution, found=with_samples(solution.found, along))
     information = along.information if along else None
     seen = clock.run("observability", lambda _: observability(solution.found, information))
     return _calibration(recordings, solution, along, fit, seen, clock)

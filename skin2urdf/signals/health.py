@@ -65,7 +65,10 @@ class Checked:
 
 
 def checked(
-    sus: Sequence[SuStream], rests: Sequence[tuple[float, float]], span: tuple[float, float]
+    sus: Sequence[SuStream],
+    rests: Sequence[tuple[float, float]],
+    span: tuple[float, float],
+    pauses: Sequence[tuple[float, float]] = (),
 ) -> list[Checked]:
     """Look through all streams of a log.
 
@@ -73,6 +76,7 @@ def checked(
         sus: the streams.
         rests: begin and end of the times at which the robot rests [s].
         span: begin and end of the joints' streams [s].
+        pauses: begin and end of the times at which no joints were recorded either [s].
     """
     still = [_within(su.time, rests) for su in sus]
     at_rest = np.array([_repeated(su.specific_force[s]) for su, s in zip(sus, still, strict=True)])
@@ -86,7 +90,7 @@ def checked(
         if not kept.all():
             whole = SuStream(su.name, su.time[kept], su.specific_force[kept], su.topic)
         if not faults:
-            faults = [*_silences(su, span), *_losses(su), *_noisiness(su.name, u, noise)]
+            faults = [*_silences(su, span), *_losses(su, pauses), *_noisiness(su.name, u, noise)]
         clipped = clipping(whole.specific_force, still[u][kept])
         if share := float(clipped.mean()) if len(clipped) else 0.0:
             faults = [*faults, Fault("saturated", su.name, size=share)]
@@ -188,9 +192,11 @@ def _silences(su: SuStream, span: tuple[float, float]) -> list[Fault]:
     ]
 
 
-def _losses(su: SuStream) -> list[Fault]:
-    """The fault of losing samples again and again."""
+def _losses(su: SuStream, pauses: Sequence[tuple[float, float]]) -> list[Fault]:
+    """The fault of losing samples again and again, but for pauses of the whole recording."""
     steps = np.diff(su.time)
+    middle = su.time[:-1] + steps / 2
+    steps = np.where(_within(middle, pauses), 0.0, steps)
     if len(steps) < 8:
         return []
     period = float(np.quantile(steps, 0.25))

@@ -11,6 +11,7 @@ from skin2urdf.arrays import F64, Bool
 from skin2urdf.errors import InsufficientDataError
 from skin2urdf.faults import Fault
 from skin2urdf.geometry.units import GRAVITY
+from skin2urdf.recording.credibility import spikes
 from skin2urdf.recording.holding import as_measured
 from skin2urdf.recording.records import Recording, SuStream
 from skin2urdf.signals.clocks import su_clocks
@@ -84,10 +85,10 @@ def sample_recording(
     grid = motion.grid
     at_rest = [(grid.start + r.begin / grid.rate, grid.start + r.end / grid.rate) for r in rests]
     span = (grid.start, grid.start + grid.size / grid.rate)
-    measured, held = as_measured(recording.sus)
+    measured, held = as_measured([_without_spikes(su) for su in recording.sus])
     clocks = {clock.su: clock for clock in su_clocks(measured, motion)}
     sus = [_on_time(su, clocks.get(su.name)) for su in measured]
-    streams = {c.stream.name: c for c in checked(sus, at_rest, span)}
+    streams = {c.stream.name: c for c in checked(sus, at_rest, span, _pauses(motion))}
     readings = np.zeros((grid.size, len(su_names), 3))
     valid = np.zeros((grid.size, len(su_names)), dtype=bool)
     notes = [*recording.notes, *held]
@@ -118,6 +119,23 @@ def sample_recording(
         motion, rests, neighbourhoods, readings, valid | filled, cutoff, tuple(notes), filled,
         tuple(faults), tuple(clocks.values()),
     )  # fmt: skip
+
+
+def _without_spikes(su: SuStream) -> SuStream:
+    """The stream without single samples that no motion made; a log's are left out as it is read."""
+    alone = spikes(su.specific_force)
+    if not alone.any():
+        return su
+    return replace(su, time=su.time[~alone], specific_force=su.specific_force[~alone])
+
+
+def _pauses(motion: Motion) -> list[tuple[float, float]]:
+    """Times [s] in which joints were not recorded."""
+    grid = motion.grid
+    edges = np.flatnonzero(np.diff(np.r_[True, motion.valid, True].astype(np.int8)))
+    return [
+        (grid.start + a / grid.rate, grid.start + b / grid.rate) for a, b in edges.reshape(-1, 2)
+    ]
 
 
 def _on_time(su: SuStream, clock: SuClock | None) -> SuStream:

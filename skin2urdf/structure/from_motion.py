@@ -26,9 +26,6 @@ from skin2urdf.structure.gravity import gravity_windows
 from skin2urdf.structure.growth import Growth
 from skin2urdf.structure.records import KinematicTree
 
-_STEPS = 4.0
-"""Deviations of an encoder by which a joint moves that stands still."""
-
 
 @dataclass(frozen=True, eq=False)
 class MotionTree:
@@ -109,13 +106,8 @@ def trees_from_motion(
 
 
 def moved_joints(sampled: Sequence[Sampled]) -> Bool:
-    """(D,) True for joints that left their place by more than their encoder's noise."""
-    out = np.zeros(len(sampled[0].motion.dof_names), dtype=bool)
-    for s in sampled:
-        m = s.motion
-        still = np.maximum(2 * m.resolution, _STEPS * m.noise) + 1e-6
-        out |= m.named & (np.ptp(m.q[m.valid], axis=0) > still)
-    return out
+    """(D,) True for joints that did not keep still in all logs."""
+    return np.asarray(np.any([s.motion.named & s.motion.moved for s in sampled], axis=0))
 
 
 def _as_grown(growth: Growth) -> Draft:

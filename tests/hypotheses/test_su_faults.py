@@ -191,7 +191,7 @@ def test_sensors_without_noise_are_not_frozen_while_the_robot_rests() -> None:
 
 
 def test_a_constant_stream_among_noisy_ones_is_frozen() -> None:
-    constant = np.ones((5000, 3))
+    constant = np.full((5000, 3), 5.7)  # gravity may be in it
     assert kinds(stream(constant), stream(noise()), stream(noise(seed=1))) == [["frozen"], [], []]
     assert kinds(stream(0 * constant), stream(noise()), stream(noise(seed=1)))[0] == ["dead"]
 
@@ -222,6 +222,18 @@ def test_a_few_lost_samples_are_no_fault_and_many_are() -> None:
         return replace(whole, time=whole.time[kept], specific_force=whole.specific_force[kept])
 
     assert kinds(losing(0.02), losing(0.3)) == [[], ["intermittent"]]
+
+
+def test_a_pause_of_the_whole_recording_is_no_loss() -> None:
+    whole = stream(noise())
+    kept = (whole.time % 4.0) < 2.5
+    torn = replace(whole, time=whole.time[kept], specific_force=whole.specific_force[kept])
+    pauses = [(4.0 * k + 2.5, 4.0 * k + 4.0) for k in range(5)]
+    spans = [(0.0, 1.0)]
+    (with_pauses,) = checked([torn], spans, (0.0, 10.0), pauses)
+    assert not with_pauses.faults
+    (without_pauses,) = checked([torn], spans, (0.0, 10.0))
+    assert [fault.kind for fault in without_pauses.faults] == ["intermittent"]
 
 
 def test_a_stream_that_ends_early_is_dead_from_then_on() -> None:

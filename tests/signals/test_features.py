@@ -316,6 +316,36 @@ def test_static_moves_are_those_of_the_structural_phase() -> None:
     assert abs(moves.change[moves.dof == last][:, before_last]).max() < 0.15
 
 
+def test_single_samples_far_off_leave_no_trace() -> None:
+    """One in a thousand is off by up to 2 g, as of a bus that garbles bits."""
+    rng = np.random.default_rng(0)
+
+    def spiked(su: SuStream) -> SuStream:
+        values = np.array(su.specific_force)
+        hit = rng.random(len(values)) < 1e-3
+        values[hit] += rng.uniform(5.0, 20.0, (int(hit.sum()), 3))
+        return replace(su, specific_force=values)
+
+    found, plain = features_of(changed_sus(simulation("panda").recording, spiked)), first_features()
+    heard = np.isfinite(plain.noise).all(axis=2) & np.isfinite(found.noise).all(axis=2)
+    assert heard.sum() > 0.9 * np.isfinite(plain.noise).all(axis=2).sum()
+    assert np.median(found.noise[heard] / plain.noise[heard]) == pytest.approx(1.0, abs=0.1)
+    np.testing.assert_allclose(found.f0[heard], plain.f0[heard], atol=0.01)
+
+
+def test_features_of_some_poses_are_theirs_throughout() -> None:
+    features = first_features()
+    chosen = np.array([2, 0])
+    part = features.of_poses(chosen)
+    assert part.n_poses == 2
+    for name in ("q", "coefficients", "noise", "span"):
+        np.testing.assert_array_equal(getattr(part, name), getattr(features, name)[chosen])
+    for name in ("position_sd", "pull", "white"):
+        np.testing.assert_array_equal(
+            getattr(part.encoders, name), getattr(features.encoders, name)[chosen]
+        )
+
+
 def test_joints_that_creep_by_counts_veto_no_move() -> None:
     """A held joint goes on by a few steps of a coarse encoder at every rest, as an iCub's do."""
     sim = simulation("panda")

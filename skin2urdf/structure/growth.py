@@ -49,8 +49,8 @@ _LIKELY = {2: 8, 3: 6}
 """Joints that explain most by themselves, of which such chains are made: more would be thousands
 of orders."""
 _LEFT = 0.1
-"""Share of the log-likelihood of an SU that one more joint would leave if it were the last one but
-one: in simulated chains with bare segments it is never below 0.3."""
+"""Share of an SU's log-likelihood that a chain may leave without a joint being missing: where one
+is, 0.79 to 0.99 are left (29 simulated recordings of panda, ur5 and z1 with a bare segment)."""
 _CHUNK = 400_000
 """Entries of Jacobians that are held at a time."""
 
@@ -216,7 +216,7 @@ class Growth:
         """Whether an extension leaves too little for more joints to be looked for at once.
 
         That is the noise as stated, or what a sensor that is worse than that leaves once nine
-        tenths of its misfit are gone: a joint more takes half of it or the most of it.
+        tenths of its misfit are gone.
         """
         noise = float(self._noise()[option.su])
         now = float(self.best()[1][option.su])

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from skin2urdf.arrays import F64, Int, frozen
-from skin2urdf.geometry.so3 import axis_rotation, rotation_exp, skew, wahba
+from skin2urdf.geometry.so3 import axis_rotation, cross, rotation_exp, skew, wahba
 from skin2urdf.signals.encoder_noise import EncoderNoise
 from skin2urdf.signals.filters import (
     filtered,
@@ -217,7 +217,7 @@ def turned(axis: F64, q: F64, x: F64) -> F64:
     c, s = np.cos(q)[..., None], np.sin(q)[..., None]
     k = np.broadcast_to(axis[..., None, :], x.shape)
     along = (k * x).sum(axis=-1, keepdims=True)
-    return np.asarray(c * x - s * np.cross(k, x) + (1 - c) * along * k)
+    return np.asarray(c * x - s * cross(k, x) + (1 - c) * along * k)
 
 
 def fit_gravity(
@@ -292,9 +292,9 @@ def _centred(v: F64, weight: F64, gamma: F64) -> F64:
 def tangent(k: F64) -> F64:
     """(K, 3, 2) orthonormal bases of the planes perpendicular to k (K, 3)."""
     flat = np.argmin(np.abs(k), axis=1)
-    a = np.cross(k, np.eye(3)[flat])
+    a = cross(k, np.eye(3)[flat])
     a /= np.linalg.norm(a, axis=1, keepdims=True)
-    return np.stack([a, np.cross(k, a)], axis=2)
+    return np.stack([a, cross(k, a)], axis=2)
 
 
 def _linearised(
@@ -362,11 +362,27 @@ def axis_losses(q: F64, x: F64, y: F64, weight: F64, axes: F64) -> F64:
     B = B - (kept[:, None, None] * mean_y[:, None])[..., None] * mean_z[..., None, :]
     power = (w * ((y**2).sum(axis=-1).T + (x**2).sum(axis=-1))).sum(axis=1)
     power = power - kept * (mean_y**2).sum(axis=-1)
-    singular = np.linalg.svd(B, compute_uv=False)
-    sign = np.sign(np.linalg.det(B))
-    best = singular[..., 0] + singular[..., 1] + sign * singular[..., 2]
-    mean2 = kept[:, None] * (mean_z**2).sum(axis=-1)
-    return np.asarray(np.maximum(power[:, None] - mean2 - 2 * best, 0.0))
+    total_power = power[:, None] - kept[:, None] * (mean_z**2).sum(axis=-1)
+    return np.asarray(np.maximum(total_power - 2 * _best_alignment(B, 0.5 * total_power), 0.0))
+
+
+def _best_alignment(B: F64, bound: F64) -> F64:
+    """(...) largest trace of B R over all rotations R, for B (..., 3, 3), from an upper bound.
+
+    The largest root of Davenport's quartic by Newton's method (Markley's FOAM).
+    """
+    a, b, c = B[..., 0, :], B[..., 1, :], B[..., 2, :]
+    norm2 = (B * B).sum(axis=(-2, -1))
+    bc, ca, ab = cross(b, c), cross(c, a), cross(a, b)
+    det = (a * bc).sum(axis=-1)
+    adjugate2 = (bc * bc + ca * ca + ab * ab).sum(axis=-1)
+    top = np.maximum(bound, 1e-300)
+    for _ in range(12):
+        left = top**2 - norm2
+        value = left**2 - 8 * top * det - 4 * adjugate2
+        slope = 4 * top * left - 8 * det
+        top = top - value / np.where(np.abs(slope) > 1e-300, slope, np.inf)
+    return np.asarray(top)
 
 
 def fibonacci_sphere(n: int) -> F64:

@@ -30,9 +30,12 @@ from skin2urdf.estimation.uncertainty.goodness import Goodness, goodness
 from skin2urdf.estimation.uncertainty.health import health_notes, why_bad
 from skin2urdf.estimation.uncertainty.observability import Observability, observability
 from skin2urdf.faults import distinct, without_slips
-from skin2urdf.hypotheses.encoders import Encoders, find_what_is_wrong
+from skin2urdf.hypotheses.encoder import evident_errors
+from skin2urdf.hypotheses.kinds import KINDS
+from skin2urdf.hypotheses.search import explain
 from skin2urdf.model.canonical import canonical
 from skin2urdf.recording.records import Recording
+from skin2urdf.signals.encoders import corrected
 from skin2urdf.signals.filters import eroded
 from skin2urdf.signals.records import Features
 from skin2urdf.signals.sampling import Sampled
@@ -67,8 +70,8 @@ def calibrate(
     clock = Clock(progress)
     recordings = clock.run("reading", lambda tell: _recordings(logs, tell))
     # No joint leaps: what its track alone shows to be wrong is taken off before the first look.
-    encoders = clock.run("leaps", lambda _: Encoders.of(recordings))
-    sampled = sample_logs(encoders.corrected(), settings, clock)
+    leaps = clock.run("leaps", lambda _: evident_errors(recordings))
+    sampled = sample_logs(corrected(recordings, [leap.error for leap in leaps]), settings, clock)
     features = take_features(sampled, clock)
     structure = find_structure(sampled, features, clock)
     if settings.method == "paper":
@@ -80,7 +83,7 @@ def calibrate(
         first = estimate_robot(sampled, features, structure, clock)
         solution = clock.run(
             "what is wrong",
-            lambda _: find_what_is_wrong(encoders, sampled, structure, first, clock),
+            lambda _: explain(recordings, leaps, (sampled, structure, first), KINDS, clock),
         )
         check_fit(solution.found)
     fit = clock.run("goodness of fit", lambda _: goodness(solution.found))

@@ -22,7 +22,6 @@ from skin2urdf.estimation.start.order import ordered
 from skin2urdf.estimation.start.starts import felt_up
 from skin2urdf.estimation.uncertainty.health import unlike_the_rest
 from skin2urdf.faults import Fault
-from skin2urdf.hypotheses.records import Turn
 from skin2urdf.model.specific_force import beyond_first_order, first_order
 from skin2urdf.recording.records import Recording
 from skin2urdf.signals.features import Curvature, extract_features
@@ -93,8 +92,6 @@ class Solution:
         found: the estimate.
         features: the features it rests on.
         faults: what was mended.
-        turns: encoders that change their sense within a log; where there are any, the estimate is
-            of no use before they are mended.
     """
 
     logs: Logs
@@ -102,7 +99,6 @@ class Solution:
     found: Estimate
     features: Features
     faults: tuple[Fault, ...] = ()
-    turns: tuple[Turn, ...] = ()
 
 
 def sample_logs(
@@ -167,23 +163,6 @@ def estimate_robot(
         return None
     found, refined = relinearise(logs, structure.tree, features, clock)
     return Solution(logs, structure.seen, found, refined)
-
-
-def estimate_again(
-    solution: Solution, logs: Logs, faults: Sequence[Fault], clock: Clock
-) -> Solution:
-    """The same structure estimated from mended logs.
-
-    Args:
-        solution: tells the structure.
-        logs: the mended logs.
-        faults: what was mended in them.
-        clock: runs the stages.
-    """
-    found, features = relinearise(logs, solution.found.tree, take_features(logs, clock), clock)
-    return replace(
-        solution, logs=logs, found=found, features=features, faults=(*solution.faults, *faults)
-    )
 
 
 def settle(

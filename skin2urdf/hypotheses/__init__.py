@@ -1,1 +1,1 @@
-"""Faults that show in a fit: recognised, mended, and the calibration done again."""
+"""One search for what the logs do not say by themselves; each kind of hypotheses is one file."""

@@ -7,7 +7,9 @@ other way, or if an SU has another name, does so up to some pose or from some po
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 
@@ -25,12 +27,15 @@ from skin2urdf.calibration.rounds import (
 from skin2urdf.errors import InsufficientDataError
 from skin2urdf.estimation.solve.estimate import Estimate
 from skin2urdf.faults import Fault
-from skin2urdf.hypotheses.encoder_signs import TURNED, turned_by_pose
-from skin2urdf.hypotheses.records import Turn
-from skin2urdf.hypotheses.swaps import names_in
+from skin2urdf.hypotheses.encoder import Corrected, errors_of
+from skin2urdf.hypotheses.names import columns_of, names_in
+from skin2urdf.hypotheses.records import Amendment, Attempt, Candidate
+from skin2urdf.hypotheses.search import Search, excess, explains
+from skin2urdf.hypotheses.sense import TURNED, turned_by_pose
+from skin2urdf.signals.encoders import reversal
 from skin2urdf.signals.mending import computed
 from skin2urdf.signals.poses import Neighbourhood
-from skin2urdf.signals.records import Features
+from skin2urdf.signals.records import EncoderError, Features
 from skin2urdf.signals.sampling import Sampled
 from skin2urdf.structure.records import KinematicTree
 
@@ -40,32 +45,72 @@ _BLUR = 2
 """Grid samples on either side of an exchange that may be of both SUs."""
 
 
-@dataclass(frozen=True, eq=False)
-class Changes:
-    """What changes within logs.
+@dataclass(frozen=True)
+class Exchanged(Amendment):
+    """SUs that have other names from some moment in a log on.
 
     Attributes:
-        logs: the logs with SUs' names exchanged back.
-        faults: the names that were, in words.
-        turns: encoders that change their sense, which are still to be mended.
+        log: index of the log.
+        names: the SUs, and
+        called: the names they have later.
+        between: times between which they got them [s].
+        begin: the time at which they did [s].
     """
 
-    logs: Logs
-    faults: tuple[Fault, ...]
-    turns: tuple[Turn, ...]
+    log: int
+    names: tuple[str, ...]
+    called: tuple[str, ...]
+    between: tuple[float, float]
+    begin: float
+
+    def of_logs(self, logs: Logs) -> Logs:
+        """The logs with the earlier names."""
+        sampled = list(logs.sampled)
+        columns = columns_of(logs, self.names, self.called)
+        sampled[self.log], _ = _renamed_from(sampled[self.log], columns, self.between)
+        return logs.of(sampled)
 
 
-def changes_within(logs: Logs, found: Estimate | None, clock: Clock) -> Changes:
-    """Look for changes in each of the logs.
+class Changes:
+    """What changes in the middle of a log: the sense of an encoder, the names of SUs."""
+
+    rank: Literal[0, 1, 2, 3] = 3
+
+    def propose(self, search: Search, now: Attempt | None) -> Sequence[Candidate]:
+        """All that changes in any log, senses and names apart."""
+        if now is not None and explains(now.solution.found):
+            return []
+        found = None if now is None else now.solution.found
+        drop = np.inf if found is None else excess(found)
+        known = () if now is None else now.amendments
+        return [
+            Candidate(kind, tuple(subjects), new, drop)
+            for kind, subjects, new in search.once("changes", lambda: _changes(search, found))
+            if new[0] not in known
+        ]
+
+    def findings(self, last: Attempt) -> Sequence[Fault]:
+        """The names that were exchanged; senses are told with the other errors of encoders."""
+        return [
+            Fault("swapped", name, "in a log", log=a.log, begin=a.begin, sus=(called,))
+            for a in last.amendments if isinstance(a, Exchanged)
+            for name, called in zip(a.names, a.called, strict=True)
+        ]  # fmt: skip
+
+
+def _changes(
+    search: Search, found: Estimate | None
+) -> list[tuple[str, list[str], tuple[Amendment, ...]]]:
+    """Kind, subjects and amendments of what changes within logs.
 
     Args:
-        logs: logs that no estimate explains.
-        found: the estimate from them, where there is one.
-        clock: runs the stages.
+        search: has the logs.
+        found: an estimate from all of them, where there is one.
     """
-    sampled, faults, turns = list(logs.sampled), list[Fault](), list[Turn]()
+    logs = search.plain
+    exchanges, turns = list[Exchanged](), list[Corrected]()
     for log, s in enumerate(logs.sampled):
-        sound = _sound_part(logs.of([s]), found, clock)
+        sound = _sound_part(logs.of([s]), found, search.clock)
         if sound is None:
             continue
         known, poses = sound
@@ -74,20 +119,39 @@ def changes_within(logs: Logs, found: Estimate | None, clock: Clock) -> Changes:
             tells = np.isfinite(ratio[:, d])
             turn = _Change.of(poses, ratio[:, d] < TURNED, tells, _doubtful(ratio[:, d]))
             if turn is not None:
-                turns.append(Turn(name, log, turn.between))
+                turns.append(_turned(search, name, log, turn.between))
         exchange = _exchange(known, poses)
         if exchange is not None:
             names, called, between = exchange
-            columns = np.arange(len(logs.su_names))
-            columns[[logs.su_names.index(n) for n in names]] = [
-                logs.su_names.index(n) for n in called
-            ]
-            sampled[log], time = _renamed_from(s, columns, between)
-            faults += [
-                Fault("swapped", n, "in a log", log=log, begin=time, sus=(c,))
-                for n, c in zip(names, called, strict=True)
-            ]
-    return Changes(logs.of(sampled), tuple(faults), tuple(turns))
+            _, time = _renamed_from(s, columns_of(logs, names, called), between)
+            exchanges.append(Exchanged(log, tuple(names), tuple(called), between, time))
+    out = list[tuple[str, list[str], tuple[Amendment, ...]]]()
+    if turns:
+        out.append(("encoder turn", [turn.error.dof for turn in turns], tuple(turns)))
+    if exchanges:
+        out.append(("swapped in a log", [n for e in exchanges for n in e.names], tuple(exchanges)))
+    return out
+
+
+def _turned(search: Search, dof: str, log: int, between: tuple[float, float]) -> Corrected:
+    """An encoder mirrored from where its sense changes in a log.
+
+    A leap of the track tells when that was; else the track itself, where it turns round at once.
+    """
+    begin, end = between
+    leaps = [
+        e for e in errors_of(search.evident)
+        if (e.dof, e.log) == (dof, log) and begin < e.begin < end
+    ]  # fmt: skip
+    if leaps:
+        at = max(leaps, key=lambda e: abs(e.size)).begin
+    else:
+        recordings = list(search.recordings)
+        for each in search.evident:
+            recordings = each.of_recordings(recordings)
+        (track,) = (j for j in recordings[log].joints if j.name == dof)
+        at = reversal(track, between)
+    return Corrected(EncoderError("sign", dof, -1.0, log, at))
 
 
 @dataclass(frozen=True)

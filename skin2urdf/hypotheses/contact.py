@@ -2,47 +2,114 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Hashable, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 
 from skin2urdf.arrays import F64
 from skin2urdf.calibration.clock import Clock, Tell
-from skin2urdf.calibration.rounds import Solution, estimate_again, predicted_curvature
+from skin2urdf.calibration.rounds import Logs, Solution, predicted_curvature
 from skin2urdf.estimation.solve.estimate import Estimate
 from skin2urdf.faults import Fault
+from skin2urdf.hypotheses.records import Amendment, Attempt, Candidate
+from skin2urdf.hypotheses.search import Search, hopeless
 from skin2urdf.model.prediction import Chains
 from skin2urdf.signals.contact import Disturbance, disturbances, without
 from skin2urdf.signals.records import Features
 from skin2urdf.signals.sampling import Sampled
 
-_PASSES = 3
-"""How often, at most, disturbances are looked for: a large one hides a small one."""
 _MOST_LEFT = 0.7
 """Share of the residuals that a joint's motion leaves at most where it is their cause."""
 _ROUGH = 0.1
 """Relative error of what a hit does to a reading at first order."""
+_NUMBERS = 3
+"""What a hit is told by: when it begins and ends, and how hard it is."""
 
 
-def with_contacts_left_out(solution: Solution, clock: Clock) -> Solution:
-    """The solution without the moments in which readings do not follow the joints' motion."""
-    logs = solution.logs.sampled
-    for _ in range(_PASSES):
-        touched = [d for d, _ in _disturbed(solution.logs.sampled, solution, clock)]
-        if not touched:
-            break
-        calm = solution.logs.of(without(solution.logs.sampled, touched))
-        solution = estimate_again(solution, calm, (), clock)
-    if solution.logs.sampled is logs:
-        return solution
-    # What hit the robot shows undistorted to an estimate that does not know those moments.
-    names, joints = solution.features.su_names, solution.found.tree.joint_names
-    faults = [
-        _fault(d, joints[pushed], names, logs[d.log])
-        for d, pushed in _disturbed(logs, solution, clock)
-    ]
-    return replace(solution, faults=(*solution.faults, *faults))
+@dataclass(frozen=True, eq=False)
+class LeftOut(Amendment):
+    """Moments that are left out of the logs.
+
+    Attributes:
+        moments: in which something touched the robot.
+        pushed: the joint of the tree that moved in each of them.
+    """
+
+    moments: tuple[Disturbance, ...]
+    pushed: tuple[int, ...]
+
+    @property
+    def key(self) -> Hashable:
+        """All moments are left out together."""
+        return "left out"
+
+    @property
+    def parameters(self) -> int:
+        """Those of every moment."""
+        return _NUMBERS * len(self.moments)
+
+    @property
+    def apart(self) -> float:
+        """Residuals that stand out, over their deviations: no feature counts those."""
+        return sum(d.strength**2 for d in self.moments)
+
+    def left_out(self, logs: Logs) -> Logs:
+        """The logs without these moments."""
+        return logs.of(without(logs.sampled, self.moments))
+
+
+class Contact:
+    """Something touched the robot: in those moments readings do not follow the joints' motion."""
+
+    rank: Literal[0, 1, 2, 3] = 0
+
+    def propose(self, search: Search, now: Attempt | None) -> Sequence[Candidate]:
+        """All moments that stand out; a large one may hide a small one, which is seen next.
+
+        What no estimate explains says nothing of what lies beyond first order.
+        """
+        if now is None or hopeless(now.solution.found):
+            return []
+        found, features = now.solution.found, now.solution.features
+        seen = _disturbed(now.solution.logs.sampled, now.solution, search.clock)
+        new = [d for d, _ in seen]
+        if not new:
+            return []
+        old = [a for a in now.amendments if isinstance(a, LeftOut)]
+        moments = tuple(d for a in old for d in a.moments) + tuple(new)
+        pushed = tuple(j for a in old for j in a.pushed) + tuple(j for _, j in seen)
+        column = {name: u for u, name in enumerate(found.tree.su_names)}
+        blocks = {
+            (d.pose, column[features.su_names[u]])
+            for d in new for u in d.felt if features.su_names[u] in column
+        }  # fmt: skip
+        left = sum(max(0.0, found.chi2_by_block[b] - found.count[b]) for b in blocks)
+        return [
+            Candidate(
+                "contact", tuple(f"{d.log}:{d.time:.3f}" for d in new), (LeftOut(moments, pushed),),
+                float(left),
+            )
+        ]  # fmt: skip
+
+    def findings(self, last: Attempt) -> Sequence[Fault]:
+        """What hit the robot, and which joint."""
+        names, joints = last.solution.features.su_names, last.solution.found.tree.joint_names
+        return [
+            _fault(d, joints[joint], names, last.whole.sampled[d.log])
+            for a in last.amendments if isinstance(a, LeftOut)
+            for d, joint in zip(a.moments, a.pushed, strict=True)
+        ]  # fmt: skip
+
+    def finish(self, last: Attempt, clock: Clock) -> Attempt:
+        """The moments as an estimate sees them that does not know them."""
+        if not any(isinstance(a, LeftOut) for a in last.amendments):
+            return last
+        seen = _disturbed(last.whole.sampled, last.solution, clock)
+        new = LeftOut(tuple(d for d, _ in seen), tuple(joint for _, joint in seen))
+        others = (a for a in last.amendments if not isinstance(a, LeftOut))
+        return replace(last, amendments=(*others, new))
 
 
 def _disturbed(

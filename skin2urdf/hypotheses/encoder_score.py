@@ -14,11 +14,12 @@ A only the blocks of single joints are needed.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from skin2urdf.arrays import F64
+from skin2urdf.estimation.problem.cost import Cost
 from skin2urdf.estimation.problem.state import N_SU
 from skin2urdf.estimation.solve.arrow import ArrowFactor, factor
 from skin2urdf.estimation.solve.estimate import Estimate
@@ -63,6 +64,14 @@ class EncoderScores:
         safe = np.where(seen, known, 1.0)
         gain = np.where(seen, slope**2 / safe, 0.0)
         return gain, np.where(seen, -slope / safe, 0.0), np.where(seen, safe**-0.5, np.inf)
+
+
+def unweighted(found: Estimate) -> Estimate:
+    """The estimate with nothing weighed down in its cost."""
+    blocks = found.cost.blocks.reweighted(1 / np.maximum(found.weight, 1e-12))
+    cost = Cost(found.tree, blocks, found.cost.priors)
+    hidden = float(((1 - found.weight) * found.chi2_by_block).sum())
+    return replace(found, cost=cost, chi2=found.chi2 + hidden, weight=np.ones(found.count.shape))
 
 
 def encoder_scores(found: Estimate) -> EncoderScores:

@@ -21,6 +21,7 @@ from skin2urdf.arrays import F64, Bool, Int
 from skin2urdf.estimation.problem.cost import Cost
 from skin2urdf.estimation.problem.state import N_PLACEMENT, N_SU, State
 from skin2urdf.estimation.solve.estimate import Estimate
+from skin2urdf.hypotheses.encoder_score import unweighted
 
 FALSE_ALARM = 1e-6
 """Probability that chance makes any SU of a calibration count as loose."""
@@ -39,6 +40,7 @@ class Slip:
         before: last pose with the earlier placement, and
         after: first pose with the later one, in the order of time; poses between them have both.
         gain: F, by which one placement is worse.
+        drop: of chi-squared with two placements, the joints as they are.
         log_probability: natural logarithm of the probability of such an F by chance.
     """
 
@@ -46,6 +48,7 @@ class Slip:
     before: int
     after: int
     gain: float
+    drop: float
     log_probability: float
 
 
@@ -56,7 +59,7 @@ def slips(estimate: Estimate, order: Int) -> tuple[Slip, ...]:
         estimate: an estimate, however bad.
         order: (P,) the poses in the order of time.
     """
-    plain = _unweighted(estimate)
+    plain = unweighted(estimate).cost
     sums = _sums(plain, estimate.state)
     found = []
     for u in range(estimate.tree.n_sus):
@@ -66,12 +69,6 @@ def slips(estimate: Estimate, order: Int) -> tuple[Slip, ...]:
         if here is not None and here.log_probability < np.log(FALSE_ALARM / tests):
             found.append(here)
     return tuple(sorted(found, key=lambda slip: -slip.gain))
-
-
-def _unweighted(estimate: Estimate) -> Cost:
-    """The cost without robust weights."""
-    blocks = estimate.cost.blocks.reweighted(1 / np.maximum(estimate.weight, 1e-12))
-    return Cost(estimate.tree, blocks, estimate.cost.priors)
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,7 +137,7 @@ def _best(sums: _Sums, u: int, free: Bool, count: Int, order: Int) -> Slip | Non
     i, skip, one, two, dof, _ = tried[int(np.argmin(cost))]
     F = max(one - two, 0.0) / k / (two / dof)
     log_p = float(fisher.logsf(F, k, dof))
-    return Slip(u, int(order[i - 1]), int(order[i + skip]), F, log_p)
+    return Slip(u, int(order[i - 1]), int(order[i + skip]), F, max(one - two, 0.0), log_p)
 
 
 def _chi2(sums: _Sums, u: int, free: Bool, sides: list[Int] | tuple[Int, ...]) -> float:

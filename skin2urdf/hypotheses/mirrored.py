@@ -2,37 +2,49 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from dataclasses import replace
-
-import numpy as np
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
 
 from skin2urdf.calibration.rounds import Logs
-from skin2urdf.estimation.solve.estimate import Estimate
 from skin2urdf.estimation.uncertainty.health import mirrored_sus
 from skin2urdf.faults import Fault
-from skin2urdf.signals.sampling import Sampled
+from skin2urdf.hypotheses.alone import negated
+from skin2urdf.hypotheses.records import Amendment, Attempt, Candidate
+from skin2urdf.hypotheses.search import Search, excess, explains
 
 
-def mirrored_negated(logs: Logs, found: Estimate) -> tuple[Logs, list[Fault]]:
-    """The logs with mirrored SUs negated, and their faults.
+@dataclass(frozen=True)
+class Negated(Amendment):
+    """An SU whose readings are negated.
 
-    Args:
-        logs: the logs.
-        found: an estimate from them, however bad.
+    Attributes:
+        su: its name.
     """
-    names = [found.tree.su_names[u] for u in mirrored_sus(found)]
-    return negated(logs, names), [Fault("mirrored", name) for name in names]
+
+    su: str
+
+    def of_logs(self, logs: Logs) -> Logs:
+        """The logs with its readings negated."""
+        return negated(logs, [self.su])
 
 
-def negated(logs: Logs, names: Iterable[str]) -> Logs:
-    """The logs with the readings of some SUs negated, of those that they have."""
-    columns = [logs.su_names.index(name) for name in names if name in logs.su_names]
-    return logs.of([_negated(s, columns) for s in logs.sampled]) if columns else logs
+class Mirrored:
+    """The readings themselves tell an SU's handedness where nothing is wrong with the joints."""
 
+    rank: Literal[0, 1, 2, 3] = 0
 
-def _negated(sampled: Sampled, sus: Sequence[int]) -> Sampled:
-    """A log with the readings of some SUs negated."""
-    readings = np.array(sampled.readings)
-    readings[:, list(sus)] *= -1
-    return replace(sampled, readings=readings)
+    def propose(self, search: Search, now: Attempt | None) -> Sequence[Candidate]:  # noqa: ARG002
+        """All SUs together that look mirrored: a few of them bend the others."""
+        if now is None or explains(now.solution.found):
+            return []
+        found = now.solution.found
+        names = [found.tree.su_names[u] for u in mirrored_sus(found)]
+        new = tuple(Negated(name) for name in names if Negated(name) not in now.amendments)
+        if not new:
+            return []
+        return [Candidate("mirrored", tuple(n.su for n in new), new, excess(found))]
+
+    def findings(self, last: Attempt) -> Sequence[Fault]:
+        """The SUs that were negated."""
+        return [Fault("mirrored", a.su) for a in last.amendments if isinstance(a, Negated)]

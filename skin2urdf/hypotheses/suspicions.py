@@ -6,7 +6,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import chi2 as chi_squared
 
 from skin2urdf.arrays import F64, Int
 from skin2urdf.estimation.solve.estimate import Estimate
@@ -14,8 +13,6 @@ from skin2urdf.geometry.so3 import skew
 from skin2urdf.hypotheses.encoder_score import encoder_scores
 from skin2urdf.signals.records import EncoderError, Features
 
-_FALSE_ALARM = 1e-6
-"""Probability that any hypothesis passes where all encoders are right."""
 _LARGEST_SCALE = 2.0
 """Factor by which one step may correct a scale; the next estimate goes on from there."""
 
@@ -32,14 +29,10 @@ class Suspicion:
     Attributes:
         error: the error.
         gain: chi-squared that it takes off.
-        share: of the excess of chi-squared over its expectation.
-        significant: whether chance can be excluded.
     """
 
     error: EncoderError
     gain: float
-    share: float
-    significant: bool
 
 
 def suspicions(found: Estimate, features: Features) -> tuple[Suspicion, ...]:
@@ -59,22 +52,10 @@ def suspicions(found: Estimate, features: Features) -> tuple[Suspicion, ...]:
         errors += own
         results.append(scores.test(joint, np.array(directions)))
     gain, size, deviation = (np.concatenate(part) for part in zip(*results, strict=True))
-    freedom = max(1, found.degrees_of_freedom)
-    limit = float(chi_squared.isf(_FALSE_ALARM / len(gain), 1))
-    out = []
-    for i in np.argsort(-gain):
-        left = found.chi2 - gain[i]
-        excess = max(found.chi2 - freedom, gain[i])
-        scaled = gain[i] / max(1.0, left / freedom)
-        out.append(
-            Suspicion(
-                _sized(errors[i], float(size[i]), float(deviation[i])),
-                float(gain[i]),
-                float(gain[i] / excess) if excess > 0 else 0.0,
-                bool(scaled > limit),
-            )
-        )
-    return tuple(out)
+    return tuple(
+        Suspicion(_sized(errors[i], float(size[i]), float(deviation[i])), float(gain[i]))
+        for i in np.argsort(-gain)
+    )
 
 
 def gross_scales(found: Estimate) -> tuple[EncoderError, ...]:

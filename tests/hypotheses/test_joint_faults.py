@@ -6,8 +6,6 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -17,10 +15,16 @@ from skin2urdf.arrays import F64
 from skin2urdf.calibration.clock import Clock
 from skin2urdf.calibration.pipeline import calibrate
 from skin2urdf.calibration.result import Calibration
-from skin2urdf.calibration.rounds import estimate_once
+from skin2urdf.calibration.rounds import (
+    estimate_once,
+    estimate_robot,
+    find_structure,
+    sample_logs,
+    take_features,
+)
 from skin2urdf.calibration.settings import CalibrationSettings
-from skin2urdf.hypotheses.encoders import Encoders, misfit_gone, sized_by_the_fit
-from skin2urdf.hypotheses.solution import solved
+from skin2urdf.hypotheses.encoder import Corrected, errors_of, sized_by_the_fit
+from skin2urdf.hypotheses.records import Attempt
 from skin2urdf.hypotheses.suspicions import suspicions
 from skin2urdf.recording.records import JointStream, Recording
 from skin2urdf.recording.retiming import retimed
@@ -81,45 +85,28 @@ def test_a_jump_is_named_with_its_time_and_size(degrees: float, at: float, tmp_p
 
 def test_a_wrong_encoder_is_corrected_by_as_much_as_the_fit_says() -> None:
     """Also by what chance could have brought about, once it is known to be wrong."""
-    r, joint = retimed(simulation("panda", **OPTIONS).recording), "panda_joint4"
-    solution = solved([r], CalibrationSettings(), Clock())
+    r, joint, clock = retimed(simulation("panda", **OPTIONS).recording), "panda_joint4", Clock()
+    logs = sample_logs([r], CalibrationSettings(), clock)
+    first = take_features(logs, clock)
+    solution = estimate_robot(logs, first, find_structure(logs, first, clock), clock)
+    assert solution is not None
     begin, size = 0.6 * r.duration, 8e-5
     q = np.array(solution.features.q)
     later = solution.features.span.mean(axis=1) >= begin
     q[later, solution.features.dof_names.index(joint)] += size
     features = replace(solution.features, q=q)
-    found = estimate_once(
-        solution.logs, solution.found.tree, features, solution.found.state, Clock()
-    )
-    known = Encoders([r], (EncoderError("offset", joint, 0.1, 0, begin),))
-    disturbed = replace(solution, found=found, features=features)
-    after, mended = sized_by_the_fit(known, disturbed, Clock())
-    (error,) = after.errors
+    tree, state = solution.found.tree, solution.found.state
+    found = estimate_once(logs, tree, features, state, clock)
+    known = Corrected(EncoderError("offset", joint, 0.1, 0, begin))
+    disturbed = Attempt((known,), replace(solution, found=found, features=features), logs)
+    after = sized_by_the_fit(disturbed, clock)
+    (error,) = errors_of(after.amendments)
     assert error.size == pytest.approx(0.1 + size, abs=size / 2)
+    mended = after.solution
     np.testing.assert_allclose(mended.features.q, solution.features.q, atol=size / 2)
     score = {s.error.begin: s.gain for s in suspicions(mended.found, mended.features)
              if (s.error.kind, s.error.dof) == ("offset", joint)}  # fmt: skip
     assert score[min(score, key=lambda t: abs(t - begin))] < 0.01
-
-
-@pytest.mark.parametrize(
-    ("before", "after", "better"),
-    [
-        # Cost with robust weights, and chi-squared without, per degree of freedom.
-        ((30.0, 30.0), (1.0, 1.0), True),
-        ((1.9, 4.0), (1.1, 1.2), True),
-        ((1.38, 4000.0), (1.37, 3999.0), False),
-        ((30.0, 30.0), (20.0, 20.0), False),
-    ],
-)
-def test_encoders_were_wrong_where_their_misfit_is_gone(
-    before: tuple[float, float], after: tuple[float, float], better: bool
-) -> None:
-    def found(cost: float, misfit: float) -> Any:
-        chi2 = np.full((10, 100), misfit)
-        return SimpleNamespace(cost_per_dof=cost, chi2_by_block=chi2, degrees_of_freedom=1000)
-
-    assert misfit_gone(found(*before), found(*after)) == better
 
 
 @pytest.mark.parametrize("factor", [1.02])

@@ -2,30 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 
 from skin2urdf.arrays import Bool
-from skin2urdf.calibration.clock import Clock
-from skin2urdf.calibration.result import BAD_FIT, GOOD_FIT
-from skin2urdf.calibration.rounds import Logs, relinearise, take_features
-from skin2urdf.errors import InsufficientDataError
+from skin2urdf.calibration.rounds import Logs
+from skin2urdf.estimation.problem.state import N_PLACEMENT
 from skin2urdf.estimation.solve.arrow import factor
 from skin2urdf.estimation.solve.estimate import Estimate
 from skin2urdf.faults import Fault
 from skin2urdf.geometry.so3 import rotation_log
 from skin2urdf.hypotheses.loose import Slip, slips
+from skin2urdf.hypotheses.records import Amendment, Attempt, Candidate
+from skin2urdf.hypotheses.search import Search
 from skin2urdf.signals.records import Features
 from skin2urdf.signals.sampling import Sampled
+from skin2urdf.structure.records import KinematicTree
 
-_MOST = 4
-"""Slips that are taken for such; a robot with more has another fault."""
-_MOST_LEFT = 0.7
-"""Share of the misfit that may stay where a slip was one of its causes."""
-_LEFT = 0.1
-"""Share of the misfit that may stay where slips were its cause."""
 _STRADDLED = 4.0
 """Chi-squared per measurement of a pose, over the median, from which an SU slipped inside of it."""
 _TURN, _SHIFT, _SHARE = np.deg2rad(0.2), 1e-3, 0.05
@@ -55,8 +51,8 @@ class Moment:
 
 
 @dataclass(frozen=True)
-class Parted:
-    """An SU that was taken apart.
+class Slipped(Amendment):
+    """An SU that sits elsewhere from some moment on.
 
     Attributes:
         name: the SU, which keeps its name for its last placement.
@@ -68,85 +64,83 @@ class Parted:
     earlier: str
     at: Moment
 
-
-@dataclass(frozen=True, eq=False)
-class Parting:
-    """An estimate in which SUs were taken apart.
-
-    Attributes:
-        logs: the logs in which an SU has two names.
-        found: the estimate.
-        features: its features.
-        parted: the SUs.
-    """
-
-    logs: Logs
-    found: Estimate
-    features: Features
-    parted: tuple[Parted, ...] = ()
+    @property
+    def key(self) -> Hashable:
+        """The slip, whenever it was."""
+        return "slip", self.name, self.earlier
 
     @property
-    def faults(self) -> list[Fault]:
-        """The slips."""
-        return [_fault(self.found, part) for part in self.parted]
+    def parameters(self) -> int:
+        """Those of another placement."""
+        return N_PLACEMENT
+
+    def of_placements(self, logs: Logs, tree: KinematicTree) -> tuple[Logs, KinematicTree]:
+        """Logs and tree with one SU for each placement."""
+        if self.name not in tree.su_names:
+            return logs, tree
+        u = logs.su_names.index(self.name)
+        sampled = [_doubled(s, u, log, self.at) for log, s in enumerate(logs.sampled)]
+        doubled = replace(logs, sampled=sampled, su_names=(*logs.su_names, self.earlier))
+        if self.earlier in tree.su_names:
+            return doubled, tree
+        joint = tree.su_joint[tree.su_names.index(self.name)]
+        names, joints = (*tree.su_names, self.earlier), np.append(tree.su_joint, joint)
+        return doubled, replace(tree, su_names=names, su_joint=joints)
 
 
-def slips_parted(logs: Logs, found: Estimate, features: Features, clock: Clock) -> Parting:
-    """Take apart what slipped, one SU at a time, if that explains what the estimate leaves.
+class Slips:
+    """SUs that slipped."""
 
-    Args:
-        logs: the logs.
-        found: an estimate.
-        features: its features.
-        clock: runs the stages.
+    rank: Literal[0, 1, 2, 3] = 0
 
-    Returns:
-        The estimate with SUs taken apart; the given one where no slip is its misfit's cause.
-    """
-    first = now = Parting(logs, found, features)
-    for _ in range(_MOST):
-        order = np.lexsort((now.features.span[:, 0], now.features.log))
-        loose = slips(now.found, order)
-        if not loose:
-            break
-        new = _apart(now, loose[0], clock)
-        if new is None or _excess(new.found) > _MOST_LEFT * _excess(now.found):
-            return first
-        now = new
-    return now if _explained(first.found, now.found) else first
+    def propose(self, search: Search, now: Attempt | None) -> Sequence[Candidate]:  # noqa: ARG002
+        """Every SU whose readings fit two placements far better than one."""
+        if now is None:
+            return []
+        found, features = now.solution.found, now.solution.features
+        order = np.lexsort((features.span[:, 0], features.log))
+        out = [
+            self._candidate(slip, found, features, now.whole.su_names)
+            for slip in slips(found, order)
+        ]
+        # An SU may slip while the robot is in a pose.
+        for old in now.amendments:
+            if not isinstance(old, Slipped):
+                continue
+            names = found.tree.su_names
+            if old.name not in names or old.earlier not in names:
+                continue
+            inside = _straddled(found, old.name, old.earlier, old.at, features)
+            if inside is not None:
+                who = [names.index(old.name), names.index(old.earlier)]
+                left = (found.chi2_by_block - found.count)[:, who].clip(min=0).sum()
+                moved = replace(old, at=inside)
+                out.append(Candidate("slip in a pose", (old.name,), (moved,), float(left)))
+        return out
 
+    def _candidate(
+        self, slip: Slip, found: Estimate, features: Features, taken: Sequence[str]
+    ) -> Candidate:
+        name = found.tree.su_names[slip.su]
+        earlier = _fresh(f"{name}_before", taken)
+        new = Slipped(name, earlier, Moment.between(features, slip.before, slip.after))
 
-def _explained(before: Estimate, after: Estimate) -> bool:
-    """Whether what the first estimate left beyond noise is gone, or nearly."""
-    left = _excess(after) < _LEFT * _excess(before) or after.cost_per_dof <= GOOD_FIT
-    return left and after.cost_per_dof <= BAD_FIT
+        def holds(after: Attempt) -> bool:
+            there = after.solution.found
+            if earlier not in there.tree.su_names or name not in there.tree.su_names:
+                return False
+            return not (_like_an_encoder(there, name, earlier) or _small(there, name, earlier))
 
+        return Candidate("slip", (name,), (new,), slip.drop, holds=holds)
 
-def _excess(found: Estimate) -> float:
-    """Chi-squared beyond what noise makes of it, at least a standard deviation of that."""
-    dof = max(1, found.degrees_of_freedom)
-    return max(float(found.chi2_by_block.sum()) - dof, float(np.sqrt(2 * dof)))
-
-
-def _apart(before: Parting, slip: Slip, clock: Clock) -> Parting | None:
-    """With one more SU taken apart; None where that explains nothing."""
-    features = before.features
-    name = before.found.tree.su_names[slip.su]
-    earlier = _fresh(f"{name}_before", before.logs.su_names)
-    at = Moment.between(features, slip.before, slip.after)
-    for _ in range(2):
-        try:
-            logs, found, features = _estimated(before, name, earlier, at, clock)
-        except InsufficientDataError:
-            return None
-        inside = _straddled(found, name, earlier, at, features)
-        if inside is None:
-            break
-        at = inside
-    if _like_an_encoder(found, name, earlier) or _small(found, name, earlier):
-        return None
-    part = Parted(name, earlier, at)
-    return Parting(logs, found, features, (*before.parted, part))
+    def findings(self, last: Attempt) -> Sequence[Fault]:
+        """The slips with their sizes."""
+        names = last.solution.found.tree.su_names
+        return [
+            _fault(last.solution.found, a)
+            for a in last.amendments
+            if isinstance(a, Slipped) and a.name in names and a.earlier in names
+        ]
 
 
 def _small(found: Estimate, name: str, earlier: str) -> bool:
@@ -196,22 +190,6 @@ def _like_an_encoder(found: Estimate, name: str, earlier: str) -> bool:
     else:
         rest = np.linalg.norm(turn - turn[2] * along), np.linalg.norm(shift)
     return bool((np.array(rest) < allowed).all())
-
-
-def _estimated(
-    before: Parting, name: str, earlier: str, at: Moment, clock: Clock
-) -> tuple[Logs, Estimate, Features]:
-    """The logs with an SU under two names, and the estimate from them."""
-    tree, features = before.found.tree, before.features
-    u = before.logs.su_names.index(name)
-    sampled = [_doubled(s, u, log, at) for log, s in enumerate(before.logs.sampled)]
-    logs = replace(before.logs, sampled=sampled, su_names=(*before.logs.su_names, earlier))
-    joint = tree.su_joint[tree.su_names.index(name)]
-    new_tree = replace(
-        tree, su_names=(*tree.su_names, earlier), su_joint=np.append(tree.su_joint, joint)
-    )
-    lag = np.append(features.latency, features.latency[features.su_names.index(name)])
-    return logs, *relinearise(logs, new_tree, take_features(logs, clock, latency=lag), clock)
 
 
 def _straddled(
@@ -264,7 +242,7 @@ def _doubled(sampled: Sampled, u: int, log: int, at: Moment) -> Sampled:
     )
 
 
-def _fault(found: Estimate, part: Parted) -> Fault:
+def _fault(found: Estimate, part: Slipped) -> Fault:
     """A slip with its size."""
     distance, turn = _moved(found, part.name, part.earlier)
     moving = found.tree.su_joint[found.tree.su_names.index(part.name)] >= 0

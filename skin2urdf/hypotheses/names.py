@@ -7,20 +7,24 @@ the first log, or do not. Names are assigned to SUs so that all fit best.
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from skin2urdf.arrays import F64, Int
-from skin2urdf.calibration.clock import Clock
-from skin2urdf.calibration.rounds import Logs, find_structure, relinearise, take_features
+from skin2urdf.calibration.rounds import Logs, take_features
 from skin2urdf.errors import InsufficientDataError
 from skin2urdf.estimation.problem.blocks import feature_blocks
 from skin2urdf.estimation.problem.cost import Cost
 from skin2urdf.estimation.solve.estimate import Estimate
 from skin2urdf.estimation.start.starts import felt_up
 from skin2urdf.faults import Fault
+from skin2urdf.hypotheses.alone import alone, negated
+from skin2urdf.hypotheses.records import Amendment, Attempt, Candidate
+from skin2urdf.hypotheses.search import Search, excess, explains
 from skin2urdf.signals.records import Features
 from skin2urdf.signals.sampling import Sampled
 
@@ -29,44 +33,81 @@ _FAR_BETTER = 10.0
 per cent: there are dozens of measurements to a pose. SUs a centimetre apart make it hundreds."""
 
 
-def names_agreeing(logs: Logs, clock: Clock) -> tuple[Logs, list[Fault]]:
-    """Give the SUs of all logs the names that one of the logs has for them.
+@dataclass(frozen=True)
+class Renamed(Amendment):
+    """SUs that have other names in one log.
 
-    Args:
-        logs: the logs.
-        clock: runs the stages.
-
-    Returns:
-        The logs with names that agree, and the SUs whose names did not.
+    Attributes:
+        log: index of the log.
+        names: the SUs, and
+        called: the names they have there.
     """
-    number = [len(s.neighbourhoods) for s in logs.sampled]
-    reference = int(np.argmax(number))
-    alone = logs.of([logs.sampled[reference]])
-    try:
-        features = take_features(alone, clock)
-        tree = find_structure(alone, features, clock).tree
-        if tree is None:
-            return logs, []
-        found, features = relinearise(alone, tree, features, clock)
-    except InsufficientDataError:
-        return logs, []
-    names = found.tree.su_names
-    sampled, faults = list(logs.sampled), []
-    for log, other in enumerate(logs.sampled):
-        if log == reference:
-            continue
-        there = logs.of([other])
-        try:
-            called = names_in(found, take_features(there, clock, latency=features.latency))
-        except InsufficientDataError:
-            continue
-        columns = np.arange(len(logs.su_names))
-        for u in np.flatnonzero(called != np.arange(len(called))):
-            name, alias = names[u], names[called[u]]
-            columns[logs.su_names.index(name)] = logs.su_names.index(alias)
-            faults.append(Fault("swapped", name, "between logs", log=log, sus=(alias,)))
-        sampled[log] = _renamed(other, columns)
-    return (logs.of(sampled), faults) if faults else (logs, [])
+
+    log: int
+    names: tuple[str, ...]
+    called: tuple[str, ...]
+
+    def of_logs(self, logs: Logs) -> Logs:
+        """The logs with the SUs' own names."""
+        sampled = list(logs.sampled)
+        sampled[self.log] = _renamed(sampled[self.log], columns_of(logs, self.names, self.called))
+        return logs.of(sampled)
+
+
+def columns_of(logs: Logs, names: Sequence[str], called: Sequence[str]) -> Int:
+    """(U,) the column that holds each SU's readings where some have other names."""
+    columns = np.arange(len(logs.su_names))
+    columns[[logs.su_names.index(n) for n in names]] = [logs.su_names.index(n) for n in called]
+    return columns
+
+
+class Names:
+    """SUs whose names in one log are not those of the log with the most poses."""
+
+    rank: Literal[0, 1, 2, 3] = 1
+
+    def propose(self, search: Search, now: Attempt | None) -> Sequence[Candidate]:
+        """All names of a log that do not agree, in all logs."""
+        if len(search.plain.sampled) < 2 or (now is not None and explains(now.solution.found)):
+            return []
+        new = search.once("names", lambda: self._renamed(search))
+        if not new or (now is not None and new[0] in now.amendments):
+            return []
+        names = tuple(name for a in new for name in a.names)
+        drop = np.inf if now is None else excess(now.solution.found)
+        return [Candidate("swapped", names, new, drop)]
+
+    def _renamed(self, search: Search) -> tuple[Renamed, ...]:
+        """Names in the logs that do not agree with those of the log with the most poses."""
+        logs = search.plain
+        reference = int(np.argmax([len(s.neighbourhoods) for s in logs.sampled]))
+        known = alone(search, reference)
+        if known is None:
+            return ()
+        out = []
+        for log, other in enumerate(logs.sampled):
+            if log == reference:
+                continue
+            there = negated(logs.of([other]), known.mirrored)
+            try:
+                features = take_features(there, search.clock, latency=known.features.latency)
+                called = names_in(known.found, features)
+            except InsufficientDataError:
+                continue
+            names = known.found.tree.su_names
+            who = np.flatnonzero(called != np.arange(len(called)))
+            if len(who):
+                mine = tuple(names[u] for u in who)
+                out.append(Renamed(log, mine, tuple(names[called[u]] for u in who)))
+        return tuple(out)
+
+    def findings(self, last: Attempt) -> Sequence[Fault]:
+        """The SUs that were renamed."""
+        return [
+            Fault("swapped", name, "between logs", log=a.log, sus=(called,))
+            for a in last.amendments if isinstance(a, Renamed)
+            for name, called in zip(a.names, a.called, strict=True)
+        ]  # fmt: skip
 
 
 def names_in(found: Estimate, features: Features) -> Int:

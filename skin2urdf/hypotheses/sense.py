@@ -7,16 +7,24 @@ others, with the sense of every joint as it is, or turned.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from typing import Literal
 
 import numpy as np
 
 from skin2urdf.arrays import F64
+from skin2urdf.calibration.rounds import take_features
+from skin2urdf.errors import InsufficientDataError
 from skin2urdf.estimation.problem.blocks import feature_blocks
 from skin2urdf.estimation.problem.cost import Cost
 from skin2urdf.estimation.solve.estimate import Estimate
+from skin2urdf.faults import Fault
 from skin2urdf.geometry.so3 import cross
+from skin2urdf.hypotheses.alone import alone, negated
+from skin2urdf.hypotheses.encoder import Corrected
+from skin2urdf.hypotheses.records import Attempt, Candidate
+from skin2urdf.hypotheses.search import Search, excess, explains
 from skin2urdf.signals.records import EncoderError, Features
 
 _TELLS = 100.0
@@ -25,6 +33,37 @@ _HALF = 0.5
 """Chi-squared with one more joint turned, over that without, from which it is followed."""
 TURNED = 0.1
 """Chi-squared with joints turned, over that with none, from which they are believed."""
+
+
+class Senses:
+    """Encoders that count the other way in a later log than in the first."""
+
+    rank: Literal[0, 1, 2, 3] = 1
+
+    def propose(self, search: Search, now: Attempt | None) -> Sequence[Candidate]:
+        """All joints that are turned in a later log, as the first log alone predicts it."""
+        if len(search.plain.sampled) < 2 or (now is not None and explains(now.solution.found)):
+            return []
+        new = search.once("senses", lambda: self._turned(search))
+        if not new or (now is not None and new[0] in now.amendments):
+            return []
+        joints = tuple(a.error.dof for a in new)
+        drop = np.inf if now is None else excess(now.solution.found)
+        return [Candidate("encoder sign", joints, new, drop)]
+
+    def _turned(self, search: Search) -> tuple[Corrected, ...]:
+        first = alone(search, 0)
+        if first is None:
+            return ()
+        try:
+            features = take_features(negated(search.plain, first.mirrored), search.clock)
+        except InsufficientDataError:
+            return ()
+        return tuple(Corrected(error) for error in reversed_encoders(first.found, features))
+
+    def findings(self, last: Attempt) -> Sequence[Fault]:  # noqa: ARG002
+        """None of its own: they are told with the other errors of encoders."""
+        return []
 
 
 def reversed_encoders(first: Estimate, features: Features) -> Iterator[EncoderError]:

@@ -1,0 +1,287 @@
+"""An encoder that is wrong by one number: another zero from some time on, or another scale.
+
+Leaps in a joint's track are evident, since no joint can make them. What an encoder does wrong
+without a leap shows in the fit: the score test names the encoder and the size, the features are
+corrected, and the next estimate says what is left, as Gauss-Newton does. Then the recordings
+themselves are corrected.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from skin2urdf.calibration.clock import Clock
+from skin2urdf.calibration.rounds import Solution, estimate_once
+from skin2urdf.estimation.solve.estimate import Estimate
+from skin2urdf.faults import Fault
+from skin2urdf.hypotheses.encoder_score import unweighted
+from skin2urdf.hypotheses.records import Amendment, Attempt, Candidate
+from skin2urdf.hypotheses.search import Search, excess, hopeless
+from skin2urdf.hypotheses.suspicions import gross_scales, suspicions
+from skin2urdf.recording.records import Recording
+from skin2urdf.signals.encoders import corrected, corrected_features, leaps
+from skin2urdf.signals.records import EncoderError, Features
+
+_STEPS = 8
+"""How often, at most, features are corrected and estimated again."""
+_CERTAIN = 5.0
+"""Standard deviations from which an encoder's error is reported."""
+_SMALL = 1e-3
+"""Offset [rad or m] or scale error [1] that sound gears and encoders have as well."""
+_WHOLE_TURN = 1e-3
+"""Part of a turn by which a leap may miss whole turns, and still be one of counting."""
+
+
+@dataclass(frozen=True)
+class Corrected(Amendment):
+    """An encoder whose error is taken off.
+
+    Attributes:
+        error: the error.
+    """
+
+    error: EncoderError
+
+    @property
+    def key(self) -> Hashable:
+        """The encoder and the change, whatever its size."""
+        e = self.error
+        return ("scale", e.dof) if e.kind == "scale" else (e.kind, e.dof, e.log, e.begin)
+
+    def of_recordings(self, recordings: list[Recording]) -> list[Recording]:
+        """The recordings with the error taken off."""
+        return corrected(recordings, [self.error])
+
+
+def evident_errors(recordings: Sequence[Recording]) -> tuple[Corrected, ...]:
+    """The leaps that are seen in the tracks alone."""
+    return tuple(Corrected(e) for log, r in enumerate(recordings) for e in leaps(r, log))
+
+
+def errors_of(amendments: Sequence[Amendment]) -> list[EncoderError]:
+    """The errors that amendments take off, in their order."""
+    return [a.error for a in amendments if isinstance(a, Corrected)]
+
+
+class Encoders:
+    """Offsets and scales of single encoders."""
+
+    rank: Literal[0, 1, 2, 3] = 0
+
+    def propose(self, search: Search, now: Attempt | None) -> Sequence[Candidate]:
+        """For every joint the error that explains most of what an estimate leaves."""
+        if now is None:
+            return []
+        found, features = now.solution.found, now.solution.features
+        known = {error.dof for error in errors_of(now.amendments)}
+        out = []
+        if hopeless(found) and (gross := gross_scales(found)):
+            joints = tuple(error.dof for error in gross)
+            new = tuple(with_another(now.amendments, error, features) for error in gross)
+            out.append(Candidate("gross scale", joints, new, excess(found)))
+        seen = set()
+        for each in suspicions(unweighted(found), features):
+            error = each.error
+            if error.dof in seen or (_small(error) and error.dof not in known):
+                continue
+            seen.add(error.dof)
+            new = (with_another(now.amendments, error, features),)
+
+            def sharpen(error: EncoderError = error) -> Sequence[Amendment]:
+                return [sharpened(now, error, search.clock)]
+
+            out.append(
+                Candidate(f"encoder {error.kind}", (error.dof,), new, each.gain, sharpen=sharpen)
+            )
+        return out
+
+    def findings(self, last: Attempt) -> Sequence[Fault]:
+        """The errors that stand out from their standard deviations.
+
+        A leap whose size the readings do not show is certain all the same: no joint moves so.
+        """
+        return _faults(errors_of(last.amendments), last.solution)
+
+    def finish(self, last: Attempt, clock: Clock) -> Attempt:
+        """The errors as large as the fit says, once it is known which encoders are wrong."""
+        return sized_by_the_fit(last, clock)
+
+
+def with_another(
+    amendments: Sequence[Amendment], error: EncoderError, features: Features
+) -> Corrected:
+    """An error with an earlier error of the same place, as the one that takes its place.
+
+    Args:
+        amendments: what was taken off before.
+        error: as seen in the corrected recordings.
+        features: tell which times lie between the same two poses.
+    """
+    errors = errors_of(amendments)
+    turned = [i for i, e in enumerate(errors) if (e.kind, e.dof) == ("sign", error.dof)]
+    for i, old in enumerate(errors):
+        # What was taken off before a track was mirrored is of the other sense.
+        if (old.kind, old.dof) != (error.kind, error.dof) or i < max(turned, default=0):
+            continue
+        if error.kind == "scale":
+            return Corrected(replace(old, size=old.size * error.size))
+        if old.log == error.log and _same_change(old, error, features):
+            return Corrected(replace(old, size=old.size + error.size))
+    return Corrected(error)
+
+
+def sharpened(now: Attempt, error: EncoderError, clock: Clock) -> Corrected:
+    """An error as large as the features say, estimated again and again with it taken off.
+
+    Args:
+        now: the attempt in which it was seen.
+        error: with its size at first order.
+        clock: runs the stages.
+    """
+    solution, best = now.solution, with_another(now.amendments, error, now.solution.features)
+    features, found, step = solution.features, solution.found, error
+    for _ in range(_STEPS):
+        features = corrected_features(features, step)
+        found = estimate_once(solution.logs, found.tree, features, found.state, clock)
+        left = _left_of(error, found, features)
+        if left is None:
+            break
+        best = with_another((best,), left, features)
+        step = left
+        amount = abs(left.size - 1) if left.kind == "scale" else abs(left.size)
+        if amount < max(left.deviation, _SMALL / 10):
+            break
+    return best
+
+
+def _left_of(error: EncoderError, found: Estimate, features: Features) -> EncoderError | None:
+    """What the score test says is left of an error; None where the readings do not tell."""
+    alike = [
+        s.error for s in suspicions(unweighted(found), features) if _same(s.error, error, features)
+    ]
+    left = min(alike, key=lambda e: e.deviation, default=None)
+    return left if left is not None and np.isfinite(left.deviation) else None
+
+
+def sized_by_the_fit(last: Attempt, clock: Clock) -> Attempt:
+    """An attempt with what is left of each encoder's error taken off its size and the features.
+
+    Steps that look for errors end where chance could explain what they leave.
+
+    Args:
+        last: an attempt with the errors known.
+        clock: runs the stages.
+    """
+    found, features, amendments = last.solution.found, last.solution.features, last.amendments
+    for error in _together(errors_of(amendments), features):
+        # A joint that is hit leaps, and leaps back.
+        if error.kind == "sign" or _small(error):
+            continue
+        alike = [s.error for s in suspicions(found, features) if _same(s.error, error, features)]
+        left = min(alike, key=lambda e: e.deviation, default=None)
+        if left is None or not np.isfinite(left.deviation):
+            continue
+        new = with_another(amendments, left, features)
+        amendments = tuple({a.key: a for a in (*amendments, new)}.values())
+        features = corrected_features(features, left)
+        found = estimate_once(
+            last.solution.logs, found.tree, features, found.state, clock, search=False
+        )
+    return replace(
+        last,
+        amendments=amendments,
+        solution=replace(last.solution, found=found, features=features),
+    )
+
+
+def _small(error: EncoderError) -> bool:
+    amount = error.size - 1 if error.kind == "scale" else error.size
+    return abs(amount) < _SMALL
+
+
+def _faults(errors: Sequence[EncoderError], last: Solution) -> tuple[Fault, ...]:
+    """The errors that stand out from their standard deviations, in words.
+
+    A leap whose size the readings do not show is certain all the same: no joint moves like that.
+    """
+    if not errors:
+        return ()
+    joints = last.found.tree
+    prismatic = dict(zip(joints.joint_names, joints.prismatic, strict=True))
+    known = [s.error for s in suspicions(last.found, last.features)]
+    out = []
+    turned = [e for e in errors if e.kind == "sign"]
+    for error in _together(errors, last.features):
+        if error.kind == "offset" and any(_at_once(error, e, last.features) for e in turned):
+            continue
+        same = [k for k in known if _same(k, error, last.features)]
+        deviation = min((k.deviation for k in same), default=np.inf)
+        if _stands_out(error, deviation):
+            turns = not prismatic.get(error.dof, False)
+            out.append(_fault(replace(error, deviation=deviation), turns))
+    return tuple(out)
+
+
+def _together(errors: Sequence[EncoderError], features: Features) -> list[EncoderError]:
+    """Errors with those of one change added up: a zero may need several samples for its way."""
+    out: list[EncoderError] = []
+    for error in errors:
+        for i, other in enumerate(out):
+            if error.kind == "offset" and _same(error, other, features):
+                larger = max(error, other, key=lambda e: abs(e.size))
+                out[i] = replace(larger, size=error.size + other.size)
+                break
+        else:
+            out.append(error)
+    return out
+
+
+def _same(a: EncoderError, b: EncoderError, features: Features) -> bool:
+    """Whether two errors are of one encoder and one change of it."""
+    if (a.kind, a.dof) != (b.kind, b.dof):
+        return False
+    return a.kind == "scale" or (a.log == b.log and _same_change(a, b, features))
+
+
+def _same_change(a: EncoderError, b: EncoderError, features: Features) -> bool:
+    """Whether no pose lies between the beginnings of two offsets in one log."""
+    middle = features.span[features.log == a.log].mean(axis=1)
+    first, last = sorted((a.begin, b.begin))
+    return not ((middle > first) & (middle < last)).any()
+
+
+def _at_once(offset: EncoderError, sign: EncoderError, features: Features) -> bool:
+    """Whether an offset is part of a change of sense: which value a track is mirrored about."""
+    return (offset.dof, offset.log) == (sign.dof, sign.log) and _same_change(offset, sign, features)
+
+
+def _stands_out(error: EncoderError, deviation: float) -> bool:
+    if error.kind == "sign":
+        return True
+    if error.kind == "scale":
+        return abs(error.size - 1) > _CERTAIN * deviation
+    # A joint that is hit leaps, and leaps back.
+    if _small(error):
+        return False
+    turns = error.size / (2 * np.pi)
+    # A turn more or less is how a continuous joint is counted.
+    whole = round(turns) != 0 and abs(turns - round(turns)) < _WHOLE_TURN
+    return not whole and (not np.isfinite(deviation) or abs(error.size) > _CERTAIN * deviation)
+
+
+def _fault(error: EncoderError, turns: bool) -> Fault:
+    """An encoder's error as a fault."""
+    known = error.deviation if np.isfinite(error.deviation) else np.nan
+    if error.kind == "scale":
+        return Fault("encoder scale", error.dof, size=error.size, deviation=known)
+    begin = error.begin if np.isfinite(error.begin) else np.nan
+    if error.kind == "sign":
+        return Fault("encoder sign", error.dof, log=error.log, begin=begin)
+    return Fault(
+        "encoder jump", error.dof, log=error.log, begin=begin, size=error.size,
+        unit="rad" if turns else "m", deviation=known,
+    )  # fmt: skip

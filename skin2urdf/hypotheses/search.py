@@ -1,0 +1,393 @@
+"""One search for what the logs do not say by themselves.
+
+Encoders that jumped, SUs that slipped, names that were exchanged, joints that were hit: they mask
+each other, so they compete in one place. Each kind looks at an attempt to explain the logs and
+proposes candidates with the drop of chi-squared that it expects. The candidate that promises most
+beyond its price is attempted from the raw logs, together with all amendments so far, and stays if
+the drop comes true. The search ends when none pays; then every amendment is left out once, and what
+the others explain as well goes.
+
+One measure: chi-squared of everything, nothing weighed down. One price: each parameter costs the
+logarithm of the number of measurements, as Schwarz (1978) has it, and the choice among candidates
+twice the logarithm of their number, as Bonferroni has it for a maximum of chi-squared.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Hashable, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal, Protocol, TypeVar, runtime_checkable
+
+import numpy as np
+
+from skin2urdf.calibration.clock import Clock
+from skin2urdf.calibration.result import BAD_FIT, GOOD_FIT
+from skin2urdf.calibration.rounds import (
+    Logs,
+    Solution,
+    Structure,
+    find_structure,
+    relinearise,
+    sample_logs,
+    settle,
+    take_features,
+)
+from skin2urdf.calibration.settings import CalibrationSettings
+from skin2urdf.errors import InsufficientDataError, StructureError
+from skin2urdf.estimation.solve.estimate import Estimate
+from skin2urdf.estimation.uncertainty.health import unlike_the_rest
+from skin2urdf.faults import Fault
+from skin2urdf.hypotheses.records import Amendment, Attempt, Candidate
+from skin2urdf.recording.records import Recording
+from skin2urdf.signals.records import Features
+
+T = TypeVar("T")
+
+_RANKS = (0, 1, 2, 3)
+_MOST = 12
+"""Attempts of a search: a log with more to amend is better recorded again."""
+_LEFT = 0.1
+"""Share of the misfit that may stay where its cause was found. Of two causes the larger one goes
+first; what imitates another cause leaves a fifth or more of it."""
+
+_PART = 0.3
+"""Share of the misfit below which a candidate waits until all kinds have looked. The score test of
+a slip with the joints held takes half of the misfit where it is the cause; the offset that imitates
+an encoder of the other sense a sixth (seeds 30000 and 30001 of scripts/faults.py)."""
+_CHANCE = 3.0
+"""Standard deviations of chi-squared of the measurements that one of two estimates lacks."""
+_TINY = 1e-9
+"""Share of chi-squared that any candidate leaves, however much it promises."""
+
+
+class Kind(Protocol):
+    """A kind of hypotheses.
+
+    Attributes:
+        rank: what looking costs: 0 for a score test, 1 for estimates from one log alone, 2 for
+            estimates of other structures, 3 for estimates from parts of logs. Kinds of a higher
+            rank look only at what nothing of a lower rank explains.
+    """
+
+    rank: Literal[0, 1, 2, 3]
+
+    def propose(self, search: Search, now: Attempt | None) -> Sequence[Candidate]:
+        """Candidates that an attempt suggests.
+
+        Args:
+            search: has the recordings, and runs the stages.
+            now: the attempt; None where the logs show no structure at all.
+        """
+
+    def findings(self, last: Attempt) -> Sequence[Fault]:
+        """What the amendments of this kind that lasted say, in numbers."""
+
+
+@runtime_checkable
+class Finishing(Protocol):
+    """A kind whose amendments have sizes that the last estimate says best."""
+
+    def finish(self, last: Attempt, clock: Clock) -> Attempt:
+        """The attempt with its amendments as large as its estimate says."""
+
+
+@dataclass
+class Search:
+    """A search under way.
+
+    Attributes:
+        recordings: the logs as read.
+        settings: choices.
+        clock: runs the stages.
+        evident: amendments that need no estimate, such as leaps that no joint can make.
+        plain: the logs with those alone, on their grids.
+        tried: number of candidates so far.
+        attempts: number of attempts so far.
+    """
+
+    recordings: Sequence[Recording]
+    settings: CalibrationSettings
+    clock: Clock
+    evident: tuple[Amendment, ...]
+    plain: Logs
+    tried: int = 0
+    attempts: int = 0
+
+    def __post_init__(self) -> None:
+        self._known: dict[Hashable, object] = {}
+
+    def once(self, key: Hashable, work: Callable[[], T]) -> T:
+        """What some work gives that is worth keeping for later looks, done once."""
+        if key not in self._known:
+            self._known[key] = work()
+        return self._known[key]  # type: ignore[return-value]
+
+    def attempt(self, amendments: tuple[Amendment, ...]) -> Attempt:
+        """Explain the raw logs with some amendments.
+
+        Raises:
+            InsufficientDataError: the logs lack what a calibration needs.
+            StructureError: the SUs' activity contradicts every kinematic tree.
+        """
+        self.attempts += 1
+        clock, recordings = self.clock, list(self.recordings)
+        for each in amendments:
+            recordings = each.of_recordings(recordings)
+        logs = sample_logs(recordings, self.settings, clock)
+        for each in amendments:
+            logs = each.of_logs(logs)
+        calm = _calm(logs, amendments)
+        features = take_features(calm, clock)
+        structure = find_structure(calm, features, clock)
+        for each in amendments:
+            structure = replace(structure, tree=each.of_structure(structure.tree))
+        whole, tree = logs, structure.certain_tree
+        for each in amendments:
+            whole, tree = each.of_placements(whole, tree)
+        if whole is not logs:
+            calm = _calm(whole, amendments)
+            known = dict(zip(features.su_names, features.latency, strict=True))
+            latency = np.array([known.get(name, 0.0) for name in calm.su_names])
+            features = take_features(calm, clock, latency=latency)
+        found, refined = relinearise(calm, tree, features, clock)
+        found, refined = _settled(calm, found, refined, clock)
+        return Attempt(amendments, Solution(calm, structure.seen, found, refined), whole)
+
+
+def _settled(
+    logs: Logs, found: Estimate, features: Features, clock: Clock
+) -> tuple[Estimate, Features]:
+    """An estimate that explains the logs, with joints found that no SU seemed to feel."""
+    return settle(logs, found, features, clock) if explains(found) else (found, features)
+
+
+def _calm(logs: Logs, amendments: Sequence[Amendment]) -> Logs:
+    for each in amendments:
+        logs = each.left_out(logs)
+    return logs
+
+
+def explain(
+    recordings: Sequence[Recording],
+    evident: tuple[Amendment, ...],
+    first: tuple[Logs, Structure, Solution | None],
+    kinds: Sequence[Kind],
+    clock: Clock,
+) -> Solution:
+    """Search for what is wrong until nothing more pays.
+
+    Args:
+        recordings: the logs as read.
+        evident: amendments that need no estimate.
+        first: the logs with these, their structure, and the estimate of it where there is one.
+        kinds: the kinds of hypotheses.
+        clock: runs the stages.
+
+    Returns:
+        The solution that explains the logs, with the findings as its faults.
+
+    Raises:
+        StructureError: the SUs' activity contradicts every kinematic tree, whatever is amended.
+    """
+    logs, structure, solution = first
+    search = Search(recordings, logs.settings, clock, evident, logs)
+    begin = None
+    if solution is not None:
+        found, features = _settled(logs, solution.found, solution.features, clock)
+        begin = Attempt(evident, replace(solution, found=found, features=features), logs)
+    last = _pruned(search, begin, _grown(search, begin, kinds))
+    if last is None:
+        raise structure.contradiction or StructureError("there is no tree", "record more moves")
+    for kind in kinds:
+        if isinstance(kind, Finishing):
+            last = kind.finish(last, clock)
+    faults = [fault for kind in kinds for fault in kind.findings(last)]
+    return replace(last.solution, faults=tuple(faults))
+
+
+def _grown(search: Search, now: Attempt | None, kinds: Sequence[Kind]) -> Attempt | None:
+    """The attempt with amendments added as long as one pays."""
+    failed: set[Hashable] = set()
+    while search.attempts < _MOST:
+        after = _better(search, now, kinds, failed)
+        if after is None:
+            break
+        now = after
+    return now
+
+
+def _better(
+    search: Search, now: Attempt | None, kinds: Sequence[Kind], failed: set[Hashable]
+) -> Attempt | None:
+    """The attempt with the candidate that has brought most; None where none pays.
+
+    Args:
+        search: counts what is tried.
+        now: the attempt so far.
+        kinds: look at it, those that cost least first.
+        failed: candidates that have not kept their promises; more are added.
+    """
+    best, most = None, 0.0
+    waiting = list[Candidate]()
+    for rank in _RANKS:
+        proposed = [
+            candidate
+            for kind in kinds
+            if kind.rank == rank
+            for candidate in kind.propose(search, now)
+            if candidate.key not in failed
+        ]
+        search.tried += len(proposed)
+        promised = {c: promise(now, c, search.tried) for c in (*waiting, *proposed)}
+        waiting = []
+        for candidate in sorted(promised, key=lambda c: -promised[c]):
+            if promised[candidate] <= 0 or search.attempts >= _MOST:
+                break
+            if rank < _RANKS[-1] and _only_a_part(now, candidate):
+                waiting.append(candidate)
+                continue
+            after = _tried(search, now, candidate)
+            worth = 0.0 if after is None else _worth(now, after, candidate, search.tried)
+            if after is None or worth <= 0:
+                failed.add(candidate.key)
+                continue
+            if worth > most:
+                best, most = after, worth
+            break
+        if now is not None and explains(now.solution.found):
+            break
+        if best is not None and _nearly_all(now, best):
+            break
+    return best
+
+
+def _only_a_part(now: Attempt | None, candidate: Candidate) -> bool:
+    """Whether a candidate leaves so much to explain that another cause is to be looked for first.
+
+    It then looks like something else that has to be looked for at a higher cost.
+    """
+    if now is None or explains(now.solution.found):
+        return False
+    return not candidate.apart and candidate.drop < _PART * excess(now.solution.found)
+
+
+def _nearly_all(now: Attempt | None, after: Attempt) -> bool:
+    """Whether an attempt leaves so little that nothing more costly need be looked for."""
+    found = after.solution.found
+    much = now is not None and found.misfit < _LEFT * now.solution.found.misfit
+    return much or explains(found)
+
+
+def _tried(search: Search, now: Attempt | None, candidate: Candidate) -> Attempt | None:
+    """The logs explained with one more candidate; None where they can not be."""
+    new = candidate.amendments if candidate.sharpen is None else tuple(candidate.sharpen())
+    known = {a.key: a for a in (search.evident if now is None else now.amendments)}
+    known.update({a.key: a for a in new})
+    try:
+        after = search.attempt(tuple(known.values()))
+    except (InsufficientDataError, StructureError):
+        return None
+    return after if candidate.holds is None or candidate.holds(after) else None
+
+
+def _pruned(search: Search, first: Attempt | None, last: Attempt | None) -> Attempt | None:
+    """The attempt without the amendments that the others make needless."""
+    if last is None or last is first:
+        return last
+    for each in last.amendments:
+        if each in search.evident or each not in last.amendments:
+            continue
+        rest = tuple(a for a in last.amendments if a is not each)
+        if rest == search.evident:
+            without = first
+        else:
+            try:
+                without = search.attempt(rest)
+            except (InsufficientDataError, StructureError):
+                continue
+        if without is None:
+            continue
+        before, after = without.solution.found, last.solution.found
+        worth = gain(before, after, of_poses=True) + each.apart
+        if worth <= price(after, each.parameters, search.tried, of_poses=True):
+            last = without
+    return last
+
+
+def promise(now: Attempt | None, candidate: Candidate, tried: int) -> float:
+    """What a candidate promises beyond its price."""
+    if now is None:
+        return np.inf
+    found = now.solution.found
+    chi2 = found.misfit * _count(found)
+    left = max(chi2 - candidate.drop, _TINY * chi2) / _count(found)
+    expected = _gain(found.misfit, left, _count(found), _looks(found))
+    looks = _count(found) if left <= GOOD_FIT else _looks(found)
+    return expected + candidate.apart - _price(looks, candidate.parameters, tried)
+
+
+def _worth(now: Attempt | None, after: Attempt, candidate: Candidate, tried: int) -> float:
+    """What a candidate has brought beyond its price."""
+    if now is None:
+        return 1 / after.solution.found.misfit
+    before, found = now.solution.found, after.solution.found
+    return gain(before, found) + candidate.apart - price(found, candidate.parameters, tried)
+
+
+def gain(before: Estimate, after: Estimate, *, of_poses: bool = False) -> float:
+    """How much better an estimate explains the logs than another, in chi-squared.
+
+    What noise leaves is counted in measurements, over the noise that is left. What remains beyond
+    it where nothing explains the readings is no noise: it is as if each SU in each pose were
+    wrong as a whole, so that these are counted, each by the logarithm of the ratio (of a normal
+    error whose variance is not known); at the end poses alone, which all SUs feel together.
+    """
+    looks = len(after.count) if of_poses else _looks(after)
+    better = _gain(before.misfit, after.misfit, _count(after), looks)
+    if after.misfit > GOOD_FIT:
+        return better
+    # What is measured no longer, or only then, differs from the rest by chance.
+    other = abs(_count(after) - _count(before))
+    return better - _CHANCE * float(np.sqrt(2 * other))
+
+
+def _gain(before: float, after: float, count: int, looks: int) -> float:
+    if after <= GOOD_FIT:
+        return (before - after) * count / max(1.0, after)
+    return looks * float(np.log(before / after))
+
+
+def price(found: Estimate, parameters: int, tried: int, *, of_poses: bool = False) -> float:
+    """Chi-squared that parameters and the choice among candidates cost."""
+    looks = len(found.count) if of_poses else _looks(found)
+    return _price(_count(found) if found.misfit <= GOOD_FIT else looks, parameters, tried)
+
+
+def _price(looks: int, parameters: int, tried: int) -> float:
+    return parameters * float(np.log(max(2, looks))) + 2 * float(np.log(max(1, tried)))
+
+
+def _count(found: Estimate) -> int:
+    """Measurements."""
+    return max(1, int(found.count.sum()))
+
+
+def _looks(found: Estimate) -> int:
+    """SUs in poses."""
+    return int((found.count > 0).sum())
+
+
+def excess(found: Estimate) -> float:
+    """Chi-squared beyond what noise makes of it: no hypothesis explains more."""
+    return max(0.0, (found.misfit - 1) * _count(found))
+
+
+def explains(found: Estimate) -> bool:
+    """Whether an estimate leaves nothing to explain, nor weighs down what it does not explain."""
+    fits = found.cost_per_dof <= GOOD_FIT and found.misfit <= BAD_FIT
+    return fits and not unlike_the_rest(found)
+
+
+def hopeless(found: Estimate) -> bool:
+    """Whether no estimate explains the readings, before any of them are weighed down."""
+    return found.misfit > BAD_FIT

@@ -1,0 +1,138 @@
+"""One search: what pays stays, what does not come true goes, and a sound log costs no attempt."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from calibrated import simulation
+
+from skin2urdf.calibration.clock import Clock
+from skin2urdf.calibration.rounds import (
+    Solution,
+    estimate_robot,
+    find_structure,
+    sample_logs,
+    take_features,
+)
+from skin2urdf.calibration.settings import CalibrationSettings
+from skin2urdf.faults import Fault
+from skin2urdf.hypotheses.encoder import Corrected
+from skin2urdf.hypotheses.kinds import KINDS
+from skin2urdf.hypotheses.mirrored import Mirrored, Negated
+from skin2urdf.hypotheses.records import Amendment, Attempt, Candidate
+from skin2urdf.hypotheses.search import Kind, Search, explain, gain, price
+from skin2urdf.recording.records import Recording
+from skin2urdf.signals.records import EncoderError
+
+
+def searched(recording: Recording, kinds: Sequence[Kind]) -> tuple[Solution, int]:
+    """What a search finds in a recording, and how many attempts it took."""
+    attempts: list[float] = []
+    logs = sample_logs([recording], CalibrationSettings(), Clock())
+    features = take_features(logs, Clock())
+    structure = find_structure(logs, features, Clock())
+    first = estimate_robot(logs, features, structure, Clock())
+    clock = Clock(lambda stage, share: attempts.append(share) if stage == "sampling" else None)
+    found = explain([recording], (), (logs, structure, first), kinds, clock)
+    return found, attempts.count(0.0)
+
+
+@dataclass(frozen=True)
+class Idle(Amendment):
+    """Changes nothing."""
+
+
+@dataclass
+class Proposing:
+    """Proposes the same whatever it sees, and tells which of it lasted."""
+
+    amendments: tuple[Amendment, ...]
+    drop: float = 1e9
+    rank: Any = 0
+
+    def propose(self, _: Search, now: Attempt | None) -> Sequence[Candidate]:
+        """The same again and again, until it is there."""
+        if now is not None and self.amendments[0] in now.amendments:
+            return []
+        return [Candidate("proposed", ("it",), self.amendments, self.drop)]
+
+    def findings(self, last: Attempt) -> Sequence[Fault]:
+        """All that lasted, by its class."""
+        return [Fault("noisy", type(a).__name__) for a in last.amendments]
+
+
+def with_su_negated(recording: Recording, name: str) -> Recording:
+    sus = tuple(
+        replace(su, specific_force=-su.specific_force) if su.name == name else su
+        for su in recording.sus
+    )
+    return replace(recording, sus=sus)
+
+
+def test_a_sound_log_costs_no_attempt() -> None:
+    found, attempts = searched(simulation().recording, KINDS)
+    assert attempts == 0
+    assert found.faults == ()
+
+
+def test_a_promise_that_does_not_come_true_is_tried_once_and_dropped() -> None:
+    recording = simulation().recording
+    wrong = EncoderError("offset", recording.joints[2].name, 0.2, 0, 0.5 * recording.duration)
+    found, attempts = searched(recording, [Proposing((Corrected(wrong),))])
+    assert attempts == 1
+    assert found.faults == ()
+    assert found.found.misfit < 1.3
+
+
+def test_a_promise_below_its_price_is_not_tried() -> None:
+    found, attempts = searched(simulation().recording, [Proposing((Idle(),), drop=1.0)])
+    assert attempts == 0
+    assert found.faults == ()
+
+
+def test_what_the_others_explain_goes_at_the_end() -> None:
+    name = simulation().recording.sus[-1].name
+    recording = with_su_negated(simulation().recording, name)
+    found, _ = searched(recording, [Proposing((Negated(name), Idle()))])
+    assert [fault.subject for fault in found.faults] == ["Negated"]
+    assert found.found.misfit < 1.3
+
+
+def test_a_mirrored_su_is_found_and_one_that_only_looks_so_beside_it_is_not() -> None:
+    name = simulation().recording.sus[-1].name
+    found, _ = searched(with_su_negated(simulation().recording, name), [Mirrored()])
+    assert found.faults == (Fault("mirrored", name),)
+
+
+def estimate(misfit: float) -> Any:
+    return SimpleNamespace(misfit=misfit, count=np.full((10, 5), 100))
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "pays"),
+    [
+        # Noise as expected: some dozens of chi-squared among thousands of measurements tell.
+        (1.01, 1.00, True),
+        (1.002, 1.00, False),
+        # Noise that is misjudged counts less.
+        (1.51, 1.50, True),
+        (1.504, 1.50, False),
+        # Where nothing explains the readings, a part of the misfit means little.
+        (4000.0, 3600.0, False),
+        (4000.0, 400.0, True),
+        (4000.0, 1.0, True),
+    ],
+)
+def test_what_pays(before: float, after: float, pays: bool) -> None:
+    a, b = estimate(before), estimate(after)
+    assert (gain(a, b) > price(b, 1, 20)) == pays
+
+
+def test_more_parameters_and_more_candidates_cost_more() -> None:
+    found = estimate(1.0)
+    assert price(found, 6, 20) > price(found, 1, 20) > price(found, 1, 2) > 0

@@ -78,32 +78,36 @@ def calibrate(
         solution = _estimate_by_the_paper(sampled, features, structure, clock)
     elif not structure.patterns_felt:
         solution = estimate_at_rest(sampled, structure, clock)
-        check_fit(solution.found)
     else:
         first = estimate_robot(sampled, features, structure, clock)
         solution = clock.run(
             "what is wrong",
             lambda _: explain(recordings, leaps, (sampled, structure, first), KINDS, clock),
         )
-        check_fit(solution.found)
     fit = clock.run("goodness of fit", lambda _: goodness(solution.found))
     along = None
     if settings.method != "paper" and settings.motion == "all":
         along = clock.run("all samples", lambda tell: fit_samples(solution, tell))
         if along is not None:
             solution = replace(solution, found=with_samples(solution.found, along))
+    if settings.method != "paper":
+        check_fit(solution.found, along)
     information = along.information if along else None
     seen = clock.run("observability", lambda _: observability(solution.found, information))
     return _calibration(recordings, solution, along, fit, seen, clock)
 
 
-def check_fit(found: Estimate) -> None:
+def check_fit(found: Estimate, along: MotionEstimate | None) -> None:
     """Refuse an estimate that does not explain the readings.
+
+    Args:
+        found: the estimate.
+        along: what all samples say, which decides where there is any.
 
     Raises:
         BadFitError: it does not.
     """
-    cost = found.cost_per_dof
+    cost = found.cost_per_dof if along is None else along.misfit
     if not cost <= BAD_FIT:
         raise BadFitError(*why_bad(found, BAD_FIT), cost_per_dof=cost)
 

@@ -116,6 +116,14 @@ class Calibration:
         return self.estimate.cost.blocks.log
 
     @property
+    def misfit(self) -> float:
+        """What the model leaves of the readings over what noise makes of it; near 1 or below.
+
+        Of all samples where they were fitted, else the features' cost per degree of freedom.
+        """
+        return self.estimate.cost_per_dof if self.along is None else self.along.misfit
+
+    @property
     def quality(self) -> Quality:
         """How far the result can be trusted: whether the model explains the readings, and more.
 
@@ -124,12 +132,18 @@ class Calibration:
         recording can tell must not spoil it, such as where branches that meet in one joint sit
         along its axis.
         """
-        if not self.estimate.cost_per_dof <= BAD_FIT:
+        if not self.misfit <= BAD_FIT:
             return "bad"
-        explained = max(self.estimate.cost_per_dof, self.goodness.prediction) <= GOOD_FIT
+        explained = max(self.misfit, self.goodness.prediction) <= GOOD_FIT
         alike = not (self.unlike_sus.odd.any() or self.unlike_poses.odd.any())
         verdicts = self.observability.joint_verdict
         known = "weak" not in verdicts and 2 * verdicts.count("determined") >= len(verdicts)
+        # An SU on the base or on the first joint never is, whatever is recorded.
+        placed = self.observability.su_verdict
+        beyond = self.model.tree.parent[self.model.tree.su_joint] >= 0
+        beyond &= self.model.tree.su_joint >= 0
+        of_those = [v for v, b in zip(placed, beyond, strict=True) if b]
+        known &= 2 * of_those.count("determined") >= len(of_those)
         return "good" if explained and alike and known and not self.faults else "fair"
 
     @property

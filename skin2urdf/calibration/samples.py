@@ -10,7 +10,12 @@ import numpy as np
 from skin2urdf.calibration.clock import Tell
 from skin2urdf.calibration.rounds import Solution
 from skin2urdf.estimation.solve.estimate import Estimate
-from skin2urdf.estimation.trajectory.estimate import MotionEstimate, estimate_along, motion_priors
+from skin2urdf.estimation.trajectory.estimate import (
+    MotionEstimate,
+    droop_of,
+    estimate_along,
+    motion_priors,
+)
 from skin2urdf.signals.sampling import Sampled
 from skin2urdf.signals.trajectory import Trajectory, in_order, trajectory
 
@@ -46,9 +51,10 @@ def fit_samples(solution: Solution, tell: Tell) -> MotionEstimate | None:
         trajectories.append(in_order(trajectory(sampled, log, reach), dofs, sus))
     if _share_of_poses(trajectories, logs.sampled) < _MOST:
         return None
-    priors = motion_priors(
-        found.cost.priors, gravity=settings.gravity_deviation, pole=settings.slowest_pole
-    )
+    droop = (0.0, settings.slowest_pole**2 / 2)
+    if settings.bandwidth is not None:
+        droop = droop_of(*settings.bandwidth)
+    priors = motion_priors(found.cost.priors, gravity=settings.gravity_deviation, droop=droop)
     return estimate_along(trajectories, tree, found.state, priors, latency, tell)
 
 

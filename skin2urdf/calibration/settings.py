@@ -23,6 +23,7 @@ class CalibrationSettings:
         motion: ``all`` samples of the logs count, or those of ``patterns`` around poses alone.
         gravity_deviation: standard deviation of gravity's magnitude where the logs were recorded
             [m/s^2]; on Earth it is 9.764 to 9.834. Every length rests on it.
+        bandwidth: cutoff [Hz] and order (1 or 2) of the sensors' low-pass, where it is known.
         slowest_pole: time constant of a sensor's low-pass that is slow, but not rare [s]: that of
             20 Hz. 0 where sensors have none.
         static_threshold: change of a static reading that makes an SU active [m/s^2].
@@ -34,6 +35,7 @@ class CalibrationSettings:
     estimation: EstimationSettings = field(default_factory=EstimationSettings)
     motion: Motion = "all"
     gravity_deviation: float = 0.02
+    bandwidth: tuple[float, int] | None = None
     slowest_pole: float = 8e-3
     static_threshold: float = STATIC_THRESHOLD
     relinearisations: int = 6

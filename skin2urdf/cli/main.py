@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 import os
 import sys
 import time
@@ -116,11 +117,16 @@ def calibration_settings(options: argparse.Namespace) -> CalibrationSettings:
     _at_least(options, "threshold", 1e-3)
     if "bias" in given:
         given["bias"] *= MILLI_G
+    from skin2urdf.geometry.earth import ANOMALY, normal_gravity
+
+    if options.site is not None:
+        latitude, height = options.site
+        given["gravity"] = normal_gravity(math.radians(latitude), height)
     from skin2urdf.calibration.settings import CalibrationSettings
     from skin2urdf.estimation.problem.cost import Priors
     from skin2urdf.estimation.solve.estimate import EstimationSettings
 
-    return CalibrationSettings(
+    settings = CalibrationSettings(
         method=options.method,
         estimation=EstimationSettings(
             priors=replace(Priors(), **given),
@@ -128,7 +134,10 @@ def calibration_settings(options: argparse.Namespace) -> CalibrationSettings:
             refine=options.refine,
         ),
         static_threshold=options.threshold * GRAVITY,
+        motion=options.motion,
+        bandwidth=options.bandwidth,
     )
+    return replace(settings, gravity_deviation=ANOMALY) if "gravity" in given else settings
 
 
 def _robot_names() -> tuple[str, ...]:

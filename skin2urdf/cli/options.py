@@ -174,7 +174,53 @@ def _calibrate(command: _Parser) -> None:
     _number(sensors, "--bias", None, "bias of an axis [mg] (51)")
     _number(sensors, "--scale", None, "relative scale error of an axis (0.03)")
     _number(sensors, "--cross", None, "cross-axis sensitivity (0.01)")
-    _number(sensors, "--gravity", None, "gravity where the log was recorded [m/s^2] (9.81)")
+    sensors.add_argument(
+        "--bandwidth",
+        type=_bandwidth,
+        metavar="HZ[:ORDER]",
+        help="cutoff of the sensors' low-pass, from the data sheet; order 1 or 2 (1). Else it is "
+        "estimated, and taken to be 20 Hz or faster",
+    )
+    lengths = command.add_argument_group(
+        "gravity, on which every length rests", "at most one of these"
+    ).add_mutually_exclusive_group()
+    lengths.add_argument(
+        "--gravity",
+        type=float,
+        metavar="X",
+        help="its size where the log was recorded [m/s^2] (9.81, not known to better than 0.02)",
+    )
+    lengths.add_argument(
+        "--site",
+        type=_site,
+        metavar="LAT,HEIGHT",
+        help="the same from latitude [deg] and height above the sea [m]",
+    )
+    command.add_argument(
+        "--motion",
+        choices=("all", "patterns"),
+        default="all",
+        help="estimate from all samples of the log, or from the patterns around poses alone "
+        "(%(default)s)",
+    )
+
+
+def _bandwidth(text: str) -> tuple[float, int]:
+    """Cutoff [Hz] and order of a low-pass."""
+    cutoff, _, order = text.partition(":")
+    found = float(cutoff), int(order or 1)
+    if not (1.0 <= found[0] < 1e5 and found[1] in (1, 2)):
+        raise argparse.ArgumentTypeError(f"{text!r} is no cutoff of 1 Hz or more, and order 1 or 2")
+    return found
+
+
+def _site(text: str) -> tuple[float, float]:
+    """Latitude [deg] and height [m]."""
+    latitude, _, height = text.partition(",")
+    found = float(latitude), float(height or 0)
+    if not (abs(found[0]) <= 90 and -500 <= found[1] <= 9000):
+        raise argparse.ArgumentTypeError(f"{text!r} is no latitude [deg] and height [m]")
+    return found
 
 
 def _compare(command: _Parser) -> None:

@@ -46,6 +46,7 @@ def as_document(calibration: Calibration) -> dict[str, Any]:
         "verdict": {"quality": calibration.quality, "words": found.verdict},
         "fit": _fit(calibration, found),
         "goodness": _goodness(calibration),
+        "samples": _samples(calibration),
         "tree": {
             "joints": [
                 {"name": name, "parent": _name(tree.joint_names, int(parent)), "type": kind}
@@ -255,3 +256,25 @@ def _fault(fault: Fault, n_logs: int) -> dict[str, Any]:
 def _name(names: Sequence[str], index: int) -> str | None:
     """Name of a joint, None for the reference segment."""
     return names[index] if index >= 0 else None
+
+
+def _samples(calibration: Calibration) -> dict[str, Any] | None:
+    """What all samples along the logs show; None where patterns alone counted."""
+    along = calibration.along
+    if along is None:
+        return None
+    state, names = along.fitted.state, along.problem.tree.su_names
+    return {
+        "misfit": along.misfit,
+        "gravity": state.gravity,
+        "gravity_deviation": calibration.settings.gravity_deviation,
+        "sus": {
+            name: {
+                "droop": state.front[u],
+                "lag": state.clock[:, u, 0],
+                "clock_drift": state.clock[:, u, 1],
+                "bias_drift": along.drifts[u],
+            }
+            for u, name in enumerate(names)
+        },
+    }

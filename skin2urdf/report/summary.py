@@ -14,6 +14,8 @@ from skin2urdf.report.words import NO_POSITIONS
 from skin2urdf.signals.records import Features
 
 _MM = 1e3
+_SLOW_DROOP = 4e-6
+"""Droop of a pole at 56 Hz [s^2], which changes a pattern of 4 Hz by a quarter of a per cent."""
 _DEG = float(np.rad2deg(1.0))
 _MG = 1 / MILLI_G
 
@@ -32,6 +34,7 @@ def as_text(calibration: Calibration) -> str:
         found.verdict,
         _expectation(found),
         _prediction(calibration),
+        _rests_on(calibration),
         "",
         *_joints(calibration, found),
         "",
@@ -39,7 +42,7 @@ def as_text(calibration: Calibration) -> str:
         *_hidden(calibration),
         *bullets("Not observable from this log", _not_known(found)),
         *bullets("Faults", _faults(calibration)),
-        *bullets("Notes", [*calibration.notes, *_clocks(calibration)]),
+        *bullets("Notes", [*calibration.notes, *_clocks(calibration), *_sensors(calibration)]),
     ]
     return "\n".join(lines) + "\n"
 
@@ -51,6 +54,19 @@ def _expectation(found: Findings) -> str:
     return (
         f"error to expect of an SU that is determined: {number(found.expected_position * _MM)} mm, "
         f"{number(found.expected_orientation * _DEG, 3)} deg rms"
+    )
+
+
+def _rests_on(calibration: Calibration) -> str:
+    """What all lengths rest on, in one line."""
+    settings = calibration.settings
+    size, deviation = settings.estimation.priors.gravity, settings.gravity_deviation
+    if calibration.along is None or not deviation:
+        return f"lengths rest on gravity of {size:.4f} m/s^2, taken as exact"
+    hint = "" if deviation < 2e-3 else "; give --gravity or --site"
+    return (
+        f"lengths rest on gravity of {size:.4f} m/s^2, known to {1e2 * deviation / size:.2g} %, "
+        f"which is part of the stated errors{hint}"
     )
 
 
@@ -148,6 +164,29 @@ def _not_known(found: Findings) -> list[str]:
     if not found.positions_open:
         return lines + [str(unknown) for unknown in found.between_branches]
     return [str(NO_POSITIONS), *lines]
+
+
+def _sensors(calibration: Calibration) -> list[str]:
+    """What was found of biases that drift and of sensors that are slow."""
+    along = calibration.along
+    if along is None:
+        return []
+    notes = []
+    if along.drifts.any():
+        notes.append(
+            f"biases drift within a log, by up to {number(along.drifts.max() / MILLI_G)} mg; they "
+            "were followed: let sensors warm up before a recording"
+        )
+    slow = along.fitted.state.front > _SLOW_DROOP
+    if slow.any():
+        cutoff = 1 / (2 * np.pi * np.sqrt(2 * along.fitted.state.front[slow]))
+        names = [n for n, s in zip(along.problem.tree.su_names, slow, strict=True) if s]
+        notes.append(
+            f"the sensors' own low-pass takes away from fast motion, as a pole at "
+            f"{cutoff.min():.0f} to {cutoff.max():.0f} Hz does, in {', '.join(names[:4])}"
+            f"{f' and {len(names) - 4} more' if len(names) > 4 else ''}; it was corrected"
+        )
+    return notes
 
 
 def _clocks(calibration: Calibration) -> list[str]:

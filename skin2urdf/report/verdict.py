@@ -44,8 +44,10 @@ def verdict(calibration: Calibration, worst_position: float, worst_orientation: 
 
 def _fit(calibration: Calibration) -> str:
     """How well the model explains the readings."""
-    per_dof = calibration.estimate.cost_per_dof
-    cost = f"cost per degree of freedom {per_dof:.2f}"
+    per_dof = calibration.misfit
+    cost = f"what is left of them is {per_dof:.2g} times noise"
+    if calibration.along is None:
+        cost = f"cost per degree of freedom {per_dof:.2f}"
     if not per_dof <= BAD_FIT:
         return f"the model does not explain the readings ({cost}; {BAD_FIT:g} is the limit)"
     if per_dof > GOOD_FIT:

@@ -90,7 +90,7 @@ def estimate_along(
     begin = MotionState(
         placements=start,
         gravity=priors.sensors.gravity,
-        front=np.zeros(U),
+        front=np.full(U, priors.droop[0]),
         clock=clock,
         knots=tuple(np.zeros((n, U, 3)) for n in problem.layout.n_knots),
         compliance=np.zeros(problem.layout.n_compliance),
@@ -134,18 +134,18 @@ def _with_drifting_biases(problem: MotionProblem, fitted: Fitted) -> tuple[Motio
     return walking, fit(walking, state)
 
 
-def motion_priors(sensors: Priors, *, gravity: float, pole: float) -> MotionPriors:
+def motion_priors(sensors: Priors, *, gravity: float, droop: tuple[float, float]) -> MotionPriors:
     """What is commonly known before logs are read.
 
     Args:
         sensors: of bias, scale and cross-axis.
         gravity: standard deviation of its magnitude [m/s^2].
-        pole: time constant of sensors' low-passes [s].
+        droop: mean and standard deviation of what sensors' low-passes do [s^2].
     """
     return MotionPriors(
         sensors=sensors,
         gravity=gravity,
-        pole=pole,
+        droop=droop,
         lag=1.0,
         drift=1e-2,
         bias_walk=0.0,
@@ -153,6 +153,15 @@ def motion_priors(sensors: Priors, *, gravity: float, pole: float) -> MotionPrio
     )
 
 
-def with_sensors(priors: MotionPriors, sensors: Priors) -> MotionPriors:
-    """The same with other priors of the sensors."""
-    return replace(priors, sensors=sensors)
+def droop_of(cutoff: float, order: int) -> tuple[float, float]:
+    """Droop of a low-pass, and how far a sensor's may be from it [s^2].
+
+    A filter of second order (Butterworth) has none at low frequencies. Data sheets give cutoffs to
+    a tenth, of which the droop goes with the square.
+
+    Args:
+        cutoff: where the amplitude is down by 3 dB [Hz].
+        order: 1 or 2.
+    """
+    whole = (2 * np.pi * cutoff) ** -2 / 2
+    return (whole if order == 1 else 0.0), 0.2 * whole

@@ -47,7 +47,7 @@ class MotionPriors:
     Attributes:
         sensors: bias, scale, cross-axis and offsets, as for features.
         gravity: of the magnitude of gravity [m/s^2].
-        pole: of the time constant of a sensor's low-pass [s]: 20 Hz and up are common.
+        droop: mean and standard deviation of a sensor's droop [s^2]; 20 Hz and up are common.
         lag: of an SU's clock [s].
         drift: of its rate [1].
         bias_walk: of the change of a bias per root of a second [m/s^2/sqrt(s)].
@@ -56,7 +56,7 @@ class MotionPriors:
 
     sensors: Priors
     gravity: float
-    pole: float
+    droop: tuple[float, float]
     lag: float
     drift: float
     bias_walk: float
@@ -171,7 +171,7 @@ class MotionProblem:
         su = np.ones((tree.n_sus, layout.n_su), dtype=bool)
         su[:, :N_SU] = placements.sus
         su[:, N_PLACEMENT:N_SU] &= priors.sensors.deviations > 0
-        su[:, layout.front] = priors.pole > 0
+        su[:, layout.front] = priors.droop[1] > 0
         resting = tree.su_joint < 0
         for g in range(layout.n_logs):
             su[:, layout.clock(g)] = np.array([priors.lag > 0, priors.drift > 0])
@@ -432,13 +432,12 @@ class MotionProblem:
         joint_gradient[layout.gravity] = -joint[layout.gravity] * (1 - self._sense(state))
         joint[layout.compliance] = inverse(priors.compliance)
         joint_gradient[layout.compliance] = -joint[layout.compliance] * state.compliance
-        T = priors.pole
         of_su = np.zeros(layout.n_su)
         of_su[N_PLACEMENT:N_SU] = inverse(priors.sensors.deviations)
-        of_su[layout.front] = inverse(T**2 / 2)
+        of_su[layout.front] = inverse(priors.droop[1])
         value = np.zeros((U, layout.n_su))
         value[:, N_PLACEMENT:N_SU] = np.concatenate([places.bias, places.shape], axis=1)
-        value[:, layout.front] = state.front
+        value[:, layout.front] = state.front - priors.droop[0]
         for g in range(layout.n_logs):
             of_su[layout.clock(g)] = inverse(np.array([priors.lag, priors.drift]))
             value[:, layout.clock(g)] = state.clock[g]

@@ -39,7 +39,8 @@ _STRETCH = 4.0
 _ROUGH = 0.1
 """Error [m/s^2] of a sample by which priors are weighed against samples."""
 _TURN, _OFFSET, _LAG = 0.05, 1.0, 0.05
-"""Standard deviations of directions from gravity [rad], of offsets [m] and of clocks [s]."""
+"""Standard deviations of directions from gravity [rad], of offsets [m], and of clocks [s], as a
+constant and as what they drift in half a log."""
 
 
 @dataclass(frozen=True)
@@ -70,6 +71,7 @@ class Along:
         change: (N, U, 3) their derivatives [m/s^3].
         valid: (N, U) where they are whole.
         log: (N,) which log.
+        time: (N,) time in its log, from -1 at its begin to 1 at its end.
         stretch: (N,) which stretch of time, counted through all logs.
     """
 
@@ -80,10 +82,11 @@ class Along:
     change: F64
     valid: Bool
     log: Int
+    time: F64
     stretch: Int
 
     def __post_init__(self) -> None:
-        for name in ("q", "qd", "qdd", "readings", "change"):
+        for name in ("q", "qd", "qdd", "readings", "change", "time"):
             object.__setattr__(self, name, frozen(getattr(self, name)))
         object.__setattr__(self, "valid", frozen(self.valid, np.bool_))
         for name in ("log", "stretch"):
@@ -118,11 +121,14 @@ def along(sampled: Sequence[Sampled]) -> Along:
                 first_derivative(y, rate)[kept],
                 ok[kept],
                 np.full(len(kept), g),
+                2 * kept / max(len(q) - 1, 1) - 1,
                 stretch,
             )
         )
-    q, qd, qdd, y, yd, ok, log, stretch = (np.concatenate([p[i] for p in parts]) for i in range(8))
-    return Along(q, qd, qdd, y, yd, ok, log, stretch)
+    q, qd, qdd, y, yd, ok, log, time, stretch = (
+        np.concatenate([p[i] for p in parts]) for i in range(9)
+    )
+    return Along(q, qd, qdd, y, yd, ok, log, time, stretch)
 
 
 @dataclass(frozen=True, eq=False)
@@ -260,8 +266,9 @@ def _regression(
     felt = [M @ (onto @ column) for column in columns]
     felt += [M @ (R.T @ slope) for slope in slopes]
     felt += [M @ skew(g), np.tile(np.eye(3), (N, 1, 1)), by_shape]
-    felt.append(samples.change[use, su][..., None])
+    late = samples.change[use, su]
+    felt.append(np.stack([late, late * samples.time[use, None]], axis=-1))
     turns = [_TURN] * (2 * len(slopes) + 3)
-    prior = np.array([*priors, *turns, *PRIOR, _LAG])
+    prior = np.array([*priors, *turns, *PRIOR, _LAG, _LAG])
     y = samples.readings[use, su] - sensor[:3] - g @ M.T
     return np.concatenate(felt, axis=-1), y, prior, slides, last

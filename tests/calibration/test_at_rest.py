@@ -10,6 +10,7 @@ import pytest
 
 from skin2urdf import calibrate
 from skin2urdf.arrays import F64
+from skin2urdf.calibration.settings import CalibrationSettings
 from skin2urdf.geometry.so3 import axis_rotation, rotation_exp
 from skin2urdf.geometry.units import GRAVITY
 from skin2urdf.recording.records import JointStream, Recording, SuStream
@@ -19,7 +20,7 @@ AXES = ((0.5, 0.0, 0.8), (0.0, 1.0, 0.0), (0.6, 0.0, -0.8))
 RATE = 50.0
 
 
-def at_rest(n_joints: int = 3, poses: int = 14) -> tuple[Recording, F64]:
+def at_rest(n_joints: int = 3, poses: int = 14, seconds: float = 1.0) -> tuple[Recording, F64]:
     """A chain that rests in poses between slow moves, an SU on every segment, and its axes."""
     rng = np.random.default_rng(0)
     axes = np.array(AXES[:n_joints])
@@ -27,9 +28,9 @@ def at_rest(n_joints: int = 3, poses: int = 14) -> tuple[Recording, F64]:
     goals = rng.uniform(-1.2, 1.2, (poses, n_joints))
     x = np.linspace(0, 1, int(2.5 * RATE))[:, None]
     step = x**3 * (10 - 15 * x + 6 * x**2)
-    pieces = [np.repeat(goals[:1], int(RATE), axis=0)]
+    pieces = [np.repeat(goals[:1], int(seconds * RATE), axis=0)]
     for a, b in pairwise(goals):
-        pieces += [a + step * (b - a), np.repeat(b[None], int(RATE), axis=0)]
+        pieces += [a + step * (b - a), np.repeat(b[None], int(seconds * RATE), axis=0)]
     q = np.concatenate(pieces)
     t = np.arange(len(q)) / RATE
     R = np.tile(np.eye(3), (len(q), 1, 1))
@@ -47,7 +48,7 @@ def at_rest(n_joints: int = 3, poses: int = 14) -> tuple[Recording, F64]:
 
 def test_rests_show_tree_and_directions_and_leave_positions_open() -> None:
     recording, axes = at_rest()
-    found = calibrate(recording)
+    found = calibrate(recording, CalibrationSettings(motion="patterns"))
     tree = found.model.tree
     assert [tree.joint_names[j] for j in tree.chain(2)] == ["joint0", "joint1", "joint2"]
     assert tree.su_joint.tolist() == [0, 1, 2]
@@ -75,3 +76,22 @@ def test_a_joint_that_holds_still_is_left_out() -> None:
     still = replace(first, name="still", position=np.full_like(first.position, 0.3))
     found = calibrate(replace(recording, joints=(first, second, still)))
     assert found.model.tree.joint_names == ("joint0", "joint1")
+
+
+def test_rests_with_nothing_in_between_need_no_sample_of_moves() -> None:
+    recording, axes = at_rest(seconds=4.0)
+    q = np.stack([joint.position for joint in recording.joints], axis=1)
+    still = (np.abs(np.diff(q, axis=0, prepend=q[:1])) < 1e-9).all(axis=1)
+    alone = replace(
+        recording,
+        sus=tuple(
+            replace(su, time=su.time[still], specific_force=su.specific_force[still])
+            for su in recording.sus
+        ),
+    )
+    found = calibrate(alone)
+    assert found.model.tree.joint_names == ("joint0", "joint1", "joint2")
+    assert found.quality == "fair"
+    assert abs(found.model.T_parent_joint[1][2, 2]) == pytest.approx(
+        abs(axes[0] @ axes[1]), abs=0.02
+    )

@@ -65,7 +65,7 @@ class Kind(Protocol):
 
     Attributes:
         rank: what looking costs: 0 for a score test, 1 for estimates from one log alone, 2 for
-            estimates of other structures, 3 for estimates from parts of logs. Kinds of a higher
+            estimates from parts of logs, 3 for estimates of other structures. Kinds of a higher
             rank look only at what nothing of a lower rank explains.
     """
 

@@ -77,25 +77,35 @@ class Encoders:
         if now is None:
             return []
         found, features = now.solution.found, now.solution.features
-        known = {error.dof for error in errors_of(now.amendments)}
+        known = {a.key for a in now.amendments}
         out = []
         if hopeless(found) and (gross := gross_scales(found)):
             joints = tuple(error.dof for error in gross)
             new = tuple(with_another(now.amendments, error, features) for error in gross)
             out.append(Candidate("gross scale", joints, new, excess(found)))
         seen = set()
-        for each in suspicions(unweighted(found), features):
+        suspected = suspicions(unweighted(found), features)
+        among = len(suspected) // max(1, found.tree.n_joints)
+        for each in suspected:
             error = each.error
-            if error.dof in seen or (_small(error) and error.dof not in known):
+            new = (with_another(now.amendments, error, features),)
+            # What is left of an error that is known may be small.
+            if error.dof in seen or (_small(error) and new[0].key not in known):
                 continue
             seen.add(error.dof)
-            new = (with_another(now.amendments, error, features),)
 
             def sharpen(error: EncoderError = error) -> Sequence[Amendment]:
                 return [sharpened(now, error, search.clock)]
 
             out.append(
-                Candidate(f"encoder {error.kind}", (error.dof,), new, each.gain, sharpen=sharpen)
+                Candidate(
+                    f"encoder {error.kind}",
+                    (error.dof,),
+                    new,
+                    each.gain,
+                    among=among,
+                    sharpen=sharpen,
+                )
             )
         return out
 

@@ -13,6 +13,6 @@ from skin2urdf.hypotheses.slip import Slips
 from skin2urdf.hypotheses.structure import Structures
 
 KINDS: tuple[Kind, ...] = (
-    Contact(), Slips(), Encoders(), Mirrored(), Names(), Senses(), Changes(), Structures(),
+    Encoders(), Contact(), Slips(), Mirrored(), Names(), Senses(), Changes(), Structures(),
 )  # fmt: skip
 """In the order in which their findings are told."""

@@ -81,6 +81,7 @@ class Candidate:
         subject: the SU or joint it is about, or several.
         amendments: what it amends.
         drop: of chi-squared, nothing weighed down, that a score test expects.
+        among: number of hypotheses that the score test has compared it with, itself included.
         holds: what else the attempt must show for the hypothesis; None where nothing.
         sharpen: makes a better amendment from the same features, at the cost of some estimates;
             None where there is nothing to sharpen.
@@ -90,6 +91,7 @@ class Candidate:
     subject: tuple[str, ...]
     amendments: tuple[Amendment, ...]
     drop: float
+    among: int = 1
     holds: Callable[[Attempt], bool] | None = None
     sharpen: Callable[[], Sequence[Amendment]] | None = None
 

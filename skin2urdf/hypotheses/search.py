@@ -101,7 +101,7 @@ class Search:
         clock: runs the stages.
         evident: amendments that need no estimate, such as leaps that no joint can make.
         plain: the logs with those alone, on their grids.
-        tried: number of candidates so far.
+        tried: number of hypotheses that were compared so far.
         attempts: number of attempts so far.
     """
 
@@ -130,12 +130,8 @@ class Search:
             StructureError: the SUs' activity contradicts every kinematic tree.
         """
         self.attempts += 1
-        clock, recordings = self.clock, list(self.recordings)
-        for each in amendments:
-            recordings = each.of_recordings(recordings)
-        logs = sample_logs(recordings, self.settings, clock)
-        for each in amendments:
-            logs = each.of_logs(logs)
+        clock = self.clock
+        logs = self._mended(amendments)
         calm = _calm(logs, amendments)
         features = take_features(calm, clock)
         structure = find_structure(calm, features, clock)
@@ -152,6 +148,27 @@ class Search:
         found, refined = relinearise(calm, tree, features, clock)
         found, refined = _settled(calm, found, refined, clock)
         return Attempt(amendments, Solution(calm, structure.seen, found, refined), whole)
+
+    def _mended(self, amendments: Sequence[Amendment]) -> Logs:
+        """The recordings without what was wrong, on their grids."""
+        recordings = list(self.recordings)
+        for each in amendments:
+            recordings = each.of_recordings(recordings)
+        logs = sample_logs(recordings, self.settings, self.clock)
+        for each in amendments:
+            logs = each.of_logs(logs)
+        return logs
+
+    def finished(self, last: Attempt, kind: Finishing) -> Attempt:
+        """An attempt with amendments as large as its estimate says, in its logs as well."""
+        new = kind.finish(last, self.clock)
+        if new.amendments == last.amendments:
+            return new
+        whole, tree = self._mended(new.amendments), new.solution.found.tree
+        for each in new.amendments:
+            whole, _ = each.of_placements(whole, tree)
+        logs = _calm(whole, new.amendments)
+        return replace(new, solution=replace(new.solution, logs=logs), whole=whole)
 
 
 def _settled(
@@ -200,7 +217,7 @@ def explain(
         raise structure.contradiction or StructureError("there is no tree", "record more moves")
     for kind in kinds:
         if isinstance(kind, Finishing):
-            last = kind.finish(last, clock)
+            last = search.finished(last, kind)
     faults = [fault for kind in kinds for fault in kind.findings(last)]
     return replace(last.solution, faults=tuple(faults))
 
@@ -237,7 +254,7 @@ def _better(
             for candidate in kind.propose(search, now)
             if candidate.key not in failed
         ]
-        search.tried += len(proposed)
+        search.tried += sum(candidate.among for candidate in proposed)
         promised = {c: promise(now, c, search.tried) for c in (*waiting, *proposed)}
         waiting = []
         for candidate in sorted(promised, key=lambda c: -promised[c]):

@@ -131,7 +131,9 @@ class Slips:
                 return False
             return not (_like_an_encoder(there, name, earlier) or _small(there, name, earlier))
 
-        return Candidate("slip", (name,), (new,), slip.drop, holds=holds)
+        return Candidate(
+            "slip", (name,), (new,), slip.drop, among=2 * features.n_poses, holds=holds
+        )
 
     def findings(self, last: Attempt) -> Sequence[Fault]:
         """The slips with their sizes."""

@@ -18,6 +18,7 @@ from validation.measure import sensor_rotations, truth_as_felt
 
 from skin2urdf.calibration.pipeline import calibrate
 from skin2urdf.calibration.result import Calibration
+from skin2urdf.calibration.settings import CalibrationSettings
 from skin2urdf.errors import InsufficientDataError, Skin2UrdfError
 from skin2urdf.recording.records import Recording
 from skin2urdf.recording.retiming import retimed
@@ -183,7 +184,8 @@ def _clean(setting: Setting, seed: int, two: bool) -> Calibration:
 
 
 def _calibrated(recordings: Sequence[Recording]) -> Calibration:
-    return calibrate([retimed(recording) for recording in recordings])
+    known = CalibrationSettings(gravity_deviation=0.0)
+    return calibrate([retimed(recording) for recording in recordings], known)
 
 
 def _judged(blank: Figures, found: Calibration, truth: Truth, without: Sequence[str]) -> Figures:

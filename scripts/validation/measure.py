@@ -57,7 +57,9 @@ def perform(case: Case) -> Figures:
         Exception: whatever the package raises.
     """
     begin = time.perf_counter()
-    settings = CalibrationSettings(estimation=EstimationSettings(refine=case.circumstance.refine))
+    settings = CalibrationSettings(
+        estimation=EstimationSettings(refine=case.circumstance.refine), gravity_deviation=0.0
+    )
     with tempfile.TemporaryDirectory() as folder:
         log, truth = _recorded(case, Path(folder))
         simulated = time.perf_counter()

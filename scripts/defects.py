@@ -24,7 +24,7 @@ from batch import run
 from batch.run import Batch
 from bench.rows import ROWS
 from bench.table import complete, report, shortfalls
-from bench.trials import TWO_ARMS, Case, Figures, calibration_settings, perform
+from bench.trials import TWO_ARMS, Case, Figures, perform
 
 from skin2urdf.errors import UsageError
 from skin2urdf.simulation import GRADES, robot_names
@@ -54,7 +54,10 @@ def parser() -> argparse.ArgumentParser:
         "--minutes", type=float, default=default.minutes, help="length without patterns [min]"
     )
     what.add_argument(
-        "--motion", default="", metavar="WHICH", help="samples that the calibration takes"
+        "--motion",
+        default="all",
+        choices=("all", "patterns"),
+        help="samples that count (%(default)s)",
     )
     return new
 
@@ -67,7 +70,6 @@ def cases_of(options: argparse.Namespace) -> list[Case]:
     """
     if options.poses < 1 or not options.minutes > 0:
         raise UsageError("--poses starts at 1, --minutes above 0", "give larger numbers")
-    calibration_settings(options.motion)
     return [
         Case(
             robot, row, seed, options.excite, options.poses, options.minutes, options.grade,

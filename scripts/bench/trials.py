@@ -6,9 +6,8 @@ import tempfile
 import time
 import warnings
 from collections.abc import Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from batch.figures import rms
@@ -18,10 +17,12 @@ from validation.measure import sensor_rotations, truth_as_felt
 from bench.rows import ROWS
 from skin2urdf import Calibration, CalibrationSettings, calibrate, compare, save
 from skin2urdf.arrays import F64
-from skin2urdf.errors import Skin2UrdfError, UsageError
+from skin2urdf.calibration.settings import Motion
+from skin2urdf.errors import Skin2UrdfError
 from skin2urdf.estimation.uncertainty.observability import aligned_deviations
 from skin2urdf.recording.retiming import retimed
 from skin2urdf.simulation import RobotSpec, SimulationSettings, Truth, load_robot, simulate
+from skin2urdf.simulation.defects import LocalGravity
 from skin2urdf.simulation.robots import example_robot_data
 from skin2urdf.simulation.settings import Excitation
 
@@ -42,7 +43,7 @@ class Case:
         poses: number of poses; without patterns the time counts.
         minutes: how long it moves without patterns [min].
         grade: sensor grade.
-        motion: which samples the calibration takes; empty for its default.
+        motion: which samples the calibration takes.
     """
 
     robot: str
@@ -52,14 +53,14 @@ class Case:
     poses: int = 8
     minutes: float = 3.0
     grade: str = "mems"
-    motion: str = ""
+    motion: Motion = "all"
 
     @property
     def circumstance(self) -> str:
         """All but row and seed, in words."""
         length = f"{self.minutes:g}min" if self.excite == "none" else f"{self.poses}poses"
         words = (self.robot, self.grade, self.excite, length)
-        return " ".join((*words, f"motion={self.motion}") if self.motion else words)
+        return " ".join((*words, f"motion={self.motion}") if self.motion != "all" else words)
 
     @property
     def key(self) -> str:
@@ -138,25 +139,18 @@ def robot(name: str) -> RobotSpec:
     return replace(baxter, name=name, moving=("left_[se]*", "right_[se]*"))
 
 
-def calibration_settings(motion: str) -> CalibrationSettings:
-    """Settings that take these samples, where the package has the choice.
-
-    Raises:
-        UsageError: it has not.
-    """
-    if not motion:
-        return CalibrationSettings()
-    if "motion" not in {field.name for field in fields(CalibrationSettings)}:
-        raise UsageError("this package takes the samples that it takes", "leave --motion out")
-    chosen: dict[str, Any] = {"motion": motion}
-    return CalibrationSettings(**chosen)
+def calibration_settings(case: Case) -> CalibrationSettings:
+    """Settings of a laboratory that knows its gravity, but where that is what the row is about."""
+    told = not any(isinstance(each, LocalGravity) for each in case.settings.defects)
+    settings = CalibrationSettings(motion=case.motion)
+    return replace(settings, gravity_deviation=0.0) if told else settings
 
 
 def perform(case: Case) -> Figures:
     """Do a case; that the package refuses a recording is part of it."""
     warnings.simplefilter("ignore")
     simulation = simulate(robot(case.robot), case.settings)
-    settings = calibration_settings(case.motion)
+    settings = calibration_settings(case)
     truth = simulation.truth
     recording = retimed(simulation.recording)
     del simulation

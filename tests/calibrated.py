@@ -6,6 +6,7 @@ from functools import cache
 
 from skin2urdf.calibration.pipeline import calibrate
 from skin2urdf.calibration.result import Calibration
+from skin2urdf.calibration.settings import CalibrationSettings
 from skin2urdf.simulation import Simulation, SimulationSettings, load_robot, simulate
 
 
@@ -19,4 +20,4 @@ def simulation() -> Simulation:
 @cache
 def calibration() -> Calibration:
     """What the recording says, without the truth."""
-    return calibrate(simulation().recording)
+    return calibrate(simulation().recording, CalibrationSettings(gravity_deviation=0.0))

@@ -64,7 +64,10 @@ def blocks_of(found: Calibration, truth: Truth) -> dict[str, Block]:
 
     names = found.features.su_names
     lag = truth.lag[[[su.name for su in truth.sus].index(name) for name in names]]
-    for e, sd in zip(found.features.latency - lag, found.features.latency_sd, strict=True):
+    # What was found of a clock before features were taken is no longer in their latency.
+    early = {clock.su: clock.latency for clock in found.clocks[0]}
+    total = found.features.latency + [early.get(name, 0.0) for name in names]
+    for e, sd in zip(total - lag, found.features.latency_sd, strict=True):
         if np.isfinite(sd):
             parts["latency"].append(
                 normalised(np.array([e]), np.array([[sd**2]]), _OBSERVABLE["latency"])

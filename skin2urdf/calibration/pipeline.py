@@ -11,7 +11,7 @@ import numpy as np
 from skin2urdf.arrays import F64, Bool
 from skin2urdf.calibration.at_rest import estimate_at_rest
 from skin2urdf.calibration.clock import Clock, Progress, Tell
-from skin2urdf.calibration.result import BAD_FIT, Calibration, Source
+from skin2urdf.calibration.result import BAD_FIT, BAD_MISFIT, Calibration, Source
 from skin2urdf.calibration.rounds import (
     Logs,
     Solution,
@@ -107,9 +107,9 @@ def check_fit(found: Estimate, along: MotionEstimate | None) -> None:
     Raises:
         BadFitError: it does not.
     """
-    cost = found.cost_per_dof if along is None else along.misfit
-    if not cost <= BAD_FIT:
-        raise BadFitError(*why_bad(found, BAD_FIT), cost_per_dof=cost)
+    cost, limit = (found.cost_per_dof, BAD_FIT) if along is None else (along.misfit, BAD_MISFIT)
+    if not cost <= limit:
+        raise BadFitError(*why_bad(found, limit), cost_per_dof=cost)
 
 
 def _calibration(

@@ -54,7 +54,10 @@ def fit_samples(solution: Solution, tell: Tell) -> MotionEstimate | None:
     droop = (0.0, settings.slowest_pole**2 / 2)
     if settings.bandwidth is not None:
         droop = droop_of(*settings.bandwidth)
-    priors = motion_priors(found.cost.priors, gravity=settings.gravity_deviation, droop=droop)
+    sensors = found.cost.priors
+    if not settings.estimation.intrinsics:
+        sensors, droop = replace(sensors, bias=0.0, scale=0.0, cross=0.0), (0.0, 0.0)
+    priors = motion_priors(sensors, gravity=settings.gravity_deviation, droop=droop)
     return estimate_along(trajectories, tree, found.state, priors, latency, tell)
 
 

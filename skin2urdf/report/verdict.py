@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from skin2urdf.calibration.result import BAD_FIT, GOOD_FIT, Calibration
+from skin2urdf.calibration.result import GOOD_FIT, Calibration
 from skin2urdf.estimation.uncertainty.observability import Verdict
 from skin2urdf.report.tables import number
 
@@ -48,8 +48,9 @@ def _fit(calibration: Calibration) -> str:
     cost = f"what is left of them is {per_dof:.2g} times noise"
     if calibration.along is None:
         cost = f"cost per degree of freedom {per_dof:.2f}"
-    if not per_dof <= BAD_FIT:
-        return f"the model does not explain the readings ({cost}; {BAD_FIT:g} is the limit)"
+    limit = calibration.largest_misfit
+    if not per_dof <= limit:
+        return f"the model does not explain the readings ({cost}; {limit:g} is the limit)"
     if per_dof > GOOD_FIT:
         return f"the model explains the readings in part ({cost}; up to {GOOD_FIT:g} is good)"
     return f"the model explains the readings ({cost})"

@@ -14,7 +14,7 @@ from simulated import changed_joints, changed_sus, held_against, simulation
 
 import skin2urdf
 from skin2urdf.calibration.pipeline import calibrate
-from skin2urdf.calibration.result import Calibration
+from skin2urdf.calibration.result import BAD_MISFIT, Calibration
 from skin2urdf.calibration.settings import CalibrationSettings
 from skin2urdf.errors import (
     BadFitError,
@@ -157,7 +157,7 @@ def test_progress_is_told_stage_by_stage() -> None:
     calibrate(sim.recording, progress=lambda stage, share: told.append((stage, share)))
     assert all(0.0 <= share <= 1.0 for _, share in told)
     stages = list(dict.fromkeys(stage for stage, _ in told))
-    assert stages[:3] == ["reading", "sampling", "features"]
+    assert stages[:4] == ["reading", "leaps", "sampling", "features"]
     assert stages[-1] == "observability"
     assert told[-1] == ("observability", 1.0)
 
@@ -238,11 +238,11 @@ def resting(recording: Recording) -> Recording:
 
 BAD: dict[str, tuple[Callable[[], Recording], type[Skin2UrdfError], str]] = {
     "joints that never move": (
-        lambda: changed_joints(plain(), still), StructureError, "no SU is moved by any DoF",
+        lambda: changed_joints(plain(), still), StructureError, "no SU",
     ),
-    "nothing moves": (lambda: resting(plain()), StructureError, "no SU is moved by any DoF"),
+    "nothing moves": (lambda: resting(plain()), StructureError, "no SU"),
     "one SU, on the base": (
-        lambda: changed_sus(plain(), only_base), StructureError, "no SU is moved by any DoF",
+        lambda: changed_sus(plain(), only_base), StructureError, "no SU",
     ),
     "one second": (lambda: cut(plain(), 1.0), InsufficientDataError, "overlap for 1.0 s"),
     "no joints": (lambda: replace(plain(), joints=()), InsufficientDataError, "no joint"),
@@ -271,17 +271,18 @@ def test_a_log_without_sus_is_an_error_in_words() -> None:
     assert caught.value.remedy
 
 
-@pytest.mark.parametrize("seconds", [3.0, 10.0])
-def test_a_log_that_ends_too_early_gives_no_robot(seconds: float) -> None:
+def test_a_log_that_ends_too_early_gives_no_robot() -> None:
     with pytest.raises(Skin2UrdfError) as caught:
-        calibrate(cut(plain(), seconds))
+        calibrate(cut(plain(), 3.0))
     assert caught.value.remedy
 
 
-def test_too_few_measurements_are_not_called_a_bad_fit() -> None:
-    """Home and a few structural moves hold fewer measurements than unknowns."""
-    with pytest.raises(InsufficientDataError):
-        calibrate(cut(plain(), 20.0))
+def test_what_a_log_of_a_few_moves_leaves_open_is_said() -> None:
+    """Home and a few structural moves show directions, and where nothing much is."""
+    found = calibrate(cut(plain(), 20.0))
+    assert found.quality == "fair"
+    assert "determined" not in found.observability.su_verdict
+    assert any(plain().joints[-1].name in note for note in found.notes)
 
 
 def test_positions_in_degrees_give_no_robot() -> None:
@@ -299,7 +300,7 @@ def test_a_joint_that_is_not_linear_is_a_bad_fit() -> None:
 
     with pytest.raises(BadFitError) as caught:
         calibrate(changed_joints(plain(), bent))
-    assert caught.value.cost_per_dof > 50.0
+    assert caught.value.cost_per_dof > BAD_MISFIT
 
 
 def test_a_reversed_joint_is_a_robot_with_a_reversed_axis() -> None:

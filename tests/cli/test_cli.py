@@ -84,7 +84,7 @@ def test_an_su_to_be_repaired_is_told_by_verdict_and_exit_status(
     status, out, _ = run("calibrate", tmp_path / "dead.mcap", "-o", tmp_path / "a.urdf")
     assert status == 3
     assert out.startswith("fair: ")
-    assert f"{dead.name} reads zero" in out
+    assert any(dead.name in line and "dead" in line for line in out.splitlines())
     assert (tmp_path / "a.urdf").is_file()
 
 
@@ -331,7 +331,7 @@ def test_defaults_in_the_help_are_those_of_the_estimation(
         ("--gravity", f"{priors.gravity:g}"),
     ):
         line = next(line for line in text.splitlines() if f"  {option} " in line)
-        assert line.endswith(f"({default})")
+        assert default in line
 
 
 def test_options_reach_the_settings() -> None:

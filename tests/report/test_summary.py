@@ -17,25 +17,19 @@ from skin2urdf.report.tables import bullets, number, span, table
 from skin2urdf.report.words import frames_at_zero
 
 
-def with_cost(cost_per_dof: float) -> Calibration:
-    fit = calibration().estimate
-    changed = replace(fit, chi2=cost_per_dof * fit.degrees_of_freedom)
-    return replace(calibration(), estimate=changed)
+def with_misfit(misfit: float) -> Calibration:
+    along = calibration().along
+    assert along is not None
+    return replace(calibration(), along=replace(along, misfit=misfit))
 
 
 @pytest.mark.parametrize(
-    ("cost", "quality", "words"),
-    [
-        (0.98, "good", "the model explains the readings (cost per degree of freedom 0.98)"),
-        (7.0, "fair", "in part (cost per degree of freedom 7.00"),
-        (900.0, "bad", "does not explain the readings"),
-        (float("nan"), "bad", "does not explain the readings"),
-    ],
+    ("misfit", "quality"), [(0.98, "good"), (7.0, "fair"), (900.0, "bad"), (float("nan"), "bad")]
 )
-def test_the_first_line_is_the_verdict(cost: float, quality: str, words: str) -> None:
-    first = as_text(with_cost(cost)).splitlines()[0]
+def test_the_first_line_is_the_verdict(misfit: float, quality: str) -> None:
+    first = as_text(with_misfit(misfit)).splitlines()[0]
     assert first.startswith(f"{quality}: 6 joints, 7 SUs; ")
-    assert words in first
+    assert f"{misfit:.2g} times noise" in first
 
 
 def test_every_joint_and_su_has_its_row() -> None:

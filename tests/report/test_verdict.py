@@ -35,7 +35,7 @@ def test_a_good_result_tells_its_accuracy_and_what_is_missing() -> None:
     found = findings(calibration())
     assert 0 < found.expected_position <= found.worst_position < 1e-3
     first = found.verdict
-    assert first.startswith("good: 6 joints, 7 SUs; the model explains the readings (cost per ")
+    assert first.startswith("good: 6 joints, 7 SUs; the model explains the readings (")
     assert f"errors to expect up to {found.worst_position * 1e3:.2f} mm" in first
     tree, verdicts = calibration().model.tree, calibration().observability.su_verdict
     missing = [n for n, v in zip(tree.su_names, verdicts, strict=True) if v != "determined"]
@@ -112,7 +112,8 @@ def test_joints_that_are_not_observable_are_named_and_must_be_few() -> None:
 
 
 def test_a_bad_fit_promises_no_accuracy() -> None:
-    fit = calibration().estimate
-    found = replace(calibration(), estimate=replace(fit, chi2=900.0 * fit.degrees_of_freedom))
+    along = calibration().along
+    assert along is not None
+    found = replace(calibration(), along=replace(along, misfit=900.0))
     assert line(found).startswith("bad: ")
     assert "errors to expect" not in line(found)

@@ -145,12 +145,21 @@ def test_poses_are_where_the_robot_really_rested() -> None:
 )
 def test_lags_of_up_to_30_ms_are_recovered(seed: int, options: dict[str, Any]) -> None:
     sim = simulation("panda", lag=0.03, seed=seed, **options)
-    features = features_of(sim.recording)
+    names = [su.name for su in sim.recording.sus]
+    sampled = sampled_of(sim.recording)
+    features = extract_features([sampled], names)
     order = [[su.name for su in sim.truth.sus].index(n) for n in features.su_names]
     moving = np.array([sim.truth.sus[u].joint >= 0 for u in order])
-    error = features.latency - sim.truth.lag[order]
+    # What was found from the whole log is taken off before, and what is left after it.
+    early = {clock.su: clock.latency for clock in sampled.clocks}
+    error = features.latency + [early.get(n, 0.0) for n in names] - sim.truth.lag[order]
+    # A drift that the whole log leaves in doubt shifts clocks within that doubt.
+    half = 0.5 * sim.recording.duration
+    doubt = {clock.su: clock.latency_sd + half * clock.drift_sd for clock in sampled.clocks}
+    allowed = np.array([2e-4 + 3 * doubt.get(n, 0.0) for n in names])
     assert sim.truth.lag.max() > 0.012
-    assert abs(error[moving]).max() < 2e-4
+    assert (abs(error) < allowed)[moving].all()
+    assert allowed.max() < 3e-3
     assert (features.latency_sd[moving] < 2e-4).all()
 
 

@@ -93,8 +93,8 @@ def _onto_base(known: F64, k: F64, up: F64, h: F64) -> F64:
     reference = np.concatenate([known[shared], up[logs]])
     body = np.concatenate([k[shared], h[logs]])
     if not len(body):
-        first = frame_with_z(h[np.flatnonzero(np.isfinite(h).all(axis=1))[0]])
-        return np.asarray(first.T)
+        heard = h[np.isfinite(h).all(axis=1)]
+        return np.asarray(frame_with_z(heard[0]).T) if len(heard) else np.eye(3)
     if len(body) < 2:
         return np.asarray(frame_with_z(reference[0]) @ frame_with_z(body[0]).T)
     R, _ = wahba(body, reference, np.ones(len(body)))

@@ -97,7 +97,7 @@ def estimate_along(
     )
     fitted = fit(problem, begin, tell=tell)
     left = _misfit(problem, fitted, _SPAN)
-    if left > _EXPLAINED:
+    if left > _EXPLAINED and priors.sensors.bias > 0:
         drifting = _with_drifting_biases(problem, fitted)
         if _misfit(*drifting, _SPAN) < _MOST_OF_IT * left:
             problem, fitted = drifting

@@ -12,10 +12,10 @@ from skin2urdf.calibration.rounds import Solution
 from skin2urdf.estimation.solve.estimate import Estimate
 from skin2urdf.estimation.trajectory.estimate import (
     MotionEstimate,
-    droop_of,
     estimate_along,
     motion_priors,
 )
+from skin2urdf.estimation.trajectory.front_end import common_front_end
 from skin2urdf.signals.sampling import Sampled
 from skin2urdf.signals.trajectory import Trajectory, in_order, trajectory
 
@@ -51,13 +51,14 @@ def fit_samples(solution: Solution, tell: Tell) -> MotionEstimate | None:
         trajectories.append(in_order(trajectory(sampled, log, reach), dofs, sus))
     if _share_of_poses(trajectories, logs.sampled) < _MOST:
         return None
-    droop = (0.0, settings.slowest_pole**2 / 2)
+    front = np.zeros(2), np.full(2, settings.slowest_pole**2)
     if settings.bandwidth is not None:
-        droop = droop_of(*settings.bandwidth)
+        front = common_front_end(*settings.bandwidth)
     sensors = found.cost.priors
     if not settings.estimation.intrinsics:
-        sensors, droop = replace(sensors, bias=0.0, scale=0.0, cross=0.0), (0.0, 0.0)
-    priors = motion_priors(sensors, gravity=settings.gravity_deviation, droop=droop)
+        sensors = replace(sensors, bias=0.0, scale=0.0, cross=0.0)
+        front = np.zeros(2), np.zeros(2)
+    priors = motion_priors(sensors, gravity=settings.gravity_deviation, front=front)
     return estimate_along(trajectories, tree, found.state, priors, latency, tell)
 
 

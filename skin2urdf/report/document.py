@@ -270,7 +270,7 @@ def _samples(calibration: Calibration) -> dict[str, Any] | None:
         "gravity_deviation": calibration.settings.gravity_deviation,
         "sus": {
             name: {
-                "droop": state.front[u],
+                "front_end": state.front[u],
                 "lag": state.clock[:, u, 0],
                 "clock_drift": state.clock[:, u, 1],
                 "bias_drift": along.drifts[u],

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from skin2urdf.calibration.result import Calibration
+from skin2urdf.estimation.trajectory.front_end import droop
 from skin2urdf.geometry.units import MILLI_G
 from skin2urdf.report.clocks import clock_notes
 from skin2urdf.report.faults import fault_words
@@ -177,9 +178,10 @@ def _sensors(calibration: Calibration) -> list[str]:
             f"biases drift within a log, by up to {number(along.drifts.max() / MILLI_G)} mg; they "
             "were followed: let sensors warm up before a recording"
         )
-    slow = along.fitted.state.front > _SLOW_DROOP
+    droops = droop(along.fitted.state.front)
+    slow = droops > _SLOW_DROOP
     if slow.any():
-        cutoff = 1 / (2 * np.pi * np.sqrt(2 * along.fitted.state.front[slow]))
+        cutoff = 1 / (2 * np.pi * np.sqrt(2 * droops[slow]))
         names = [n for n, s in zip(along.problem.tree.su_names, slow, strict=True) if s]
         notes.append(
             f"the sensors' own low-pass takes away from fast motion, as a pole at "

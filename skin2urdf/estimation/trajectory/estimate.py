@@ -90,7 +90,7 @@ def estimate_along(
     begin = MotionState(
         placements=start,
         gravity=priors.sensors.gravity,
-        front=np.full(U, priors.droop[0]),
+        front=np.tile(priors.front[0], (U, 1)),
         clock=clock,
         knots=tuple(np.zeros((n, U, 3)) for n in problem.layout.n_knots),
         compliance=np.zeros(problem.layout.n_compliance),
@@ -134,34 +134,20 @@ def _with_drifting_biases(problem: MotionProblem, fitted: Fitted) -> tuple[Motio
     return walking, fit(walking, state)
 
 
-def motion_priors(sensors: Priors, *, gravity: float, droop: tuple[float, float]) -> MotionPriors:
+def motion_priors(sensors: Priors, *, gravity: float, front: tuple[F64, F64]) -> MotionPriors:
     """What is commonly known before logs are read.
 
     Args:
         sensors: of bias, scale and cross-axis.
         gravity: standard deviation of its magnitude [m/s^2].
-        droop: mean and standard deviation of what sensors' low-passes do [s^2].
+        front: mean and standard deviation (2,) of sensors' front ends [s^2].
     """
     return MotionPriors(
         sensors=sensors,
         gravity=gravity,
-        droop=droop,
+        front=np.stack(front),
         lag=1.0,
         drift=1e-2,
         bias_walk=0.0,
         compliance=np.zeros(0),
     )
-
-
-def droop_of(cutoff: float, order: int) -> tuple[float, float]:
-    """Droop of a low-pass, and how far a sensor's may be from it [s^2].
-
-    A filter of second order (Butterworth) has none at low frequencies. Data sheets give cutoffs to
-    a tenth, of which the droop goes with the square.
-
-    Args:
-        cutoff: where the amplitude is down by 3 dB [Hz].
-        order: 1 or 2.
-    """
-    whole = (2 * np.pi * cutoff) ** -2 / 2
-    return (whole if order == 1 else 0.0), 0.2 * whole

@@ -17,6 +17,7 @@ from skin2urdf.estimation.problem.state import (
     N_SU,
     identifiable,
 )
+from skin2urdf.estimation.trajectory.front_end import front_end
 from skin2urdf.estimation.trajectory.kinematics import (
     FrameMotion,
     Path,
@@ -29,11 +30,9 @@ from skin2urdf.estimation.trajectory.kinematics import (
 from skin2urdf.estimation.trajectory.state import (
     Layout,
     MotionState,
-    front_series,
-    front_slopes,
 )
 from skin2urdf.model.specific_force import specific_forces
-from skin2urdf.signals.filters import filtered, first_derivative, second_derivative, taken_at
+from skin2urdf.signals.filters import filtered, first_derivative, taken_at
 from skin2urdf.signals.trajectory import Trajectory
 from skin2urdf.structure.records import KinematicTree
 
@@ -47,7 +46,7 @@ class MotionPriors:
     Attributes:
         sensors: bias, scale, cross-axis and offsets, as for features.
         gravity: of the magnitude of gravity [m/s^2].
-        droop: mean and standard deviation of a sensor's droop [s^2]; 20 Hz and up are common.
+        front: (2, 2) mean and standard deviation of a sensor's front end [s^2].
         lag: of an SU's clock [s].
         drift: of its rate [1].
         bias_walk: of the change of a bias per root of a second [m/s^2/sqrt(s)].
@@ -56,14 +55,15 @@ class MotionPriors:
 
     sensors: Priors
     gravity: float
-    droop: tuple[float, float]
+    front: F64
     lag: float
     drift: float
     bias_walk: float
     compliance: F64
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "compliance", frozen(self.compliance))
+        for name in ("front", "compliance"):
+            object.__setattr__(self, name, frozen(getattr(self, name)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,8 +74,8 @@ class Predicted:
         residual: (K, U, 3) readings less prediction [m/s^2].
         measured: (K, U) where there is something to compare.
         ideal: (K, U, 3) what perfect sensors in the SUs' places would read, as predicted [m/s^2].
-        rates: (4, K, U, 3) first to fourth derivative of the readings of sensors without a front
-            end, as predicted [m/s^3 .. m/s^6].
+        rates: (3, K, U, 3) derivatives of predicted readings in time, and in the coordinates of the
+            sensors' front ends.
     """
 
     residual: F64
@@ -171,7 +171,7 @@ class MotionProblem:
         su = np.ones((tree.n_sus, layout.n_su), dtype=bool)
         su[:, :N_SU] = placements.sus
         su[:, N_PLACEMENT:N_SU] &= priors.sensors.deviations > 0
-        su[:, layout.front] = priors.droop[1] > 0
+        su[:, layout.front] = priors.front[1] > 0
         resting = tree.su_joint < 0
         for g in range(layout.n_logs):
             su[:, layout.clock(g)] = np.array([priors.lag > 0, priors.drift > 0])
@@ -195,17 +195,9 @@ class MotionProblem:
         ideal = specific_forces(model, log.q, log.qd, log.qdd, up)
         ideal = filtered(ideal * self._sense(state), log.taps)
         read = (ideal.swapaxes(0, 1) @ state.placements.sensor_matrix()).swapaxes(0, 1)
-        bend = second_derivative(read, log.rate)
-        rates = np.stack(
-            [
-                first_derivative(read, log.rate)[log.kept],
-                bend[log.kept],
-                first_derivative(bend, log.rate)[log.kept],
-                second_derivative(bend, log.rate)[log.kept],
-            ]
-        )
+        read, by_front = front_end(read, state.front, log.rate, len(log.taps))
+        rates = np.stack([first_derivative(read, log.rate), *by_front])[:, log.kept]
         predicted = read[log.kept] + state.placements.bias
-        predicted += np.einsum("cu,ckui->kui", front_series(state.front), rates[1:])
         predicted += np.einsum("kb,bui->kui", self.knot_shares(g), state.knots[g])
         at = log.kept[:, None] + log.rate * self.lags(state, g)
         residual = np.empty_like(predicted)
@@ -406,8 +398,7 @@ class MotionProblem:
         out[: C + N_PLACEMENT] = np.einsum("ij,cjk->cik", M * sense, ideal)
         own = out[C:]
         own[N_PLACEMENT:N_SU] = sensor_columns(here.f.T[:, None] * sense)[:, 0].transpose(1, 2, 0)
-        slopes = front_slopes(state.front[u])
-        own[layout.front] = np.tensordot(slopes, rates[1:], 1).T
+        own[layout.front] = rates[1:].swapaxes(1, 2)
         late = -rates[0].T
         own[layout.clock(g)] = late, self._since_middle(g) * late
         shares = self.knot_shares(g)
@@ -434,10 +425,10 @@ class MotionProblem:
         joint_gradient[layout.compliance] = -joint[layout.compliance] * state.compliance
         of_su = np.zeros(layout.n_su)
         of_su[N_PLACEMENT:N_SU] = inverse(priors.sensors.deviations)
-        of_su[layout.front] = inverse(priors.droop[1])
+        of_su[layout.front] = inverse(priors.front[1])
         value = np.zeros((U, layout.n_su))
         value[:, N_PLACEMENT:N_SU] = np.concatenate([places.bias, places.shape], axis=1)
-        value[:, layout.front] = state.front - priors.droop[0]
+        value[:, layout.front] = state.front - priors.front[0]
         for g in range(layout.n_logs):
             of_su[layout.clock(g)] = inverse(np.array([priors.lag, priors.drift]))
             value[:, layout.clock(g)] = state.clock[g]

@@ -8,6 +8,7 @@ import numpy as np
 
 from skin2urdf.arrays import F64, frozen
 from skin2urdf.estimation.problem.state import N_JOINT, N_SU, State, Step, screwed
+from skin2urdf.estimation.trajectory.front_end import N_FRONT
 
 N_CLOCK = 2
 """Coordinates of an SU's clock in a log: lag and drift."""
@@ -17,18 +18,10 @@ N_CLOCK = 2
 class MotionState:
     """All that predicts the readings along G logs of D joints and U SUs.
 
-    A sensor's low-pass is a series in the derivatives of what it would read without one, f, at a
-    lag of its own. Of a pole at F [Hz], with ``T = 1 / (2 pi F)``, the lag is T and the series::
-
-        f + T^2 / 2 f'' - T^3 / 3 f''' + 3 T^4 / 8 f''''
-
-    The first term is a droop of the amplitude that every low-pass has, whatever its order; it is
-    the one that makes a false lever arm, and the one that is estimated: ``a = T^2 / 2``.
-
     Attributes:
         placements: placements, gravity's direction per log, bias and shape of the SUs.
         gravity: magnitude of gravity where the logs were recorded [m/s^2].
-        front: (U,) droop a of each SU [s^2].
+        front: (U, 2) front end of each SU, as in :mod:`front_end` [s^2].
         clock: (G, U, 2) by how much an SU's stamps are late in the middle of a log [s], and by how
             much more each second [1].
         knots: per log (B, U, 3) bias of each SU at B moments, above its own [m/s^2]; linear in
@@ -91,24 +84,24 @@ class Layout:
         return self.gravity + 1 + self.n_compliance
 
     @property
-    def front(self) -> int:
-        """An SU's droop, behind its placement, bias and shape."""
-        return N_SU
+    def front(self) -> slice:
+        """An SU's front end, behind its placement, bias and shape."""
+        return slice(N_SU, N_SU + N_FRONT)
 
     def clock(self, log: int) -> slice:
         """An SU's clock in a log."""
-        begin = self.front + 1 + N_CLOCK * log
+        begin = self.front.stop + N_CLOCK * log
         return slice(begin, begin + N_CLOCK)
 
     def knots(self, log: int) -> slice:
         """An SU's bias over time in a log: x, y, z of the first knot, of the second .."""
-        begin = self.front + 1 + N_CLOCK * self.n_logs + 3 * sum(self.n_knots[:log])
+        begin = self.front.stop + N_CLOCK * self.n_logs + 3 * sum(self.n_knots[:log])
         return slice(begin, begin + 3 * self.n_knots[log])
 
     @property
     def n_su(self) -> int:
         """Number of coordinates of each SU."""
-        return self.front + 1 + N_CLOCK * self.n_logs + 3 * sum(self.n_knots)
+        return int(self.front.stop) + N_CLOCK * self.n_logs + 3 * sum(self.n_knots)
 
     def moved(self, state: MotionState, joint: F64, sus: F64) -> MotionState:
         """The state reached by a step.
@@ -137,24 +130,3 @@ class Layout:
             knots=knots,
             compliance=state.compliance + joint[self.compliance],
         )
-
-
-def front_series(droop: F64) -> F64:
-    """(3, ...) factors of the second to fourth derivative that a droop a (...) [s^2] stands for."""
-    root = (droop**2 + _SMALL_DROOP**2) ** 0.25
-    return np.stack([droop, -_THIRD * droop * root, 1.5 * droop**2])
-
-
-def front_slopes(droop: F64) -> F64:
-    """(3, ...) derivatives of :func:`front_series` in the droop."""
-    square = droop**2 + _SMALL_DROOP**2
-    root = square**0.25
-    slope = root + droop**2 / (2 * square**0.75)
-    return np.stack([np.ones_like(root), -_THIRD * slope, 3.0 * droop])
-
-
-_SMALL_DROOP = 1e-6
-"""Droop of a pole at 110 Hz [s^2]; below, the term of third order, which no pattern feels, is made
-to go through zero smoothly."""
-_THIRD = 2**1.5 / 3
-"""Of the term of third order: ``T^3 / 3`` with ``T = sqrt(2 a)``."""

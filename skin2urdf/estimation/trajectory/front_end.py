@@ -1,0 +1,81 @@
+"""What a sensor's own low-pass makes of a reading, its lag apart.
+
+Up to second order, with s the Laplace variable,
+
+    H(s) = exp(b s) / (1 + b s + r s^2)
+
+has the lag b of the filter taken off, which a clock's lag can not be told from. One pole at F [Hz]
+has ``b = 1 / (2 pi F)`` and r = 0; a filter of second order (Butterworth) has ``b^2 = 2 r`` with
+``r = 1 / (2 pi F)^2``. To second order in s, H is ``1 + (b^2 / 2 - r) s^2``: a droop of the
+amplitude, which at a pattern's frequency looks like a lever arm that is too short.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
+
+from skin2urdf.arrays import F64
+
+N_FRONT = 2
+"""Coordinates of a front end: p, the square of b, and r, both in s^2."""
+_SMALL = 1e-12
+"""Square of a lag below which it is none [s^2]: a microsecond."""
+
+
+def front_end(read: F64, front: F64, rate: float, margin: int) -> tuple[F64, F64]:
+    """Readings behind their sensors' front ends, and their derivatives in the coordinates.
+
+    Args:
+        read: (N, U, 3) readings without a front end, on a grid.
+        front: (U, 2) p and r of each SU [s^2].
+        rate: samples per second [Hz].
+        margin: samples by which the ends are carried on.
+
+    Returns:
+        (N, U, 3) readings and (2, N, U, 3) derivatives [1/s^2 times the readings' unit].
+    """
+    n = len(read)
+    padded = np.pad(read, ((margin, margin), (0, 0), (0, 0)), mode="reflect", reflect_type="odd")
+    length = next_fast_len(len(padded), real=True)
+    spectrum = rfft(padded, length, axis=0)
+    H, slopes = transfer(2 * np.pi * rfftfreq(length, 1 / rate), front)
+
+    def back(gain: F64) -> F64:
+        out = irfft(spectrum * gain[..., None], length, axis=0)
+        return np.asarray(out[margin : margin + n])
+
+    return back(H), np.stack([back(slope) for slope in slopes])
+
+
+def transfer(w: F64, front: F64) -> tuple[F64, F64]:
+    """H at angular frequencies w (F,) [rad/s]: (F, U), and its derivatives (2, F, U)."""
+    p, r = front.T
+    b = np.sqrt(np.maximum(p, 0.0))
+    s, w2 = 1j * w[:, None], w[:, None] ** 2
+    # A sensor that rises instead of drooping has no pole to say it with.
+    D = 1 + s * b - w2 * (r - 0.5 * np.minimum(p, 0.0))
+    H = np.exp(s * b) / D
+    has_lag = p > _SMALL
+    by_lag = s * H * (1 - 1 / D) / (2 * np.where(has_lag, b, 1.0))
+    by_p = np.where(has_lag, by_lag, -0.5 * w2 * H / D)
+    return H, np.stack([by_p, w2 * H / D])
+
+
+def droop(front: F64) -> F64:
+    """Droop (...) [s^2] of front ends (..., 2): what they take away per square of frequency."""
+    return np.asarray(0.5 * front[..., 0] - front[..., 1])
+
+
+def common_front_end(cutoff: float, order: int) -> tuple[F64, F64]:
+    """Mean and standard deviation (2,) of the coordinates of a front end of a data sheet [s^2].
+
+    Data sheets give cutoffs to a tenth, of which the coordinates go with the square.
+
+    Args:
+        cutoff: where the amplitude is down by 3 dB [Hz].
+        order: 1 or 2.
+    """
+    square = (2 * np.pi * cutoff) ** -2
+    mean = np.array([square, 0.0]) if order == 1 else np.array([2 * square, square])
+    return mean, 0.2 * mean

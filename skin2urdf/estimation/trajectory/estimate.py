@@ -90,7 +90,7 @@ def estimate_along(
     begin = MotionState(
         placements=start,
         gravity=priors.sensors.gravity,
-        front=np.tile(priors.front[0], (U, 1)),
+        front=np.tile(_begin_front(priors.front), (U, 1)),
         clock=clock,
         knots=tuple(np.zeros((n, U, 3)) for n in problem.layout.n_knots),
         compliance=np.zeros(problem.layout.n_compliance),
@@ -108,6 +108,16 @@ def estimate_along(
     spans = int(np.clip(seconds / _SPAN, _FEWEST, _MOST))
     information = motion_information(problem, fitted, spans, lasting)
     return MotionEstimate(problem, fitted, information, left)
+
+
+def _begin_front(front: F64) -> F64:
+    """Front end (2,) to begin with: that of a filter of second order within what is common.
+
+    Without any filter the slope towards one of second order is zero, and where data ask for it the
+    way begins on either side.
+    """
+    mean, deviation = front
+    return mean if mean.any() else np.array([1.0, 0.5]) * deviation
 
 
 def _misfit(problem: MotionProblem, fitted: Fitted, seconds: float) -> float:

@@ -21,7 +21,7 @@ from skin2urdf.calibration.rounds import (
     sample_logs,
     take_features,
 )
-from skin2urdf.calibration.samples import fit_samples, with_samples
+from skin2urdf.calibration.samples import fit_samples, with_samples, without_false_hits
 from skin2urdf.calibration.settings import CalibrationSettings
 from skin2urdf.errors import BadFitError, InsufficientDataError
 from skin2urdf.estimation.solve.estimate import Estimate
@@ -89,6 +89,10 @@ def calibrate(
     if settings.method != "paper" and settings.motion == "all":
         along = clock.run("all samples", lambda tell: fit_samples(solution, tell))
         if along is not None:
+            fitted = along
+            solution, along = clock.run(
+                "all samples", lambda tell: without_false_hits(solution, fitted, sampled, tell)
+            )
             solution = replace(solution, found=with_samples(solution.found, along))
     if settings.method != "paper":
         check_fit(solution.found, along)

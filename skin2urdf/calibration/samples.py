@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from skin2urdf.calibration.clock import Tell
-from skin2urdf.calibration.rounds import Solution
+from skin2urdf.calibration.rounds import Logs, Solution
 from skin2urdf.estimation.solve.estimate import Estimate
 from skin2urdf.estimation.trajectory.estimate import (
     MotionEstimate,
@@ -16,6 +16,7 @@ from skin2urdf.estimation.trajectory.estimate import (
     motion_priors,
 )
 from skin2urdf.estimation.trajectory.front_end import common_front_end
+from skin2urdf.faults import Fault
 from skin2urdf.signals.sampling import Sampled
 from skin2urdf.signals.trajectory import Trajectory, in_order, trajectory
 
@@ -24,6 +25,8 @@ _SETTLED = 5e-3
 a gap."""
 
 
+_HIT = 3.0
+"""Mean size of what is left during a hit, in standard deviations of noise, from which it is one."""
 _MOST = 0.5
 """Share of the poses from which the samples say all that features do."""
 
@@ -60,6 +63,47 @@ def fit_samples(solution: Solution, tell: Tell) -> MotionEstimate | None:
         front = np.zeros(2), np.zeros(2)
     priors = motion_priors(sensors, gravity=settings.gravity_deviation, front=front)
     return estimate_along(trajectories, tree, found.state, priors, latency, tell)
+
+
+def without_false_hits(
+    solution: Solution, along: MotionEstimate, whole: Logs, tell: Tell
+) -> tuple[Solution, MotionEstimate]:
+    """Hits that all samples explain, those that were left out included, are none.
+
+    What a slow sensor or an elastic gear does to a pattern looks like a hit as long as the model
+    lacks it, and is explained once the fit has it.
+
+    Args:
+        solution: the estimate, with hits among its faults.
+        along: the fit of its logs, without the moments of the hits.
+        whole: the logs with them.
+        tell: told the share of the work that is done.
+    """
+    if not solution.faults or any(fault.kind != "contact" for fault in solution.faults):
+        return solution, along
+    everything = replace(solution, logs=whole)
+    again = fit_samples(everything, tell)
+    if again is None:
+        return solution, along
+    real = tuple(f for f in solution.faults if _stands_out(f, again, whole.sampled))
+    if real:
+        return replace(solution, faults=real), along
+    return replace(everything, faults=()), again
+
+
+def _stands_out(hit: Fault, along: MotionEstimate, sampled: Sequence[Sampled]) -> bool:
+    """Whether what a fit leaves at the time of a hit is more than noise, in any SU."""
+    g = max(hit.log, 0)
+    log, fitted = along.problem.logs[g], along.fitted
+    if not (np.isfinite(hit.begin) and np.isfinite(hit.end)):
+        return True
+    time = log.time + sampled[g].motion.grid.start
+    during = (time >= hit.begin) & (time <= hit.end)
+    if not during.any():
+        return True
+    seen = fitted.predicted[g].measured[during, :, None]
+    ratio = np.where(seen, fitted.predicted[g].residual[during] / fitted.noise[g][during], 0.0)
+    return bool((ratio**2).mean(axis=(0, 2)).max() > _HIT**2)
 
 
 def _share_of_poses(trajectories: Sequence[Trajectory], sampled: Sequence[Sampled]) -> float:

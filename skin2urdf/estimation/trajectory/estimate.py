@@ -117,7 +117,7 @@ def _begin_front(front: F64) -> F64:
     way begins on either side.
     """
     mean, deviation = front
-    return mean if mean.any() else np.array([1.0, 0.5]) * deviation
+    return np.asarray(mean if mean.any() else np.array([1.0, 0.5]) * deviation)
 
 
 def _misfit(problem: MotionProblem, fitted: Fitted, seconds: float) -> float:

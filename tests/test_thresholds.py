@@ -11,7 +11,7 @@ PACKAGE = Path(__file__).resolve().parents[1] / "skin2urdf"
 GUIDE = PACKAGE / "guides" / "thresholds.md"
 ROOMS = (
     "structure",
-    *(f"estimation/{part}" for part in ("problem", "start", "solve", "uncertainty")),
+    *(f"estimation/{part}" for part in ("problem", "start", "solve", "trajectory", "uncertainty")),
 )
 FILES = [
     *(path for room in ROOMS for path in sorted((PACKAGE / room).glob("*.py"))),

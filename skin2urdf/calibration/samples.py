@@ -93,7 +93,7 @@ def without_false_hits(
 
 def _stands_out(hit: Fault, along: MotionEstimate, sampled: Sequence[Sampled]) -> bool:
     """Whether what a fit leaves at the time of a hit is more than noise, in any SU."""
-    g = max(hit.log, 0)
+    g = hit.log or 0
     log, fitted = along.problem.logs[g], along.fitted
     if not (np.isfinite(hit.begin) and np.isfinite(hit.end)):
         return True

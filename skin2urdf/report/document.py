@@ -268,6 +268,10 @@ def _samples(calibration: Calibration) -> dict[str, Any] | None:
         "misfit": along.misfit,
         "gravity": state.gravity,
         "gravity_deviation": calibration.settings.gravity_deviation,
+        "joints": {
+            name: {"largest_deflection": e}
+            for name, e in zip(along.problem.tree.joint_names, along.deflections, strict=True)
+        },
         "sus": {
             name: {
                 "front_end": state.front[u],

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from skin2urdf.arrays import F64
 from skin2urdf.calibration.result import Calibration
 from skin2urdf.estimation.trajectory.front_end import droop
 from skin2urdf.geometry.units import MILLI_G
@@ -13,6 +14,7 @@ from skin2urdf.report.findings import Findings, findings
 from skin2urdf.report.tables import bullets, number, span, table
 from skin2urdf.report.words import NO_POSITIONS
 from skin2urdf.signals.records import Features
+from skin2urdf.structure.records import KinematicTree
 
 _MM = 1e3
 _SLOW_DROOP = 4e-6
@@ -168,7 +170,7 @@ def _not_known(found: Findings) -> list[str]:
 
 
 def _sensors(calibration: Calibration) -> list[str]:
-    """What was found of biases that drift and of sensors that are slow."""
+    """What was found of biases that drift, joints that yield and sensors that are slow."""
     along = calibration.along
     if along is None:
         return []
@@ -178,6 +180,8 @@ def _sensors(calibration: Calibration) -> list[str]:
             f"biases drift within a log, by up to {number(along.drifts.max() / MILLI_G)} mg; they "
             "were followed: let sensors warm up before a recording"
         )
+    if along.deflections.any():
+        notes.append(_elastic(along.problem.tree, along.deflections))
     droops = droop(along.fitted.state.front)
     slow = droops > _SLOW_DROOP
     if slow.any():
@@ -189,6 +193,20 @@ def _sensors(calibration: Calibration) -> list[str]:
             f"{f' and {len(names) - 4} more' if len(names) > 4 else ''}; it was corrected"
         )
     return notes
+
+
+def _elastic(tree: KinematicTree, deflections: F64) -> str:
+    """What was found of joints that yield, by deflections (D,) at most."""
+    parts = [
+        f"{name} by {number(e * _MM)} {'mm' if slides else 'mrad'}"
+        for name, e, slides in zip(tree.joint_names, deflections, tree.prismatic, strict=True)
+        if e > 0
+    ]
+    return (
+        f"joints yield under load, which their encoders, before the gears, do not see: at most "
+        f"{', '.join(parts)}; it was followed: the URDF holds for positions of the links, and what "
+        "reads motor positions sees links off by these deflections (stiffness takes known torques)"
+    )
 
 
 def _clocks(calibration: Calibration) -> list[str]:

@@ -9,8 +9,11 @@ import pytest
 from calibrated import calibration
 
 from skin2urdf.calibration.result import Calibration
+from skin2urdf.estimation.trajectory.elastic import Elasticity
+from skin2urdf.estimation.trajectory.problem import MotionProblem
 from skin2urdf.model.records import OpenDirection
 from skin2urdf.report.branches import between_branches
+from skin2urdf.report.document import as_document
 from skin2urdf.report.findings import findings
 from skin2urdf.report.summary import as_text
 from skin2urdf.report.tables import bullets, number, span, table
@@ -69,6 +72,37 @@ def test_notes_are_shown() -> None:
     text = as_text(replace(calibration(), notes=("su_1 was mended",)))
     assert "Notes:\n  - su_1 was mended\n" in text
     assert "Notes" not in as_text(replace(calibration(), notes=()))
+
+
+def yielding(deflections: dict[int, float]) -> Calibration:
+    """The calibration with joints that yield by constant deflections."""
+    along = calibration().along
+    assert along is not None
+    problem = along.problem
+    joints = np.array(list(deflections), dtype=np.int64)
+    elastic = Elasticity(
+        joint=joints,
+        damping=np.zeros(len(joints), dtype=bool),
+        basis=np.zeros((len(joints), 10 * problem.tree.n_joints)),
+        deflections=tuple(np.ones((len(log.q), len(joints))) for log in problem.logs),
+    )
+    priors = replace(problem.priors, compliance=np.ones(len(joints)))
+    bent = MotionProblem(problem.tree, problem.logs, priors, elastic=elastic)
+    state = replace(along.fitted.state, compliance=np.array(list(deflections.values())))
+    fitted = replace(along.fitted, state=state)
+    return replace(calibration(), along=replace(along, problem=bent, fitted=fitted))
+
+
+def test_joints_that_yield_are_told_with_their_deflections() -> None:
+    first, second, third = calibration().model.tree.joint_names[:3]
+    soft = yielding({0: 2e-3, 2: -4.5e-3})
+    text = as_text(soft)
+    assert f"{first} by {number(2.0)} mrad, {third} by {number(4.5)} mrad" in text
+    assert f"{second} by" not in text
+    samples = as_document(soft)["samples"]
+    assert samples["joints"][third]["largest_deflection"] == pytest.approx(4.5e-3)
+    assert samples["joints"][second]["largest_deflection"] == 0.0
+    assert f"{first} by" not in as_text(calibration())
 
 
 def test_open_directions_between_branches_are_told() -> None:

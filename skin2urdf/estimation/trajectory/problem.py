@@ -17,11 +17,13 @@ from skin2urdf.estimation.problem.state import (
     N_SU,
     identifiable,
 )
+from skin2urdf.estimation.trajectory.elastic import Elasticity
 from skin2urdf.estimation.trajectory.front_end import front_end
 from skin2urdf.estimation.trajectory.kinematics import (
     FrameMotion,
     Path,
     frame_motions,
+    joint_columns,
     placed,
     placement_columns,
     seen_before_joint,
@@ -135,6 +137,7 @@ class MotionProblem:
         logs: trajectories, with columns in the tree's order.
         priors: what is known before.
         n_knots: moments between which biases are linear in each log.
+        elastic: how joints may yield; those of as many numbers as ``priors.compliance`` has.
     """
 
     def __init__(
@@ -143,8 +146,11 @@ class MotionProblem:
         logs: Sequence[Trajectory],
         priors: MotionPriors,
         n_knots: Sequence[int] | None = None,
+        elastic: Elasticity | None = None,
     ) -> None:
         self.tree, self.logs, self.priors = tree, tuple(logs), priors
+        self.elastic = elastic
+        self._deflections = elastic.at_kept(self.logs) if elastic else ()
         knots = tuple(n_knots or [0] * len(self.logs))
         self.layout = Layout(tree.n_joints, len(self.logs), knots, len(priors.compliance))
         self.free_joint, self.free_su = self._free()
@@ -190,7 +196,7 @@ class MotionProblem:
 
     def predict(self, state: MotionState, g: int) -> Predicted:
         """Residuals of one log."""
-        log, model = self.logs[g], state.placements.model(self.tree)
+        log, model = self.moved(state, g), state.placements.model(self.tree)
         up = state.placements.up[g] * state.gravity
         ideal = specific_forces(model, log.q, log.qd, log.qdd, up)
         ideal = filtered(ideal * self._sense(state), log.taps)
@@ -205,6 +211,15 @@ class MotionProblem:
             residual[:, u] = taken_at(log.readings[:, u], at[:, u]) - predicted[:, u]
         measured = log.valid & np.isfinite(residual).all(axis=2)
         return Predicted(residual, measured, ideal[log.kept], rates)
+
+    def moved(self, state: MotionState, g: int) -> Trajectory:
+        """A log with the motion of the links, which elastic joints keep from encoders."""
+        log = self.logs[g]
+        return self.elastic.moved(log, g, state.compliance) if self.elastic else log
+
+    def deflections(self, state: MotionState) -> tuple[F64, ...]:
+        """Per log (K, D) by how much links are beyond what encoders say [rad or m]."""
+        return tuple((self.moved(state, g).q - log.q)[log.kept] for g, log in enumerate(self.logs))
 
     def refit_sensors(
         self,
@@ -339,7 +354,8 @@ class MotionProblem:
         self, state: MotionState, predicted: Sequence[Predicted], weights: Sequence[F64]
     ) -> Iterator[tuple[int, int, list[int], F64, F64]]:
         """Whitened derivatives (C + n, 3, K) and residuals (3, K) of every log and SU."""
-        for g, log in enumerate(self.logs):
+        for g in range(len(self.logs)):
+            log = self.moved(state, g)
             kept = log.kept
             q, qd, qdd = (np.ascontiguousarray(x[kept].T) for x in (log.q, log.qd, log.qdd))
             up = state.placements.up[g] * state.gravity
@@ -356,7 +372,17 @@ class MotionProblem:
         columns = [N_JOINT * k + i for k in chain for i in range(N_JOINT)]
         if g > 0:
             columns += range(layout.logs.start + 2 * (g - 1), layout.logs.start + 2 * g)
-        return [*columns, layout.gravity]
+        columns.append(layout.gravity)
+        if self.elastic:
+            columns += list(layout.compliance.start + self._bent(u))
+        return columns
+
+    def _bent(self, u: int) -> Int:
+        """Which of the numbers that joints yield by an SU feels."""
+        if self.elastic is None:
+            return np.zeros(0, dtype=np.int64)
+        chain = self.tree.chain(int(self.tree.su_joint[u]))
+        return np.flatnonzero(np.isin(self.elastic.joint, list(chain)))
 
     def _columns(
         self,
@@ -376,11 +402,14 @@ class MotionProblem:
         T = places.T_joint_su[u]
         here = placed(carried[int(tree.su_joint[u])], T)
         rows: list[F64] = []
+        unseen: dict[int, F64] = {}
         still = np.zeros((3, K))
         path = Path(still + T[:3, 3:4], still, still, np.repeat(T[:3, :3, None], K, axis=2))
         for k in reversed(tree.chain(int(tree.su_joint[u]))):
             path = seen_before_joint(path, bool(tree.prismatic[k]), q[k], qd[k], qdd[k])
             rows.append(placement_columns(fixed[k], path, JOINT_COORDINATES))
+            if self.elastic:
+                unseen[k] = joint_columns(fixed[k], path, bool(tree.prismatic[k]))
             path = seen_from_parent(path, places.T_parent_joint[k])
         rows.reverse()
         R_su_base = here.R_frame_base
@@ -390,6 +419,14 @@ class MotionProblem:
         pull = np.einsum("ijk,j->ik", R_su_base, places.up[g] * state.gravity)
         # With gravity grow the accelerations that a reading stands for.
         rows.append((pull - here.f)[None])
+        if self.elastic:
+            bent = self._bent(u)
+            yielding = np.empty((len(bent), 3, K))
+            for k, columns in unseen.items():
+                of_joint = self.elastic.joint[bent] == k
+                e = self._deflections[g][:, bent[of_joint]]
+                yielding[of_joint] = -np.einsum("dck,dsk->sck", columns, e)
+            rows.append(yielding)
         around = Path(still, still, still, np.repeat(np.eye(3)[:, :, None], K, axis=2))
         rows.append(placement_columns(here, around, tuple(range(N_PLACEMENT))))
         ideal = np.concatenate(rows)

@@ -1,0 +1,150 @@
+"""Joints that yield under load are found from the readings alone, and cost the robot nothing.
+
+Deflections come from Pinocchio's inverse dynamics of a robot with inertias, which the estimator
+knows nothing of.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from synthetic import random_state, serial_tree
+
+from skin2urdf.arrays import F64
+from skin2urdf.estimation.problem.cost import Priors
+from skin2urdf.estimation.problem.state import State
+from skin2urdf.estimation.trajectory.elastic import elasticity
+from skin2urdf.estimation.trajectory.estimate import MotionEstimate, estimate_along, motion_priors
+from skin2urdf.estimation.trajectory.problem import MotionProblem
+from skin2urdf.estimation.trajectory.state import MotionState
+from skin2urdf.model.kinematics import to_pinocchio
+from skin2urdf.model.specific_force import specific_forces
+from skin2urdf.signals.filters import filtered, first_derivative, low_pass, second_derivative
+from skin2urdf.signals.trajectory import Trajectory
+
+_RATE, _CUTOFF, _N = 125.0, 6.0, 5000
+_TREE = serial_tree(2)
+_UP = np.array([0.0, 0.0, 1.0])
+_SOFT = np.array([1 / 14_000, 1 / 7_000])
+
+
+@cache
+def _truth() -> State:
+    state = random_state(np.random.default_rng(3), _TREE, 1, 0.3)
+    return replace(state, up=_UP[None])
+
+
+def _torques(q: F64, qd: F64, qdd: F64) -> F64:
+    """(N, 2) torques of a robot of 20 and 8 kg [N m]."""
+    model = to_pinocchio(_truth().model(_TREE))
+    for joint, mass, lever in ((1, 20.0, (0.2, 0.1, 0.1)), (2, 8.0, (0.3, 0.1, -0.1))):
+        model.inertias[joint] = pin.Inertia(mass, np.array(lever), 0.02 * mass * np.eye(3))
+    data = model.createData()
+    return np.array([pin.rnea(model, data, *x).copy() for x in zip(q, qd, qdd, strict=True)])
+
+
+def _trajectory(rng: np.random.Generator, compliance: F64, lag: float = 0.0) -> Trajectory:
+    """Forty seconds of smooth motion of links, and the positions of the motors that make it.
+
+    Args:
+        rng: of motion and noise.
+        compliance: (2,) of the gears [rad/(N m)].
+        lag: damping of the gears over their stiffness [s].
+    """
+    t = np.arange(_N) / _RATE
+    rates = rng.uniform(0.2, 1.2, (6, 2)) * 2 * np.pi
+    waves = rng.uniform(0.3, 0.5, (6, 2)) * 2 / rates
+    phase = rates * t[:, None, None] + rng.uniform(0, 6, (6, 2))
+    q = (waves * np.sin(phase)).sum(axis=1)
+    qd = (waves * rates * np.cos(phase)).sum(axis=1)
+    qdd = -(waves * rates**2 * np.sin(phase)).sum(axis=1)
+    truth = _truth()
+    torque = _torques(q, qd, qdd)
+    deflection = compliance * np.stack([np.interp(t - lag, t, x) for x in torque.T], axis=1)
+    ideal = specific_forces(truth.model(_TREE), q, qd, qdd, 9.81 * _UP)
+    read = np.einsum("uij,kuj->kui", truth.sensor_matrix(), ideal) + truth.bias
+    read = read + 7e-3 * rng.standard_normal(read.shape)
+    taps = low_pass(_CUTOFF, _RATE)
+    smooth = filtered(q + deflection, taps)
+    kept = np.arange(len(taps), _N - len(taps), 6)
+    return Trajectory(
+        log=0,
+        rate=_RATE,
+        taps=taps,
+        q=smooth,
+        qd=first_derivative(smooth, _RATE),
+        qdd=second_derivative(smooth, _RATE),
+        readings=filtered(filtered(read, taps), taps),
+        kept=kept,
+        valid=np.ones((len(kept), 2), dtype=bool),
+        moving=np.ones((len(kept), 2), dtype=bool),
+        independence=0.5,
+    )
+
+
+def _fit(log: Trajectory) -> MotionEstimate:
+    priors = motion_priors(Priors(), gravity=0.0, front=(np.zeros(2), np.zeros(2)))
+    return estimate_along([log], _TREE, _truth(), priors, np.zeros(2))
+
+
+def _reading_errors(found: State) -> float:
+    """Root mean square error of what SUs read along another motion [m/s^2]."""
+    q = np.random.default_rng(9).uniform(-1, 1, (40, 2))
+    qd, qdd = 2 * q[::-1], 10 * q[:, ::-1]
+    ours, true = (
+        specific_forces(s.model(_TREE), q, qd, qdd, 9.81 * _UP) for s in (found, _truth())
+    )
+    return float(np.sqrt(((ours - true) ** 2).mean()))
+
+
+def test_joints_that_yield_are_followed() -> None:
+    stiff, soft = (
+        _fit(_trajectory(np.random.default_rng(1), c, 2e-3)) for c in (0.0 * _SOFT, _SOFT)
+    )
+    assert not stiff.deflections.any()
+    assert not soft.drifts.any()
+    assert soft.misfit < 1.5
+    np.testing.assert_allclose(soft.deflections, [6.0e-3, 6.4e-3], rtol=0.05)
+    # Of a fit with rigid joints they are 14 times as large.
+    assert _reading_errors(soft.state) < 5 * _reading_errors(stiff.state)
+    for part in (soft.information.shared, soft.information.shared_su):
+        assert np.isfinite(part).all()
+
+
+def test_equations_hold_the_gradient_in_what_joints_yield() -> None:
+    rng = np.random.default_rng(2)
+    log = _trajectory(rng, _SOFT)
+    priors = motion_priors(Priors(), gravity=0.0, front=(np.zeros(2), np.zeros(2)))
+    elastic = elasticity(_TREE, [log], _truth(), 9.81)
+    n = len(elastic.joint)
+    yielding = replace(priors, compliance=np.full(n, 2e-2))
+    problem = MotionProblem(_TREE, [log], yielding, elastic=elastic)
+    state = MotionState(
+        placements=_truth(),
+        gravity=9.81,
+        front=np.zeros((2, 2)),
+        clock=np.zeros((1, 2, 2)),
+        knots=(np.zeros((0, 2, 3)),),
+        compliance=1e-3 * rng.standard_normal(n),
+    )
+    weights = [np.full((*log.valid.shape, 3), 1e4)]
+
+    def chi2(at: MotionState) -> float:
+        residual = problem.predict(at, 0).residual
+        return float((weights[0] * residual**2).sum()) + problem.prior_chi2(at)
+
+    equations = problem.equations(state, [problem.predict(state, 0)], weights)
+    layout, still = problem.layout, np.zeros((2, problem.layout.n_su))
+    for i in range(layout.compliance.start, layout.compliance.stop):
+        joint = np.zeros(layout.n_joint)
+        joint[i] = 1e-6
+        slope = (
+            chi2(layout.moved(state, joint, still)) - chi2(layout.moved(state, -joint, still))
+        ) / 2e-6
+        # Columns are not low-passed once more, residuals are: what that changes is small.
+        scale = np.sqrt(equations.joint[i, i] * chi2(state))
+        assert slope == pytest.approx(-2 * equations.joint_gradient[i], rel=2e-2, abs=1e-3 * scale)

@@ -15,7 +15,7 @@ from skin2urdf.estimation.trajectory.state import MotionState
 _HUBER = 3.0
 """Residual, in standard deviations, beyond which a sample counts less; noise is one in 400."""
 _DAMPING = 1e-4
-"""Share of its own information by which every coordinate is held at first; it falls by ten with each
+"""Share of its own information by which each coordinate is held at first; it falls by ten with every
 step that succeeds."""
 _ROUGHLY = 30.0
 """Length of a step, in standard deviations, from which all coordinates may move."""

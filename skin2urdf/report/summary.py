@@ -6,7 +6,6 @@ import numpy as np
 
 from skin2urdf.arrays import F64
 from skin2urdf.calibration.result import Calibration
-from skin2urdf.estimation.trajectory.front_end import droop
 from skin2urdf.geometry.units import MILLI_G
 from skin2urdf.report.clocks import clock_notes
 from skin2urdf.report.faults import fault_words
@@ -182,7 +181,7 @@ def _sensors(calibration: Calibration) -> list[str]:
         )
     if along.deflections.any():
         notes.append(_elastic(along.problem.tree, along.deflections))
-    droops = droop(along.fitted.state.front)
+    droops = along.droops
     slow = droops > _SLOW_DROOP
     if slow.any():
         cutoff = 1 / (2 * np.pi * np.sqrt(2 * droops[slow]))

@@ -12,6 +12,7 @@ from skin2urdf.estimation.problem.cost import Priors
 from skin2urdf.estimation.problem.state import State
 from skin2urdf.estimation.trajectory.elastic import elasticity, followed
 from skin2urdf.estimation.trajectory.fit import Fitted, fit
+from skin2urdf.estimation.trajectory.front_end import droop
 from skin2urdf.estimation.trajectory.misfit import misfit, span_means
 from skin2urdf.estimation.trajectory.problem import MotionPriors, MotionProblem
 from skin2urdf.estimation.trajectory.state import MotionState
@@ -71,6 +72,11 @@ class MotionEstimate:
     def state(self) -> State:
         """Placements, gravity's directions, bias and shape."""
         return self.fitted.state.placements
+
+    @property
+    def droops(self) -> F64:
+        """(U,) what each SU's own low-pass takes away, per square of angular frequency [s^2]."""
+        return droop(self.fitted.state.front)
 
     @property
     def drifts(self) -> F64:

@@ -15,8 +15,8 @@ from skin2urdf.estimation.trajectory.state import MotionState
 _HUBER = 3.0
 """Residual, in standard deviations, beyond which a sample counts less; noise is one in 400."""
 _DAMPING = 1e-4
-"""Share of its own information by which each coordinate is held at first; it falls by ten with every
-step that succeeds."""
+"""Share of its own information by which each coordinate is held at first; it falls by ten with
+every step that succeeds."""
 _ROUGHLY = 30.0
 """Length of a step, in standard deviations, from which all coordinates may move."""
 _NO_GAIN = 1e-7

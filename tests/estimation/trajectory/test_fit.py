@@ -165,7 +165,8 @@ def test_a_start_with_all_offsets_zero_leads_to_the_optimum() -> None:
     rng = np.random.default_rng(1)
     log = _trajectory(rng)
     far, near = _fit(log, _from_afar(rng)), _fit(log, _truth())
-    assert far.fitted.chi2 == pytest.approx(near.fitted.chi2, abs=10.0)
+    # Chi-squared is over the noise that each fit leaves, which is what must agree.
+    np.testing.assert_allclose(far.fitted.noise[0], near.fitted.noise[0], rtol=1e-2)
     assert _reading_errors(far.state) < 1.1 * _reading_errors(near.state)
     assert far.misfit < 1.5
 

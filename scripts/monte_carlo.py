@@ -39,8 +39,8 @@ def parser() -> argparse.ArgumentParser:
     what.add_argument("--robots", nargs="+", default=["panda"], help="names in robots/")
     what.add_argument("--grades", nargs="+", default=["mems"], help="sensor grades")
     what.add_argument(
-        "--excite", default="all", choices=["one", "all"],
-        help="one DoF after the other, or all at once (default)",
+        "--excite", default="all", choices=["one", "all", "none"],
+        help="one DoF after the other, all at once (default), or moves without patterns",
     )  # fmt: skip
     what.add_argument("--poses", type=int, default=6, help="poses per recording (default: 6)")
     return new

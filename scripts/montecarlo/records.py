@@ -22,7 +22,7 @@ class Case:
     Attributes:
         robot: name in robots/.
         grade: sensor grade.
-        excite: one DoF after the other, or all at once.
+        excite: one DoF after the other, all at once, or moves without patterns.
         poses: number of poses.
         seed: seed of the recording.
     """

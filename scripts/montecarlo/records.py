@@ -6,7 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from batch.records import Record
-from validation.cases import Excitation
+
+from skin2urdf.simulation.settings import Excitation
 
 BLOCKS = (
     "joint axis, direction", "joint axis, offset", "SU position", "SU orientation",

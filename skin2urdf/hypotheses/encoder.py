@@ -15,7 +15,7 @@ from typing import Literal
 import numpy as np
 
 from skin2urdf.calibration.clock import Clock
-from skin2urdf.calibration.rounds import Solution, estimate_once
+from skin2urdf.calibration.rounds import Logs, Solution, estimate_once
 from skin2urdf.estimation.solve.estimate import Estimate
 from skin2urdf.faults import Fault
 from skin2urdf.hypotheses.encoder_score import unweighted
@@ -90,7 +90,7 @@ class Encoders:
             error = each.error
             new = (with_another(now.amendments, error, features),)
             # What is left of an error that is known may be small.
-            if error.dof in seen or (_small(error) and new[0].key not in known):
+            if error.dof in seen or (_small(error, now.solution.logs) and new[0].key not in known):
                 continue
             seen.add(error.dof)
 
@@ -189,7 +189,7 @@ def sized_by_the_fit(last: Attempt, clock: Clock) -> Attempt:
     found, features, amendments = last.solution.found, last.solution.features, last.amendments
     for error in _together(errors_of(amendments), features):
         # A joint that is hit leaps, and leaps back.
-        if error.kind == "sign" or _small(error):
+        if error.kind == "sign" or _small(error, last.solution.logs):
             continue
         alike = [s.error for s in suspicions(found, features) if _same(s.error, error, features)]
         left = min(alike, key=lambda e: e.deviation, default=None)
@@ -208,9 +208,17 @@ def sized_by_the_fit(last: Attempt, clock: Clock) -> Attempt:
     )
 
 
-def _small(error: EncoderError) -> bool:
-    amount = error.size - 1 if error.kind == "scale" else error.size
-    return abs(amount) < _SMALL
+def _small(error: EncoderError, logs: Logs) -> bool:
+    """Whether sound gears and encoders have as much; one step of an encoder is rounding."""
+    if error.kind == "scale":
+        return abs(error.size - 1) < _SMALL
+    return abs(error.size) < max(_SMALL, _step(error, logs))
+
+
+def _step(error: EncoderError, logs: Logs) -> float:
+    """Step of an encoder [rad or m], by which two rests may differ for its rounding alone."""
+    motion = logs.sampled[error.log].motion
+    return float(motion.resolution[motion.dof_names.index(error.dof)])
 
 
 def _faults(errors: Sequence[EncoderError], last: Solution) -> tuple[Fault, ...]:
@@ -230,7 +238,7 @@ def _faults(errors: Sequence[EncoderError], last: Solution) -> tuple[Fault, ...]
             continue
         same = [k for k in known if _same(k, error, last.features)]
         deviation = min((k.deviation for k in same), default=np.inf)
-        if _stands_out(error, deviation):
+        if _stands_out(error, deviation, last.logs):
             turns = not prismatic.get(error.dof, False)
             out.append(_fault(replace(error, deviation=deviation), turns))
     return tuple(out)
@@ -269,18 +277,20 @@ def _at_once(offset: EncoderError, sign: EncoderError, features: Features) -> bo
     return (offset.dof, offset.log) == (sign.dof, sign.log) and _same_change(offset, sign, features)
 
 
-def _stands_out(error: EncoderError, deviation: float) -> bool:
+def _stands_out(error: EncoderError, deviation: float, logs: Logs) -> bool:
     if error.kind == "sign":
         return True
     if error.kind == "scale":
         return abs(error.size - 1) > _CERTAIN * deviation
     # A joint that is hit leaps, and leaps back.
-    if _small(error):
+    if _small(error, logs):
         return False
     turns = error.size / (2 * np.pi)
     # A turn more or less is how a continuous joint is counted.
     whole = round(turns) != 0 and abs(turns - round(turns)) < _WHOLE_TURN
-    return not whole and (not np.isfinite(deviation) or abs(error.size) > _CERTAIN * deviation)
+    return not whole and (
+        not np.isfinite(deviation) or abs(error.size) - _step(error, logs) > _CERTAIN * deviation
+    )
 
 
 def _fault(error: EncoderError, turns: bool) -> Fault:

@@ -12,7 +12,6 @@ from simulated import changed_joints, held_against
 
 from skin2urdf.calibration.pipeline import calibrate
 from skin2urdf.calibration.result import Calibration
-from skin2urdf.errors import InsufficientDataError
 from skin2urdf.output import render
 from skin2urdf.simulation import RobotSpec, Simulation, SimulationSettings, simulate
 from skin2urdf.simulation.robots import GivenSu, SkinLayout
@@ -137,13 +136,13 @@ def test_several_sus_on_a_segment(tmp_path: Path) -> None:
     assert np.bincount(calibration.model.tree.su_joint + 1).tolist() == [2, 3, 3, 3]
 
 
-def test_motions_that_depend_on_each_other_are_refused_in_words(
+def test_of_motions_that_depend_on_each_other_no_place_is_promised(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     """Ten joints at once: twenty tones between 1 and 4 Hz need 3.2 s."""
     monkeypatch.setattr("skin2urdf.simulation.motion.distinct_time", lambda *_: 0.0)
     robot, briefly = robot_of(chain(10), tmp_path), MotionSettings(pattern_time_all=2.0)
     sim = recorded(robot, n_poses=10, motion=briefly)
-    with pytest.raises(InsufficientDataError, match="motions depend on each other") as caught:
-        calibrate(sim.recording)
-    assert "half a second for each joint" in caught.value.remedy
+    found = calibrate(sim.recording)
+    assert found.quality == "fair"
+    assert "determined" not in found.observability.su_verdict

@@ -70,9 +70,10 @@ def test_a_fault_is_named_and_costs_the_others_nothing(kind: str, tmp_path: Path
 
 
 def test_a_slip_is_measured() -> None:
-    """Its size is that of the simulated slip."""
-    (fault,) = calibrated("loose").faults
-    distance, angle = (float(part.split()[0]) for part in faulty("loose").words.split(", "))
+    """Its size is that of the simulated slip, of an SU whose place the log tells."""
+    injected = FAULTS["loose"](sound(), np.random.default_rng([4, *b"loose"]))
+    (fault,) = calibrate([retimed(recording) for recording in injected.recordings]).faults
+    distance, angle = (float(part.split()[0]) for part in injected.words.split(", "))
     assert 1e3 * fault.size == pytest.approx(distance, abs=0.5)
     assert np.rad2deg(fault.turn) == pytest.approx(angle, abs=0.15)
     assert fault.begin < fault.end

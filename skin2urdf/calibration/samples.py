@@ -19,12 +19,11 @@ from skin2urdf.estimation.trajectory.front_end import common_front_end
 from skin2urdf.faults import Fault
 from skin2urdf.signals.sampling import Sampled
 from skin2urdf.signals.trajectory import Trajectory, in_order, trajectory
+from skin2urdf.structure.ordering import places_of
 
 _SETTLED = 5e-3
 """By how much clocks may still be off once features were taken [s]: nothing is compared so near to
 a gap."""
-
-
 _HIT = 3.0
 """Mean size of what is left during a hit, in standard deviations of noise, from which it is one."""
 _MOST = 0.5
@@ -44,13 +43,12 @@ def fit_samples(solution: Solution, tell: Tell) -> MotionEstimate | None:
     """
     found, features, logs = solution.found, solution.features, solution.logs
     tree, settings = found.tree, logs.settings
-    sus = np.array([logs.su_names.index(name) for name in tree.su_names], dtype=np.int64)
-    latency = features.latency[[features.su_names.index(name) for name in tree.su_names]]
+    sus = places_of(tree.su_names, logs.su_names)
+    latency = features.latency[places_of(tree.su_names, features.su_names)]
     reach = float(np.abs(latency).max(initial=0.0)) + _SETTLED
     trajectories = []
     for log, sampled in enumerate(logs.sampled):
-        names = sampled.motion.dof_names
-        dofs = np.array([names.index(name) for name in tree.joint_names], dtype=np.int64)
+        dofs = places_of(tree.joint_names, sampled.motion.dof_names)
         trajectories.append(in_order(trajectory(sampled, log, reach), dofs, sus))
     if _share_of_poses(trajectories, logs.sampled) < _MOST:
         return None

@@ -1,4 +1,4 @@
-"""Every command the README shows exists, with the options it shows."""
+"""Every command that the README and the guides show exists, with the options they show."""
 
 from __future__ import annotations
 
@@ -28,14 +28,14 @@ def shell_commands(markdown: str) -> Iterator[list[str]]:
                 yield words
 
 
-def readme_commands(*starts: str) -> list[list[str]]:
-    """Commands of the README whose program starts with one of ``starts``.
+PAGES = [ROOT / "README.md", *sorted((ROOT / "skin2urdf" / "guides").glob("*.md"))]
 
-    A missing README gives none here, so that the tests can run and say that it is missing.
-    """
-    path = ROOT / "README.md"
-    text = path.read_text(encoding="utf-8") if path.is_file() else ""
-    return [words for words in shell_commands(text) if words[0].startswith(starts)]
+
+def readme_commands(*starts: str) -> list[list[str]]:
+    """Commands of the README and the guides whose program starts with one of ``starts``."""
+    found = [words for page in PAGES for words in shell_commands(page.read_text(encoding="utf-8"))]
+    unique = {tuple(words): words for words in found}
+    return [words for words in unique.values() if words[0].startswith(starts)]
 
 
 def options_of(words: list[str]) -> set[str]:
@@ -104,3 +104,12 @@ def test_scripts_refuse_an_unknown_argument(script: str) -> None:
     done = run(str(ROOT / script), "--no-such-option")
     assert done.returncode == 2
     assert "--no-such-option" in done.stderr
+
+
+def test_the_readme_is_read_in_two_minutes() -> None:
+    assert len((ROOT / "README.md").read_text(encoding="utf-8").split()) <= 1300
+
+
+def test_the_readme_lists_every_guide() -> None:
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    assert [page.name for page in PAGES[1:] if f"guides/{page.name}" not in text] == []

@@ -41,11 +41,18 @@ def pip(*arguments: str | Path) -> None:
 
 
 @pytest.fixture(scope="module")
-def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The wheel as pip builds it, with the build backend at hand: needs no network."""
-    folder = tmp_path_factory.mktemp("wheel")
-    pip("wheel", "--no-deps", "--no-index", "--no-build-isolation", "-w", folder, ROOT)
-    (built,) = folder.glob("*.whl")
+def distributions(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folder with the sdist and the wheel made from it, with the build backend at hand."""
+    folder = tmp_path_factory.mktemp("distributions")
+    done = run(sys.executable, "-m", "build", "--no-isolation", "--outdir", folder, ROOT)
+    assert done.returncode == 0, done.stdout + done.stderr
+    return folder
+
+
+@pytest.fixture(scope="module")
+def wheel(distributions: Path) -> Path:
+    """The wheel."""
+    (built,) = distributions.glob("*.whl")
     return built
 
 
@@ -60,6 +67,11 @@ def site(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 def installed(site: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
     """Run the installed command as a user does, with the wheel's package and no other."""
     return run(site / "bin" / "skin2urdf", *arguments, PYTHONPATH=str(site), COLUMNS="120")
+
+
+def test_both_distributions_pass_the_check_of_an_index(distributions: Path) -> None:
+    done = run(sys.executable, "-m", "twine", "check", "--strict", *distributions.iterdir())
+    assert done.returncode == 0, done.stdout + done.stderr
 
 
 def test_the_wheel_holds_every_module_and_every_robot(wheel: Path) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -27,6 +27,7 @@ from skin2urdf.signals.motion import travel
 from skin2urdf.signals.records import Features
 from skin2urdf.signals.sampling import Sampled, sampled_together
 from skin2urdf.structure.activity import STATIC_THRESHOLD, Activity, activity
+from skin2urdf.structure.from_motion import trees_from_motion
 from skin2urdf.structure.records import KinematicTree
 from skin2urdf.structure.tree import kinematic_tree, nested
 
@@ -39,12 +40,13 @@ class Explored:
     """Structure as logs show it.
 
     Attributes:
-        activity: evidence for every SU and DoF.
-        exploration: every step of the paper's Algorithm 1 on the activity matrix as it is,
-            with the constraints that the matrix violates.
+        activity: evidence of single moves and of patterns, for every SU and DoF.
+        exploration: every step of the paper's Algorithm 1 on the activity matrix as it is, or as
+            the tree has it where that is grown from motion; with the constraints it violates.
         tree: the kinematic tree; None where the evidence contradicts every tree.
         contradiction: what contradicts; None where there is a tree.
         notes: what was found and mended, in words.
+        from_motion: whether the tree is grown from rests and moves, since there are no patterns.
     """
 
     activity: Activity
@@ -52,6 +54,7 @@ class Explored:
     tree: KinematicTree | None
     contradiction: StructureError | None
     notes: tuple[str, ...]
+    from_motion: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,17 +107,53 @@ def explore(
 
         recordings.append(read(log, part))
     tell("features", 0.0)
-    features = extract_features(*sampled_together(recordings))
+    sampled, sus = sampled_together(recordings)
+    features = extract_features(sampled, sus)
     tell("features", 1.0)
     seen = activity(features, threshold)
-    steps = run_algorithm_1(
-        _mended(seen), seen.su_names, seen.dof_names, excited=seen.excited, heard=seen.heard
+    tell("structure", 0.0)
+    explored = (
+        _from_patterns(seen, features) if seen.patterns_felt else _from_motion(seen, sampled, sus)
     )
+    tell("structure", 1.0)
+    return replace(explored, notes=tuple(dict.fromkeys((*features.notes, *explored.notes))))
+
+
+def _from_patterns(seen: Activity, features: Features) -> Explored:
+    """The tree that activity shows."""
+    steps = _exploration(seen)
     try:
         tree = ordered(kinematic_tree(seen, features), features)
     except StructureError as error:
-        return Explored(seen, steps, None, error, features.notes)
-    return Explored(seen, steps, tree, None, (*features.notes, *tree.notes))
+        return Explored(seen, steps, None, error, ())
+    return Explored(seen, steps, tree, None, tree.notes)
+
+
+def _from_motion(seen: Activity, sampled: Sequence[Sampled], su_names: Sequence[str]) -> Explored:
+    """The tree that explains gravity at rest and the accelerations of moves."""
+    try:
+        tree = trees_from_motion(sampled, su_names)[0].tree
+    except StructureError as error:
+        return Explored(seen, _exploration(seen), None, error, (), from_motion=True)
+    matrix = np.zeros_like(seen.matrix)
+    column = [seen.dof_names.index(name) for name in tree.joint_names]
+    for name, joint in zip(tree.su_names, tree.su_joint, strict=True):
+        matrix[seen.su_names.index(name), [column[j] for j in tree.chain(int(joint))]] = True
+    steps = run_algorithm_1(
+        matrix,
+        seen.su_names,
+        seen.dof_names,
+        excited=seen.excited,
+        heard=seen.heard & np.isin(seen.su_names, tree.su_names),
+    )
+    return Explored(seen, steps, tree, None, tree.notes, from_motion=True)
+
+
+def _exploration(seen: Activity) -> Exploration:
+    """The paper's Algorithm 1 on the activity matrix."""
+    return run_algorithm_1(
+        _mended(seen), seen.su_names, seen.dof_names, excited=seen.excited, heard=seen.heard
+    )
 
 
 def _mended(seen: Activity) -> Bool:
@@ -171,6 +210,7 @@ def excited_dofs(features: Features) -> Bool:
 
 
 _ENOUGH_POSES = 6
+_ENOUGH_MINUTES = 2.0
 _SMALL_MOVE = 0.05
 
 
@@ -191,27 +231,35 @@ def _weak_motion(sampled: Sampled) -> list[str]:
 def _weak_poses(sampled: Sampled, features: Features, excited: Bool) -> list[str]:
     """What the poses lack."""
     problems = []
+    if not activity(features).patterns_felt:
+        return [
+            f"no patterns around poses: the moves alone have to show everything, for which "
+            f"{_ENOUGH_MINUTES:g} minutes of them and an SU on every segment are good; else move "
+            "the joints by about 0.1 rad at 1 to 4 Hz around each pose",
+            *_silent(sampled, features),
+        ]
     patterned = int(excited.any(axis=1).sum())
-    if not patterned:
-        problems.append(
-            "no patterns: move the joints by about 0.1 rad at 1 to 4 Hz around each pose"
-        )
-    elif patterned < _ENOUGH_POSES:
+    if patterned < _ENOUGH_POSES:
         problems.append(
             f"few poses: patterns around {patterned} poses only; {_ENOUGH_POSES} to 12 are good"
         )
     for d, name in enumerate(features.dof_names):
-        if patterned and 0 < excited[:, d].sum() <= 1:
+        if excited[:, d].sum() == 1:
             problems.append(f"{name} has a pattern in one pose only")
-        elif patterned and not excited[:, d].any():
-            problems.append(f"{name} has no pattern: its SUs' positions will not be known")
+        elif not excited[:, d].any():
+            problems.append(f"{name} has no pattern: its SUs' positions rest on its moves alone")
     if not len(features.moves.dof):
         problems.append(
             "no structural moves: let one joint at a time move by half a radian, at rest before "
             "and after; patterns alone may do"
         )
+    return [*problems, *_silent(sampled, features)]
+
+
+def _silent(sampled: Sampled, features: Features) -> list[str]:
+    """SUs that no pose has readings of, but for those that are told to be at fault."""
     told = {fault.subject for fault in sampled.faults}
-    return problems + [
+    return [
         f"{name} has no usable readings around any pose"
         for u, name in enumerate(features.su_names)
         if not features.valid[:, u].any() and name not in told

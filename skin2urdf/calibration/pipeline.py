@@ -76,7 +76,7 @@ def calibrate(
     structure = find_structure(sampled, features, clock)
     if settings.method == "paper":
         solution = _estimate_by_the_paper(sampled, features, structure, clock)
-    elif not structure.patterns_felt:
+    elif not structure.seen.patterns_felt:
         solution = estimate_at_rest(sampled, structure, clock)
     else:
         first = estimate_robot(sampled, features, structure, clock)

@@ -66,16 +66,6 @@ class Structure:
     contradiction: StructureError | None = None
 
     @property
-    def patterns_felt(self) -> bool:
-        """Whether patterns of most joints that moved were felt around some pose.
-
-        What is taken for a pattern of one joint or another may be the end of a move; estimates from
-        patterns need those of nearly all joints, and logs without them have all their samples.
-        """
-        felt = np.nan_to_num(self.seen.dynamic, nan=0.0).max(axis=0, initial=0.0) >= 1.0
-        return bool(2 * (felt & self.seen.excited).sum() > self.seen.excited.sum())
-
-    @property
     def certain_tree(self) -> KinematicTree:
         """The tree.
 

@@ -15,6 +15,9 @@ from skin2urdf.structure.ordering import Ordering
 from skin2urdf.structure.records import KinematicTree
 from skin2urdf.survey import Explored
 
+_MOTION = """\
+The log has no patterns around poses: what is looked for is a tree that explains gravity at rest
+and the accelerations of the moves."""
 _UNCERTAIN = 2.0
 """Evidence within this factor of the threshold is marked as uncertain."""
 
@@ -23,10 +26,12 @@ def as_text(explored: Explored) -> str:
     """Activity matrix in the order of the tree, the tree, its limbs, and notes."""
     seen, tree = explored.activity, explored.tree
     sus, dofs = _order(seen, tree)
-    lines = [*_matrix(seen, sus, dofs), ""]
+    lines = [_MOTION, ""] if explored.from_motion else [*_matrix(seen, sus, dofs), ""]
+    # Without patterns a matrix that no tree stands behind tells nothing.
+    told = tree is not None or not explored.from_motion
     if tree is not None:
         lines += ["kinematic tree", *_tree(tree), "", *_limbs(tree)]
-    violated = [f"{v.words}; {v.remedy}" for v in explored.exploration.violations]
+    violated = [f"{v.words}; {v.remedy}" for v in explored.exploration.violations if told]
     lines += bullets("Not as the structural exploration expects it", violated)
     lines += bullets("Notes", explored.notes)
     return "\n".join(lines) + "\n"
@@ -38,6 +43,7 @@ def as_document(explored: Explored) -> dict[str, Any]:
     joints = tree.joint_names if tree else ()
     document: dict[str, Any] = to_plain(
         {
+            "from_motion": explored.from_motion,
             "activity": activity_document(explored.activity),
             "tree": None
             if tree is None

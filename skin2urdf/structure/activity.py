@@ -64,6 +64,16 @@ class Activity:
             object.__setattr__(self, name, frozen(getattr(self, name), np.bool_))
 
     @property
+    def patterns_felt(self) -> bool:
+        """Whether patterns of most joints that moved were felt around some pose.
+
+        What is taken for a pattern of one joint or another may be the end of a move; estimates from
+        patterns need those of nearly all joints, and logs without them have all their samples.
+        """
+        felt = np.nan_to_num(self.dynamic, nan=0.0).max(axis=0, initial=0.0) >= 1.0
+        return bool(2 * (felt & self.excited).sum() > self.excited.sum())
+
+    @property
     def evidence(self) -> F64:
         """(U, D) logarithm of the evidence: positive active, near zero undecided.
 

@@ -82,12 +82,19 @@ def trees_from_motion(
         The best tree, and those that the log does not tell from it for certain.
 
     Raises:
-        StructureError: no SU feels any joint move.
+        StructureError: no SU feels any joint move, or no chain of joints explains what any feels.
     """
     windows = gravity_windows(sampled, su_names)
     moved = moved_joints(sampled)
     growth = Growth(windows, tuple(np.flatnonzero(moved)), np.random.default_rng(seed))
     growth.grow()
+    if (growth.n > 0).any() and not (growth.explained() & (growth.n > 0)).any():
+        raise StructureError(
+            "no order of the joints explains the gravity that the SUs feel: too many joints move "
+            "between one SU and the next",
+            "put an SU on every segment, or move one joint at a time, or give the robot's own "
+            "URDF (--model)",
+        )
     samples = along(sampled)
     draft = _as_grown(growth)
     unplaced = [int(d) for d in np.flatnonzero(moved) if d not in {j.dof for j in draft.joints}]
@@ -113,7 +120,7 @@ def moved_joints(sampled: Sequence[Sampled]) -> Bool:
 def _as_grown(growth: Growth) -> Draft:
     """The tree that gravity shows, without joints that no SU sits beyond."""
     at, _ = growth.best()
-    heard = growth.n > 0
+    heard = (growth.n > 0) & growth.explained()
     carrying = sorted({s for u in np.flatnonzero(heard) for s in growth.chain(int(at[u]))})
     index = {s: j for j, s in enumerate(carrying)} | {0: -1, -1: -1}
     segments = [growth.segments[s] for s in carrying]
@@ -143,7 +150,12 @@ def _motion_tree(
     names = windows.dof_names
     heard = np.flatnonzero(draft.su_joint >= -1)
     notes = [
-        f"{windows.su_names[u]} has no usable readings and is left out"
+        f"{windows.su_names[u]} is left out: "
+        + (
+            "no chain of joints explains what it feels; put SUs on the segments before it"
+            if growth.n[u] > 0
+            else "it has no usable readings"
+        )
         for u in np.flatnonzero(draft.su_joint < -1)
     ]
     felt = {joint.dof for joint in draft.joints}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,7 +15,9 @@ from skin2urdf.calibration.settings import CalibrationSettings
 from skin2urdf.geometry.so3 import axis_rotation, rotation_exp
 from skin2urdf.geometry.units import GRAVITY
 from skin2urdf.recording.records import JointStream, Recording, SuStream
+from skin2urdf.recording.writing import write
 from skin2urdf.report.findings import findings
+from skin2urdf.survey import explore
 
 AXES = ((0.5, 0.0, 0.8), (0.0, 1.0, 0.0), (0.6, 0.0, -0.8))
 RATE = 50.0
@@ -95,3 +98,13 @@ def test_rests_with_nothing_in_between_need_no_sample_of_moves() -> None:
     assert abs(found.model.T_parent_joint[1][2, 2]) == pytest.approx(
         abs(axes[0] @ axes[1]), abs=0.02
     )
+
+
+def test_exploring_such_a_log_finds_the_tree_that_calibrating_does(tmp_path: Path) -> None:
+    recording, _ = at_rest()
+    write(recording, tmp_path / "log.mcap")
+    explored = explore([tmp_path / "log.mcap"])
+    assert explored.from_motion
+    assert explored.tree is not None
+    assert explored.tree.parent.tolist() == [-1, 0, 1]
+    assert explored.tree.su_joint.tolist() == [0, 1, 2]

@@ -93,4 +93,4 @@ def test_exploring_finds_the_tree_without_estimating(log: Path) -> None:
     explored = explore([log], progress=lambda stage, share: stages.append((stage, share)))
     assert explored.tree is not None
     assert explored.tree.joint_names == simulation().truth.joint_names
-    assert stages[-1] == ("features", 1.0)
+    assert stages[-1] == ("structure", 1.0)

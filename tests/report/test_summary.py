@@ -84,11 +84,11 @@ def yielding(deflections: dict[int, float]) -> Calibration:
         joint=joints,
         damping=np.zeros(len(joints), dtype=bool),
         basis=np.zeros((len(joints), 10 * problem.tree.n_joints)),
-        deflections=tuple(np.ones((len(log.q), len(joints))) for log in problem.logs),
+        motions=tuple(np.ones((len(log.q), len(joints))) for log in problem.logs),
     )
-    priors = replace(problem.priors, compliance=np.ones(len(joints)))
-    bent = MotionProblem(problem.tree, problem.logs, priors, elastic=elastic)
-    state = replace(along.fitted.state, compliance=np.array(list(deflections.values())))
+    priors = replace(problem.priors, unseen=np.ones(len(joints)))
+    bent = MotionProblem(problem.tree, problem.logs, priors, unseen=elastic)
+    state = replace(along.fitted.state, unseen=np.array(list(deflections.values())))
     fitted = replace(along.fitted, state=state)
     return replace(calibration(), along=replace(along, problem=bent, fitted=fitted))
 

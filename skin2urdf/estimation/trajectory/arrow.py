@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from skin2urdf.arrays import F64, Bool
-from skin2urdf.estimation.trajectory.problem import Equations
+from skin2urdf.estimation.trajectory.records import Equations
 
 _NOTHING = 1e-9
 """Relative weight that holds directions without any information where they are."""

@@ -14,14 +14,15 @@ number more per joint, ``e = -tau / K - (d / K) e'``.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from skin2urdf.arrays import F64, Bool, Int, frozen
 from skin2urdf.estimation.problem.state import State
+from skin2urdf.estimation.trajectory.unseen import Unseen
 from skin2urdf.model.kinematics import PinocchioTree
-from skin2urdf.signals.filters import filtered, first_derivative, second_derivative
+from skin2urdf.signals.filters import filtered, first_derivative
 from skin2urdf.signals.trajectory import Trajectory
 from skin2urdf.structure.records import KinematicTree
 
@@ -34,60 +35,23 @@ _AT_ONCE = 2000
 
 
 @dataclass(frozen=True, eq=False)
-class Elasticity:
-    """Deflections of the joints per unit of S numbers.
+class Elasticity(Unseen):
+    """Deflections of the joints, as motions that encoders do not see, per unit of S numbers.
 
     Attributes:
-        joint: (S,) the joint that each number bends.
         damping: (S,) True for the time by which a deflection lags behind its torque [s]: damping
             over stiffness.
         basis: (S, 10 D) the inertial parameters over stiffness that it stands for, in the order of
             Pinocchio's regressors.
-        deflections: per log (N, S) [rad or m per unit], low-passed as the positions.
     """
 
-    joint: Int
     damping: Bool
     basis: F64
-    deflections: tuple[F64, ...]
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "joint", frozen(self.joint, np.int64))
+        super().__post_init__()
         object.__setattr__(self, "damping", frozen(self.damping, np.bool_))
         object.__setattr__(self, "basis", frozen(self.basis))
-        object.__setattr__(self, "deflections", tuple(frozen(d) for d in self.deflections))
-
-    def at_kept(self, logs: Sequence[Trajectory]) -> tuple[F64, ...]:
-        """Per log (3, S, K): deflections and their derivatives at the samples compared."""
-        return tuple(
-            np.stack(
-                [
-                    d[log.kept].T,
-                    first_derivative(d, log.rate)[log.kept].T,
-                    second_derivative(d, log.rate)[log.kept].T,
-                ]
-            )
-            for d, log in zip(self.deflections, logs, strict=True)
-        )
-
-    def moved(self, log: Trajectory, g: int, x: F64) -> Trajectory:
-        """A log with the links' motion in place of the motors'.
-
-        Args:
-            log: as the encoders have it.
-            g: its number.
-            x: (S,) what the joints yield.
-        """
-        n_joints = log.q.shape[1]
-        of_joint = np.zeros((len(x), n_joints))
-        of_joint[np.arange(len(x)), self.joint] = -x
-        e = self.deflections[g] @ of_joint
-        return replace(
-            log,
-            q=log.q + e,
-            qd=log.qd + first_derivative(e, log.rate),
-            qdd=log.qdd + second_derivative(e, log.rate),
-        )
 
 
 def elasticity(
@@ -165,13 +129,13 @@ def _along(
         deflections = np.empty((len(log.q), len(joint)))
         for Y, at in _regressors(tree, state, g, gravity, motion):
             for k in range(tree.n_joints):
-                deflections[at, joint == k] = Y[:, k] @ basis[joint == k].T
+                deflections[at, joint == k] = -(Y[:, k] @ basis[joint == k].T)
         # Above the low-pass, accelerations are noise, and more so with every differentiation.
         deflections = filtered(deflections, log.taps)
         rates = first_derivative(motion.q - log.q, log.rate)
-        deflections[:, damping] = rates[:, joint[damping]]
+        deflections[:, damping] = -rates[:, joint[damping]]
         out.append(deflections)
-    return Elasticity(joint, damping, basis, tuple(out))
+    return Elasticity(joint, tuple(out), damping, basis)
 
 
 def _regressors(

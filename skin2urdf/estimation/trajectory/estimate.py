@@ -14,7 +14,8 @@ from skin2urdf.estimation.trajectory.elastic import elasticity, followed
 from skin2urdf.estimation.trajectory.fit import Fitted, fit
 from skin2urdf.estimation.trajectory.front_end import droop
 from skin2urdf.estimation.trajectory.misfit import misfit, span_means
-from skin2urdf.estimation.trajectory.problem import MotionPriors, MotionProblem
+from skin2urdf.estimation.trajectory.priors import MotionPriors
+from skin2urdf.estimation.trajectory.problem import MotionProblem
 from skin2urdf.estimation.trajectory.state import MotionState
 from skin2urdf.estimation.trajectory.uncertainty import MotionInformation, motion_information
 from skin2urdf.signals.trajectory import Trajectory
@@ -123,7 +124,7 @@ def estimate_along(
         front=np.tile(_begin_front(priors.front), (U, 1)),
         clock=clock,
         knots=tuple(np.zeros((n, U, 3)) for n in problem.layout.n_knots),
-        compliance=np.zeros(problem.layout.n_compliance),
+        unseen=np.zeros(problem.layout.n_unseen),
     )
     fitted = fit(problem, begin, tell=tell)
     left = _misfit(problem, fitted, _SPAN)
@@ -188,9 +189,9 @@ def _with_elastic_joints(problem: MotionProblem, fitted: Fitted) -> tuple[Motion
     elastic = elasticity(tree, logs, state.placements, state.gravity)
     spread = np.where(tree.prismatic, *_YIELD)[elastic.joint]
     spread[elastic.damping] = _LATE
-    priors = replace(problem.priors, compliance=spread)
-    state = replace(state, compliance=np.zeros(len(spread)))
-    bending = MotionProblem(tree, logs, priors, elastic=elastic)
+    priors = replace(problem.priors, unseen=spread)
+    state = replace(state, unseen=np.zeros(len(spread)))
+    bending = MotionProblem(tree, logs, priors, unseen=elastic)
     rigid = _misfit(problem, fitted, _SPAN)
     for turn in range(_TURNS):
         before = bending.deflections(state)
@@ -200,9 +201,9 @@ def _with_elastic_joints(problem: MotionProblem, fitted: Fitted) -> tuple[Motion
             return bending, fitted
         change = _change(before, bending.deflections(state))
         for _ in range(2):
-            x = state.compliance
+            x = state.unseen
             elastic = followed(elastic, tree, logs, state.placements, state.gravity, x)
-        bending = MotionProblem(tree, logs, priors, elastic=elastic)
+        bending = MotionProblem(tree, logs, priors, unseen=elastic)
         if change < _SETTLED:
             break
     return bending, fit(bending, state)
@@ -230,5 +231,5 @@ def motion_priors(sensors: Priors, *, gravity: float, front: tuple[F64, F64]) ->
         lag=1.0,
         drift=1e-2,
         bias_walk=0.0,
-        compliance=np.zeros(0),
+        unseen=np.zeros(0),
     )

@@ -9,7 +9,8 @@ import numpy as np
 
 from skin2urdf.arrays import F64, Bool
 from skin2urdf.estimation.trajectory.arrow import eliminated, newton_step
-from skin2urdf.estimation.trajectory.problem import Equations, MotionProblem, Predicted
+from skin2urdf.estimation.trajectory.problem import MotionProblem
+from skin2urdf.estimation.trajectory.records import Equations, Predicted
 from skin2urdf.estimation.trajectory.state import MotionState
 
 _HUBER = 3.0

@@ -7,7 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from skin2urdf.arrays import F64
-from skin2urdf.estimation.trajectory.problem import MotionProblem, Predicted
+from skin2urdf.estimation.trajectory.problem import MotionProblem
+from skin2urdf.estimation.trajectory.records import Predicted
 
 
 def span_means(

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
 
-from skin2urdf.arrays import F64, Bool, Int, frozen
-from skin2urdf.estimation.problem.cost import Priors
+from skin2urdf.arrays import F64, Bool, Int
 from skin2urdf.estimation.problem.state import (
     JOINT_COORDINATES,
     N_JOINT,
@@ -17,7 +16,6 @@ from skin2urdf.estimation.problem.state import (
     N_SU,
     identifiable,
 )
-from skin2urdf.estimation.trajectory.elastic import Elasticity
 from skin2urdf.estimation.trajectory.front_end import front_end
 from skin2urdf.estimation.trajectory.kinematics import (
     FrameMotion,
@@ -29,104 +27,22 @@ from skin2urdf.estimation.trajectory.kinematics import (
     seen_before_joint,
     seen_from_parent,
 )
-from skin2urdf.estimation.trajectory.state import (
-    Layout,
-    MotionState,
+from skin2urdf.estimation.trajectory.priors import (
+    MotionPriors,
+    prior_chi2,
+    prior_information,
+    sense,
+    with_priors,
 )
+from skin2urdf.estimation.trajectory.records import Equations, Predicted, Spans
+from skin2urdf.estimation.trajectory.state import Layout, MotionState
+from skin2urdf.estimation.trajectory.unseen import Unseen
 from skin2urdf.model.specific_force import specific_forces
 from skin2urdf.signals.filters import filtered, first_derivative, taken_at
 from skin2urdf.signals.trajectory import Trajectory
 from skin2urdf.structure.records import KinematicTree
 
 _SHAPE = ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))
-
-
-@dataclass(frozen=True)
-class MotionPriors:
-    """What is known before the logs are read, as standard deviations; 0 fixes a quantity.
-
-    Attributes:
-        sensors: bias, scale, cross-axis and offsets, as for features.
-        gravity: of the magnitude of gravity [m/s^2].
-        front: (2, 2) mean and standard deviation of a sensor's front end [s^2].
-        lag: of an SU's clock [s].
-        drift: of its rate [1].
-        bias_walk: of the change of a bias per root of a second [m/s^2/sqrt(s)].
-        compliance: (S,) of what the joints yield, in units of the regressors.
-    """
-
-    sensors: Priors
-    gravity: float
-    front: F64
-    lag: float
-    drift: float
-    bias_walk: float
-    compliance: F64
-
-    def __post_init__(self) -> None:
-        for name in ("front", "compliance"):
-            object.__setattr__(self, name, frozen(getattr(self, name)))
-
-
-@dataclass(frozen=True, eq=False)
-class Predicted:
-    """One log held against a state.
-
-    Attributes:
-        residual: (K, U, 3) readings less prediction [m/s^2].
-        measured: (K, U) where there is something to compare.
-        ideal: (K, U, 3) what perfect sensors in the SUs' places would read, as predicted [m/s^2].
-        rates: (3, K, U, 3) derivatives of predicted readings in time, and in the coordinates of the
-            sensors' front ends.
-    """
-
-    residual: F64
-    measured: Bool
-    ideal: F64
-    rates: F64
-
-
-@dataclass(frozen=True, eq=False)
-class Equations:
-    """Normal equations in arrow form: a joint part, and one part per SU.
-
-    Attributes:
-        joint: (J, J), and
-        su: (U, n, n), and
-        mixed: (U, n, J) information.
-        joint_gradient: (J,), and
-        su_gradient: (U, n): half the slope of chi-squared, with its sign turned.
-    """
-
-    joint: F64
-    su: F64
-    mixed: F64
-    joint_gradient: F64
-    su_gradient: F64
-
-
-@dataclass(frozen=True, eq=False)
-class Spans:
-    """Contributions of S spans of time to the normal equations and to their gradients.
-
-    Gradients come in several versions: with the residuals as they are, and with independent noise
-    of unit size in place of the whitened residuals, drawn anew in each version.
-
-    Attributes:
-        joint: (S, J, J), and
-        su: (S, U, n, n), and
-        mixed: (S, U, n, C) information, in the joint columns that an SU depends on.
-        columns: per SU (C,) these columns, padded with -1.
-        joint_scores: (V, S, J) gradients of V versions, the first that of the residuals.
-        su_scores: (V, S, U, n).
-    """
-
-    joint: F64
-    su: F64
-    mixed: F64
-    columns: Int
-    joint_scores: F64
-    su_scores: F64
 
 
 class MotionProblem:
@@ -137,7 +53,7 @@ class MotionProblem:
         logs: trajectories, with columns in the tree's order.
         priors: what is known before.
         n_knots: moments between which biases are linear in each log.
-        elastic: how joints may yield; those of as many numbers as ``priors.compliance`` has.
+        unseen: what encoders do not see; of as many numbers as ``priors.unseen`` has.
     """
 
     def __init__(
@@ -146,13 +62,14 @@ class MotionProblem:
         logs: Sequence[Trajectory],
         priors: MotionPriors,
         n_knots: Sequence[int] | None = None,
-        elastic: Elasticity | None = None,
+        unseen: Unseen | None = None,
     ) -> None:
         self.tree, self.logs, self.priors = tree, tuple(logs), priors
-        self.elastic = elastic
-        self._deflections = elastic.at_kept(self.logs) if elastic else ()
+        self.unseen = unseen
+        self._motions = unseen.at_kept(self.logs) if unseen else ()
+        self._seconds = tuple(float(log.time[-1] - log.time[0]) for log in self.logs)
         knots = tuple(n_knots or [0] * len(self.logs))
-        self.layout = Layout(tree.n_joints, len(self.logs), knots, len(priors.compliance))
+        self.layout = Layout(tree.n_joints, len(self.logs), knots, len(priors.unseen))
         self.free_joint, self.free_su = self._free()
 
     def coarse(self) -> tuple[Bool, Bool]:
@@ -173,7 +90,7 @@ class MotionProblem:
         joint = np.ones(layout.n_joint, dtype=bool)
         joint[layout.joints] = placements.joints.ravel()
         joint[layout.gravity] = priors.gravity > 0
-        joint[layout.compliance] = priors.compliance > 0
+        joint[layout.unseen] = priors.unseen > 0
         su = np.ones((tree.n_sus, layout.n_su), dtype=bool)
         su[:, :N_SU] = placements.sus
         su[:, N_PLACEMENT:N_SU] &= priors.sensors.deviations > 0
@@ -199,7 +116,7 @@ class MotionProblem:
         log, model = self.moved(state, g), state.placements.model(self.tree)
         up = state.placements.up[g] * state.gravity
         ideal = specific_forces(model, log.q, log.qd, log.qdd, up)
-        ideal = filtered(ideal * self._sense(state), log.taps)
+        ideal = filtered(ideal * sense(self.priors, state), log.taps)
         read = (ideal.swapaxes(0, 1) @ state.placements.sensor_matrix()).swapaxes(0, 1)
         read, by_front = front_end(read, state.front, log.rate, len(log.taps))
         rates = np.stack([first_derivative(read, log.rate), *by_front])[:, log.kept]
@@ -213,9 +130,9 @@ class MotionProblem:
         return Predicted(residual, measured, ideal[log.kept], rates)
 
     def moved(self, state: MotionState, g: int) -> Trajectory:
-        """A log with the motion of the links, which elastic joints keep from encoders."""
+        """A log with the motion of the links, of which encoders do not see all."""
         log = self.logs[g]
-        return self.elastic.moved(log, g, state.compliance) if self.elastic else log
+        return self.unseen.moved(log, g, state.unseen) if self.unseen else log
 
     def deflections(self, state: MotionState) -> tuple[F64, ...]:
         """Per log (K, D) by how much links are beyond what encoders say [rad or m]."""
@@ -261,13 +178,6 @@ class MotionProblem:
         )
         return replace(state, placements=places), moved
 
-    def _sense(self, state: MotionState) -> float:
-        """What sensors read per m/s^2: gravity is what they are held against, whatever it is.
-
-        Their scales do not tell its size: sensors of one kind may share a scale error.
-        """
-        return self.priors.sensors.gravity / state.gravity
-
     def lags(self, state: MotionState, g: int) -> F64:
         """(K, U) by how much the readings of a log are late [s]."""
         lag, drift = state.clock[g].T
@@ -300,7 +210,8 @@ class MotionProblem:
             mixed[u][:, columns] += H[nj:, :nj]
             joint_gradient[columns] += gradient[:nj]
             su_gradient[u] += gradient[nj:]
-        return self._with_priors(state, Equations(joint, su, mixed, joint_gradient, su_gradient))
+        data = Equations(joint, su, mixed, joint_gradient, su_gradient)
+        return with_priors(self.priors, self.layout, self._seconds, state, data)
 
     def spans(
         self,
@@ -373,16 +284,16 @@ class MotionProblem:
         if g > 0:
             columns += range(layout.logs.start + 2 * (g - 1), layout.logs.start + 2 * g)
         columns.append(layout.gravity)
-        if self.elastic:
-            columns += list(layout.compliance.start + self._bent(u))
+        if self.unseen:
+            columns += list(layout.unseen.start + self._moving(u))
         return columns
 
-    def _bent(self, u: int) -> Int:
-        """Which of the numbers that joints yield by an SU feels."""
-        if self.elastic is None:
+    def _moving(self, u: int) -> Int:
+        """Which of the numbers that make unseen motion an SU feels."""
+        if self.unseen is None:
             return np.zeros(0, dtype=np.int64)
         chain = self.tree.chain(int(self.tree.su_joint[u]))
-        return np.flatnonzero(np.isin(self.elastic.joint, list(chain)))
+        return np.flatnonzero(np.isin(self.unseen.joint, list(chain)))
 
     def _columns(
         self,
@@ -398,18 +309,18 @@ class MotionProblem:
         q, qd, qdd = motion
         K = q.shape[1]
         fixed, carried = frames
-        M, sense = places.sensor_matrix()[u], self._sense(state)
+        M, sensed = places.sensor_matrix()[u], sense(self.priors, state)
         T = places.T_joint_su[u]
         here = placed(carried[int(tree.su_joint[u])], T)
         rows: list[F64] = []
-        unseen: dict[int, F64] = {}
+        by_joint: dict[int, F64] = {}
         still = np.zeros((3, K))
         path = Path(still + T[:3, 3:4], still, still, np.repeat(T[:3, :3, None], K, axis=2))
         for k in reversed(tree.chain(int(tree.su_joint[u]))):
             path = seen_before_joint(path, bool(tree.prismatic[k]), q[k], qd[k], qdd[k])
             rows.append(placement_columns(fixed[k], path, JOINT_COORDINATES))
-            if self.elastic:
-                unseen[k] = joint_columns(fixed[k], path, bool(tree.prismatic[k]))
+            if self.unseen:
+                by_joint[k] = joint_columns(fixed[k], path, bool(tree.prismatic[k]))
             path = seen_from_parent(path, places.T_parent_joint[k])
         rows.reverse()
         R_su_base = here.R_frame_base
@@ -419,22 +330,22 @@ class MotionProblem:
         pull = np.einsum("ijk,j->ik", R_su_base, places.up[g] * state.gravity)
         # With gravity grow the accelerations that a reading stands for.
         rows.append((pull - here.f)[None])
-        if self.elastic:
-            bent = self._bent(u)
-            yielding = np.empty((len(bent), 3, K))
-            for k, columns in unseen.items():
-                of_joint = self.elastic.joint[bent] == k
-                e = self._deflections[g][:, bent[of_joint]]
-                yielding[of_joint] = -np.einsum("dck,dsk->sck", columns, e)
-            rows.append(yielding)
+        if self.unseen:
+            felt = self._moving(u)
+            beyond = np.empty((len(felt), 3, K))
+            for k, columns in by_joint.items():
+                of_joint = self.unseen.joint[felt] == k
+                e = self._motions[g][:, felt[of_joint]]
+                beyond[of_joint] = np.einsum("dck,dsk->sck", columns, e)
+            rows.append(beyond)
         around = Path(still, still, still, np.repeat(np.eye(3)[:, :, None], K, axis=2))
         rows.append(placement_columns(here, around, tuple(range(N_PLACEMENT))))
         ideal = np.concatenate(rows)
         C = len(ideal) - N_PLACEMENT
         out = np.zeros((C + layout.n_su, 3, K))
-        out[: C + N_PLACEMENT] = np.einsum("ij,cjk->cik", M * sense, ideal)
+        out[: C + N_PLACEMENT] = np.einsum("ij,cjk->cik", M * sensed, ideal)
         own = out[C:]
-        own[N_PLACEMENT:N_SU] = sensor_columns(here.f.T[:, None] * sense)[:, 0].transpose(1, 2, 0)
+        own[N_PLACEMENT:N_SU] = sensor_columns(here.f.T[:, None] * sensed)[:, 0].transpose(1, 2, 0)
         own[layout.front] = rates[1:].swapaxes(1, 2)
         late = -rates[0].T
         own[layout.clock(g)] = late, self._since_middle(g) * late
@@ -447,82 +358,11 @@ class MotionProblem:
 
     def prior_information(self, state: MotionState) -> tuple[F64, F64, F64, F64]:
         """Information (J,) and (U, n, n) of the priors and their gradients (J,) and (U, n)."""
-        layout, priors, places = self.layout, self.priors, state.placements
-        U = self.tree.n_sus
-        joint, su = np.zeros(layout.n_joint), np.zeros((U, layout.n_su, layout.n_su))
-        joint_gradient, su_gradient = np.zeros(layout.n_joint), np.zeros((U, layout.n_su))
-
-        def inverse(deviation: F64 | float) -> F64:
-            d = np.asarray(deviation, dtype=np.float64)
-            return np.divide(1.0, d**2, out=np.zeros_like(d), where=d > 0)
-
-        joint[layout.gravity] = inverse(priors.gravity / state.gravity)
-        joint_gradient[layout.gravity] = -joint[layout.gravity] * (1 - self._sense(state))
-        joint[layout.compliance] = inverse(priors.compliance)
-        joint_gradient[layout.compliance] = -joint[layout.compliance] * state.compliance
-        of_su = np.zeros(layout.n_su)
-        of_su[N_PLACEMENT:N_SU] = inverse(priors.sensors.deviations)
-        of_su[layout.front] = inverse(priors.front[1])
-        value = np.zeros((U, layout.n_su))
-        value[:, N_PLACEMENT:N_SU] = np.concatenate([places.bias, places.shape], axis=1)
-        value[:, layout.front] = state.front - priors.front[0]
-        for g in range(layout.n_logs):
-            of_su[layout.clock(g)] = inverse(np.array([priors.lag, priors.drift]))
-            value[:, layout.clock(g)] = state.clock[g]
-        su[:, range(layout.n_su), range(layout.n_su)] = of_su
-        su_gradient -= of_su * value
-        for g, n in enumerate(layout.n_knots):
-            if n and priors.bias_walk > 0:
-                step = (self.logs[g].time[-1] - self.logs[g].time[0]) / (n - 1)
-                D = np.diff(np.eye(n), axis=0)
-                walk = D.T @ D * inverse(priors.bias_walk) / step
-                # The walk begins anywhere near the SU's own bias, which its mean is to be.
-                walk += np.ones((n, n)) / n**2 * inverse(priors.bias_walk) / step * n
-                full = np.kron(walk, np.eye(3))
-                at = layout.knots(g)
-                su[:, at, at] += full
-                flat = state.knots[g].swapaxes(0, 1).reshape(U, -1)
-                su_gradient[:, at] -= flat @ full
-        return joint, su, joint_gradient, su_gradient
-
-    def _with_priors(self, state: MotionState, data: Equations) -> Equations:
-        joint, su, joint_gradient, su_gradient = self.prior_information(state)
-        places, weight = state.placements, self.priors.sensors.position**-2.0
-        D = self.tree.n_joints
-        held = np.zeros(data.joint.shape[0])
-        pulled = np.zeros_like(held)
-        # An offset not known is to be short; its gradient is that along the frame's own axes.
-        local = np.einsum(
-            "dji,dj->di", places.T_parent_joint[:, :3, :3], places.T_parent_joint[:, :3, 3]
-        )
-        for i in (0, 1):
-            held[N_JOINT * np.arange(D) + i] = weight
-            pulled[N_JOINT * np.arange(D) + i] = -weight * local[:, i]
-        su = np.array(su)
-        su_gradient = np.array(su_gradient)
-        at_su = np.einsum("uji,uj->ui", places.T_joint_su[:, :3, :3], places.T_joint_su[:, :3, 3])
-        su[:, range(3), range(3)] += weight
-        su_gradient[:, :3] -= weight * at_su
-        return replace(
-            data,
-            joint=data.joint + np.diag(joint + held),
-            su=data.su + su,
-            joint_gradient=data.joint_gradient + joint_gradient + pulled,
-            su_gradient=data.su_gradient + su_gradient,
-        )
+        return prior_information(self.priors, self.layout, self._seconds, state)
 
     def prior_chi2(self, state: MotionState) -> float:
         """Chi-squared of the priors at a state."""
-        joint, su, joint_gradient, su_gradient = self.prior_information(state)
-        places, weight = state.placements, self.priors.sensors.position**-2.0
-        total: float = weight * float((places.T_parent_joint[:, :3, 3] ** 2).sum())
-        total += weight * float((places.T_joint_su[:, :3, 3] ** 2).sum())
-        known = joint > 0
-        total += float((joint_gradient[known] ** 2 / joint[known]).sum())
-        for H, s in zip(su, su_gradient, strict=True):
-            has = np.diag(H) > 0
-            total += float(s[has] @ np.linalg.solve(H[np.ix_(has, has)], s[has]))
-        return total
+        return prior_chi2(self.priors, self.layout, self._seconds, state)
 
 
 def sensor_columns(ideal: F64) -> F64:

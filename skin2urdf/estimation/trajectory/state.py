@@ -26,7 +26,7 @@ class MotionState:
             much more each second [1].
         knots: per log (B, U, 3) bias of each SU at B moments, above its own [m/s^2]; linear in
             between; none (B = 0) where biases are constant.
-        compliance: (S,) what the joints yield [rad or m, per unit of the torque regressors].
+        unseen: (S,) numbers that make the motion that encoders do not see, as in :mod:`unseen`.
     """
 
     placements: State
@@ -34,10 +34,10 @@ class MotionState:
     front: F64
     clock: F64
     knots: tuple[F64, ...]
-    compliance: F64
+    unseen: F64
 
     def __post_init__(self) -> None:
-        for name in ("front", "clock", "compliance"):
+        for name in ("front", "clock", "unseen"):
             object.__setattr__(self, name, frozen(getattr(self, name)))
         object.__setattr__(self, "knots", tuple(frozen(k) for k in self.knots))
 
@@ -50,13 +50,13 @@ class Layout:
         n_joints: D.
         n_logs: G.
         n_knots: B of each log.
-        n_compliance: S.
+        n_unseen: S.
     """
 
     n_joints: int
     n_logs: int
     n_knots: tuple[int, ...]
-    n_compliance: int
+    n_unseen: int
 
     @property
     def joints(self) -> slice:
@@ -74,14 +74,14 @@ class Layout:
         return N_JOINT * self.n_joints + 2 * (self.n_logs - 1)
 
     @property
-    def compliance(self) -> slice:
-        """What the joints yield."""
-        return slice(self.gravity + 1, self.gravity + 1 + self.n_compliance)
+    def unseen(self) -> slice:
+        """Numbers that make the motion that encoders do not see."""
+        return slice(self.gravity + 1, self.gravity + 1 + self.n_unseen)
 
     @property
     def n_joint(self) -> int:
         """Number of coordinates of the joint part."""
-        return self.gravity + 1 + self.n_compliance
+        return self.gravity + 1 + self.n_unseen
 
     @property
     def front(self) -> slice:
@@ -128,5 +128,5 @@ class Layout:
             front=state.front + sus[:, self.front],
             clock=state.clock + clock,
             knots=knots,
-            compliance=state.compliance + joint[self.compliance],
+            unseen=state.unseen + joint[self.unseen],
         )

@@ -22,7 +22,8 @@ from skin2urdf.estimation.problem.residuals import columns_of
 from skin2urdf.estimation.problem.state import N_JOINT, N_SU
 from skin2urdf.estimation.trajectory.arrow import eliminated, newton_step
 from skin2urdf.estimation.trajectory.fit import Fitted
-from skin2urdf.estimation.trajectory.problem import Equations, MotionProblem, Spans
+from skin2urdf.estimation.trajectory.problem import MotionProblem
+from skin2urdf.estimation.trajectory.records import Equations, Spans
 from skin2urdf.estimation.uncertainty.covariance import ArrowCovariance
 from skin2urdf.model.prediction import Chains
 
@@ -39,7 +40,8 @@ class MotionInformation:
     """Information of a fit on placements, bias and shape, and what disturbs it.
 
     Coordinates x are those of joints and logs, z what all SUs share beyond them (gravity's size,
-    compliance), y those of each SU (placement, bias, shape), whatever its clock and front end are.
+    numbers of unseen motion), y those of each SU (placement, bias, shape), whatever its clock and
+    front end are.
 
     Attributes:
         equations: information on x and y for known z, without the prior on offsets.

@@ -121,15 +121,15 @@ def test_equations_hold_the_gradient_in_what_joints_yield() -> None:
     priors = motion_priors(Priors(), gravity=0.0, front=(np.zeros(2), np.zeros(2)))
     elastic = elasticity(_TREE, [log], _truth(), 9.81)
     n = len(elastic.joint)
-    yielding = replace(priors, compliance=np.full(n, 2e-2))
-    problem = MotionProblem(_TREE, [log], yielding, elastic=elastic)
+    yielding = replace(priors, unseen=np.full(n, 2e-2))
+    problem = MotionProblem(_TREE, [log], yielding, unseen=elastic)
     state = MotionState(
         placements=_truth(),
         gravity=9.81,
         front=np.zeros((2, 2)),
         clock=np.zeros((1, 2, 2)),
         knots=(np.zeros((0, 2, 3)),),
-        compliance=1e-3 * rng.standard_normal(n),
+        unseen=1e-3 * rng.standard_normal(n),
     )
     weights = [np.full((*log.valid.shape, 3), 1e4)]
 
@@ -139,7 +139,7 @@ def test_equations_hold_the_gradient_in_what_joints_yield() -> None:
 
     equations = problem.equations(state, [problem.predict(state, 0)], weights)
     layout, still = problem.layout, np.zeros((2, problem.layout.n_su))
-    for i in range(layout.compliance.start, layout.compliance.stop):
+    for i in range(layout.unseen.start, layout.unseen.stop):
         joint = np.zeros(layout.n_joint)
         joint[i] = 1e-6
         slope = (

@@ -138,7 +138,7 @@ def test_equations_hold_the_gradient_of_chi_squared() -> None:
         front=1e-5 * rng.uniform(1, 3, (3, 2)),
         clock=1e-3 * rng.standard_normal((1, 3, 2)) * [1.0, 0.02],
         knots=(0.01 * rng.standard_normal((4, 3, 3)),),
-        compliance=np.zeros(0),
+        unseen=np.zeros(0),
     )
     weights = [np.full((*log.valid.shape, 3), 1e4)]
 

@@ -1,0 +1,149 @@
+"""What is known before the logs are read, as information on the coordinates of a fit."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from skin2urdf.arrays import F64, frozen
+from skin2urdf.estimation.problem.cost import Priors
+from skin2urdf.estimation.problem.state import N_JOINT, N_PLACEMENT, N_SU
+from skin2urdf.estimation.trajectory.records import Equations
+from skin2urdf.estimation.trajectory.state import Layout, MotionState
+
+
+@dataclass(frozen=True)
+class MotionPriors:
+    """What is known before the logs are read, as standard deviations; 0 fixes a quantity.
+
+    Attributes:
+        sensors: bias, scale, cross-axis and offsets, as for features.
+        gravity: of the magnitude of gravity [m/s^2].
+        front: (2, 2) mean and standard deviation of a sensor's front end [s^2].
+        lag: of an SU's clock [s].
+        drift: of its rate [1].
+        bias_walk: of the change of a bias per root of a second [m/s^2/sqrt(s)].
+        unseen: (S,) of the numbers that make what encoders do not see.
+    """
+
+    sensors: Priors
+    gravity: float
+    front: F64
+    lag: float
+    drift: float
+    bias_walk: float
+    unseen: F64
+
+    def __post_init__(self) -> None:
+        for name in ("front", "unseen"):
+            object.__setattr__(self, name, frozen(getattr(self, name)))
+
+
+def sense(priors: MotionPriors, state: MotionState) -> float:
+    """What sensors read per m/s^2: gravity is what they are held against, whatever it is.
+
+    Their scales do not tell its size: sensors of one kind may share a scale error.
+    """
+    return priors.sensors.gravity / state.gravity
+
+
+def prior_information(
+    priors: MotionPriors, layout: Layout, seconds: Sequence[float], state: MotionState
+) -> tuple[F64, F64, F64, F64]:
+    """Information (J,) and (U, n, n) of the priors and their gradients (J,) and (U, n).
+
+    Args:
+        priors: what is known before.
+        layout: where coordinates stand.
+        seconds: length of each log [s].
+        state: where the gradients are wanted.
+    """
+    places = state.placements
+    U = len(places.bias)
+    joint, su = np.zeros(layout.n_joint), np.zeros((U, layout.n_su, layout.n_su))
+    joint_gradient, su_gradient = np.zeros(layout.n_joint), np.zeros((U, layout.n_su))
+
+    def inverse(deviation: F64 | float) -> F64:
+        d = np.asarray(deviation, dtype=np.float64)
+        return np.divide(1.0, d**2, out=np.zeros_like(d), where=d > 0)
+
+    joint[layout.gravity] = inverse(priors.gravity / state.gravity)
+    joint_gradient[layout.gravity] = -joint[layout.gravity] * (1 - sense(priors, state))
+    joint[layout.unseen] = inverse(priors.unseen)
+    joint_gradient[layout.unseen] = -joint[layout.unseen] * state.unseen
+    of_su = np.zeros(layout.n_su)
+    of_su[N_PLACEMENT:N_SU] = inverse(priors.sensors.deviations)
+    of_su[layout.front] = inverse(priors.front[1])
+    value = np.zeros((U, layout.n_su))
+    value[:, N_PLACEMENT:N_SU] = np.concatenate([places.bias, places.shape], axis=1)
+    value[:, layout.front] = state.front - priors.front[0]
+    for g in range(layout.n_logs):
+        of_su[layout.clock(g)] = inverse(np.array([priors.lag, priors.drift]))
+        value[:, layout.clock(g)] = state.clock[g]
+    su[:, range(layout.n_su), range(layout.n_su)] = of_su
+    su_gradient -= of_su * value
+    for g, n in enumerate(layout.n_knots):
+        if n and priors.bias_walk > 0:
+            step = seconds[g] / (n - 1)
+            D = np.diff(np.eye(n), axis=0)
+            walk = D.T @ D * inverse(priors.bias_walk) / step
+            # The walk begins anywhere near the SU's own bias, which its mean is to be.
+            walk += np.ones((n, n)) / n**2 * inverse(priors.bias_walk) / step * n
+            full = np.kron(walk, np.eye(3))
+            at = layout.knots(g)
+            su[:, at, at] += full
+            flat = state.knots[g].swapaxes(0, 1).reshape(U, -1)
+            su_gradient[:, at] -= flat @ full
+    return joint, su, joint_gradient, su_gradient
+
+
+def with_priors(
+    priors: MotionPriors,
+    layout: Layout,
+    seconds: Sequence[float],
+    state: MotionState,
+    data: Equations,
+) -> Equations:
+    """Normal equations of data with those of the priors, of which offsets have one as well."""
+    joint, su, joint_gradient, su_gradient = prior_information(priors, layout, seconds, state)
+    places, weight = state.placements, priors.sensors.position**-2.0
+    D = layout.n_joints
+    held = np.zeros(data.joint.shape[0])
+    pulled = np.zeros_like(held)
+    # An offset not known is to be short; its gradient is that along the frame's own axes.
+    local = np.einsum(
+        "dji,dj->di", places.T_parent_joint[:, :3, :3], places.T_parent_joint[:, :3, 3]
+    )
+    for i in (0, 1):
+        held[N_JOINT * np.arange(D) + i] = weight
+        pulled[N_JOINT * np.arange(D) + i] = -weight * local[:, i]
+    su = np.array(su)
+    su_gradient = np.array(su_gradient)
+    at_su = np.einsum("uji,uj->ui", places.T_joint_su[:, :3, :3], places.T_joint_su[:, :3, 3])
+    su[:, range(3), range(3)] += weight
+    su_gradient[:, :3] -= weight * at_su
+    return replace(
+        data,
+        joint=data.joint + np.diag(joint + held),
+        su=data.su + su,
+        joint_gradient=data.joint_gradient + joint_gradient + pulled,
+        su_gradient=data.su_gradient + su_gradient,
+    )
+
+
+def prior_chi2(
+    priors: MotionPriors, layout: Layout, seconds: Sequence[float], state: MotionState
+) -> float:
+    """Chi-squared of the priors at a state."""
+    joint, su, joint_gradient, su_gradient = prior_information(priors, layout, seconds, state)
+    places, weight = state.placements, priors.sensors.position**-2.0
+    total: float = weight * float((places.T_parent_joint[:, :3, 3] ** 2).sum())
+    total += weight * float((places.T_joint_su[:, :3, 3] ** 2).sum())
+    known = joint > 0
+    total += float((joint_gradient[known] ** 2 / joint[known]).sum())
+    for H, s in zip(su, su_gradient, strict=True):
+        has = np.diag(H) > 0
+        total += float(s[has] @ np.linalg.solve(H[np.ix_(has, has)], s[has]))
+    return total

@@ -1,0 +1,68 @@
+"""Records of a fit of all samples: a log held against a state, and normal equations."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from skin2urdf.arrays import F64, Bool, Int
+
+
+@dataclass(frozen=True, eq=False)
+class Predicted:
+    """One log held against a state.
+
+    Attributes:
+        residual: (K, U, 3) readings less prediction [m/s^2].
+        measured: (K, U) where there is something to compare.
+        ideal: (K, U, 3) what perfect sensors in the SUs' places would read, as predicted [m/s^2].
+        rates: (3, K, U, 3) derivatives of predicted readings in time, and in the coordinates of the
+            sensors' front ends.
+    """
+
+    residual: F64
+    measured: Bool
+    ideal: F64
+    rates: F64
+
+
+@dataclass(frozen=True, eq=False)
+class Equations:
+    """Normal equations in arrow form: a joint part, and one part per SU.
+
+    Attributes:
+        joint: (J, J), and
+        su: (U, n, n), and
+        mixed: (U, n, J) information.
+        joint_gradient: (J,), and
+        su_gradient: (U, n): half the slope of chi-squared, with its sign turned.
+    """
+
+    joint: F64
+    su: F64
+    mixed: F64
+    joint_gradient: F64
+    su_gradient: F64
+
+
+@dataclass(frozen=True, eq=False)
+class Spans:
+    """Contributions of S spans of time to the normal equations and to their gradients.
+
+    Gradients come in several versions: with the residuals as they are, and with independent noise
+    of unit size in place of the whitened residuals, drawn anew in each version.
+
+    Attributes:
+        joint: (S, J, J), and
+        su: (S, U, n, n), and
+        mixed: (S, U, n, C) information, in the joint columns that an SU depends on.
+        columns: per SU (C,) these columns, padded with -1.
+        joint_scores: (V, S, J) gradients of V versions, the first that of the residuals.
+        su_scores: (V, S, U, n).
+    """
+
+    joint: F64
+    su: F64
+    mixed: F64
+    columns: Int
+    joint_scores: F64
+    su_scores: F64

@@ -1,0 +1,82 @@
+"""Motion of joints that their encoders do not see, as few numbers that make it.
+
+Gears that twist, teeth that are not even, play: all leave a link by some e(t) beyond what its
+encoder says, ``q = theta + sum_s x_s d_s(t)``, with motions d_s that are known and numbers x_s that
+are found along with the placements.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from skin2urdf.arrays import F64, Bool, Int, frozen
+from skin2urdf.signals.filters import first_derivative, second_derivative
+from skin2urdf.signals.trajectory import Trajectory
+
+
+@dataclass(frozen=True, eq=False)
+class Unseen:
+    """Motions of joints per unit of S numbers.
+
+    Attributes:
+        joint: (S,) the joint that each number moves.
+        motions: per log (N, S) by how much its link is beyond its encoder [rad or m per unit],
+            low-passed as the positions.
+    """
+
+    joint: Int
+    motions: tuple[F64, ...]
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "joint", frozen(self.joint, np.int64))
+        object.__setattr__(self, "motions", tuple(frozen(d) for d in self.motions))
+
+    def at_kept(self, logs: Sequence[Trajectory]) -> tuple[F64, ...]:
+        """Per log (3, S, K): motions and their derivatives at the samples compared."""
+        return tuple(
+            np.stack(
+                [
+                    d[log.kept].T,
+                    first_derivative(d, log.rate)[log.kept].T,
+                    second_derivative(d, log.rate)[log.kept].T,
+                ]
+            )
+            for d, log in zip(self.motions, logs, strict=True)
+        )
+
+    def moved(self, log: Trajectory, g: int, x: F64) -> Trajectory:
+        """A log with the links' motion in place of the encoders'.
+
+        Args:
+            log: as the encoders have it.
+            g: its number.
+            x: (S,) the numbers.
+        """
+        n_joints = log.q.shape[1]
+        of_joint = np.zeros((len(x), n_joints))
+        of_joint[np.arange(len(x)), self.joint] = x
+        e = self.motions[g] @ of_joint
+        return replace(
+            log,
+            q=log.q + e,
+            qd=log.qd + first_derivative(e, log.rate),
+            qdd=log.qdd + second_derivative(e, log.rate),
+        )
+
+    def part(self, which: Bool) -> Unseen:
+        """Some (S,) of the numbers."""
+        return Unseen(self.joint[which], tuple(d[:, which] for d in self.motions))
+
+
+def together(several: Sequence[Unseen]) -> Unseen:
+    """The numbers of several, one after the other."""
+    return Unseen(
+        np.concatenate([each.joint for each in several]),
+        tuple(
+            np.concatenate(parts, axis=1)
+            for parts in zip(*(e.motions for e in several), strict=True)
+        ),
+    )

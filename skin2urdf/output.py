@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
-import json
 import secrets
 from pathlib import Path
 from typing import Any
@@ -13,8 +12,11 @@ from skin2urdf.calibration.result import Calibration
 from skin2urdf.errors import UsageError
 from skin2urdf.files import check_target, write_atomically
 from skin2urdf.report.document import as_document, dumps
+from skin2urdf.urdf.beside import document_beside
 from skin2urdf.urdf.check import check_urdf
 from skin2urdf.urdf.emit import emit
+
+__all__ = ["document_beside", "output_paths", "render", "save"]
 
 
 def output_paths(path: str | Path) -> tuple[Path, Path]:
@@ -77,25 +79,6 @@ def save(
         with contextlib.suppress(OSError):
             staged.unlink(missing_ok=True)
     return urdf, beside
-
-
-def document_beside(urdf: str | Path) -> Path | None:
-    """The JSON that was written together with a URDF.
-
-    Args:
-        urdf: a URDF, which may have been changed or replaced since.
-
-    Returns:
-        Path of the JSON; None where there is none or where it belongs to another URDF.
-    """
-    path = Path(urdf)
-    beside = path.with_suffix(".json")
-    try:
-        belongs = json.loads(beside.read_bytes())["urdf"]["sha256"]
-        same = belongs == hashlib.sha256(path.read_bytes()).hexdigest()
-    except (OSError, ValueError, KeyError, TypeError):
-        return None
-    return beside if same else None
 
 
 def render(

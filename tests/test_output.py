@@ -6,12 +6,14 @@ import json
 import xml.etree.ElementTree as ET
 from pathlib import Path
 
+import numpy as np
 import pytest
-from calibrated import calibration
+from calibrated import calibration, simulation
 
 from skin2urdf import output
 from skin2urdf.errors import Skin2UrdfError, UsageError
 from skin2urdf.output import document_beside, output_paths, save
+from skin2urdf.urdf.compare import compare, load_determined, load_open, load_unobservable
 from skin2urdf.urdf.loading import load_robot
 
 
@@ -99,3 +101,25 @@ def test_a_full_disk_leaves_the_old_files(tmp_path: Path, monkeypatch: pytest.Mo
         save(calibration(), tmp_path / "robot.urdf")
     assert names(tmp_path) == ["robot.json", "robot.urdf"]
     assert {path.read_text() for path in tmp_path.iterdir()} == {"old"}
+
+
+def test_a_comparison_takes_the_json_that_belongs_to_the_estimate(tmp_path: Path) -> None:
+    urdf, beside = save(calibration(), tmp_path / "arm.urdf")
+    truth = tmp_path / "truth.urdf"
+    truth.write_text(simulation().truth.urdf)
+
+    def error(**told: object) -> float:
+        rng = np.random.default_rng(0)
+        return compare(urdf, truth, n_configurations=20, rng=rng, **told).position.rms
+
+    informed = error()
+    explicit = {
+        "unobservable": load_unobservable(beside),
+        "anchors": load_determined(beside),
+        "open_directions": load_open(beside),
+    }
+    assert informed == error(**explicit)
+    # The first axis is vertical: the SU on the first joint may sit anywhere along it.
+    assert error(unobservable={}) > 2 * informed
+    urdf.write_text(urdf.read_text() + "\n")
+    assert error() == error(unobservable={})

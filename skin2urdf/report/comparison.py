@@ -48,7 +48,13 @@ def as_text(comparison: Comparison) -> str:
         lines.append(
             f"Branches moved along {directions} that the log leaves open between them, to fit best."
         )
+    if c.placed:
+        lines.append(
+            "The truth has none of the SUs: each was put onto its link where it fits best, and its "
+            "errors are those of its motion with that link."
+        )
     for words, names in (
+        ("Joints that have other names in the truth", [f"{a} ({b})" for a, b in c.matched.items()]),
         ("Not observable from the log, left out", c.not_observable),
         ("Joints of limbs without an observable SU, left out", c.joints_left_out),
         ("Links of the estimate that the truth does not have", c.unmatched),

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from skin2urdf.calibration.result import GOOD_FIT, Calibration
+from skin2urdf.estimation.uncertainty.narrow import narrow_priors
 from skin2urdf.estimation.uncertainty.observability import Verdict
 from skin2urdf.report.tables import number
 
@@ -74,6 +75,8 @@ def _doubts(calibration: Calibration) -> list[str]:
     if calibration.goodness.prediction > GOOD_FIT:
         times = float(np.sqrt(calibration.goodness.prediction))
         doubts.append(f"poses that are left out are predicted {times:.1f} times worse than stated")
+    if calibration.misfit > GOOD_FIT and narrow_priors(calibration.estimate):
+        doubts.append("the sensors are worse than the options say of them (see the notes)")
     weak = _with_verdict(tree.joint_names, seen.joint_verdict, ("weak",))
     if weak:
         doubts.append(f"the axis of {_listed(weak)} is known weakly")

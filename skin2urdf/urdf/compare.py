@@ -18,7 +18,9 @@ from skin2urdf.errors import InsufficientDataError, UsageError
 from skin2urdf.geometry import se3
 from skin2urdf.geometry.so3 import rotation_log
 from skin2urdf.model.records import OpenDirection
+from skin2urdf.urdf.alignment import displace
 from skin2urdf.urdf.axes import AxisErrors, axis_errors
+from skin2urdf.urdf.beside import untold_beside
 from skin2urdf.urdf.differences import tree_differences
 from skin2urdf.urdf.directions import (
     load_determined,
@@ -28,9 +30,10 @@ from skin2urdf.urdf.directions import (
     spanned,
     told,
 )
-from skin2urdf.urdf.kinematics import kinematics
+from skin2urdf.urdf.kinematics import joint_poses, kinematics
 from skin2urdf.urdf.limbs import ON_BASE, Align, Aligned, align_robot, anchors_of
 from skin2urdf.urdf.loading import Robot, load_robot
+from skin2urdf.urdf.matching import fit_axes, matched_joints
 from skin2urdf.urdf.opening import Sight, closest, held_by, moved_by
 from skin2urdf.urdf.records import Comparison, Spread, SuError
 
@@ -46,13 +49,16 @@ def compare(
     *,
     unobservable: Mapping[str, F64] | None = None,
     anchors: Collection[str] | None = None,
-    open_directions: Sequence[OpenDirection] = (),
+    open_directions: Sequence[OpenDirection] | None = None,
     sus: Sequence[str] | None = None,
     align: Align = "limbs",
     n_configurations: int = 200,
     rng: np.random.Generator,
 ) -> Comparison:
     """Compare an estimated URDF with the true one.
+
+    What the log could not tell is read from the JSON that was written together with the estimate,
+    unless the caller gives any of ``unobservable``, ``anchors`` and ``open_directions``.
 
     SUs are the links of the estimate that end in a fixed joint and that the truth has, too. Both
     robots take the same random positions of the joints they share, inside the limits of both.
@@ -70,6 +76,12 @@ def compare(
     it fits best, and what remains is its error. Finite displacements are followed exactly (an SU
     that may sit anywhere on a circle about a vertical first axis). SUs of which nothing is
     observable are left out altogether, and so are joints of limbs without any other SU.
+
+    Where the truth has none of the SUs, as a vendor's file, every SU that a joint moves is put
+    onto the link of the truth that its joint carries, where it fits best over all configurations;
+    what remains is how far its motion with that link is from the true one. Joints that have other
+    names there are matched by their order and by how their axes lie
+    (:func:`skin2urdf.urdf.matching.matched_joints`).
 
     Args:
         estimate: the estimated URDF.
@@ -93,20 +105,32 @@ def compare(
 
     Raises:
         UnreadableInputError: a file is no URDF.
-        UsageError: the robots share no SU, the truth lacks an expected one, or directions are not
-            (k, 6) finite numbers.
+        UsageError: the robots share neither SUs nor joints, the truth lacks an expected SU, or
+            directions are not (k, 6) finite numbers.
         InsufficientDataError: no SU beyond a joint is observable.
     """
     if n_configurations < 1:
         raise UsageError(f"{n_configurations} configurations can not be compared", "give 1 or more")
     if align not in ("limbs", "base"):
         raise UsageError(f"can not align by {align!r}", 'align by "limbs" or by "base"')
+    untold = None
+    if unobservable is None and anchors is None and open_directions is None:
+        untold = untold_beside(estimate)
+    if untold is not None:
+        unobservable, anchors = untold.unobservable, untold.determined
+        open_directions = untold.open_directions
     est, true = load_robot(estimate), load_robot(truth)
     shared, missing = _recognised(est, true, sus or ())
+    placed, names_there = not shared, {}
+    if placed:
+        names_there = _matches(est, true)
+        true = true.renamed({theirs: ours for ours, theirs in names_there.items()})
     joints = [name for name in est.joint_types if name in true.joint_types]
     positions = random_positions(est, true, joints, n_configurations, rng)
+    if placed:
+        shared = _carried(est, joints)
     poses_est, axes_est = kinematics(est, shared, joints, positions)
-    poses_true, axes_true = kinematics(true, shared, joints, positions)
+    poses_true, axes_true = kinematics(true, () if placed else shared, joints, positions)
 
     free = []
     for u, name in enumerate(shared):
@@ -123,10 +147,16 @@ def compare(
             "nothing to compare: no SU of the estimate that a joint moves is observable",
             "record a log in which the joints move",
         )
-    T_true_su = poses_true[:, seen]
     groups = limbs if align == "limbs" else ["all"] * len(names)
-    directions = held_by(est, open_directions)
+    directions = held_by(est, open_directions or ())
     moved = moved_by(est, directions, names)
+    if placed:
+        carrying = joint_poses(true, [est.chain(name)[-1] for name in names], joints, positions)
+        X = _laid(est, joints, axes_est, axes_true, groups, directions)
+        T_true_su = _ridden(poses_est[:, seen], carrying, X)
+        free = [np.eye(6)] * len(names)
+    else:
+        T_true_su = poses_true[:, seen]
     preferred = np.array([name in (anchors or ()) for name in names])
     whole = np.array([not len(rows) for rows in free])
     on = anchors_of(groups, np.where(preferred, 2, 1 * whole), moved)
@@ -137,8 +167,9 @@ def compare(
         T_est_su, axes_est = kinematics(closed, names, joints, positions)
     aligned = align_robot(T_est_su, T_true_su, names, limbs, free, anchors=on, how=align)
     left_out, axes = _axes(est, true, joints, names, T_true_su, aligned, axes_est, axes_true)
-    errors, position, orientation = _su_errors(names, free, aligned.T_base_su, T_true_su)
-    differences = tree_differences(est, true, [*shared, *missing])
+    told_of = [np.zeros((0, 6))] * len(names) if placed else free
+    errors, position, orientation = _su_errors(names, told_of, aligned.T_base_su, T_true_su)
+    differences = tree_differences(est, true, () if placed else [*shared, *missing])
     return Comparison(
         sus=errors,
         joints=axes.joints,
@@ -152,9 +183,14 @@ def compare(
         not_observable=tuple(n for n, counts in zip(shared, seen, strict=True) if not counts),
         joints_left_out=left_out,
         n_open=len(directions),
-        unmatched=tuple(name for name in est.fixed_leaves if name not in true.links),
+        unmatched=tuple(
+            name for name in est.fixed_leaves if name not in (shared if placed else true.links)
+        ),
         held_joints=tuple(n for r in (est, true) for n in r.joint_types if n not in joints),
         n_configurations=n_configurations,
+        matched=names_there,
+        placed=placed,
+        document=untold.path if untold else None,
     )
 
 
@@ -169,12 +205,66 @@ def _recognised(
         )
     leaves = [name for name in est.fixed_leaves if name in true.links]
     shared = tuple(dict.fromkeys([*leaves, *(name for name in expected if name in est.links)]))
-    if not shared:
-        raise UsageError(
-            f"no link on a fixed joint of {est.path} is also a link of {true.path}",
-            "compare with the truth of the same log: SUs are recognised by their names",
-        )
     return shared, tuple(name for name in expected if name not in est.links)
+
+
+def _matches(est: Robot, true: Robot) -> dict[str, str]:
+    """Names in the truth of joints that have another name there, by their names in the estimate."""
+    matched = matched_joints(est, true)
+    if not matched:
+        raise UsageError(
+            f"no link on a fixed joint of {est.path} is also a link of {true.path}, and no joint "
+            "of one can be one of the other",
+            "compare with the truth of the same robot",
+        )
+    return {ours: theirs for ours, theirs in matched.items() if ours != theirs}
+
+
+def _carried(est: Robot, joints: Sequence[str]) -> tuple[str, ...]:
+    """SUs whose last joint is one of ``joints``."""
+    return tuple(
+        name for name in est.fixed_leaves if est.chain(name)[-1:] and est.chain(name)[-1] in joints
+    )
+
+
+def _laid(
+    est: Robot,
+    joints: Sequence[str],
+    axes_est: F64,
+    axes_true: F64,
+    groups: Sequence[str],
+    directions: Sequence[OpenDirection],
+) -> F64:
+    """(U, 4, 4) transform of the estimate's base for each SU, by the axes of its group alone.
+
+    Joints that an open direction moves relative to others do not count where others are left.
+    """
+    loose = {name for direction in directions for name in direction.joints}
+    X: dict[str, F64] = {}
+    for group in dict.fromkeys(groups):
+        mine = [
+            d
+            for d, name in enumerate(joints)
+            if group in ("all", _limb(est, est.chain_of_joint(name)))
+        ]
+        firm = [d for d in mine if loose.isdisjoint(est.chain_of_joint(joints[d]))]
+        use = firm or mine
+        turns = [est.joint_types[joints[d]] == "revolute" for d in use]
+        X[group] = fit_axes(axes_est[:, use], axes_true[:, use], turns)
+    return np.stack([X[group] for group in groups])
+
+
+def _ridden(T_est_su: F64, T_true_joint: F64, X: F64) -> F64:
+    """(N, U, 4, 4) poses of SUs fixed to the truth's links where they fit the estimate's best.
+
+    Args:
+        T_est_su: (N, U, 4, 4) SU poses of the estimate.
+        T_true_joint: (N, U, 4, 4) frames of the truth that carry them.
+        X: (U, 4, 4) transforms of the estimate's base frame.
+    """
+    there = np.tile(np.eye(4), (len(X), 1, 1))
+    T_joint_su = displace(T_true_joint @ there, X @ T_est_su, np.tile(np.eye(6), (len(X), 1, 1)))
+    return T_true_joint @ T_joint_su
 
 
 def _limb(robot: Robot, chain: Sequence[str]) -> str:
@@ -243,7 +333,7 @@ def _axes(
 
     Joints whose types differ have no axes to compare; the tree's differences name them.
     """
-    chains = [true.chain(su) for su in sus]
+    chains = [(true if su in true.links else est).chain(su) for su in sus]
     left_out: list[str] = []
     kept: list[int] = []
     moved: list[F64] = []

@@ -42,4 +42,21 @@ def tree_differences(est: Robot, true: Robot, sus: Sequence[str]) -> tuple[str, 
         if found != right:
             words = [", ".join(chain) or "no joint" for chain in (found, right)]
             differences.append(f"SU {su} hangs on {words[0]}; in the truth on {words[1]}")
+    if not sus:
+        differences += _orders(est, true, shared)
     return tuple(differences)
+
+
+def _orders(est: Robot, true: Robot, shared: Sequence[str]) -> list[str]:
+    """Joints that come after other joints than in the truth, where no SU shows it."""
+    differences = []
+    for name in shared:
+        chains = [
+            [j for j in robot.chain_of_joint(name)[:-1] if j in shared] for robot in (est, true)
+        ]
+        if chains[0] != chains[1]:
+            words = [", ".join(chain) or "the base" for chain in chains]
+            differences.append(
+                f"joint {name} comes after {words[0]}; in the truth after {words[1]}"
+            )
+    return differences

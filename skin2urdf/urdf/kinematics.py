@@ -64,3 +64,25 @@ def placements(robot: Robot, moved: Sequence[str], joints: Sequence[str], positi
             placed = data.oMi[robot.model.parents[joint]] * robot.model.jointPlacements[joint]
             T[n, i] = placed.homogeneous
     return T
+
+
+def joint_poses(robot: Robot, wanted: Sequence[str], joints: Sequence[str], positions: F64) -> F64:
+    """(n, k, 4, 4) frames that k joints carry, in the base frame.
+
+    Args:
+        robot: the robot.
+        wanted: names of the k joints.
+        joints: names of D joints.
+        positions: (n, D) their positions [rad or m]; the others are neutral.
+    """
+    import pinocchio as pin
+
+    data = robot.model.createData()
+    ids = [robot.model.getJointId(name) for name in wanted]
+    T = np.empty((len(positions), len(wanted), 4, 4))
+    for n, values in enumerate(positions):
+        q = configuration(robot, dict(zip(joints, map(float, values), strict=True)))
+        pin.forwardKinematics(robot.model, data, q)
+        for i, joint in enumerate(ids):
+            T[n, i] = data.oMi[joint].homogeneous
+    return T

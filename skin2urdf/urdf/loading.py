@@ -76,6 +76,18 @@ class Robot:
             frame.placement = frame.placement * pin.exp6(pin.Motion(np.array(xi)))
         return replace(self, model=model)
 
+    def renamed(self, names: Mapping[str, str]) -> Robot:
+        """The robot with other names of joints, by their names so far; the rest keep theirs."""
+        model = self.model.copy()
+        for old, new in names.items():
+            model.names[model.getJointId(old)] = new
+        return replace(
+            self,
+            model=model,
+            joint_types={names.get(n, n): kind for n, kind in self.joint_types.items()},
+            limits={names.get(n, n): limits for n, limits in self.limits.items()},
+        )
+
 
 def load_robot(path: str | Path) -> Robot:
     """Load a URDF for kinematics; meshes are not needed.

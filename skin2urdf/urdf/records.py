@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -128,6 +129,11 @@ class Comparison:
         unmatched: links of the estimate that look like SUs and that the truth does not have.
         held_joints: joints of only one of the robots, held at their neutral position.
         n_configurations: how many random configurations were compared.
+        matched: joints that have other names in the truth: these by the estimate's names.
+        placed: whether the truth has no SUs, so that each SU was placed on its link where it fits
+            best; its errors are then those of its motion with that link.
+        document: the JSON beside the estimate that told what the log leaves open; None where
+            there is none, or this was told by the caller.
     """
 
     sus: tuple[SuError, ...]
@@ -145,6 +151,9 @@ class Comparison:
     unmatched: tuple[str, ...]
     held_joints: tuple[str, ...]
     n_configurations: int
+    matched: Mapping[str, str] = field(default_factory=dict)
+    placed: bool = False
+    document: Path | None = None
 
     @property
     def tilt_between_limbs(self) -> float:
@@ -195,4 +204,7 @@ class Comparison:
             "unmatched": list(self.unmatched),
             "held_joints": list(self.held_joints),
             "n_configurations": self.n_configurations,
+            "matched": dict(self.matched),
+            "placed": self.placed,
+            "document": None if self.document is None else str(self.document),
         }

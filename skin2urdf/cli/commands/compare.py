@@ -14,6 +14,8 @@ example:
 
 SUs and joints are matched by name, limbs are aligned, links may have any names. Directions of SUs
 and branches that the JSON beside the estimate (robot.json) calls not observable do not count.
+TRUTH may be a vendor's file without SUs: joints are then matched by name, or by how their axes
+lie, and every SU is put onto its link where it fits best, so that its motion counts.
 Exits with 0 if the trees are equal, else with 1."""
 
 
@@ -39,17 +41,12 @@ def run(options: argparse.Namespace) -> int:
     check_at_least(options, "seed", 0)
     import numpy as np
 
-    from skin2urdf.output import document_beside
     from skin2urdf.report.comparison import as_text
-    from skin2urdf.urdf.compare import compare, load_determined, load_open, load_unobservable
+    from skin2urdf.urdf.compare import compare
 
-    beside = document_beside(options.estimate)
     comparison = compare(
         options.estimate,
         options.truth,
-        unobservable=load_unobservable(beside) if beside else None,
-        anchors=load_determined(beside) if beside else None,
-        open_directions=load_open(beside) if beside else (),
         align=options.align,
         n_configurations=options.configurations,
         rng=np.random.default_rng(options.seed),
@@ -58,7 +55,7 @@ def run(options: argparse.Namespace) -> int:
         print_json(comparison.to_dict())
     elif not options.quiet:
         print(as_text(comparison), end="")
-        if beside is None:
+        if comparison.document is None:
             print(
                 f"note: no JSON of this very file beside {options.estimate}: what the log could "
                 "not tell counts as error",

@@ -7,6 +7,7 @@ import numpy as np
 from skin2urdf.estimation.solve.estimate import Estimate
 from skin2urdf.estimation.start.inward import inward_starts
 from skin2urdf.estimation.uncertainty.goodness import Goodness, by_block
+from skin2urdf.estimation.uncertainty.narrow import narrow_priors
 from skin2urdf.estimation.uncertainty.outliers import poses_unlike_the_rest, sus_unlike_the_rest
 
 _HANDED = 30.0
@@ -66,6 +67,7 @@ def health_notes(estimate: Estimate, goodness: Goodness) -> tuple[str, ...]:
             f"{len(odd)} of {len(goodness.by_pose.dof)} poses {verb} little (number {listed} in "
             "the order of the log): something touched or moved the robot there, or its base moved"
         )
+    notes += [f"{words}: give what their data sheet says" for words in narrow_priors(estimate)]
     notes += _on_a_vertical_axis(estimate)
     for i, name in enumerate(tree.su_names):
         scale = float(np.abs(state.shape[i]).max())
@@ -122,4 +124,10 @@ def why_bad(found: Estimate, limit: float) -> tuple[str, str]:
         )
     else:
         where = "check that these SUs are fixed rigidly and report m/s^2 in a right-handed frame"
+    narrow = narrow_priors(found)
+    if narrow:
+        where = (
+            f"the likely cause: the sensors are worse than was said; {'; '.join(narrow)}; give "
+            "what their data sheet says, or leave the option out"
+        )
     return what, f"{where}; `skin2urdf explore` shows the structure that was found"

@@ -1,0 +1,48 @@
+"""Options that make sensors better than they are, named where nothing fits."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from calibrated import calibration
+
+from skin2urdf.estimation.problem.cost import Cost
+from skin2urdf.estimation.problem.state import Free
+from skin2urdf.estimation.solve.estimate import Estimate
+from skin2urdf.estimation.uncertainty.health import health_notes, why_bad
+from skin2urdf.estimation.uncertainty.narrow import narrow_priors
+
+
+def test_priors_that_hold_are_not_named() -> None:
+    assert narrow_priors(calibration().estimate) == ()
+
+
+@pytest.mark.parametrize(("name", "option"), [("bias", "--bias"), ("scale", "--scale")])
+def test_priors_far_below_what_was_found_are_named(name: str, option: str) -> None:
+    found = calibration().estimate
+    narrow = replace(found, given=replace(found.given, **{name: 1e-6}))
+    (words,) = narrow_priors(narrow)
+    assert option in words
+    assert option in why_bad(narrow, 50.0)[1]
+    assert any(option in note for note in health_notes(narrow, calibration().goodness))
+
+
+def test_errors_that_were_denied_show_in_the_size_of_gravity() -> None:
+    found = calibration().estimate
+    sus = found.free.sus.copy()
+    sus[:, 6:] = False
+    blocks = found.cost.blocks
+
+    def readings(factor: float) -> Estimate:
+        """The estimate with errors denied, from readings at rest of a multiple of gravity."""
+        coefficients = np.array(blocks.coefficients)
+        f0 = coefficients[:, :, 0]
+        f0 *= factor * found.given.gravity / np.linalg.norm(f0, axis=-1, keepdims=True)
+        cost = Cost(found.tree, replace(blocks, coefficients=coefficients), found.given)
+        return replace(found, free=Free(found.free.joints, found.free.logs, sus), cost=cost)
+
+    assert narrow_priors(readings(1.0)) == ()
+    (words,) = narrow_priors(readings(1.01))
+    assert "--no-intrinsics" in words

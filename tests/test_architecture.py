@@ -259,6 +259,33 @@ def test_only_the_command_line_prints() -> None:
     assert not printing
 
 
+def test_tests_use_public_names_alone() -> None:
+    """What a test needs of the package is part of what a module offers."""
+    private = [
+        f"{path.name}, line {node.lineno}"
+        for path in sorted((ROOT / "tests").rglob("*.py"))
+        for node in ast.walk(parsed(path))
+        for name in private_names(node)
+        if not name.endswith("__")
+    ]
+    assert not private
+
+
+def private_names(node: ast.AST) -> list[str]:
+    """Names with an underscore that a node takes from elsewhere, by import, dot or string."""
+    if isinstance(node, ast.ImportFrom):
+        return [alias.name for alias in node.names if alias.name.startswith("_")]
+    if isinstance(node, ast.Attribute) and node.attr.startswith("_"):
+        owner = ast.unparse(node.value)
+        ours = owner in {"self", "cls", "os"} or node.attr == "_asdict"
+        return [] if ours else [node.attr]
+    if isinstance(node, ast.Call) and ast.unparse(node.func).endswith(("setattr", "getattr")):
+        words = [a.value for a in node.args if isinstance(a, ast.Constant)]
+        names = [word.rpartition(".")[2] for word in words if isinstance(word, str)]
+        return [name for name in names if name.startswith("_")]
+    return []
+
+
 def test_every_file_says_what_it_is_for() -> None:
     silent = [path.name for path in SOURCES if not ast.get_docstring(parsed(path))]
     assert not silent

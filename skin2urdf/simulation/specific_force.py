@@ -12,7 +12,7 @@ from skin2urdf.simulation.mechanism import Mechanism
 from skin2urdf.simulation.skins import PlacedSu
 from skin2urdf.simulation.trajectory import JointMotion
 
-_CHUNK = 20_000
+SAMPLES_AT_ONCE = 20_000
 """Samples handled at once, which bounds the memory."""
 
 
@@ -36,8 +36,8 @@ def specific_forces(
     """
     forces = [np.empty((time.size, 3)) for _ in sus]
     joints = sorted({su.joint for su in sus if su.joint >= 0})
-    for start in range(0, time.size, _CHUNK):
-        chunk = slice(start, start + _CHUNK)
+    for start in range(0, time.size, SAMPLES_AT_ONCE):
+        chunk = slice(start, start + SAMPLES_AT_ONCE)
         states = _joint_states(mechanism, motion, joints, time[chunk])
         for u, su in enumerate(sus):
             R = su.T_joint_su[:3, :3]

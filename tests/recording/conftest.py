@@ -32,8 +32,8 @@ class RosLog:
 
     def __init__(self, path: Path, profile: str = "ros2", **options: Any) -> None:
         self.path = path
-        self._stream = path.open("wb")
-        self._writer = Writer(self._stream, **options)
+        self.stream = path.open("wb")
+        self._writer = Writer(self.stream, **options)
         self._writer.start(profile=profile)
         self._schemas: dict[str, int] = {}
         self._channels: dict[str, int] = {}
@@ -93,7 +93,7 @@ class RosLog:
     def close(self) -> Path:
         """Finish the file and return its path."""
         self._writer.finish()
-        self._stream.close()
+        self.stream.close()
         return self.path
 
 
@@ -101,7 +101,7 @@ class RosLog:
 def ros_log(tmp_path: Path) -> Iterator[RosLog]:
     log = RosLog(tmp_path / "log.mcap")
     yield log
-    log._stream.close()
+    log.stream.close()
 
 
 @pytest.fixture

@@ -116,7 +116,7 @@ def test_long_recordings_are_cut_without_a_seam(
     time = np.linspace(3.0, 4.0, 101)
     arguments = (mechanism, panda_exact.truth.motion, panda_exact.truth.sus, time)
     whole = specific_forces(*arguments)
-    monkeypatch.setattr("skin2urdf.simulation.specific_force._CHUNK", 17)
+    monkeypatch.setattr("skin2urdf.simulation.specific_force.SAMPLES_AT_ONCE", 17)
     np.testing.assert_array_equal(specific_forces(*arguments), whole)
 
 

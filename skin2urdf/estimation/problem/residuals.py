@@ -23,7 +23,7 @@ from skin2urdf.model.prediction import (
     wrenches,
 )
 
-_BLOCKS = 200
+BLOCKS_AT_ONCE = 200
 """Blocks, of one SU in one pose each, that are evaluated at once."""
 
 
@@ -119,7 +119,7 @@ def groups_of(blocks: FeatureBlocks, n_joints: int, n_logs: int) -> tuple[SuGrou
     """Groups of SUs with chains of like length."""
     P, U = blocks.count.shape
     order = np.argsort(blocks.chains.length, kind="stable")
-    n_groups = -(-P * U // _BLOCKS)
+    n_groups = -(-P * U // BLOCKS_AT_ONCE)
     return tuple(
         SuGroup(blocks, np.sort(sus), n_joints, n_logs)
         for sus in np.array_split(order, max(1, n_groups))

@@ -122,7 +122,7 @@ def test_groups_of_sus_add_up_to_the_whole(monkeypatch: pytest.MonkeyPatch) -> N
     tree = random_tree(rng, 7, 9)
     state = random_state(rng, tree, n_logs=3)
     together = random_cost(rng, tree, state, 5, noise=0.05, priors=PRIORS)
-    monkeypatch.setattr(residuals, "_BLOCKS", 12)
+    monkeypatch.setattr(residuals, "BLOCKS_AT_ONCE", 12)
     apart = Cost(tree, together.blocks, PRIORS)
     one, other = together.at(state), apart.at(state)
     assert len(one.groups) == 1

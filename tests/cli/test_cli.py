@@ -16,9 +16,10 @@ import numpy as np
 import pytest
 
 from skin2urdf import survey
-from skin2urdf.cli import main as cli
-from skin2urdf.cli import options, terminal
+from skin2urdf.cli import terminal
+from skin2urdf.cli.commands.calibrate import calibration_settings
 from skin2urdf.cli.main import main
+from skin2urdf.cli.parser import make_parser
 from skin2urdf.errors import BadFitError, StructureError
 from skin2urdf.estimation.problem.cost import Priors
 from skin2urdf.files import write_atomically
@@ -316,9 +317,9 @@ def test_defaults_in_the_help_are_those_of_the_estimation(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("COLUMNS", "160")
-    parser = options.parser(tuple)
+    parser = make_parser()
     given = parser.parse_args(["calibrate", "log.mcap", "-o", "robot.urdf"])
-    settings = cli.calibration_settings(given)
+    settings = calibration_settings(given)
     assert asdict(settings.estimation.priors) == asdict(Priors())
     with pytest.raises(SystemExit):
         parser.parse_args(["calibrate", "--help"])
@@ -337,8 +338,8 @@ def test_defaults_in_the_help_are_those_of_the_estimation(
 def test_options_reach_the_settings() -> None:
     words = ["--bias", "10", "--scale", "0", "--cross", "0.002", "--gravity", "9.78"]
     words += ["--no-intrinsics", "--refine", "casadi", "--threshold", "0.1"]
-    given = options.parser(tuple).parse_args(["calibrate", "l", "-o", "r", *words])
-    settings = cli.calibration_settings(given)
+    given = make_parser().parse_args(["calibrate", "l", "-o", "r", *words])
+    settings = calibration_settings(given)
     priors = settings.estimation.priors
     assert priors.bias == pytest.approx(10e-3 * 9.81)
     assert (priors.scale, priors.cross, priors.gravity) == (0.0, 0.002, 9.78)

@@ -1,0 +1,78 @@
+"""What the commands share: their parser, options and checks, and how results are printed."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from skin2urdf.errors import UsageError
+
+
+class Parser(argparse.ArgumentParser):
+    """A parser whose epilog may be worked out when help is asked for."""
+
+    late_epilog: Callable[[], str] | None = None
+
+    def format_help(self) -> str:
+        """The help, with the late epilog where there is one."""
+        if self.late_epilog is not None:
+            self.epilog = self.late_epilog()
+        return super().format_help()
+
+
+def offer_json(command: Parser) -> None:
+    """Add ``--json``."""
+    command.add_argument("--json", action="store_true", help="print JSON in place of text")
+
+
+def add_number(
+    command: argparse._ArgumentGroup,
+    option: str,
+    default: float | None,
+    text: str,
+    kind: type = float,
+) -> None:
+    """Add an option that takes a number."""
+    command.add_argument(
+        option, type=kind, default=default, metavar="N" if kind is int else "X", help=text
+    )
+
+
+def check_at_least(options: argparse.Namespace, name: str, least: float) -> None:
+    """Refuse numbers that mean nothing; NaN is one of them.
+
+    Raises:
+        UsageError: the option's value is below the least, or not finite.
+    """
+    value = getattr(options, name)
+    if not least <= value < float("inf"):
+        raise UsageError(f"--{name} {value:g} is out of range", f"give {least:g} or more")
+
+
+def refuse_to_overwrite(inputs: Sequence[str | Path], *outputs: str | Path) -> None:
+    """Stop before an output replaces what it is made from.
+
+    Raises:
+        UsageError: an output is one of the inputs.
+    """
+    taken = {Path(path).expanduser().resolve() for path in inputs}
+    for path in outputs:
+        if Path(path).expanduser().resolve() in taken:
+            raise UsageError(f"{path} is an input and would be overwritten", "give another name")
+
+
+def shown(path: Path) -> str:
+    """A path as short as it can be told from here."""
+    try:
+        return str(path.relative_to(Path.cwd()))
+    except ValueError:
+        return str(path)
+
+
+def print_json(document: Mapping[str, Any]) -> None:
+    """Print a document as JSON."""
+    from skin2urdf.report.document import dumps
+
+    print(dumps(document), end="")

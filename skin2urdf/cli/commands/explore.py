@@ -1,0 +1,55 @@
+"""``skin2urdf explore``: activity matrix, tree and limbs."""
+
+from __future__ import annotations
+
+import argparse
+
+from skin2urdf.cli.arguments import Parser, add_number, check_at_least, offer_json, print_json
+from skin2urdf.cli.terminal import progress_bar
+from skin2urdf.files import check_target
+from skin2urdf.geometry.units import GRAVITY
+
+HELP = "show which SU moves with which joint"
+EPILOG = """\
+example:
+  skin2urdf explore log.mcap
+  skin2urdf explore log.mcap --plot structure.svg
+
+Rows of the activity matrix are SUs, columns are DoFs. A figure is the evidence in multiples of
+the threshold: 1 and more is active. Several logs are combined by OR."""
+
+
+def declare(command: Parser) -> None:
+    """Add what the command takes."""
+    command.add_argument("logs", nargs="+", metavar="LOG", help="MCAP file or rosbag2 folder")
+    offer_json(command)
+    command.add_argument("--plot", metavar="FILE", help="draw matrix and tree (.svg, .png, .pdf)")
+    add_number(
+        command.add_argument_group("structure"),
+        "--threshold",
+        0.05,
+        "change of a static reading that counts as activity [g] (%(default)s)",
+    )
+
+
+def run(options: argparse.Namespace) -> int:
+    """Do it; the exit status."""
+    check_at_least(options, "threshold", 1e-3)
+    if options.plot:
+        check_target(options.plot)
+    from skin2urdf.report.exploration import as_document, as_text
+    from skin2urdf.survey import explore
+
+    with progress_bar(options.quiet) as bar:
+        explored = explore(options.logs, options.threshold * GRAVITY, progress=bar)
+    if options.json:
+        print_json(as_document(explored))
+    elif not options.quiet:
+        print(as_text(explored), end="")
+    if options.plot:
+        from skin2urdf.report.figures import draw_exploration
+
+        draw_exploration(explored.exploration, options.plot)
+    if explored.contradiction is not None:
+        raise explored.contradiction
+    return 0

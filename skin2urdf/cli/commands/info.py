@@ -1,0 +1,36 @@
+"""``skin2urdf info``: what a log holds and what it lacks."""
+
+from __future__ import annotations
+
+import argparse
+
+from skin2urdf.cli.arguments import Parser, offer_json, print_json
+from skin2urdf.cli.terminal import progress_bar
+
+HELP = "show what a log holds and what it lacks"
+EPILOG = """\
+example:
+  skin2urdf info log.mcap
+
+Shows the topics and what they are used as, rates and gaps, where the robot rests and what it
+excites around each pose, and what is missing for a calibration."""
+
+
+def declare(command: Parser) -> None:
+    """Add what the command takes."""
+    command.add_argument("log", metavar="LOG", help="MCAP file or rosbag2 folder")
+    offer_json(command)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Do it; the exit status."""
+    from skin2urdf.report.inventory import as_document, as_text
+    from skin2urdf.survey import survey
+
+    with progress_bar(options.quiet) as bar:
+        surveyed = survey(options.log, progress=bar)
+    if options.json:
+        print_json(as_document(surveyed))
+    elif not options.quiet:
+        print(as_text(surveyed), end="")
+    return 0

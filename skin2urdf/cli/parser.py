@@ -1,0 +1,81 @@
+"""The parser of the whole command line, with help that teaches."""
+
+from __future__ import annotations
+
+import argparse
+from importlib import metadata
+from typing import Protocol
+
+from skin2urdf.cli.arguments import Parser
+from skin2urdf.cli.commands import calibrate, compare, explore, info, simulate
+
+
+class Command(Protocol):
+    """What a module of ``commands/`` offers; it imports what is heavy inside ``run``."""
+
+    HELP: str
+    EPILOG: str
+
+    def declare(self, command: Parser) -> None:
+        """Add what the command takes."""
+
+    def run(self, options: argparse.Namespace) -> int:
+        """Do it; the exit status."""
+
+
+COMMANDS: dict[str, Command] = {
+    "calibrate": calibrate,
+    "simulate": simulate,
+    "compare": compare,
+    "explore": explore,
+    "info": info,
+}
+"""The commands by name, in the order that help shows them."""
+
+_DESCRIPTION = "From a ROS 2 bag of joint states and accelerometers to the URDF of the robot."
+_EPILOG = """\
+try it without a robot:
+  skin2urdf simulate panda -o log.mcap --truth truth.urdf
+  skin2urdf info log.mcap
+  skin2urdf calibrate log.mcap -o robot.urdf
+  skin2urdf compare robot.urdf truth.urdf
+
+each command explains itself: skin2urdf calibrate --help
+
+exit status: 0 all is well, 1 no trustworthy result (or the trees differ), 2 bad usage or an
+unreadable input, 3 the URDF was written, but an SU or an encoder needs repair (calibrate)"""
+
+
+def make_parser() -> argparse.ArgumentParser:
+    """The parser of the whole command line; ``command`` names the command."""
+    top = Parser(
+        prog="skin2urdf",
+        description=_DESCRIPTION,
+        epilog=_EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        allow_abbrev=False,
+    )
+    top.add_argument("--version", action="version", version=f"skin2urdf {_version()}")
+    commands = top.add_subparsers(dest="command", metavar="COMMAND", required=True)
+    for name, module in COMMANDS.items():
+        command = commands.add_parser(
+            name,
+            help=module.HELP,
+            description=f"{module.HELP[0].upper()}{module.HELP[1:]}.",
+            epilog=module.EPILOG,
+            formatter_class=argparse.RawDescriptionHelpFormatter,
+            allow_abbrev=False,
+        )
+        command.add_argument("--quiet", action="store_true", help="print errors only")
+        command.add_argument("--debug", action="store_true", help="show where an error comes from")
+        module.declare(command)
+    return top
+
+
+def _version() -> str:
+    try:
+        return metadata.version("skin2urdf")
+    except metadata.PackageNotFoundError:
+        from skin2urdf import __version__
+
+        return __version__

@@ -318,7 +318,15 @@ def _renamed_from(s: Sampled, columns: Int, between: tuple[float, float]) -> tup
     moved = columns != np.arange(len(columns))
     valid[max(0, at - _BLUR) : at + _BLUR + 1, moved] = False
     readings, filled = computed(s.motion, s.neighbourhoods, s.cutoff, readings, valid)
+    turning = s.turning
+    if turning is not None:
+        later = (np.arange(len(valid)) >= at)[:, None] & moved
+        turning = turning.exchanged(columns, later).where(valid | ~moved)
     new = replace(
-        s, readings=readings, valid=valid | filled, computed=(s.computed & valid) | filled
+        s,
+        readings=readings,
+        valid=valid | filled,
+        computed=(s.computed & valid) | filled,
+        turning=turning,
     )
     return new, float(time[at])

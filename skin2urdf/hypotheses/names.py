@@ -177,4 +177,5 @@ def _renamed(sampled: Sampled, columns: Int) -> Sampled:
         readings=sampled.readings[:, columns],
         valid=sampled.valid[:, columns],
         computed=sampled.computed[:, columns],
+        turning=sampled.turning and sampled.turning.of(columns),
     )

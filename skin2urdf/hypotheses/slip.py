@@ -236,11 +236,19 @@ def _doubled(sampled: Sampled, u: int, log: int, at: Moment) -> Sampled:
     second = sampled.valid[:, u] & ~before(at.since, inclusive=False)
     valid = np.concatenate([sampled.valid, first[:, None]], axis=1)
     valid[:, u] = second
+    turning = sampled.turning
+    if turning is not None:
+        twice = turning.of(np.append(np.arange(valid.shape[1] - 1), u))
+        both = np.ones_like(valid)
+        both[:, u] = ~before(at.since, inclusive=False)
+        both[:, -1] = before(at.until, inclusive=True)
+        turning = twice.where(both)
     return replace(
         sampled,
         readings=np.concatenate([sampled.readings, sampled.readings[:, u : u + 1]], axis=1),
         valid=valid,
         computed=np.concatenate([sampled.computed, sampled.computed[:, u : u + 1]], axis=1),
+        turning=turning,
     )
 
 

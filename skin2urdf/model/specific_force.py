@@ -42,6 +42,32 @@ def specific_forces(model: KinematicModel, q: F64, qd: F64, qdd: F64, gravity_up
     return np.ascontiguousarray(np.moveaxis(out, 2, 0))
 
 
+def angular_velocities(model: KinematicModel, q: F64, qd: F64) -> F64:
+    """Angular velocity of every SU along a trajectory.
+
+    Args:
+        model: the robot.
+        q: (N, D) joint positions and velocities in the tree's order.
+        qd: (N, D).
+
+    Returns:
+        (N, U, 3) in the SUs' frames [rad/s].
+    """
+    tree = model.tree
+    frames: list[F64] = [np.zeros((3, len(q)))]
+    for j, p in enumerate(tree.parent):
+        x, y, z = model.T_parent_joint[j][:3, :3].T @ frames[int(p) + 1]
+        if not tree.prismatic[j]:
+            c, s = np.cos(q[:, j]), np.sin(q[:, j])
+            x, y, z = c * x + s * y, c * y - s * x, z + qd[:, j]
+        frames.append(np.stack([x, y, z]))
+    seen = [
+        T[:3, :3].T @ frames[int(j) + 1]
+        for j, T in zip(tree.su_joint, model.T_joint_su, strict=True)
+    ]
+    return np.ascontiguousarray(np.moveaxis(np.array(seen), 2, 0))
+
+
 def _at(motion: F64, arm: F64) -> F64:
     """(3, N) specific force at a point that is fixed in a moving frame.
 

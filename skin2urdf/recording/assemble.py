@@ -41,6 +41,7 @@ class TimedStream(NamedTuple):
         chosen: whether the times are the stamps or were made regular.
         contradicting: samples left out because of their stamps.
         stamp_noise: scatter of the stamps about the times [s].
+        rates: (N, 3) angular velocities of an SU with a gyroscope [rad/s].
     """
 
     name: str
@@ -52,6 +53,7 @@ class TimedStream(NamedTuple):
     chosen: Chosen
     contradicting: int
     stamp_noise: float = 0.0
+    rates: F64 | None = None
 
 
 def timed_joints(
@@ -143,7 +145,11 @@ def timed_sus(
                 f"{what}: {int(np.count_nonzero(alone))} single samples depart far from all around "
                 "them; left out"
             )
-            stream = stream._replace(time=stream.time[~alone], values=stream.values[~alone])
+            stream = stream._replace(
+                time=stream.time[~alone],
+                values=stream.values[~alone],
+                rates=None if stream.rates is None else stream.rates[~alone],
+            )
         streams.append(stream)
     if few:
         notes.append(f"left out, with fewer than two usable samples: {shortened(few)}")
@@ -232,7 +238,7 @@ def recorded(
         joints=tuple(
             JointStream(s.name, seconds[id(s.time)], s.values, s.stamp_noise) for s in joints
         ),
-        sus=tuple(SuStream(s.name, seconds[id(s.time)], s.values, s.topic) for s in sus),
+        sus=tuple(SuStream(s.name, seconds[id(s.time)], s.values, s.topic, s.rates) for s in sus),
         start=start / 1e9,
         source=source,
         digest=digest,
@@ -254,6 +260,7 @@ def _timed(name: str, topic: str, samples: Samples) -> TimedStream:
         chosen=times.chosen,
         contradicting=samples.arrival.size - times.kept.size,
         stamp_noise=times.noise,
+        rates=samples.rates if whole or samples.rates is None else samples.rates[times.kept],
     )
 
 

@@ -71,6 +71,8 @@ class Accelerations(NamedTuple):
         stamp: (N,) header.stamp [ns].
         log_time: (N,) when each message was recorded [ns].
         vector: (N, 3) the acceleration as the message holds it.
+        rates: (N, 3) the angular velocity likewise [rad/s], NaN in messages that say to have none;
+            None where no message has any.
     """
 
     frames: tuple[str, ...]
@@ -79,6 +81,7 @@ class Accelerations(NamedTuple):
     stamp: Int
     log_time: Int
     vector: F64
+    rates: F64 | None
 
 
 def stamped_payloads(block: Block) -> tuple[list[Payloads], Passed]:
@@ -136,13 +139,17 @@ def stamped_payloads(block: Block) -> tuple[list[Payloads], Passed]:
     return payloads, passed
 
 
-def accelerations(block: Block, lead: int, tail: int) -> tuple[list[Accelerations], Passed]:
+def accelerations(
+    block: Block, lead: int, tail: int, turning: int | None = None
+) -> tuple[list[Accelerations], Passed]:
     """Read a vector of 3 doubles at a fixed place behind the header.
 
     Args:
         block: messages of one type.
         lead: bytes between the header and the vector.
         tail: bytes from the vector to the end of the message, the vector included.
+        turning: bytes between the header and an angular velocity, where the type has one, which
+            its covariance follows.
 
     Returns:
         The vectors, and why messages were passed over.
@@ -165,12 +172,33 @@ def accelerations(block: Block, lead: int, tail: int) -> tuple[list[Acceleration
         frames = tuple(
             text_at(group.buffer, int(text[k]), int(group.frame_length[k])) for k in first
         )
+        rates = None if turning is None else _rates(group, fields + turning)
         found.append(
             Accelerations(
-                frames, frame, group.row, group.stamp, group.log_time, vector.astype(np.float64)
+                frames,
+                frame,
+                group.row,
+                group.stamp,
+                group.log_time,
+                vector.astype(np.float64),
+                rates,
             )
         )
     return found, passed
+
+
+def _rates(group: Payloads, offset: Int) -> F64 | None:
+    """Angular velocities (N, 3) at body offsets; None where all are zero or said to be absent.
+
+    The first element of a covariance is -1 where there is no estimate (sensor_msgs/Imu).
+    """
+    values = gather_rows(group.buffer, group.body + offset, 4, f"{group.order}f8")
+    absent = values[:, 3] == -1
+    if absent.all() or not values[:, :3].any():
+        return None
+    rates = values[:, :3].astype(np.float64)
+    rates[absent] = np.nan
+    return rates
 
 
 def align(offset: Int, size: int) -> Int:

@@ -10,6 +10,8 @@ from skin2urdf.recording.numbering import median_of
 # Accelerometers that robots carry end at 16 to 50 g; more than this is damage [m/s^2].
 LARGEST_FORCE = 500.0
 LARGEST_IN_ANY_UNIT = 1e6
+# Gyroscopes that robots carry end at 4,000 deg/s, which some drivers send as such [rad/s, deg/s].
+LARGEST_RATE = 5000.0
 # A spike departs from its neighbours by so many times what samples usually do. The distance of
 # Gaussian noise comes to five times its median once in 1e9 samples; shocks come to more, but last.
 _FAR = 10.0
@@ -40,6 +42,23 @@ def absurd(force: F64) -> Bool:
     if 2 * np.count_nonzero(bad & np.isfinite(size)) > np.count_nonzero(np.isfinite(size)):
         bad = ~(size < LARGEST_IN_ANY_UNIT)
     return np.asarray(bad)
+
+
+def real_rates(rates: F64) -> F64 | None:
+    """Angular velocities (N, 3) that a gyroscope can have given, NaN in place of the others.
+
+    Many drivers fill in zeros or what else never changes where there is no gyroscope.
+
+    Returns:
+        None where an axis never changes, or where there are no two readings.
+    """
+    bad = ~(np.abs(rates).max(axis=1) < LARGEST_RATE)
+    if bad.any():
+        rates = np.where(bad[:, None], np.nan, rates)
+    sound = rates[~bad] if bad.any() else rates
+    if len(sound) < 2 or not (sound != sound[0]).any(axis=0).all():
+        return None
+    return rates
 
 
 def spikes(values: F64) -> Bool:

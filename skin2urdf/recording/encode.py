@@ -40,20 +40,28 @@ def joint_state_payloads(
     return _rows(stamp, _padded(body, 8), np.hstack([position, between, effort]), b"")
 
 
-def imu_payloads(stamp: Int, frame_id: str, specific_force: F64) -> U8:
-    """Build sensor_msgs/msg/Imu payloads that say that nothing but acceleration was measured.
+def imu_payloads(
+    stamp: Int, frame_id: str, specific_force: F64, angular_velocity: F64 | None = None
+) -> U8:
+    """Build sensor_msgs/msg/Imu payloads that say that no orientation was measured.
 
     Args:
         stamp: (N,) header stamps [ns].
         frame_id: frame of the readings.
         specific_force: (N, 3) linear acceleration [m/s^2].
+        angular_velocity: (N, 3) readings of a gyroscope [rad/s]; None to say that there is none.
 
     Returns:
         (N, L) payloads, little endian.
     """
     orientation = [0.0, 0.0, 0.0, 1.0, *NOT_MEASURED]
-    angular_velocity = [0.0, 0.0, 0.0, *NOT_MEASURED]
-    ahead = struct.pack("<25d", *orientation, *angular_velocity)
+    if angular_velocity is not None:
+        body = _padded(_string(b"", frame_id), 8) + struct.pack("<13d", *orientation)
+        # All zeros say of a covariance that it is not known.
+        unknown = np.zeros((len(stamp), 9))
+        values = np.hstack([angular_velocity, unknown, specific_force, unknown])
+        return _rows(stamp, body, values, b"")
+    ahead = struct.pack("<25d", *orientation, 0.0, 0.0, 0.0, *NOT_MEASURED)
     behind = struct.pack("<9d", *[0.0] * 9)
     return _rows(stamp, _padded(_string(b"", frame_id), 8) + ahead, specific_force, behind)
 

@@ -8,7 +8,6 @@ motion of a step everywhere.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -85,7 +84,7 @@ def as_measured(sus: Sequence[SuStream]) -> tuple[list[SuStream], list[str]]:
         held = measurements(su.specific_force)
         if held.times > 1.0:
             notes.append(held_note(f"SU {su.name} ({su.topic})" if su.topic else su.name, held))
-            su = replace(su, time=su.time[held.kept], specific_force=su.specific_force[held.kept])
+            su = su.at(held.kept)
         out.append(su)
     return out, notes
 

@@ -24,6 +24,10 @@ ACCELERATION_TAIL: dict[str, int] = {
 ACCELERATION_LEAD: dict[str, int] = {IMU: 8 * (4 + 9 + 3 + 9)}
 
 
+# Bytes between the header and the angular velocity, which its covariance follows.
+ANGULAR_VELOCITY_LEAD: dict[str, int] = {IMU: 8 * (4 + 9)}
+
+
 def canonical_type(name: str) -> str:
     """Return a message type as ``package/msg/Type``; some writers leave the middle out."""
     parts = name.split("/")

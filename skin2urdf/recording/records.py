@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
-from skin2urdf.arrays import F64, frozen
+from skin2urdf.arrays import F64, Bool, Int, frozen
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,16 +41,35 @@ class SuStream:
         time: (N,) strictly increasing times [s] since the recording's start.
         specific_force: (N, 3) readings in the SU's own frame, as the log holds them [m/s^2].
         topic: the topic the readings came on.
+        angular_velocity: (N, 3) readings of its gyroscope in its own frame, as the log holds them
+            [rad/s], NaN where single ones are missing; None where there is no gyroscope.
     """
 
     name: str
     time: F64
     specific_force: F64
     topic: str = ""
+    angular_velocity: F64 | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "time", frozen(self.time))
         object.__setattr__(self, "specific_force", frozen(self.specific_force))
+        if self.angular_velocity is not None:
+            object.__setattr__(self, "angular_velocity", frozen(self.angular_velocity))
+
+    def at(self, rows: Int | Bool | slice) -> SuStream:
+        """The stream with some of its samples.
+
+        Args:
+            rows: their numbers, or (N,) True for them.
+        """
+        rates = self.angular_velocity
+        return replace(
+            self,
+            time=self.time[rows],
+            specific_force=self.specific_force[rows],
+            angular_velocity=None if rates is None else rates[rows],
+        )
 
 
 @dataclass(frozen=True, eq=False)

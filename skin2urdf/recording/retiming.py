@@ -23,7 +23,8 @@ def retimed(recording: Recording) -> Recording:
     sus = []
     for su in recording.sus:
         time, kept, _ = _times(su.time, su.specific_force)
-        sus.append(replace(su, time=time, specific_force=_of(su.specific_force, kept)))
+        whole = su if len(kept) == len(su.time) else su.at(kept)
+        sus.append(replace(whole, time=time))
     together: dict[bytes, list[JointStream]] = {}
     for joint in recording.joints:
         together.setdefault(joint.time.tobytes(), []).append(joint)

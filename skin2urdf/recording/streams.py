@@ -12,9 +12,15 @@ from numpy.typing import NDArray
 from skin2urdf.arrays import F64, Bool, Int
 from skin2urdf.recording.cdr import Passed, accelerations
 from skin2urdf.recording.container import Block, Channels
+from skin2urdf.recording.credibility import real_rates
 from skin2urdf.recording.gather import grouped
 from skin2urdf.recording.joint_states import joint_positions
-from skin2urdf.recording.messages import ACCELERATION_LEAD, ACCELERATION_TAIL, role_of
+from skin2urdf.recording.messages import (
+    ACCELERATION_LEAD,
+    ACCELERATION_TAIL,
+    ANGULAR_VELOCITY_LEAD,
+    role_of,
+)
 
 
 class Samples(NamedTuple):
@@ -25,16 +31,22 @@ class Samples(NamedTuple):
         stamp: (N,) header stamps [ns], 0 where unset.
         log_time: (N,) times the messages were recorded [ns].
         values: (N, C) what was measured.
+        rates: (N, 3) what a gyroscope measured beside it [rad/s], NaN where that is missing; None
+            where there is none.
     """
 
     arrival: Int
     stamp: Int
     log_time: Int
     values: F64
+    rates: F64 | None = None
 
     def at(self, keep: Int | Bool) -> Samples:
         """Return some of the samples."""
-        return Samples(self.arrival[keep], self.stamp[keep], self.log_time[keep], self.values[keep])
+        rates = None if self.rates is None else self.rates[keep]
+        return Samples(
+            self.arrival[keep], self.stamp[keep], self.log_time[keep], self.values[keep], rates
+        )
 
 
 @dataclass(eq=False)
@@ -89,7 +101,10 @@ class Collector:
         """Take in messages that carry an acceleration."""
         ros_type = block.ros_type
         found, passed = accelerations(
-            block, ACCELERATION_LEAD.get(ros_type, 0), ACCELERATION_TAIL[ros_type]
+            block,
+            ACCELERATION_LEAD.get(ros_type, 0),
+            ACCELERATION_TAIL[ros_type],
+            ANGULAR_VELOCITY_LEAD.get(ros_type),
         )
         parts = []
         for part in found:
@@ -99,14 +114,19 @@ class Collector:
                 number, frame = divmod(int(pair[rows[0]]), len(part.frames))
                 key = number, part.frames[frame]
                 source[rows] = self._sources.setdefault(key, len(self._sources))
-            parts.append(_Part(part.row, source, part.stamp, part.log_time, part.vector))
+            parts.append(
+                _Part(part.row, source, part.stamp, part.log_time, part.vector, part.rates)
+            )
         if len(parts) > 1:
             # Both byte orders in one block: back into the order of the log.
             order = np.argsort(np.concatenate([part.row for part in parts]))
             row, source, stamp, log_time, vector = (
-                np.concatenate(arrays)[order] for arrays in zip(*parts, strict=True)
+                np.concatenate(arrays)[order]
+                for arrays in zip(*(part[:5] for part in parts), strict=True)
             )
-            parts = [_Part(row, source, stamp, log_time, vector)]
+            rates = _joined_rates(parts)
+            rates = None if rates is None else rates[order]
+            parts = [_Part(row, source, stamp, log_time, vector, rates)]
         self._parts += parts
         return passed
 
@@ -128,10 +148,14 @@ class Collector:
             np.split(np.concatenate([part[k] for part in self._parts])[order], ends)
             for k in range(2, 5)
         ]
+        rates = _joined_rates(self._parts)
+        turning: list[F64 | None] = [None] * len(names)
+        if rates is not None:
+            turning = [real_rates(each) for each in np.split(rates[order], ends)]
         self._parts = []
         return {
-            name: Samples(np.arange(stamp.size), stamp, log_time, vector)
-            for name, stamp, log_time, vector in zip(names, *columns, strict=True)
+            name: Samples(np.arange(stamp.size), stamp, log_time, vector, own)
+            for name, stamp, log_time, vector, own in zip(names, *columns, turning, strict=True)
         }
 
     def joints(self) -> dict[tuple[str, tuple[str, ...]], Samples]:
@@ -171,6 +195,7 @@ class _Part(NamedTuple):
         stamp: (N,) header stamps [ns].
         log_time: (N,) times the messages were recorded [ns].
         vector: (N, 3) accelerations.
+        rates: (N, 3) angular velocities; None where there are none.
     """
 
     row: Int
@@ -178,6 +203,16 @@ class _Part(NamedTuple):
     stamp: Int
     log_time: Int
     vector: F64
+    rates: F64 | None
+
+
+def _joined_rates(parts: list[_Part]) -> F64 | None:
+    """Angular velocities of several blocks, NaN for those without; None where none has any."""
+    if all(part.rates is None for part in parts):
+        return None
+    return np.concatenate(
+        [np.full(part.vector.shape, np.nan) if part.rates is None else part.rates for part in parts]
+    )
 
 
 def _columns(samples: Samples, columns: list[int]) -> Samples:
@@ -192,7 +227,9 @@ def _joined(parts: list[Samples]) -> Samples:
     if len(parts) == 1:
         joined = parts[0]
     else:
-        joined = Samples(*(np.concatenate(arrays) for arrays in zip(*parts, strict=True)))
+        joined = Samples(
+            *(np.concatenate(arrays) for arrays in zip(*(part[:4] for part in parts), strict=True))
+        )
     if (np.diff(joined.arrival) < 0).any():
         joined = joined.at(np.argsort(joined.arrival, kind="stable"))
     return joined

@@ -168,7 +168,8 @@ def _channels(
                 "choose another joint_topic",
             )
         stamp = _stamps(su.time, start)
-        yield _Channel(topic, IMU, stamp, imu_payloads(stamp, su.name, su.specific_force))
+        payload = imu_payloads(stamp, su.name, su.specific_force, su.angular_velocity)
+        yield _Channel(topic, IMU, stamp, payload)
 
 
 def _sharing_times(joints: Sequence[JointStream]) -> list[list[JointStream]]:

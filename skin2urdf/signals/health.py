@@ -88,7 +88,7 @@ def checked(
         kept, faults = _thawed(su, chance)
         whole = su
         if not kept.all():
-            whole = SuStream(su.name, su.time[kept], su.specific_force[kept], su.topic)
+            whole = su.at(kept)
         if not faults:
             faults = [*_silences(su, span), *_losses(su, pauses), *_noisiness(su.name, u, noise)]
         clipped = clipping(whole.specific_force, still[u][kept])

@@ -21,6 +21,7 @@ from skin2urdf.signals.mending import computed
 from skin2urdf.signals.motion import Motion, joint_motion, travel
 from skin2urdf.signals.poses import Neighbourhood, Rest, find_neighbourhoods, find_rests
 from skin2urdf.signals.records import StaticMoves, SuClock
+from skin2urdf.signals.turning import Turning, sampled_turning
 
 _G_UNITS = (0.5, 2.0)
 _FEWEST = 5
@@ -50,6 +51,7 @@ class Sampled:
         computed: (N, U) where they were missing, and were computed from the rest of the window.
         faults: what is wrong with the SUs' streams.
         clocks: SUs whose clock runs differently from the joints'; their samples are set right.
+        turning: what gyroscopes read; None where no SU has one.
     """
 
     motion: Motion
@@ -62,6 +64,7 @@ class Sampled:
     computed: Bool
     faults: tuple[Fault, ...] = ()
     clocks: tuple[SuClock, ...] = ()
+    turning: Turning | None = None
 
 
 def sample_recording(
@@ -113,20 +116,22 @@ def sample_recording(
             valid[:, u] = False
             if not found.faults:
                 faults.append(fault)
+    turning, converted = sampled_turning(
+        {name: found.stream for name, found in streams.items()}, su_names, motion, still
+    )
+    notes += converted
     cutoff = _cutoff(motion, neighbourhoods)
     readings, filled = computed(motion, neighbourhoods, cutoff, readings, valid)
     return Sampled(
         motion, rests, neighbourhoods, readings, valid | filled, cutoff, tuple(notes), filled,
-        tuple(faults), tuple(clocks.values()),
+        tuple(faults), tuple(clocks.values()), turning,
     )  # fmt: skip
 
 
 def _without_spikes(su: SuStream) -> SuStream:
     """The stream without single samples that no motion made; a log's are left out as it is read."""
     alone = spikes(su.specific_force)
-    if not alone.any():
-        return su
-    return replace(su, time=su.time[~alone], specific_force=su.specific_force[~alone])
+    return su.at(~alone) if alone.any() else su
 
 
 def _pauses(motion: Motion) -> list[tuple[float, float]]:

@@ -44,6 +44,8 @@ class Trajectory:
         valid: (K, U) where the readings are whole.
         moving: (K, D) where a joint moves.
         independence: independent measurements in one kept sample, at most 1.
+        rates: (N, U, 3) what gyroscopes read, low-passed twice [rad/s]; None without any.
+        turning: (K, U) where those are whole.
     """
 
     log: int
@@ -57,10 +59,15 @@ class Trajectory:
     valid: Bool
     moving: Bool
     independence: float
+    rates: F64 | None = None
+    turning: Bool | None = None
 
     def __post_init__(self) -> None:
         for name in ("taps", "q", "qd", "qdd", "readings"):
             object.__setattr__(self, name, frozen(getattr(self, name)))
+        if self.rates is not None and self.turning is not None:
+            object.__setattr__(self, "rates", frozen(self.rates))
+            object.__setattr__(self, "turning", frozen(self.turning, np.bool_))
         object.__setattr__(self, "kept", frozen(self.kept, np.int64))
         for name in ("valid", "moving"):
             object.__setattr__(self, name, frozen(getattr(self, name), np.bool_))
@@ -90,6 +97,11 @@ def trajectory(sampled: Sampled, log: int, reach: float = 0.0) -> Trajectory:
     whole = sampled.valid & ~sampled.computed & motion.valid[:, None]
     margin = 2 * half + int(np.ceil(reach * rate))
     valid = np.stack([eroded(column, margin) for column in whole.T], axis=1)[kept]
+    rates, turning = None, None
+    if sampled.turning is not None:
+        rates = filtered(filtered(sampled.turning.rates, taps), taps)
+        there = sampled.turning.valid & motion.valid[:, None]
+        turning = np.stack([eroded(column, margin) for column in there.T], axis=1)[kept]
     twice = np.convolve(taps, taps)
     return Trajectory(
         log=log,
@@ -103,6 +115,8 @@ def trajectory(sampled: Sampled, log: int, reach: float = 0.0) -> Trajectory:
         valid=valid,
         moving=(np.abs(motion.qd) >= np.maximum(_MOVING * motion.resolution, 1e-3))[kept],
         independence=min(1.0, 2 * noise_bandwidth(twice, rate) * every / rate),
+        rates=rates,
+        turning=turning,
     )
 
 
@@ -122,4 +136,6 @@ def in_order(log: Trajectory, dofs: Int, sus: Int) -> Trajectory:
         moving=log.moving[:, dofs],
         readings=log.readings[:, sus],
         valid=log.valid[:, sus],
+        rates=None if log.rates is None else log.rates[:, sus],
+        turning=None if log.turning is None else log.turning[:, sus],
     )

@@ -76,7 +76,7 @@ def silent(sound: Sound, rng: np.random.Generator) -> Faulty:
     """An SU that sends nothing from some time on."""
     su = _one_of(sound, rng)
     n = _sample(su, rng)
-    new = replace(su, time=su.time[:n], specific_force=su.specific_force[:n])
+    new = su.at(slice(n))
     return _with(sound, new, "dead", f"silent from {su.time[n]:.1f} s on")
 
 
@@ -144,9 +144,9 @@ def loose(sound: Sound, rng: np.random.Generator) -> Faulty:
     slip = _slip(distance, angle, rng)
     moved = _recorded_after(sound, su.name, slip)
     n = _sample(su, rng)
-    force = np.concatenate([su.specific_force[:n], moved.specific_force[n:]])
+    both = _joined(su, n, moved, n)
     words = f"{1e3 * distance:.1f} mm, {np.rad2deg(angle):.1f} deg at {su.time[n]:.1f} s"
-    return _with(sound, replace(su, specific_force=force), "loose", words)
+    return _with(sound, replace(both, time=su.time), "loose", words)
 
 
 def swapped(sound: Sound, rng: np.random.Generator) -> Faulty:
@@ -173,10 +173,7 @@ def renamed(sound: Sound, rng: np.random.Generator) -> Faulty:
 
     def joined(first: SuStream, then: SuStream) -> SuStream:
         n, m = (int(np.searchsorted(su.time, at)) for su in (first, then))
-        force = np.concatenate([first.specific_force[:n], then.specific_force[m:]])
-        return replace(
-            first, time=np.concatenate([first.time[:n], then.time[m:]]), specific_force=force
-        )
+        return _joined(first, n, then, m)
 
     new = {a.name: joined(a, b), b.name: joined(b, a)}
     recording = replace(sound.recording, sus=tuple(new.get(su.name, su) for su in sus))
@@ -233,7 +230,7 @@ def _between(recording: Recording, begin: float, end: float) -> Recording:
         joints.append(replace(joint, time=time, position=joint.position[rows], effort=effort))
     for su in recording.sus:
         time, rows = part(su)
-        sus.append(replace(su, time=time, specific_force=su.specific_force[rows]))
+        sus.append(replace(su.at(rows), time=time))
     return replace(recording, joints=tuple(joints), sus=tuple(sus), start=recording.start + start)
 
 
@@ -249,6 +246,19 @@ def _sample(su: SuStream, rng: np.random.Generator) -> int:
     return int(rng.uniform(*_WHEN) * len(su.time))
 
 
+def _joined(first: SuStream, n: int, then: SuStream, m: int) -> SuStream:
+    """The first n samples of a stream, and another one's from its m-th on."""
+    rates = first.angular_velocity, then.angular_velocity
+    return replace(
+        first,
+        time=np.concatenate([first.time[:n], then.time[m:]]),
+        specific_force=np.concatenate([first.specific_force[:n], then.specific_force[m:]]),
+        angular_velocity=None
+        if rates[0] is None or rates[1] is None
+        else np.concatenate([rates[0][:n], rates[1][m:]]),
+    )
+
+
 def _held(su: SuStream, begin: int, end: int) -> SuStream:
     """The stream with the samples from ``begin`` to ``end`` like the one before."""
     force = np.array(su.specific_force)
@@ -257,7 +267,7 @@ def _held(su: SuStream, begin: int, end: int) -> SuStream:
 
 
 def _only(su: SuStream, kept: np.ndarray[tuple[int], np.dtype[np.bool_]]) -> SuStream:
-    return replace(su, time=su.time[kept], specific_force=su.specific_force[kept])
+    return su.at(kept)
 
 
 def _with(sound: Sound, su: SuStream, kind: str, words: str) -> Faulty:
@@ -291,7 +301,14 @@ def _recorded_after(sound: Sound, name: str, slip: F64) -> SuStream:
         for matrix, bias in zip(truth.sensor_matrix, truth.bias, strict=True)
     ]
     streams = record_sus(
-        moved.mechanism, moved.motion, sus, sensors, truth.lag, settings, Draw(settings.seed)
+        moved.mechanism,
+        moved.motion,
+        sus,
+        sensors,
+        truth.lag,
+        settings,
+        Draw(settings.seed),
+        truth.gyros,
     )
     (stream,) = shift_clock([s for s in streams if s.name == name], -truth.start)
     return stream

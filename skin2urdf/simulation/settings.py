@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Literal, TypeVar
 
 from skin2urdf.errors import UsageError
 from skin2urdf.simulation.defects.records import Defect
 from skin2urdf.simulation.motion_settings import MotionSettings
-from skin2urdf.simulation.sensors import GRADES, SensorGrade
+from skin2urdf.simulation.sensors import GRADES, GYROS, GyroGrade, SensorGrade
 
 Excitation = Literal["one", "all", "none"]
 """Patterns of one DoF after the other, of all at once, or ordinary moves without any pattern."""
@@ -65,6 +65,8 @@ class SimulationSettings:
         base_rpy: roll, pitch, yaw of the base in the world [rad]; None for the robot's own.
         seed: the recording is a function of the robot, these settings, and this number.
         grade: accelerometer grade, by name ("ideal", "mems", "bma150") or in full.
+        gyro: gyroscopes of the SUs, by name ("ideal", "mems", "cheap"), as "mems" with noise of so
+            many deg/s, or in full; None for SUs without.
         tracking: how joints follow their reference, by name ("none", "servo", "soft") or in full.
         imu_rate: samples per second of each SU [Hz].
         joint_rate: joint state messages per second [Hz].
@@ -90,6 +92,7 @@ class SimulationSettings:
     base_rpy: tuple[float, float, float] | None = None
     seed: int = 0
     grade: str | SensorGrade = "mems"
+    gyro: str | float | GyroGrade | None = None
     tracking: str | PlantSettings = "servo"
     imu_rate: float = 500.0
     joint_rate: float = 250.0
@@ -147,6 +150,21 @@ class SimulationSettings:
             UsageError: no grade of that name.
         """
         return _named(self.grade, GRADES, "sensor grade")
+
+    @property
+    def gyro_grade(self) -> GyroGrade | None:
+        """The gyroscopes' grade in full; None for SUs without.
+
+        Raises:
+            UsageError: no grade of that name, or noise that is negative.
+        """
+        if self.gyro is None or isinstance(self.gyro, GyroGrade):
+            return self.gyro
+        if isinstance(self.gyro, str):
+            return _named(self.gyro, GYROS, "grade of gyroscopes")
+        if not self.gyro >= 0:
+            raise UsageError(f"no gyroscope has noise of {self.gyro} deg/s", "give 0 or more")
+        return replace(GYROS["mems"], name=f"{self.gyro:g} deg/s", noise_rms=self.gyro)
 
     @property
     def plant(self) -> PlantSettings:

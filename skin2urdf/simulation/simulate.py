@@ -17,7 +17,7 @@ from skin2urdf.simulation.motion import Reference, plan_moves, plan_reference
 from skin2urdf.simulation.motion_settings import MotionSettings
 from skin2urdf.simulation.plant import actual_motion
 from skin2urdf.simulation.robots import RobotSpec, SkinLayout, Vector3
-from skin2urdf.simulation.sensors import draw_accelerometer
+from skin2urdf.simulation.sensors import Gyroscope, draw_accelerometer, draw_gyroscope
 from skin2urdf.simulation.settings import SimulationSettings
 from skin2urdf.simulation.skins import PlacedSu, place_skin
 from skin2urdf.simulation.streams import Draw, draw_for, record_joints, record_sus, shift_clock
@@ -44,6 +44,7 @@ class Truth:
         sensor_matrix: (U, 3, 3) sensitivities I + E.
         bias: (U, 3) offsets [m/s^2].
         lag: (U,) clock lags: stamp minus true time [s].
+        gyros: U gyroscopes; none where the SUs have none.
     """
 
     urdf: str
@@ -57,6 +58,7 @@ class Truth:
     sensor_matrix: F64
     bias: F64
     lag: F64
+    gyros: tuple[Gyroscope, ...] = ()
 
     def __post_init__(self) -> None:
         for name in ("poses", "gravity_base", "sensor_matrix", "bias", "lag"):
@@ -105,9 +107,13 @@ def simulate(robot: RobotSpec, settings: SimulationSettings) -> Simulation:
     moved = move_flexibly(mechanism, sus, motor, flexibility)
     rng = draw("sensors")
     sensors = [draw_accelerometer(settings.sensor_grade, rng) for _ in sus]
+    gyro_grade, rng = settings.gyro_grade, draw("gyroscopes")
+    gyros = tuple(draw_gyroscope(gyro_grade, rng) for _ in sus) if gyro_grade else ()
     lag = draw("lag").uniform(0.0, settings.lag, len(sus))
     joint_streams = record_joints(mechanism, motor, settings, draw, moved.torque)
-    su_streams = record_sus(moved.mechanism, moved.motion, moved.sus, sensors, lag, settings, draw)
+    su_streams = record_sus(
+        moved.mechanism, moved.motion, moved.sus, sensors, lag, settings, draw, gyros
+    )
     start = min(float(time[0]) for time in [joint_streams[0].time, *(s.time for s in su_streams)])
     recording = Recording(
         joints=shift_clock(joint_streams, -start),
@@ -127,6 +133,7 @@ def simulate(robot: RobotSpec, settings: SimulationSettings) -> Simulation:
         sensor_matrix=np.array([sensor.matrix for sensor in sensors]),
         bias=np.array([sensor.bias for sensor in sensors]),
         lag=lag,
+        gyros=gyros,
     )
     order = draw("joint order").permutation(mechanism.n_joints)
     return Simulation(recording, truth, moved, tuple(mechanism.joint_names[d] for d in order))

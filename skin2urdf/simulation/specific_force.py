@@ -34,7 +34,32 @@ def specific_forces(
     Returns:
         U arrays (N, 3) of specific forces [m/s^2], on their own so that each can be let go.
     """
+    return felt_motions(mechanism, motion, sus, time, rates=False)[0]
+
+
+def felt_motions(
+    mechanism: Mechanism,
+    motion: JointMotion,
+    sus: Sequence[PlacedSu],
+    time: F64,
+    *,
+    rates: bool = True,
+) -> tuple[list[F64], list[F64]]:
+    """Specific force and angular velocity of every SU, in its own frame, in one pass.
+
+    Args:
+        mechanism: the robot.
+        motion: the motion of its joints.
+        sus: U SUs.
+        time: (N,) times [s].
+        rates: whether angular velocities are wanted.
+
+    Returns:
+        U arrays (N, 3) of specific forces [m/s^2] as :func:`specific_forces` gives them, and U
+        arrays (N, 3) of angular velocities [rad/s] (none where they are not wanted).
+    """
     forces = [np.empty((time.size, 3)) for _ in sus]
+    turns = [np.zeros((time.size, 3)) for _ in sus] if rates else []
     joints = sorted({su.joint for su in sus if su.joint >= 0})
     for start in range(0, time.size, SAMPLES_AT_ONCE):
         chunk = slice(start, start + SAMPLES_AT_ONCE)
@@ -46,7 +71,9 @@ def specific_forces(
             else:
                 felt = _felt_at(states[:, joints.index(su.joint)], su.T_joint_su[:3, 3])
                 forces[u][chunk] = felt @ R
-    return forces
+                if rates:
+                    turns[u][chunk] = states[:, joints.index(su.joint), 1] @ R
+    return forces, turns
 
 
 def _joint_states(

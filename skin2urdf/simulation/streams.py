@@ -13,10 +13,10 @@ from skin2urdf.arrays import F64, frozen
 from skin2urdf.recording.records import JointStream, SuStream
 from skin2urdf.simulation.defects.records import Defect, Felt
 from skin2urdf.simulation.mechanism import Mechanism
-from skin2urdf.simulation.sensors import Accelerometer, encode, stamp
+from skin2urdf.simulation.sensors import Accelerometer, Gyroscope, encode, stamp
 from skin2urdf.simulation.settings import SimulationSettings
 from skin2urdf.simulation.skins import PlacedSu
-from skin2urdf.simulation.specific_force import specific_forces
+from skin2urdf.simulation.specific_force import felt_motions
 from skin2urdf.simulation.trajectory import JointMotion
 
 Stream = TypeVar("Stream", JointStream, SuStream)
@@ -83,8 +83,9 @@ def record_sus(
     lag: F64,
     settings: SimulationSettings,
     draw: Draw,
+    gyros: Sequence[Gyroscope] = (),
 ) -> tuple[SuStream, ...]:
-    """Sample the accelerometers, each on its own clock.
+    """Sample the accelerometers and gyroscopes of all SUs, each SU on its own clock.
 
     Args:
         mechanism: the robot.
@@ -94,17 +95,20 @@ def record_sus(
         lag: (U,) lags of their clocks [s].
         settings: rate, jitter, stagger, defects.
         draw: source of phases, noise and jitter.
+        gyros: their U gyroscopes; none for SUs without.
 
     Returns:
         U streams in the order of the SUs, on the motion's clock.
     """
     time = _sample_times(motion, settings.imu_rate)
-    forces = specific_forces(mechanism, motion, sus, time)
+    forces, turns = felt_motions(mechanism, motion, sus, time, rates=bool(gyros))
     phase = draw("phase").uniform(0.0, float(settings.stagger), len(sus)) / settings.imu_rate
     noise, clock = draw("noise"), draw("SU clock")
     streams = []
     speeds = np.abs(motion.at(time)[1]) if settings.defects else np.empty((0, 0))
     forces.reverse()
+    turns.reverse()
+    turning = draw("gyroscope noise")
     for u, su in enumerate(sus):
         # Of a long recording there is no room for what the SUs feel and what they report.
         defects = [(defect, draw_for(draw, defect, su.name)) for defect in settings.defects]
@@ -117,11 +121,15 @@ def record_sus(
                 felt = replace(felt, force=defect.sense(felt, rng))
             force = felt.force
         sampled, force = _shifted(time, force, phase[u])
+        rates = None
+        if gyros:
+            _, rate = _shifted(time, turns.pop(), phase[u])
+            rates = gyros[u].read(rate, turning)
         shown = sampled
         for defect, rng in defects:
             shown = defect.clock(shown, rng)
         stamps = stamp(shown, settings.jitter, lag[u], clock)
-        stream = SuStream(su.name, stamps, sensors[u].read(force, noise), su.topic)
+        stream = SuStream(su.name, stamps, sensors[u].read(force, noise), su.topic, rates)
         for defect, rng in defects:
             stream = defect.send(stream, rng)
         streams.append(stream)
@@ -149,7 +157,7 @@ def _sample_times(motion: JointMotion, rate: float) -> F64:
 
 
 def _shifted(time: F64, force: F64, phase: float) -> tuple[F64, F64]:
-    """Sampling instants moved by less than a period, and the (N - 1, 3) forces there.
+    """Sampling instants moved by less than a period, and what (N - 1, 3) is felt there.
 
     A quintic spline through the samples is as good as the truth for motion far below the sampling
     rate, and spares a pass through the robot's dynamics for every SU.

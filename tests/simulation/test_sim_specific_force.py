@@ -11,7 +11,7 @@ from skin2urdf.arrays import F64
 from skin2urdf.geometry.units import GRAVITY
 from skin2urdf.simulation import Simulation, SimulationSettings, load_robot, simulate
 from skin2urdf.simulation.mechanism import load_mechanism, read_urdf
-from skin2urdf.simulation.specific_force import specific_forces
+from skin2urdf.simulation.specific_force import felt_motions, specific_forces
 
 EXACT = SimulationSettings(
     n_poses=1,
@@ -132,3 +132,38 @@ def test_staggered_samples_are_as_true_as_the_others() -> None:
         time = su.time[200:-200:13] + truth.start
         expected = specific_forces(mechanism, truth.motion, [truth.sus[u]], time)[0]
         np.testing.assert_allclose(su.specific_force[200:-200:13], expected, rtol=0, atol=1e-5)
+
+
+def test_gyroscopes_feel_how_pinocchios_frames_turn() -> None:
+    robot = load_robot("ur3")
+    settings = SimulationSettings(
+        n_poses=1, excite="all", grade="ideal", gyro="ideal", jitter=0.0, stagger=False,
+        imu_rate=100.0,
+    )  # fmt: skip
+    simulation = simulate(robot, settings)
+    truth = simulation.truth
+    mechanism = load_mechanism(robot, robot.base_rpy)
+    time = np.arange(0.5, 20.0, 0.37)
+    step = 1e-4
+    _, rates = felt_motions(mechanism, truth.motion, truth.sus, time)
+    model, data = mechanism.model, mechanism.model.createData()
+
+    def rotations(at: F64) -> F64:
+        out = np.empty((len(at), len(truth.sus), 3, 3))
+        for n, q in enumerate(mechanism.configuration(truth.motion.at(at)[0])):
+            pin.forwardKinematics(model, data, q)
+            for u, su in enumerate(truth.sus):
+                out[n, u] = data.oMi[su.joint + 1].rotation @ su.T_joint_su[:3, :3]
+        return out
+
+    before, after = rotations(time - step), rotations(time + step)
+    for u in range(len(truth.sus)):
+        turned = [
+            pin.log3(b.T @ a) / (2 * step) for b, a in zip(before[:, u], after[:, u], strict=True)
+        ]
+        np.testing.assert_allclose(rates[u], turned, atol=1e-5)
+    stream = simulation.recording.sus[-1]
+    assert stream.angular_velocity is not None
+    sampled = stream.time + truth.start
+    _, felt = felt_motions(mechanism, truth.motion, truth.sus[-1:], sampled)
+    np.testing.assert_allclose(stream.angular_velocity, felt[0], atol=1e-6)

@@ -67,6 +67,14 @@ def declare(command: Parser) -> None:
         help="accelerometers: perfect, good, or 10 bit and cheap (%(default)s)",
     )
 
+    skin.add_argument(
+        "--gyro",
+        type=_gyro,
+        metavar="GRADE",
+        help="gyroscopes: ideal, mems (noise of 0.1 deg/s, bias of 1 deg/s, 1 %% of scale and "
+        "cross-axis errors), cheap, or the noise of mems ones [deg/s] (none)",
+    )
+
     clock = command.add_argument_group("rates and clocks")
     add_number(clock, "--imu-rate", 500.0, "readings of an SU per second (%(default)s)")
     add_number(clock, "--joint-rate", 250.0, "joint states per second (%(default)s)")
@@ -150,6 +158,7 @@ def _simulation_settings(options: argparse.Namespace) -> SimulationSettings:
         base_rpy=None if rpy is None else (radians(rpy[0]), radians(rpy[1]), radians(rpy[2])),
         seed=options.seed,
         grade=options.grade,
+        gyro=options.gyro,
         tracking=options.tracking,
         imu_rate=options.imu_rate,
         joint_rate=options.joint_rate,
@@ -159,6 +168,14 @@ def _simulation_settings(options: argparse.Namespace) -> SimulationSettings:
         sus_per_segment=options.sus_per_segment,
         sus_on_base=options.sus_on_base,
     )
+
+
+def _gyro(text: str) -> str | float:
+    """Grade of gyroscopes by name, or their noise [deg/s]."""
+    try:
+        return float(text)
+    except ValueError:
+        return text
 
 
 def _with_robots() -> str:

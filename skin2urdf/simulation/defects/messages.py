@@ -45,7 +45,7 @@ class Held(Defect):
     def send(self, stream: SuStream, rng: np.random.Generator) -> SuStream:
         """Each value at its own time and at those after it."""
         first = np.arange(len(stream.time)) // self.times * self.times
-        return replace(stream, specific_force=stream.specific_force[first])
+        return replace(stream.at(first), time=stream.time)
 
 
 @dataclass(frozen=True)
@@ -82,4 +82,4 @@ class Lost(Defect):
     def send(self, stream: SuStream, rng: np.random.Generator) -> SuStream:
         """What is left."""
         kept = rng.random(len(stream.time)) >= self.share
-        return replace(stream, time=stream.time[kept], specific_force=stream.specific_force[kept])
+        return stream.at(kept)

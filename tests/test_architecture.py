@@ -65,6 +65,7 @@ LAYERS: dict[str, tuple[str, ...]] = {
     "survey": (*BASE, "recording", "signals", "structure", "estimation.start.order", "paper"),
     "report": (
         *BASE,
+        "recording.naming",
         "*.records",
         "structure",
         "paper.exploration",

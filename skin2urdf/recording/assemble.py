@@ -15,8 +15,8 @@ from skin2urdf.recording.credibility import (
     several_publishers,
     spikes,
 )
-from skin2urdf.recording.holding import held_note, measurements
-from skin2urdf.recording.naming import su_names, writable
+from skin2urdf.recording.holding import held_notes, measurements
+from skin2urdf.recording.naming import shortened, su_names, writable
 from skin2urdf.recording.records import JointStream, Recording, SuStream
 from skin2urdf.recording.streams import Samples
 from skin2urdf.recording.timing import Chosen, sample_times
@@ -114,7 +114,8 @@ def timed_sus(
     """
     streams: list[TimedStream] = []
     names, notes = writable(su_names(list(gathered)), "SU")
-    few = []
+    few: list[str] = []
+    repeating: dict[str, float] = {}
     for name, ((topic, frame), samples) in zip(names, gathered.items(), strict=True):
         what = f"SU {name} ({topic})"
         # Without its bad samples first: they would spoil the comparison of timings.
@@ -136,7 +137,7 @@ def timed_sus(
             continue
         held = measurements(samples.values)
         if held.times > 1.0:
-            notes.append(held_note(what, held))
+            repeating[name] = held.times
             samples = samples.at(held.kept)
         stream = _timed(name, topic, samples)
         alone = spikes(stream.values)
@@ -151,15 +152,10 @@ def timed_sus(
                 rates=None if stream.rates is None else stream.rates[~alone],
             )
         streams.append(stream)
+    notes += held_notes(repeating)
     if few:
         notes.append(f"left out, with fewer than two usable samples: {shortened(few)}")
     return sorted(streams, key=lambda stream: stream.name), notes
-
-
-def shortened(names: Sequence[str], most: int = 8) -> str:
-    """The first names of a list, and how many there are more."""
-    more = f" and {len(names) - most} more" if len(names) > most else ""
-    return ", ".join(names[:most]) + more
 
 
 def timing_notes(streams: Sequence[TimedStream]) -> list[str]:

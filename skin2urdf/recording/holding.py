@@ -7,12 +7,13 @@ motion of a step everywhere.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from skin2urdf.arrays import F64, Int
+from skin2urdf.recording.naming import shortened
 from skin2urdf.recording.records import SuStream
 
 # A sensor that hardly moves repeats itself where its steps are of a digit or two. Between larger
@@ -79,19 +80,31 @@ def as_measured(sus: Sequence[SuStream]) -> tuple[list[SuStream], list[str]]:
     Returns:
         The streams with each measurement once, and a note on each that had others.
     """
-    out, notes = [], []
+    out: list[SuStream] = []
+    repeating: dict[str, float] = {}
     for su in sus:
         held = measurements(su.specific_force)
         if held.times > 1.0:
-            notes.append(held_note(f"SU {su.name} ({su.topic})" if su.topic else su.name, held))
+            repeating[su.name] = held.times
             su = su.at(held.kept)
         out.append(su)
-    return out, notes
+    return out, held_notes(repeating)
 
 
-def held_note(what: str, held: Held) -> str:
-    """A note on a stream whose readings are sent several times."""
-    return (
-        f"{what} sends each reading {held.times:.3g} times in the mean; they count once, at the "
-        "time they first appear"
-    )
+def held_notes(repeating: Mapping[str, float]) -> list[str]:
+    """Notes on streams whose readings are sent several times.
+
+    Args:
+        repeating: how often each is sent in the mean, by the SU's name.
+
+    Returns:
+        One note for all SUs that do so alike.
+    """
+    alike: dict[str, list[str]] = {}
+    for name, times in repeating.items():
+        alike.setdefault(f"{times:.3g}", []).append(name)
+    return [
+        f"{shortened(names)} {'sends' if len(names) == 1 else 'send'} each reading {times} times "
+        "in the mean; they count once, at the time they first appear"
+        for times, names in alike.items()
+    ]

@@ -98,3 +98,9 @@ def writable(names: Sequence[str], kind: str) -> tuple[list[str], list[str]]:
 
 def _unwritable(name: str) -> bool:
     return not name.strip() or name in RESERVED
+
+
+def shortened(names: Sequence[str], most: int = 8) -> str:
+    """The first names of a list, and how many there are more."""
+    more = f" and {len(names) - most} more" if len(names) > most else ""
+    return ", ".join(names[:most]) + more

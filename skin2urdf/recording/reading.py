@@ -9,7 +9,6 @@ from pathlib import Path
 from skin2urdf.errors import UnreadableInputError
 from skin2urdf.recording.assemble import (
     recorded,
-    shortened,
     timed_joints,
     timed_sus,
     timing_notes,
@@ -18,7 +17,7 @@ from skin2urdf.recording.container import Block, Channel, Channels, McapFile
 from skin2urdf.recording.inputs import RECORD_REMEDY, bag_parts, opened
 from skin2urdf.recording.inventory import LogInventory, Tally
 from skin2urdf.recording.messages import ACCELERATION_TAIL, JOINT_STATE, role_of
-from skin2urdf.recording.naming import printable
+from skin2urdf.recording.naming import printable, shortened
 from skin2urdf.recording.records import Recording
 from skin2urdf.recording.segments import on_one_clock
 from skin2urdf.recording.streams import Collector

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from skin2urdf.recording.naming import shortened
 from skin2urdf.report.tables import number
 from skin2urdf.signals.records import SuClock
 
@@ -42,10 +43,9 @@ def _alike(a: SuClock, b: SuClock) -> bool:
 def _words(group: Sequence[SuClock]) -> str:
     """Latency and drift of a group, of the SU that shows them best."""
     best = min(group, key=lambda clock: clock.latency_sd)
-    names = ", ".join(clock.su for clock in group[:4])
-    whose = f"the clocks of {names}{f' and {len(group) - 4} more' if len(group) > 4 else ''} are"
+    whose = f"the clocks of {shortened([clock.su for clock in group], 4)} are"
     if len(group) == 1:
-        whose = f"the clock of {names} is"
+        whose = f"the clock of {best.su} is"
     sense = "late" if best.latency >= 0 else "early"
     pace = "fast" if best.drift >= 0 else "slow"
     return (

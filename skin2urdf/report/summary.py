@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import re
+from collections.abc import Sequence
+
 import numpy as np
 
 from skin2urdf.arrays import F64
 from skin2urdf.calibration.result import Calibration
 from skin2urdf.geometry.units import MILLI_G
+from skin2urdf.recording.naming import shortened
 from skin2urdf.report.clocks import clock_notes
 from skin2urdf.report.faults import fault_words
 from skin2urdf.report.findings import Findings, findings
 from skin2urdf.report.tables import bullets, number, span, table
-from skin2urdf.report.words import NO_POSITIONS
+from skin2urdf.report.words import NO_POSITIONS, Unknown
 from skin2urdf.signals.records import Features
 from skin2urdf.structure.records import KinematicTree
 
@@ -42,7 +46,9 @@ def as_text(calibration: Calibration) -> str:
         "",
         *_sus(calibration, found),
         *_hidden(calibration),
-        *bullets("Not observable from this log", _not_known(found)),
+        *bullets(
+            "Not observable from this log", _not_known(calibration.model.tree.su_names, found)
+        ),
         *bullets("Faults", _faults(calibration)),
         *bullets("Notes", [*calibration.notes, *_clocks(calibration), *_sensors(calibration)]),
     ]
@@ -160,12 +166,26 @@ def _latency(features: Features | None, su: str) -> float:
     return float(features.latency[heard]) if np.isfinite(features.latency_sd[heard]) else np.nan
 
 
-def _not_known(found: Findings) -> list[str]:
-    """Everything the log does not tell, one line each."""
-    lines = [str(unknown) for su in found.unknown for unknown in su]
+def _not_known(names: Sequence[str], found: Findings) -> list[str]:
+    """Everything the log does not tell, SUs of which it does not tell the same in one line."""
+    lines = _alike_together(names, found.unknown)
     if not found.positions_open:
         return lines + [str(unknown) for unknown in found.between_branches]
     return [str(NO_POSITIONS), *lines]
+
+
+def _alike_together(names: Sequence[str], unknown: Sequence[Sequence[Unknown]]) -> list[str]:
+    """Lines on what is not known of SUs, with what is alike but for their names told once."""
+    groups: dict[str, list[str]] = {}
+    for name, of_su in zip(names, unknown, strict=True):
+        whole = re.compile(rf"(?<![\w/-]){re.escape(name)}(?![\w/-])")
+        for one in of_su:
+            groups.setdefault(whole.sub(_NAME, str(one)), []).append(name)
+    return [text.replace(_NAME, shortened(members, 4)) for text, members in groups.items()]
+
+
+_NAME = "\0"
+"""Stands for an SU's name; no name holds it."""
 
 
 def _sensors(calibration: Calibration) -> list[str]:
@@ -188,8 +208,8 @@ def _sensors(calibration: Calibration) -> list[str]:
         names = [n for n, s in zip(along.problem.tree.su_names, slow, strict=True) if s]
         notes.append(
             f"the sensors' own low-pass takes away from fast motion, as a pole at "
-            f"{cutoff.min():.0f} to {cutoff.max():.0f} Hz does, in {', '.join(names[:4])}"
-            f"{f' and {len(names) - 4} more' if len(names) > 4 else ''}; it was corrected"
+            f"{cutoff.min():.0f} to {cutoff.max():.0f} Hz does, in {shortened(names, 4)}; "
+            "it was corrected"
         )
     return notes
 

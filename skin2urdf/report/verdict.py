@@ -9,6 +9,7 @@ import numpy as np
 from skin2urdf.calibration.result import GOOD_FIT, Calibration
 from skin2urdf.estimation.uncertainty.narrow import narrow_priors
 from skin2urdf.estimation.uncertainty.observability import Verdict
+from skin2urdf.recording.naming import shortened
 from skin2urdf.report.tables import number
 
 _MM, _DEG = 1e3, float(np.rad2deg(1.0))
@@ -63,12 +64,13 @@ def _doubts(calibration: Calibration) -> list[str]:
     doubts = []
     if calibration.faults:
         kinds = dict.fromkeys(f"{fault.subject} {fault.kind}" for fault in calibration.faults)
-        doubts.append(f"{_count(len(kinds), 'fault')}: {_listed(list(kinds))}")
+        doubts.append(f"{_count(len(kinds), 'fault')}: {shortened(list(kinds), _NAMED)}")
     known = {fault.subject for fault in calibration.faults}
     odd = [tree.su_names[u] for u in np.flatnonzero(calibration.unlike_sus.odd)]
     odd = [name for name in odd if name not in known]
     if odd:
-        doubts.append(f"{_listed(odd)} fit{'s' * (len(odd) == 1)} far worse than the other SUs")
+        fit = "fits" if len(odd) == 1 else "fit"
+        doubts.append(f"{shortened(odd, _NAMED)} {fit} far worse than the other SUs")
     poses = calibration.unlike_poses.odd
     if poses.any():
         doubts.append(f"{poses.sum()} of {_count(len(poses), 'pose')} do not fit the others")
@@ -79,7 +81,7 @@ def _doubts(calibration: Calibration) -> list[str]:
         doubts.append("the sensors are worse than the options say of them (see the notes)")
     weak = _with_verdict(tree.joint_names, seen.joint_verdict, ("weak",))
     if weak:
-        doubts.append(f"the axis of {_listed(weak)} is known weakly")
+        doubts.append(f"the axis of {shortened(weak, _NAMED)} is known weakly")
     return doubts
 
 
@@ -92,7 +94,8 @@ def _missing(calibration: Calibration) -> list[str]:
     for names, all_ in ((joints, _count(tree.n_joints, "joint")), (sus, _count(tree.n_sus, "SU"))):
         if names:
             are = "is" if len(names) == 1 else "are"
-            missing.append(f"{len(names)} of {all_} {are} not determined ({_listed(names)})")
+            which = shortened(names, _NAMED)
+            missing.append(f"{len(names)} of {all_} {are} not determined ({which})")
     return missing
 
 
@@ -104,9 +107,3 @@ def _with_verdict(
 
 def _count(n: int, noun: str) -> str:
     return f"{n} {noun}" if n == 1 else f"{n} {noun}s"
-
-
-def _listed(names: Sequence[str]) -> str:
-    """The first names, and how many more there are."""
-    more = len(names) - _NAMED
-    return ", ".join(names[:_NAMED]) + (f" and {more} more" if more > 0 else "")

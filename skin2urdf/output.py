@@ -9,14 +9,14 @@ from pathlib import Path
 from typing import Any
 
 from skin2urdf.calibration.result import Calibration
-from skin2urdf.errors import UsageError
+from skin2urdf.errors import BadFitError, UsageError
 from skin2urdf.files import check_target, write_atomically
 from skin2urdf.report.document import as_document, dumps
 from skin2urdf.urdf.beside import document_beside
 from skin2urdf.urdf.check import check_urdf
 from skin2urdf.urdf.emit import emit
 
-__all__ = ["document_beside", "output_paths", "render", "save"]
+__all__ = ["document_beside", "not_to_be_saved", "output_paths", "render", "save"]
 
 
 def output_paths(path: str | Path) -> tuple[Path, Path]:
@@ -46,22 +46,30 @@ def save(
     *,
     name: str | None = None,
     visuals: bool = True,
+    even_bad: bool = False,
 ) -> tuple[Path, Path]:
     """Write a calibration as URDF and JSON; on failure the old files of both names stay.
+
+    A bad result, which the paper's method alone can have, takes no place of a better one: it is
+    written only where that is asked for.
 
     Args:
         calibration: what was found.
         path: the URDF to write; the JSON has its name with the ending ``.json``.
         name: the robot's name in the URDF; that of the file by default.
         visuals: whether to draw simple shapes, so that viewers show a robot.
+        even_bad: write it even if its quality is "bad".
 
     Returns:
         Paths of the URDF and of the JSON.
 
     Raises:
         UsageError: a file can not be written, or a name can not stand in a URDF.
+        BadFitError: the result is bad, and nobody said to write it all the same.
         InconsistentUrdfError: the URDF does not read back as the robot that was found.
     """
+    if calibration.quality == "bad" and not even_bad:
+        raise not_to_be_saved(calibration, path)
     urdf, beside = output_paths(path)
     text, document = render(calibration, name or urdf.stem, visuals=visuals)
     # All that takes space on the disk is done before the first of the old files goes.
@@ -79,6 +87,17 @@ def save(
         with contextlib.suppress(OSError):
             staged.unlink(missing_ok=True)
     return urdf, beside
+
+
+def not_to_be_saved(calibration: Calibration, path: str | Path) -> BadFitError:
+    """What is said of a bad result that was not written to ``path``."""
+    stays = "; the file that is there stays as it was" if Path(path).exists() else ""
+    return BadFitError(
+        f"the result is bad, and {path} was not written{stays}",
+        "calibrate with the default method, or write it all the same with --force (in Python "
+        "even_bad=True) under another name",
+        cost_per_dof=calibration.misfit,
+    )
 
 
 def render(

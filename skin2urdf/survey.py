@@ -67,7 +67,9 @@ class Surveyed:
         sampled: the robot's motion and rests; None where there are none to find.
         features: readings around its poses; None where no pose can be used.
         excited: (P, D) poses and DoFs with a pattern; (0, D) without features.
-        problems: what stands in the way of a calibration, in words, the gravest first.
+        problems: what stands in the way of a calibration or would make it better, in words, the
+            gravest first.
+        obstacles: those of them without whose cure there is no calibration.
     """
 
     inventory: LogInventory
@@ -76,6 +78,7 @@ class Surveyed:
     features: Features | None
     excited: Bool
     problems: tuple[str, ...]
+    obstacles: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "excited", frozen(self.excited, bool))
@@ -185,21 +188,23 @@ def survey(log: str | Path, *, progress: Progress | None = None) -> Surveyed:
     try:
         recording = read(log, lambda share: tell("reading", share))
     except UnreadableInputError as error:
-        return Surveyed(listed, None, None, None, nothing, (_words(error, log),))
+        return Surveyed(listed, None, None, None, nothing, *_hopeless(error, log))
     try:
         (sampled,), sus = sampled_together([recording])
     except InsufficientDataError as error:
-        return Surveyed(listed, recording, None, None, nothing, (_words(error, log),))
+        return Surveyed(listed, recording, None, None, nothing, *_hopeless(error, log))
     tell("features", 0.0)
     try:
         features = extract_features([sampled], sus)
     except InsufficientDataError as error:
-        problems = (_words(error, log), *_weak_motion(sampled))
-        return Surveyed(listed, recording, sampled, None, nothing, problems)
+        problems, obstacles = _hopeless(error, log)
+        problems = (*problems, *_weak_motion(sampled))
+        return Surveyed(listed, recording, sampled, None, nothing, problems, obstacles)
     tell("features", 1.0)
     excited = excited_dofs(features)
-    problems = (*_weak_motion(sampled), *_weak_poses(sampled, features, excited))
-    return Surveyed(listed, recording, sampled, features, excited, problems)
+    obstacles = _lacking(sampled, features)
+    problems = (*obstacles, *_weak_motion(sampled), *_weak_poses(sampled, features, excited))
+    return Surveyed(listed, recording, sampled, features, excited, problems, obstacles)
 
 
 def excited_dofs(features: Features) -> Bool:
@@ -212,6 +217,16 @@ def excited_dofs(features: Features) -> Bool:
 _ENOUGH_POSES = 6
 _ENOUGH_MINUTES = 2.0
 _SMALL_MOVE = 0.05
+
+
+def _lacking(sampled: Sampled, features: Features) -> tuple[str, ...]:
+    """What no calibration can do without, in a log that can be read."""
+    lacking = []
+    if not sampled.motion.moved.any():
+        lacking.append("no joint moves: record a log in which the robot moves")
+    if not features.valid.any():
+        lacking.append("no SU has usable readings around any pose: check how they are connected")
+    return tuple(lacking)
 
 
 def _weak_motion(sampled: Sampled) -> list[str]:
@@ -264,6 +279,12 @@ def _silent(sampled: Sampled, features: Features) -> list[str]:
         for u, name in enumerate(features.su_names)
         if not features.valid[:, u].any() and name not in told
     ]
+
+
+def _hopeless(error: Skin2UrdfError, log: str | Path) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Problems and obstacles of a log that can not be calibrated."""
+    said = (_words(error, log),)
+    return said, said
 
 
 def _words(error: Skin2UrdfError, log: str | Path) -> str:

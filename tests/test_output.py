@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import xml.etree.ElementTree as ET
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,8 @@ import pytest
 from calibrated import calibration, simulation
 
 from skin2urdf import output
-from skin2urdf.errors import Skin2UrdfError, UsageError
+from skin2urdf.calibration.result import Calibration
+from skin2urdf.errors import BadFitError, Skin2UrdfError, UsageError
 from skin2urdf.output import document_beside, output_paths, save
 from skin2urdf.urdf.compare import compare, load_determined, load_open, load_unobservable
 from skin2urdf.urdf.loading import load_robot
@@ -66,6 +68,27 @@ def test_a_folder_in_the_place_of_the_json_is_refused(tmp_path: Path) -> None:
     (tmp_path / "robot.json").mkdir()
     with pytest.raises(UsageError, match=r"robot\.json"):
         output_paths(tmp_path / "robot.urdf")
+
+
+def bad() -> Calibration:
+    """A result that does not explain its readings, as the paper's method may end with."""
+    found = calibration().estimate
+    return replace(calibration(), along=None, estimate=replace(found, chi2=1e3 * found.chi2))
+
+
+def test_a_bad_result_takes_no_place_of_a_good_one(tmp_path: Path) -> None:
+    assert bad().quality == "bad"
+    with pytest.raises(BadFitError):
+        save(bad(), tmp_path / "robot.urdf")
+    assert names(tmp_path) == []
+    save(calibration(), tmp_path / "robot.urdf")
+    old = (tmp_path / "robot.urdf").read_text()
+    with pytest.raises(BadFitError) as raised:
+        save(bad(), tmp_path / "robot.urdf")
+    assert raised.value.remedy
+    assert (tmp_path / "robot.urdf").read_text() == old
+    save(bad(), tmp_path / "robot.urdf", even_bad=True)
+    assert json.loads((tmp_path / "robot.json").read_text())["verdict"]["quality"] == "bad"
 
 
 @pytest.mark.parametrize("step", ["check_urdf", "as_document", "dumps"])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -61,6 +61,27 @@ def refuse_to_overwrite(inputs: Sequence[str | Path], *outputs: str | Path) -> N
     for path in outputs:
         if Path(path).expanduser().resolve() in taken:
             raise UsageError(f"{path} is an input and would be overwritten", "give another name")
+
+
+def present(paths: Iterable[str | Path]) -> frozenset[Path]:
+    """Those of some outputs that exist already, as absolute paths; to be asked before writing."""
+    resolved = (Path(path).expanduser().resolve() for path in paths)
+    return frozenset(path for path in resolved if path.exists())
+
+
+def wrote(paths: Sequence[Path], replaced: Collection[Path], seconds: float | None = None) -> str:
+    """What was written, and what it took the place of.
+
+    Args:
+        paths: absolute paths of the outputs.
+        replaced: those that existed before, see :func:`present`.
+        seconds: how long it took [s].
+    """
+    text = f"wrote {' and '.join(map(shown, paths))}"
+    if seconds is not None:
+        text += f" in {seconds:.1f} s"
+    old = [shown(path) for path in paths if path in replaced]
+    return f"{text}; replaced the older {' and '.join(old)}" if old else text
 
 
 def shown(path: Path) -> str:

@@ -106,7 +106,8 @@ def bag_parts(path: Path) -> tuple[list[Part], list[str]]:
         which it numbers the parts of a split bag; and notes on what of the directory was left out.
 
     Raises:
-        UnreadableInputError: there is nothing there, or no MCAP file that can be read.
+        UnreadableInputError: there is nothing there, or no MCAP file that can be read, or several
+            of which nothing says that they belong together.
     """
     try:
         if not path.is_dir():
@@ -141,11 +142,11 @@ def _as_described(folder: Path, files: list[Path]) -> tuple[list[Path], list[str
         # rosbag2 writes the folder's name before the file's in its first versions.
         names = [Path(name).name for name in listed_files(described.read_text(errors="replace"))]
     except OSError:
-        return files, []
+        return _undescribed(folder, files)
     present = {file.name: file for file in files}
     chosen = [present[name] for name in dict.fromkeys(names) if name in present]
     if not chosen:
-        return files, []
+        return _undescribed(folder, files)
     missing = [name for name in names if name not in present]
     others = [name for name in present if name not in names]
     notes = [
@@ -157,6 +158,29 @@ def _as_described(folder: Path, files: list[Path]) -> tuple[list[Path], list[str
             f"left out, as metadata.yaml does not name it: {', '.join(map(printable, others))}"
         )
     return chosen, notes
+
+
+def _undescribed(folder: Path, files: list[Path]) -> tuple[list[Path], list[str]]:
+    """The files of a folder without a usable metadata.yaml: one log, or the parts of one.
+
+    Raises:
+        UnreadableInputError: they have the names of several logs.
+    """
+    logs = sorted({_PART.sub("", file.stem) for file in files})
+    if len(logs) > 1:
+        names = ", ".join(printable(file.name) for file in files[:4])
+        raise UnreadableInputError(
+            str(folder),
+            f"this folder is no bag (no metadata.yaml lists its files) and holds {len(files)} "
+            f"logs: {names}{' and others' if len(files) > 4 else ''}",
+            f"give one of them, such as {folder / files[0].name}",
+        )
+    what = f"{len(files)} parts of {printable(logs[0])}" if len(files) > 1 else files[0].name
+    return files, [f"took {printable(what)}: this folder is no bag that lists its files"]
+
+
+_PART = re.compile(r"_\d+$")
+"""What rosbag2 adds to a bag's name for each of its files."""
 
 
 def listed_files(text: str) -> list[str]:

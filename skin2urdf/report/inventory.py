@@ -75,6 +75,7 @@ def as_document(surveyed: Surveyed) -> dict[str, Any]:
             "notes": _notes(surveyed),
             "faults": _faults(surveyed),
             "missing": surveyed.problems,
+            "obstacles": surveyed.obstacles,
         }
     )
     return document

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import shutil
 import subprocess
 import sys
 import time
@@ -12,6 +13,7 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import NamedTuple
 
+import calibrated
 import numpy as np
 import pytest
 
@@ -251,6 +253,69 @@ def test_a_bad_fit_writes_nothing(
     status, out, err = run("calibrate", files.log, "-o", tmp_path / "a.urdf")
     assert (status, out, err) == (1, "", "error: no robot explains this\n  -> look again\n")
     assert not list(tmp_path.iterdir())
+
+
+def test_a_bad_result_is_shown_and_not_written(
+    files: Files, run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    found = calibrated.calibration()
+    worse = replace(found.estimate, chi2=1e3 * found.estimate.chi2)
+    bad = replace(found, along=None, estimate=worse)
+    monkeypatch.setattr("skin2urdf.calibration.pipeline.calibrate", lambda *_, **__: bad)
+    urdf = tmp_path / "a.urdf"
+    urdf.write_text("a good one")
+    status, out, err = run("calibrate", files.log, "-o", urdf)
+    assert status == 1
+    assert out.startswith("bad: ")
+    assert "--force" in err
+    assert urdf.read_text() == "a good one"
+    assert [path.name for path in tmp_path.iterdir()] == ["a.urdf"]
+    status, out, err = run("calibrate", files.log, "-o", urdf, "--force")
+    assert (status, err) == (1, "")
+    assert "<robot" in urdf.read_text()
+    last = out.splitlines()[-1]
+    assert last.count("a.urdf") == 2, "the older file is named"
+    assert last.count("a.json") == 1
+
+
+def test_outputs_that_were_there_are_named(files: Files, run: Run, tmp_path: Path) -> None:
+    plot, log = tmp_path / "tree.svg", tmp_path / "log.mcap"
+    commands = {
+        plot: ("explore", files.log, "--plot", plot),
+        log: ("simulate", "so101", "-o", log, "--poses", 1, "--imu-rate", 100),
+    }
+    for target, command in commands.items():
+        assert run(*command)[1].splitlines()[-1].count(target.name) == 1
+        assert run(*command)[1].splitlines()[-1].count(target.name) == 2
+
+
+def test_info_exits_with_1_where_no_calibration_is_possible(
+    files: Files, run: Run, tmp_path: Path
+) -> None:
+    recording = read(files.log)
+    still = tuple(replace(j, position=np.zeros_like(j.position)) for j in recording.joints)
+    write(replace(recording, joints=still), tmp_path / "still.mcap")
+    status, out, err = run("info", tmp_path / "still.mcap")
+    assert (status, err) == (1, "")
+    assert "Missing" in out
+    status, out, _ = run("info", tmp_path / "still.mcap", "--json")
+    assert status == 1
+    assert json.loads(out)["obstacles"]
+    assert not json.loads(run("info", files.log, "--json")[1])["obstacles"]
+
+
+def test_a_folder_that_is_no_bag_is_not_taken_silently(
+    files: Files, run: Run, tmp_path: Path
+) -> None:
+    shutil.copy(files.log, tmp_path / "monday.mcap")
+    status, out, _ = run("info", tmp_path)
+    assert status == 0
+    assert "monday.mcap" in out
+    shutil.copy(files.log, tmp_path / "tuesday.mcap")
+    status, out, err = run("info", tmp_path)
+    assert (status, out) == (2, "")
+    assert "monday.mcap" in err
+    assert "tuesday.mcap" in err
 
 
 @pytest.mark.parametrize(

@@ -14,11 +14,13 @@ from skin2urdf.cli.arguments import (
     add_number,
     check_at_least,
     offer_json,
+    present,
     print_json,
     refuse_to_overwrite,
-    shown,
+    wrote,
 )
 from skin2urdf.cli.terminal import progress_bar
+from skin2urdf.errors import BadFitError
 from skin2urdf.geometry.units import GRAVITY, MILLI_G
 
 if TYPE_CHECKING:
@@ -45,6 +47,9 @@ def declare(command: Parser) -> None:
     command.add_argument("logs", nargs="+", metavar="LOG", help="MCAP file or rosbag2 folder")
     command.add_argument(
         "-o", "--output", required=True, metavar="URDF", help="file to write; JSON goes beside it"
+    )
+    command.add_argument(
+        "--force", action="store_true", help="write the URDF even where the result is bad"
     )
     offer_json(command)
     command.add_argument("--name", help="the robot's name in the URDF (that of the file)")
@@ -111,27 +116,36 @@ def run(options: argparse.Namespace) -> int:
     begin = time.perf_counter()
     refuse_to_overwrite(options.logs, options.output, Path(options.output).with_suffix(".json"))
     settings = calibration_settings(options)
-    from skin2urdf.output import output_paths, save
+    from skin2urdf.output import not_to_be_saved, output_paths, save
 
-    output_paths(options.output)
+    replaced = present(output_paths(options.output))
     from skin2urdf.calibration.pipeline import calibrate
     from skin2urdf.report.document import as_document
     from skin2urdf.report.summary import as_text
 
     with progress_bar(options.quiet) as bar:
         calibration = calibrate(options.logs, settings, progress=bar)
-        bar("writing", 0.0)
-        urdf, beside = save(
-            calibration, options.output, name=options.name, visuals=not options.no_visuals
-        )
+        written: tuple[Path, ...] = ()
+        if calibration.quality != "bad" or options.force:
+            bar("writing", 0.0)
+            written = save(
+                calibration,
+                options.output,
+                name=options.name,
+                visuals=not options.no_visuals,
+                even_bad=options.force,
+            )
     if options.json:
         print_json(as_document(calibration))
     elif not options.quiet:
         print(as_text(calibration))
-        print(f"wrote {shown(urdf)} and {shown(beside)} in {time.perf_counter() - begin:.1f} s")
+        if written:
+            print(wrote(written, replaced, time.perf_counter() - begin))
     # Only the paper's method gets here with a bad fit: it was asked for, but is not to be trusted.
+    if not written:
+        raise not_to_be_saved(calibration, options.output)
     if calibration.quality == "bad":
-        return 1
+        return BadFitError.exit_status
     return _TO_REPAIR if any(fault.to_repair for fault in calibration.faults) else 0
 
 

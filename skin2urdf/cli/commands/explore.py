@@ -4,7 +4,15 @@ from __future__ import annotations
 
 import argparse
 
-from skin2urdf.cli.arguments import Parser, add_number, check_at_least, offer_json, print_json
+from skin2urdf.cli.arguments import (
+    Parser,
+    add_number,
+    check_at_least,
+    offer_json,
+    present,
+    print_json,
+    wrote,
+)
 from skin2urdf.cli.terminal import progress_bar
 from skin2urdf.files import check_target
 from skin2urdf.geometry.units import GRAVITY
@@ -35,8 +43,8 @@ def declare(command: Parser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Do it; the exit status."""
     check_at_least(options, "threshold", 1e-3)
-    if options.plot:
-        check_target(options.plot)
+    plots = [check_target(options.plot)] if options.plot else []
+    replaced = present(plots)
     from skin2urdf.report.exploration import as_document, as_text
     from skin2urdf.survey import explore
 
@@ -46,10 +54,12 @@ def run(options: argparse.Namespace) -> int:
         print_json(as_document(explored))
     elif not options.quiet:
         print(as_text(explored), end="")
-    if options.plot:
+    if plots:
         from skin2urdf.report.figures import draw_exploration
 
         draw_exploration(explored.exploration, options.plot)
+        if not options.quiet and not options.json:
+            print(wrote(plots, replaced))
     if explored.contradiction is not None:
         raise explored.contradiction
     return 0

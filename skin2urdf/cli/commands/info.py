@@ -13,7 +13,8 @@ example:
   skin2urdf info log.mcap
 
 Shows the topics and what they are used as, rates and gaps, where the robot rests and what it
-excites around each pose, and what is missing for a calibration."""
+excites around each pose, and what is missing for a calibration. Exits with 1 where no calibration
+is possible without it."""
 
 
 def declare(command: Parser) -> None:
@@ -33,4 +34,4 @@ def run(options: argparse.Namespace) -> int:
         print_json(as_document(surveyed))
     elif not options.quiet:
         print(as_text(surveyed), end="")
-    return 0
+    return 1 if surveyed.obstacles else 0

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING
 
-from skin2urdf.cli.arguments import Parser, add_number, refuse_to_overwrite, shown
+from skin2urdf.cli.arguments import Parser, add_number, present, refuse_to_overwrite, wrote
 from skin2urdf.cli.terminal import progress_bar
 from skin2urdf.errors import UsageError
 from skin2urdf.files import check_target, write_atomically
@@ -115,6 +115,7 @@ def run(options: argparse.Namespace) -> int:
     if len(set(targets)) < len(targets):
         raise UsageError("the log and the truth would be the same file", "give two names")
     refuse_to_overwrite([robot.urdf, options.robot], *targets)
+    replaced = present(targets)
     with progress_bar(options.quiet) as bar:
         bar("moving the robot", 0.0)
         simulation = simulate(robot, settings)
@@ -138,7 +139,7 @@ def run(options: argparse.Namespace) -> int:
             f"{len(simulation.truth.poses)} poses in {recording.duration:.0f} s, "
             f"{messages} messages"
         )
-        print(f"wrote {' and '.join(map(shown, targets))}")
+        print(wrote(targets, replaced))
     return 0
 
 

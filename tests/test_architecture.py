@@ -237,6 +237,9 @@ def test_modules_import_each_other_in_no_circle() -> None:
 def test_every_third_party_import_is_a_declared_dependency() -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     distributions = {line.partition(">=")[0].strip() for line in project["dependencies"]}
+    distributions |= {
+        line.partition(">=")[0] for line in project["optional-dependencies"]["parquet"]
+    }
     declared = {IMPORT_NAMES.get(name, name.replace("-", "_")) for name in distributions}
     known = declared | sys.stdlib_module_names | {"skin2urdf"}
     unknown = {

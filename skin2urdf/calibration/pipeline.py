@@ -52,7 +52,7 @@ def calibrate(
     """Calibrate a robot from one or several logs.
 
     Args:
-        logs: paths of ROS 2 MCAP logs (or bag folders), or recordings already read; several logs
+        logs: paths of logs (files or folders), or recordings already read; several logs
             are of one robot, each with its own orientation of the base.
         settings: choices; the defaults suit robots with MEMS accelerometers.
         progress: told how far each stage is.

@@ -1,8 +1,11 @@
-"""Take fixed-layout fields out of many CDR payloads at once.
+"""Take fixed-layout fields out of many payloads at once.
 
 ROS 2 payloads are plain CDR (XCDR1, OMG formal/02-06-51 section 15.3): 4 bytes of encapsulation
 (representation, options), then the fields, each aligned to its own size counted from behind the
-encapsulation. Offsets below are relative to that point, called the body.
+encapsulation. Offsets below are relative to that point, called the body. In XCDR2 (OMG DDS-XTypes
+1.3, section 7.4.3) no field is aligned to more than 4 bytes, and a sequence of strings has its size
+before it. ROS 1 aligns nothing and closes no string with a zero; its header begins with a sequence
+number of 4 bytes, so that its body, too, starts with the stamp 4 bytes into the payload.
 """
 
 from __future__ import annotations
@@ -12,7 +15,7 @@ from typing import Literal, NamedTuple, TypeAlias
 import numpy as np
 
 from skin2urdf.arrays import F64, Bool, Int
-from skin2urdf.recording.container import Block
+from skin2urdf.recording.blocks import Block
 from skin2urdf.recording.gather import U8, distinct, gather, gather_rows
 from skin2urdf.recording.naming import printable
 
@@ -25,15 +28,40 @@ Passed: TypeAlias = list[tuple[str, Int]]
 """Why messages were passed over, and their numbers within the block."""
 
 MALFORMED = "cut short or malformed"
-REPRESENTATION: dict[int, ByteOrder] = {0x0000: ">", 0x0001: "<"}
+
+
+class Layout(NamedTuple):
+    """How the fields of a payload are laid out.
+
+    Attributes:
+        order: byte order, "<" little or ">" big.
+        alignment: what fields are aligned to at most [byte].
+        sized: whether a sequence of strings has its size before it.
+    """
+
+    order: ByteOrder
+    alignment: int
+    sized: bool = False
+
+
+# By the two bytes that a payload starts with (DDS-XTypes 1.3, table 59; in 1.1 XCDR2 had others).
+REPRESENTATION = {
+    0x0000: Layout(">", 8),
+    0x0001: Layout("<", 8),
+    0x0006: Layout(">", 4, sized=True),
+    0x0007: Layout("<", 4, sized=True),
+    0x0010: Layout(">", 4, sized=True),
+    0x0011: Layout("<", 4, sized=True),
+}
+ROS1 = Layout("<", 1)
 
 
 class Payloads(NamedTuple):
-    """CDR payloads of one byte order that lie in one buffer.
+    """Payloads of one layout that lie in one buffer.
 
     Attributes:
         buffer: the bytes.
-        order: byte order, "<" little or ">" big.
+        layout: how their fields are laid out.
         row: (N,) number of each message within its block.
         body: (N,) first byte behind the encapsulation.
         size: (N,) bytes of each body.
@@ -43,7 +71,7 @@ class Payloads(NamedTuple):
     """
 
     buffer: U8
-    order: ByteOrder
+    layout: Layout
     row: Int
     body: Int
     size: Int
@@ -54,7 +82,16 @@ class Payloads(NamedTuple):
     def at(self, keep: Int | Bool) -> Payloads:
         """Return some of the payloads."""
         arrays = (self.row, self.body, self.size, self.log_time, self.stamp, self.frame_length)
-        return Payloads(self.buffer, self.order, *(a[keep] for a in arrays))
+        return Payloads(self.buffer, self.layout, *(a[keep] for a in arrays))
+
+    @property
+    def order(self) -> ByteOrder:
+        """Byte order, "<" little or ">" big."""
+        return self.layout.order
+
+    def aligned(self, offset: Int, size: int) -> Int:
+        """Round (N,) body offsets up to where a field of ``size`` bytes may start."""
+        return align(offset, min(size, self.layout.alignment))
 
     def uint32(self, offset: Int) -> Int:
         """Read an unsigned 32-bit number at (N,) body offsets."""
@@ -85,13 +122,13 @@ class Accelerations(NamedTuple):
 
 
 def stamped_payloads(block: Block) -> tuple[list[Payloads], Passed]:
-    """Sort the messages of a block by byte order and read their std_msgs/Header up to frame_id.
+    """Sort the messages of a block by layout and read their std_msgs/Header up to frame_id.
 
     Args:
         block: messages of a type that starts with a Header.
 
     Returns:
-        The payloads of each byte order met, and why others were passed over.
+        The payloads of each layout met, and why others were passed over.
     """
     header_size = ENCAPSULATION + FRAME_TEXT
     long_enough = block.end - block.start >= header_size
@@ -104,13 +141,16 @@ def stamped_payloads(block: Block) -> tuple[list[Payloads], Passed]:
     raw = gather(block.buffer, block.start[rows], np.dtype((np.void, header_size)))
     kinds = raw.view([("representation", ">u2"), ("rest", "V14")])["representation"]
     payloads: list[Payloads] = []
+    if block.encoding == "ros1":
+        kinds = np.zeros(rows.size, np.uint16)
     for kind in kinds[:1] if (kinds == kinds[0]).all() else np.unique(kinds):
         some: slice | Bool = slice(None) if (kinds == kind).all() else kinds == kind
-        order = REPRESENTATION.get(int(kind))
-        if order is None:
+        form = ROS1 if block.encoding == "ros1" else REPRESENTATION.get(int(kind))
+        if form is None:
             reason = f"not plain CDR (representation 0x{int(kind):04x})"
             passed.append((reason, rows[some]))
             continue
+        order = form.order
         layout = np.dtype(
             [
                 ("encapsulation", "V4"),
@@ -124,7 +164,7 @@ def stamped_payloads(block: Block) -> tuple[list[Payloads], Passed]:
         stamp = fields["sec"].astype(np.int64) * 1_000_000_000 + fields["nanosec"]
         found = Payloads(
             buffer=block.buffer,
-            order=order,
+            layout=form,
             row=rows[some],
             body=start + ENCAPSULATION,
             size=block.end[rows[some]] - start - ENCAPSULATION,
@@ -157,7 +197,7 @@ def accelerations(
     groups, passed = stamped_payloads(block)
     found = []
     for group in groups:
-        fields = align(FRAME_TEXT + group.frame_length, 8)
+        fields = group.aligned(FRAME_TEXT + group.frame_length, 8)
         slack = group.size - (fields + lead + tail)
         # Some writers pad a payload to a multiple of 4 or 8 bytes.
         sound = (slack >= 0) & (slack < 8)
@@ -207,6 +247,6 @@ def align(offset: Int, size: int) -> Int:
 
 
 def text_at(buffer: U8, start: int, length: int) -> str:
-    """Decode a CDR string of ``length`` bytes, its closing zero left out, as it can be printed."""
+    """Decode a string of ``length`` bytes, its closing zero left out, as it can be printed."""
     raw = buffer[start : start + length].tobytes().split(b"\0")[0]
     return printable(raw.decode(errors="replace"))

@@ -200,15 +200,24 @@ def _decompress(chunk: PackedChunk) -> U8:
             raise DamagedChunkError(f"zstd: {error}") from error
         return np.frombuffer(unpacked, np.uint8)
     if chunk.compression == "lz4":
-        import lz4.frame
-
-        try:
-            with lz4.frame.LZ4FrameDecompressor() as decompressor:
-                plain: bytes = decompressor.decompress(chunk.data.data, max_length=chunk.size + 1)
-        except (RuntimeError, MemoryError, OverflowError, ValueError, EOFError) as error:
-            raise DamagedChunkError(f"lz4: {error}") from error
-        return np.frombuffer(plain, np.uint8)
+        return unpack_lz4(chunk.data, chunk.size)
     raise DamagedChunkError(f"unknown compression {chunk.compression!r}")
+
+
+def unpack_lz4(packed: U8, size: int) -> U8:
+    """Return the content of an lz4 frame as plain bytes, no more than ``size`` and one.
+
+    Raises:
+        DamagedChunkError: this is no such frame, or it is damaged.
+    """
+    import lz4.frame
+
+    try:
+        with lz4.frame.LZ4FrameDecompressor() as decompressor:
+            plain: bytes = decompressor.decompress(packed.data, max_length=size + 1)
+    except (RuntimeError, MemoryError, OverflowError, ValueError, EOFError) as error:
+        raise DamagedChunkError(f"lz4: {error}") from error
+    return np.frombuffer(plain, np.uint8)
 
 
 def _by_walk(buffer: U8, note: str) -> ChunkContent:

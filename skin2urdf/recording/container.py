@@ -13,6 +13,7 @@ import numpy as np
 from mcap.opcode import Opcode
 
 from skin2urdf.arrays import Int
+from skin2urdf.recording.blocks import UNWANTED, Block, Channel, Channels
 from skin2urdf.recording.chunks import (
     LARGEST_UNPACKED,
     DamagedChunkError,
@@ -40,76 +41,7 @@ UNPARSABLE = (UnicodeDecodeError, struct.error, MemoryError)
 WINDOW = 1 << 25
 # Channel ids of MCAP have 16 bits.
 CHANNEL_IDS = 1 << 16
-UNDEFINED, UNWANTED = -1, -2
-
-
-@dataclass(frozen=True)
-class Channel:
-    """One MCAP channel; channels of several files that are alike are one.
-
-    Attributes:
-        topic: ROS topic.
-        ros_type: message type as ``package/msg/Type``, empty where the file does not say.
-        encoding: message encoding, "cdr" for ROS 2.
-    """
-
-    topic: str
-    ros_type: str
-    encoding: str
-
-
-@dataclass(frozen=True, eq=False)
-class Block:
-    """Messages of one type and encoding that lie in one buffer, in the order of the file.
-
-    Attributes:
-        ros_type: type of all N messages.
-        encoding: their encoding.
-        channel: (N,) number of each message's channel among :attr:`Channels.known`.
-        buffer: the bytes the messages lie in.
-        start: (N,) where each payload starts [byte].
-        end: (N,) where each payload ends [byte].
-        log_time: (N,) when each message was recorded [ns].
-    """
-
-    ros_type: str
-    encoding: str
-    channel: Int
-    buffer: U8
-    start: Int
-    end: Int
-    log_time: Int
-
-
-@dataclass(eq=False)
-class Channels:
-    """All channels of a log, numbered as they are met.
-
-    Attributes:
-        wanted: tells which channels' messages are handed out; others may be skipped unread.
-        known: the channels by number.
-        kinds: pairs of type and encoding by number.
-        kind: for each channel the number of its pair.
-    """
-
-    wanted: Callable[[Channel], bool]
-    known: list[Channel] = field(default_factory=list)
-    kinds: list[tuple[str, str]] = field(default_factory=list)
-    kind: list[int] = field(default_factory=list)
-    _number: dict[Channel, int] = field(default_factory=dict)
-    _kind_number: dict[tuple[str, str], int] = field(default_factory=dict)
-
-    def number(self, channel: Channel) -> int:
-        """Return the number of a channel, or `UNWANTED`; a new one is taken in."""
-        if channel not in self._number:
-            pair = channel.ros_type, channel.encoding
-            if pair not in self._kind_number:
-                self._kind_number[pair] = len(self.kinds)
-                self.kinds.append(pair)
-            self._number[channel] = len(self.known)
-            self.known.append(channel)
-            self.kind.append(self._kind_number[pair])
-        return self._number[channel] if self.wanted(channel) else UNWANTED
+UNDEFINED = -1
 
 
 @dataclass(eq=False)

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 import os
 import re
 import stat
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from io import FileIO
 from pathlib import Path
-from typing import NamedTuple
+from typing import Literal, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -19,27 +20,37 @@ from skin2urdf.recording.framing import MAGIC
 from skin2urdf.recording.gather import U8
 from skin2urdf.recording.naming import printable
 
+Kind: TypeAlias = Literal["mcap", "sqlite3", "ros1", "zstd", "parquet", "csv"]
+
 RECORD_REMEDY = (
     "record with `ros2 bag record -s mcap TOPIC ...`, a topic of joint states and the topics of "
     "all accelerometers"
 )
-CONVERT_REMEDY = (
-    "convert it to MCAP: write the lines `output_bags:`, `- uri: converted`, "
-    "`  storage_id: mcap`, `  all: true` to out.yaml and run "
-    "`ros2 bag convert -i {path} -o out.yaml`"
+ROS1_MAGIC = b"#ROSBAG V2.0\n"
+# What a zstd frame starts with (RFC 8878, section 3.1.1). As the head of a payload it would name a
+# representation that does not exist.
+ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
+KINDS: tuple[tuple[bytes, Kind], ...] = (
+    (MAGIC, "mcap"),
+    (b"SQLite format 3\0", "sqlite3"),
+    (ROS1_MAGIC, "ros1"),
+    (ZSTD_MAGIC, "zstd"),
+    (b"PAR1", "parquet"),
+)
+# Text has no first bytes of its own.
+TABLES = (".csv", ".tsv")
+# What the files of a folder are called; the first kind that is there is the log.
+SUFFIXES = (
+    (".mcap", ".mcap.zstd"),
+    (".db3", ".db3.zstd"),
+    (".bag", ".bag.active"),
+    (*TABLES, ".parquet"),
 )
 OTHER_FORMATS: tuple[tuple[bytes, str, str], ...] = (
-    (b"SQLite format 3\0", "this is a rosbag2 of the sqlite3 storage (.db3)", CONVERT_REMEDY),
     (
         b"#ROSBAG V",
-        "this is a ROS 1 bag",
-        "convert it to a ROS 2 bag with `rosbags-convert --src {path} --dst converted "
-        "--dst-storage mcap`",
-    ),
-    (
-        b"\x28\xb5\x2f\xfd",
-        "this file is compressed as a whole (zstd)",
-        "unpack it with `zstd -d {path}`",
+        "this is a ROS 1 bag of another version than 2.0",
+        "migrate it with `rosbag fix {path} fixed.bag`",
     ),
     (b"\x1f\x8b", "this file is compressed as a whole (gzip)", "unpack it with `gunzip {path}`"),
 )
@@ -47,7 +58,7 @@ OTHER_FORMATS: tuple[tuple[bytes, str, str], ...] = (
 
 @dataclass(frozen=True)
 class LogFile:
-    """An MCAP file that is read piece by piece.
+    """A file of a log that is read piece by piece.
 
     Pieces are read, not mapped into memory: a mapped file that someone shortens ends the process.
 
@@ -55,11 +66,13 @@ class LogFile:
         path: the file.
         size: bytes it had when it was opened.
         stream: the open file.
+        kind: what it is, by its first bytes.
     """
 
     path: Path
     size: int
     stream: FileIO
+    kind: Kind = "mcap"
 
     def read(self, start: int, size: int) -> U8:
         """Read bytes from ``start`` on, fewer than ``size`` at the end of the file.
@@ -96,17 +109,17 @@ class Part(NamedTuple):
 
 
 def bag_parts(path: Path) -> tuple[list[Part], list[str]]:
-    """List the MCAP files of a log.
+    """List the files of a log.
 
     Args:
-        path: an MCAP file, or a rosbag2 directory with one or more of them.
+        path: a file, or a rosbag2 directory with one or more of them.
 
     Returns:
         The files, in the order in which rosbag2's ``metadata.yaml`` names them, else in that in
         which it numbers the parts of a split bag; and notes on what of the directory was left out.
 
     Raises:
-        UnreadableInputError: there is nothing there, or no MCAP file that can be read, or several
+        UnreadableInputError: there is nothing there, or no file that can be read, or several
             of which nothing says that they belong together.
     """
     try:
@@ -116,9 +129,13 @@ def bag_parts(path: Path) -> tuple[list[Part], list[str]]:
         names = sorted(path.iterdir(), key=_natural_order)
     except (OSError, ValueError) as error:
         raise UnreadableInputError(str(path), _reason(error), _os_remedy(error)) from error
-    files = [name for name in names if name.suffix == ".mcap"]
+    files = [name for name in names if name.name.endswith(tuple(itertools.chain(*SUFFIXES)))]
     if not files:
-        raise _no_mcap(path, names)
+        raise UnreadableInputError(
+            str(path),
+            "the directory holds no .mcap, .db3, .bag, .csv or .parquet file",
+            f"give a log; {RECORD_REMEDY}",
+        )
     files, notes = _as_described(path, files)
     parts: list[Part] = []
     first: UnreadableInputError | None = None
@@ -166,7 +183,11 @@ def _undescribed(folder: Path, files: list[Path]) -> tuple[list[Path], list[str]
     Raises:
         UnreadableInputError: they have the names of several logs.
     """
-    logs = sorted({_PART.sub("", file.stem) for file in files})
+    files = _of_one_kind(files)
+    if files[0].name.endswith(SUFFIXES[-1]):
+        # Tables have no other way to be one log.
+        return files, []
+    logs = sorted({_PART.sub("", file.name) for file in files})
     if len(logs) > 1:
         names = ", ".join(printable(file.name) for file in files[:4])
         raise UnreadableInputError(
@@ -179,8 +200,16 @@ def _undescribed(folder: Path, files: list[Path]) -> tuple[list[Path], list[str]
     return files, [f"took {printable(what)}: this folder is no bag that lists its files"]
 
 
-_PART = re.compile(r"_\d+$")
+_PART = re.compile(rf"(_\d+)?({'|'.join(map(re.escape, itertools.chain(*SUFFIXES)))})$")
 """What rosbag2 adds to a bag's name for each of its files."""
+
+
+def _of_one_kind(files: list[Path]) -> list[Path]:
+    """The files of the first kind that is there: a log is not read again in another format."""
+    for suffixes in SUFFIXES:
+        if found := [file for file in files if file.name.endswith(suffixes)]:
+            return found
+    return files
 
 
 def listed_files(text: str) -> list[str]:
@@ -205,34 +234,16 @@ def listed_files(text: str) -> list[str]:
     return [name for item in items if (name := item.strip().strip("'\""))]
 
 
-def _no_mcap(path: Path, names: list[Path]) -> UnreadableInputError:
-    """Say what a directory without MCAP files is."""
-    for name in names:
-        if name.suffix == ".db3":
-            return UnreadableInputError(
-                str(path), OTHER_FORMATS[0][1], CONVERT_REMEDY.format(path=path)
-            )
-        if name.name.endswith(".mcap.zstd"):
-            return UnreadableInputError(
-                str(path),
-                "its MCAP files are compressed as a whole (zstd)",
-                f"unpack them with `zstd -d --rm {path}/*.mcap.zstd`",
-            )
-    return UnreadableInputError(
-        str(path), "the directory holds no .mcap file", f"give a log; {RECORD_REMEDY}"
-    )
-
-
 @contextlib.contextmanager
 def opened(path: Path) -> Iterator[LogFile]:
     """Open a file for reading, and close it in the end.
 
     Args:
-        path: a file that should be MCAP.
+        path: a file that should be a log.
 
     Raises:
-        UnreadableInputError: the file can not be read, is empty, is no regular file, or is of
-            another format.
+        UnreadableInputError: the file can not be read, is empty, is no regular file, or is no
+            log.
     """
     try:
         # Opening a pipe waits for someone to write to it, so what it is comes first.
@@ -251,25 +262,27 @@ def opened(path: Path) -> Iterator[LogFile]:
             raise UnreadableInputError(
                 str(path), "the file is empty", f"nothing was recorded; {RECORD_REMEDY}"
             )
-        head = file.read(0, 32).tobytes()
-        if head[: len(MAGIC)] != MAGIC:
-            raise _not_mcap(path, head)
-        yield file
+        yield replace(file, kind=_kind(path, file.read(0, 32).tobytes()))
 
 
-def _not_mcap(path: Path, head: bytes) -> UnreadableInputError:
-    """Say what a file is that does not start as MCAP does."""
+def _kind(path: Path, head: bytes) -> Kind:
+    """What a file is by its first bytes, or an error that says what it is instead."""
+    for magic, kind in KINDS:
+        if head.startswith(magic):
+            return kind
+    if path.suffix.lower() in TABLES:
+        return "csv"
     for magic, what, remedy in OTHER_FORMATS:
         if head.startswith(magic):
-            return UnreadableInputError(str(path), what, remedy.format(path=path))
+            raise UnreadableInputError(str(path), what, remedy.format(path=path))
     if path.name == "metadata.yaml":
-        return UnreadableInputError(
+        raise UnreadableInputError(
             str(path), "this describes a bag", f"give the directory it lies in: {path.parent}"
         )
-    return UnreadableInputError(
+    raise UnreadableInputError(
         str(path),
-        "this is not an MCAP file",
-        f"give a .mcap file or a rosbag2 directory; {RECORD_REMEDY}",
+        "this is not an MCAP file, nor a log of another known format",
+        f"give a .mcap, .db3, .bag, .csv or .parquet file, or a rosbag2 directory; {RECORD_REMEDY}",
     )
 
 

@@ -8,8 +8,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from skin2urdf.arrays import Int
-from skin2urdf.recording.container import Block, Channels
-from skin2urdf.recording.messages import Role, role_of
+from skin2urdf.recording.blocks import Block, Channels
+from skin2urdf.recording.messages import ENCODINGS, Role, role_of
 
 
 @dataclass(frozen=True)
@@ -19,7 +19,7 @@ class TopicInventory:
     Attributes:
         name: the topic.
         ros_type: message type as ``package/msg/Type``.
-        encoding: message encoding, "cdr" for ROS 2.
+        encoding: message encoding, "cdr" for ROS 2, "ros1" for ROS 1.
         messages: number of messages.
         used_as: "joints", "su" or "ignored".
     """
@@ -40,7 +40,7 @@ class LogInventory:
         topics: one entry per topic, sorted by name.
         duration: time from the first to the last message by log time [s].
         compression: compressions of the chunks, "none" for plain ones.
-        profile: MCAP profile, "ros2" for a ROS 2 log.
+        profile: "ros2" or "ros1", as far as the file says.
         notes: what was damaged or missing, in words for the user.
     """
 
@@ -99,7 +99,7 @@ class Tally:
                 ros_type=channel.ros_type,
                 encoding=channel.encoding,
                 messages=int(self._messages[k]) if k < self._messages.size else 0,
-                used_as=role_of(channel.ros_type) if channel.encoding == "cdr" else "ignored",
+                used_as=role_of(channel.ros_type) if channel.encoding in ENCODINGS else "ignored",
             )
             for k, channel in enumerate(self.channels.known)
         ]

@@ -11,16 +11,15 @@ from typing import NamedTuple
 import numpy as np
 
 from skin2urdf.arrays import F64, Int
+from skin2urdf.recording.blocks import Block
 from skin2urdf.recording.cdr import (
     FRAME_TEXT,
     MALFORMED,
     Passed,
     Payloads,
-    align,
     stamped_payloads,
     text_at,
 )
-from skin2urdf.recording.container import Block
 from skin2urdf.recording.gather import distinct, gather_rows, grouped
 
 # Humanoids with hands have a hundred joints; a message that names far more is damaged, or would
@@ -100,19 +99,19 @@ def _whole_names(group: Payloads, passed: Passed) -> tuple[Payloads, Int, Int]:
         The messages whose names are whole, with (N,) number of names and (N,) body offset behind
         the last name.
     """
-    at = align(FRAME_TEXT + group.frame_length, 4)
+    at = group.aligned(FRAME_TEXT + group.frame_length, 4) + 4 * group.layout.sized
     whole = at + 4 <= group.size
     count = np.zeros(at.size, np.int64)
     count[whole] = group.at(whole).uint32(at[whole])
-    # A name takes 5 bytes at least; this also bounds the loop for damaged messages.
-    whole &= count * 5 <= group.size
+    # A name takes 4 bytes at least; this also bounds the loop for damaged messages.
+    whole &= count * 4 <= group.size
     many = whole & (count > MOST_JOINTS)
     whole &= ~many
     passed.append((f"more than {MOST_JOINTS} joints are named", group.row[many]))
     at = at + 4
     for k in range(int(count[whole].max(initial=0))):
         some = np.flatnonzero(whole & (k < count))
-        here = align(at[some], 4)
+        here = group.aligned(at[some], 4)
         fits = here + 4 <= group.size[some]
         whole[some[~fits]] = False
         some, here = some[fits], here[fits]
@@ -126,8 +125,8 @@ def _whole_positions(
     group: Payloads, count: Int, names_end: Int, passed: Passed
 ) -> tuple[Payloads, _PositionFields]:
     """Find the positions behind the names, and keep the messages that have one per name."""
-    at = align(names_end, 4)
-    offset = align(at + 4, 8)
+    at = group.aligned(names_end, 4)
+    offset = group.aligned(at + 4, 8)
     positions = np.full(at.size, -1, np.int64)
     readable = at + 4 <= group.size
     positions[readable] = group.at(readable).uint32(at[readable])
@@ -146,12 +145,13 @@ def _names(group: Payloads, k: int) -> list[str]:
         raw = group.buffer[body + offset : body + offset + 4].tobytes()
         return int.from_bytes(raw, "little" if group.order == "<" else "big")
 
-    at = _align_one(FRAME_TEXT + int(group.frame_length[k]), 4)
+    alignment = min(4, group.layout.alignment)
+    at = _align_one(FRAME_TEXT + int(group.frame_length[k]), alignment) + 4 * group.layout.sized
     names = []
     count = uint32(at)
     at += 4
     for _ in range(count):
-        at = _align_one(at, 4)
+        at = _align_one(at, alignment)
         length = uint32(at)
         names.append(text_at(group.buffer, body + at + 4, length))
         at += 4 + length

@@ -9,6 +9,9 @@ Role: TypeAlias = Literal["joints", "su", "ignored"]
 JOINT_STATE = "sensor_msgs/msg/JointState"
 IMU = "sensor_msgs/msg/Imu"
 
+# How messages are turned into bytes: by ROS 2 and by ROS 1.
+ENCODINGS = ("cdr", "ros1")
+
 # Bytes from the first component of the acceleration to the end of the message. Everything behind
 # the header of these types has a fixed size (ROS interface definitions, sensor_msgs and
 # geometry_msgs): doubles of 8 bytes, 3 to a vector, 9 or 36 to a covariance.

@@ -1,9 +1,8 @@
-"""Read a ROS 2 log: MCAP file or rosbag2 directory to a recording."""
+"""Read a log, whatever its format, to a recording."""
 
 from __future__ import annotations
 
-import hashlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 from skin2urdf.errors import UnreadableInputError
@@ -13,11 +12,11 @@ from skin2urdf.recording.assemble import (
     timed_sus,
     timing_notes,
 )
-from skin2urdf.recording.container import Block, Channel, Channels, McapFile
-from skin2urdf.recording.inputs import RECORD_REMEDY, bag_parts, opened
+from skin2urdf.recording.inputs import RECORD_REMEDY
 from skin2urdf.recording.inventory import LogInventory, Tally
+from skin2urdf.recording.log_files import LogFiles
 from skin2urdf.recording.messages import ACCELERATION_TAIL, JOINT_STATE, role_of
-from skin2urdf.recording.naming import printable, shortened
+from skin2urdf.recording.naming import shortened
 from skin2urdf.recording.records import Recording
 from skin2urdf.recording.segments import on_one_clock
 from skin2urdf.recording.streams import Collector
@@ -34,7 +33,7 @@ def read(
     """Read joint positions and accelerations out of a log.
 
     Args:
-        path: an MCAP file, or a rosbag2 directory, whose MCAP files are read as one log.
+        path: a file of any format, or a directory, whose files are read as one log.
         progress: called now and then with the part of the log that is read, up to 1.
         with_digest: take the digest as well, a third of the time of an uncompressed log.
 
@@ -45,7 +44,7 @@ def read(
         UnreadableInputError: the log can not be read, or holds no joint or no SU.
     """
     source = Path(path)
-    log = _Log(
+    log = LogFiles(
         source, lambda channel: role_of(channel.ros_type) != "ignored", progress, with_digest
     )
     collector = Collector(log.channels)
@@ -70,7 +69,7 @@ def inventory(path: str | Path) -> LogInventory:
     """List what a log holds, usable or not.
 
     Args:
-        path: an MCAP file or a rosbag2 directory.
+        path: a file of any format, or a directory.
 
     Returns:
         Topics with types and numbers of messages, duration, compression and profile.
@@ -79,7 +78,7 @@ def inventory(path: str | Path) -> LogInventory:
         UnreadableInputError: the log can not be read.
     """
     source = Path(path)
-    log = _Log(source, lambda _: True, None, with_digest=False)
+    log = LogFiles(source, lambda _: True, None, with_digest=False)
     tally = Tally(log.channels)
     for block in log.blocks():
         tally.add(block)
@@ -91,57 +90,6 @@ def inventory(path: str | Path) -> LogInventory:
     )
 
 
-class _Log:
-    """The files of a log, read one after the other.
-
-    Attributes:
-        channels: all channels met.
-        notes: what was damaged or missing, in words for the user.
-        profile: MCAP profile of the files.
-        compressions: chunk compressions met.
-        digest: SHA-256 over the bytes of all files (hex), once all blocks are read; empty where it
-            is not asked for.
-    """
-
-    def __init__(
-        self,
-        path: Path,
-        wanted: Callable[[Channel], bool],
-        progress: Callable[[float], None] | None,
-        with_digest: bool,
-    ) -> None:
-        self.channels = Channels(wanted)
-        self.notes: list[str] = []
-        self.profile = ""
-        self.compressions: set[str] = set()
-        self.digest = ""
-        self._path = path
-        self._progress = progress or (lambda _: None)
-        self._with_digest = with_digest
-
-    def blocks(self) -> Iterator[Block]:
-        """Hand out the messages of all files."""
-        digest = hashlib.sha256()
-        parts, notes = bag_parts(self._path)
-        self.notes += notes
-        total = sum(part.size for part in parts)
-        before = 0
-        for part in parts:
-            with opened(part.path) as file:
-                take = (lambda piece: digest.update(piece.data)) if self._with_digest else None
-                mcap = McapFile(file, self.channels, take)
-                for block in mcap.blocks():
-                    yield block
-                    self._progress((before + mcap.position) / total)
-            before += file.size
-            self.profile = self.profile or mcap.profile
-            self.compressions |= mcap.compressions
-            prefix = f"{printable(part.path.name)}: " if len(parts) > 1 else ""
-            self.notes.extend(prefix + note for note in mcap.notes)
-        self.digest = digest.hexdigest() if self._with_digest else ""
-        self._progress(1.0)
-
-
 def _passed_notes(collector: Collector) -> list[str]:
     """Say which messages were passed over."""
     return [
@@ -151,7 +99,7 @@ def _passed_notes(collector: Collector) -> list[str]:
     ]
 
 
-def _missing(source: Path, log: _Log, notes: list[str], what: str) -> UnreadableInputError:
+def _missing(source: Path, log: LogFiles, notes: list[str], what: str) -> UnreadableInputError:
     """Say that a log holds no joints or no SUs, and why."""
     joint_types = (JOINT_STATE,)
     types = joint_types if what == "joints" else tuple(ACCELERATION_TAIL)
@@ -167,10 +115,5 @@ def _missing(source: Path, log: _Log, notes: list[str], what: str) -> Unreadable
     else:
         problem = "the log holds no messages"
         remedy = RECORD_REMEDY
-    if log.profile == "ros1":
-        remedy = (
-            "these are ROS 1 messages: convert the bag they came from with "
-            f"`rosbags-convert --src BAG --dst {source.stem}_ros2 --dst-storage mcap`"
-        )
     because = f" ({'; '.join(notes[:5])})" if notes else ""
     return UnreadableInputError(str(source), problem + because, remedy)

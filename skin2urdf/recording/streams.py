@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skin2urdf.arrays import F64, Bool, Int
+from skin2urdf.recording.blocks import Block, Channels
 from skin2urdf.recording.cdr import Passed, accelerations
-from skin2urdf.recording.container import Block, Channels
 from skin2urdf.recording.credibility import real_rates
 from skin2urdf.recording.gather import grouped
 from skin2urdf.recording.joint_states import joint_positions
@@ -19,6 +19,7 @@ from skin2urdf.recording.messages import (
     ACCELERATION_LEAD,
     ACCELERATION_TAIL,
     ANGULAR_VELOCITY_LEAD,
+    ENCODINGS,
     role_of,
 )
 
@@ -71,8 +72,8 @@ class Collector:
         Args:
             block: messages of a type that `role_of` does not ignore.
         """
-        if block.encoding != "cdr":
-            reason = f"encoded as {block.encoding!r}, not as ROS 2's cdr"
+        if block.encoding not in ENCODINGS:
+            reason = f"encoded as {block.encoding!r}, not as ROS does"
             passed: Passed = [(reason, np.arange(block.start.size))]
         elif role_of(block.ros_type) == "joints":
             passed = self._add_joints(block)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, NamedTuple, TypeAlias
@@ -66,6 +67,34 @@ def write(
     Raises:
         UsageError: an argument does not fit the recording, or the file can not be written.
     """
+    channels = list(_channels(recording, joint_topic, joint_order))
+    with mcap_writer(
+        Path(path), compression, chunked=chunked, indexed=indexed, chunk_size=chunk_size
+    ) as writer:
+        _write_messages(writer, channels)
+
+
+@contextlib.contextmanager
+def mcap_writer(
+    target: Path,
+    compression: Compression,
+    *,
+    chunked: bool = True,
+    indexed: bool = True,
+    chunk_size: int = 1024 * 1024,
+) -> Iterator[Writer]:
+    """A writer of an MCAP file of profile "ros2", which appears only once it is complete.
+
+    Args:
+        target: file to write; overwritten if it exists.
+        compression: compression of the chunks.
+        chunked: whether messages are gathered in chunks.
+        indexed: whether message and chunk indexes are written.
+        chunk_size: bytes of a chunk before compression.
+
+    Raises:
+        UsageError: the compression is unknown, or the file can not be written.
+    """
     from mcap.writer import CompressionType, IndexType, Writer
 
     compressions = {
@@ -77,8 +106,6 @@ def write(
         raise UsageError(
             f"unknown compression {compression!r}", f"choose one of {', '.join(compressions)}"
         )
-    target = Path(path)
-    channels = list(_channels(recording, joint_topic, joint_order))
     unfinished = target.with_name(f"{target.name}.part")
     try:
         with unfinished.open("wb") as stream:
@@ -90,7 +117,7 @@ def write(
                 use_chunking=chunked,
             )
             writer.start(profile="ros2", library="skin2urdf")
-            _write_messages(writer, channels)
+            yield writer
             writer.finish()
         unfinished.replace(target)
     except OSError as error:

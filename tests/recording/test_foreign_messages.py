@@ -77,9 +77,9 @@ def test_both_byte_orders_on_one_topic(ros_log: Any) -> None:
 def test_other_encapsulations_are_refused_in_words(ros_log: Any) -> None:
     fill_joints(ros_log)
     for k in range(5):
-        ros_log.raw("/imu", "sensor_msgs/msg/Imu", b"\x00\x07\x00\x00" + bytes(320), EPOCH + k)
+        ros_log.raw("/imu", "sensor_msgs/msg/Imu", b"\x00\x03\x00\x00" + bytes(320), EPOCH + k)
     path = ros_log.close()
-    with pytest.raises(UnreadableInputError, match="0x0007"):
+    with pytest.raises(UnreadableInputError, match="0x0003"):
         read(path)
 
 

@@ -32,9 +32,10 @@ example:
   skin2urdf calibrate log.mcap -o robot.urdf
   skin2urdf calibrate upright.mcap tilted.mcap -o robot.urdf --bias 5 --scale 0.003
 
-A log is an MCAP file or a rosbag2 folder with sensor_msgs/JointState and an accelerometer topic
-per skin unit (SU). The robot rests in some ten poses and moves its joints a little around each of
-them (0.1 rad at 1 to 4 Hz). Several logs are of one robot whose base was tilted in between.
+A log is an MCAP file, a rosbag2 folder or database, a ROS 1 bag or a table (CSV, Parquet) with
+joint states and the accelerations of every skin unit (SU). The robot rests in some ten poses and
+moves its joints a little around each of them (0.1 rad at 1 to 4 Hz). Several logs are of one robot
+whose base was tilted in between.
 Writes robot.urdf, and robot.json with all that a URDF has no place for.
 If it fails, look at the log with `skin2urdf info` and at the structure with `skin2urdf explore`."""
 
@@ -44,7 +45,7 @@ _TO_REPAIR = 3
 
 def declare(command: Parser) -> None:
     """Add what the command takes."""
-    command.add_argument("logs", nargs="+", metavar="LOG", help="MCAP file or rosbag2 folder")
+    command.add_argument("logs", nargs="+", metavar="LOG", help="MCAP, rosbag2, ROS 1 bag or CSV")
     command.add_argument(
         "-o", "--output", required=True, metavar="URDF", help="file to write; JSON goes beside it"
     )

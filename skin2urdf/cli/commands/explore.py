@@ -29,7 +29,7 @@ the threshold: 1 and more is active. Several logs are combined by OR."""
 
 def declare(command: Parser) -> None:
     """Add what the command takes."""
-    command.add_argument("logs", nargs="+", metavar="LOG", help="MCAP file or rosbag2 folder")
+    command.add_argument("logs", nargs="+", metavar="LOG", help="MCAP, rosbag2, ROS 1 bag or CSV")
     offer_json(command)
     command.add_argument("--plot", metavar="FILE", help="draw matrix and tree (.svg, .png, .pdf)")
     add_number(

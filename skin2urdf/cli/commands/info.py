@@ -19,7 +19,7 @@ is possible without it."""
 
 def declare(command: Parser) -> None:
     """Add what the command takes."""
-    command.add_argument("log", metavar="LOG", help="MCAP file or rosbag2 folder")
+    command.add_argument("log", metavar="LOG", help="MCAP, rosbag2, ROS 1 bag or CSV")
     offer_json(command)
 
 

@@ -1,0 +1,69 @@
+"""``skin2urdf convert``: a log of any format to MCAP."""
+
+from __future__ import annotations
+
+import argparse
+
+from skin2urdf.cli.arguments import Parser, offer_json, print_json, refuse_to_overwrite, shown
+from skin2urdf.cli.terminal import progress_bar
+from skin2urdf.errors import UsageError
+from skin2urdf.files import check_target
+
+HELP = "write what a calibration reads of a log as MCAP"
+EPILOG = """\
+example:
+  skin2urdf convert old.bag log.mcap
+  skin2urdf convert table.csv log.mcap
+
+LOG is an MCAP file, a rosbag2 database (.db3), a ROS 1 bag, a table (.csv, .parquet), any of the
+first two compressed as a whole (.zstd), or a folder with these. All other commands read them too;
+MCAP is read many times faster. Topics of joint states and accelerations are written, messages of
+ROS 2 byte for byte, those of ROS 1 as ROS 2 would have sent them."""
+
+
+def declare(command: Parser) -> None:
+    """Add what the command takes."""
+    command.add_argument("log", metavar="LOG", help="log of any format")
+    command.add_argument("output", metavar="OUT", help="log to write (.mcap)")
+    offer_json(command)
+    command.add_argument(
+        "--compression",
+        choices=("zstd", "lz4", "none"),
+        default="zstd",
+        help="of the chunks (%(default)s)",
+    )
+
+
+def run(options: argparse.Namespace) -> int:
+    """Do it; the exit status."""
+    target = check_target(options.output)
+    if target.suffix != ".mcap":
+        raise UsageError(f"{options.output} does not end in .mcap", "give a name that does")
+    refuse_to_overwrite([options.log], target)
+    from skin2urdf.recording.converting import convert
+
+    with progress_bar(options.quiet) as bar:
+        converted = convert(
+            options.log,
+            target,
+            compression=options.compression,
+            progress=lambda share: bar("converting", share),
+        )
+    if options.json:
+        print_json(
+            {
+                "output": str(target),
+                "topics": list(converted.topics),
+                "messages": converted.messages,
+                "notes": list(converted.notes),
+            }
+        )
+    elif not options.quiet:
+        for note in converted.notes:
+            print(f"note: {note}")
+        topics = "topic" if len(converted.topics) == 1 else "topics"
+        print(
+            f"wrote {converted.messages} messages on {len(converted.topics)} {topics} to "
+            f"{shown(target)}"
+        )
+    return 0

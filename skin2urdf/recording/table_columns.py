@@ -1,0 +1,93 @@
+"""Columns of a table by their headers: what they hold, and in which unit.
+
+A header is ``NAME [UNIT]``. One column is the time; a joint has one column, an SU three, whose
+names end in ``.x``, ``.y`` and ``.z``.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from skin2urdf.geometry.units import GRAVITY
+
+TIME_UNITS = {"s": 1e9, "ms": 1e6, "us": 1e3, "µs": 1e3, "μs": 1e3, "ns": 1.0}
+"""Nanoseconds in each."""
+JOINT_UNITS = {"rad": 1.0, "deg": float(np.pi / 180), "°": float(np.pi / 180), "m": 1.0, "mm": 1e-3}
+FORCE_UNITS = {
+    **dict.fromkeys(("m/s^2", "m/s²", "m/s2", "m/s**2"), 1.0),
+    "g": GRAVITY,
+    "mg": 1e-3 * GRAVITY,
+}
+_HEADER = re.compile(r"(?P<name>.*?)\s*[\[(](?P<unit>[^\[\]()]*)[\])]")
+_AXES = "xyz"
+
+
+@dataclass(frozen=True)
+class Columns:
+    """What the columns of a table hold.
+
+    Attributes:
+        time: number of the column of times.
+        time_unit: nanoseconds in its unit.
+        joints: name, number of the column and factor to rad or m of each joint.
+        sus: name, numbers of the three columns and factors to m/s^2 of each SU.
+        unused: headers that say nothing that is used.
+    """
+
+    time: int
+    time_unit: float
+    joints: tuple[tuple[str, int, float], ...]
+    sus: tuple[tuple[str, tuple[int, ...], tuple[float, ...]], ...]
+    unused: tuple[str, ...]
+
+
+def columns_of(headers: Sequence[str]) -> Columns | str:
+    """Tell what columns hold.
+
+    Args:
+        headers: the first line of a table.
+
+    Returns:
+        The columns, or in words what is wrong with them.
+    """
+    times: list[tuple[int, float]] = []
+    joints: dict[str, tuple[int, float]] = {}
+    axes: dict[str, dict[str, tuple[int, float]]] = {}
+    unused: list[str] = []
+    for k, header in enumerate(headers):
+        found = _HEADER.fullmatch(header.strip())
+        name, unit = (found["name"], found["unit"].strip()) if found else (header.strip(), "")
+        stem, _, axis = name.rpartition(".")
+        if name.lower() in ("time", "stamp", "timestamp", "t"):
+            if unit not in TIME_UNITS:
+                return f"the column {header.strip()!r} lacks a unit: write `time [s]` or `[ns]`"
+            times.append((k, TIME_UNITS[unit]))
+        elif unit in FORCE_UNITS and stem and axis.lower() in _AXES and axis:
+            if axes.setdefault(stem, {}).setdefault(axis.lower(), (k, FORCE_UNITS[unit]))[0] != k:
+                return f"two columns are called {header.strip()!r}"
+        elif unit in JOINT_UNITS and name:
+            if joints.setdefault(name, (k, JOINT_UNITS[unit]))[0] != k:
+                return f"two columns are called {header.strip()!r}"
+        else:
+            unused.append(header.strip())
+    if len(times) != 1:
+        return "there is no column of times" if not times else "there are several columns of times"
+    for stem, found_axes in axes.items():
+        missing = [axis for axis in _AXES if axis not in found_axes]
+        if missing:
+            return f"the SU {stem!r} lacks {' and '.join(missing)}"
+    if not joints and not axes:
+        return "no column is a joint or an SU"
+    return Columns(
+        *times[0],
+        tuple((name, *place) for name, place in joints.items()),
+        tuple(
+            (name, tuple(found[a][0] for a in _AXES), tuple(found[a][1] for a in _AXES))
+            for name, found in axes.items()
+        ),
+        tuple(unused),
+    )

@@ -162,7 +162,8 @@ def test_directions_are_better_known_with_gyroscopes() -> None:
     def information(of: MotionEstimate) -> F64:
         return np.diag(of.information.equations.joint)[: 4 * 3].reshape(3, 4)[:, 2:][free]
 
-    assert (information(both) > 3 * information(deaf)).all()
+    # Before the first joint nothing turns, and nothing tells a gyroscope how that is placed.
+    assert (information(both) > 3 * information(deaf))[2:].all()
 
 
 def test_a_gyroscope_of_other_axes_is_left_out() -> None:

@@ -105,6 +105,8 @@ def sample_logs(
         InsufficientDataError: the logs lack what a calibration needs.
     """
     sampled, su_names = clock.run("sampling", lambda _: sampled_together(recordings))
+    if not settings.gyro:
+        sampled = [replace(s, turning=None) for s in sampled]
     return Logs(sampled, su_names, settings)
 
 

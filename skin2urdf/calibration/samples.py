@@ -59,7 +59,12 @@ def fit_samples(solution: Solution, tell: Tell) -> MotionEstimate | None:
     if not settings.estimation.intrinsics:
         sensors = replace(sensors, bias=0.0, scale=0.0, cross=0.0)
         front = np.zeros(2), np.zeros(2)
-    priors = motion_priors(sensors, gravity=settings.gravity_deviation, front=front)
+    priors = motion_priors(
+        sensors,
+        gravity=settings.gravity_deviation,
+        front=front,
+        gyro=settings.estimation.intrinsics,
+    )
     return estimate_along(trajectories, tree, found.state, priors, latency, tell)
 
 
@@ -100,7 +105,9 @@ def _stands_out(hit: Fault, along: MotionEstimate, sampled: Sequence[Sampled]) -
     if not during.any():
         return True
     seen = fitted.predicted[g].measured[during, :, None]
-    ratio = np.where(seen, fitted.predicted[g].residual[during] / fitted.noise[g][during], 0.0)
+    ratio = np.where(
+        seen, fitted.predicted[g].residual[during] / fitted.noise[g][during][..., :3], 0.0
+    )
     return bool((ratio**2).mean(axis=(0, 2)).max() > _HIT**2)
 
 

@@ -21,6 +21,7 @@ class CalibrationSettings:
             far above the noise and is there for comparison.
         estimation: priors, refinement, robustness.
         motion: ``all`` samples of the logs count, or those of ``patterns`` around poses alone.
+        gyro: whether gyroscopes count, where SUs have them.
         gravity_deviation: standard deviation of gravity's magnitude where the logs were recorded
             [m/s^2]; on Earth it is 9.764 to 9.834. Every length rests on it.
         bandwidth: cutoff [Hz] and order (1 or 2) of the sensors' low-pass, where it is known.
@@ -34,6 +35,7 @@ class CalibrationSettings:
     method: Method = "default"
     estimation: EstimationSettings = field(default_factory=EstimationSettings)
     motion: Motion = "all"
+    gyro: bool = True
     gravity_deviation: float = 0.02
     bandwidth: tuple[float, int] | None = None
     slowest_pole: float = 8e-3

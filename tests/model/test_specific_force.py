@@ -9,7 +9,11 @@ from synthetic import pinocchio_jacobians, pinocchio_model, random_state, random
 
 from skin2urdf.arrays import F64
 from skin2urdf.estimation.problem.state import State
-from skin2urdf.model.specific_force import beyond_first_order, specific_forces
+from skin2urdf.model.specific_force import (
+    angular_velocities,
+    beyond_first_order,
+    specific_forces,
+)
 from skin2urdf.structure.records import KinematicTree
 
 UP = np.array([1.2, -0.7, 9.6])
@@ -43,6 +47,16 @@ def test_readings_are_those_of_rigid_bodies(robot: tuple[KinematicTree, State]) 
     q, qd, qdd = (s * rng.standard_normal((40, tree.n_joints)) for s in (1.5, 2.0, 10.0))
     found = specific_forces(state.model(tree), q, qd, qdd, UP)
     np.testing.assert_allclose(found, by_pinocchio(tree, state, q, qd, qdd), atol=1e-10)
+
+
+def test_rates_are_the_angular_columns_of_jacobians(robot: tuple[KinematicTree, State]) -> None:
+    tree, state = robot
+    rng = np.random.default_rng(9)
+    q, qd = (s * rng.standard_normal((40, tree.n_joints)) for s in (1.5, 2.0))
+    _, w, _ = pinocchio_jacobians(tree, state, q)
+    expected = np.einsum("nudi,nd->nui", w, qd)
+    found = angular_velocities(state.model(tree), q, qd)
+    np.testing.assert_allclose(found, expected, atol=1e-12)
 
 
 def test_the_rest_is_what_first_order_leaves(robot: tuple[KinematicTree, State]) -> None:

@@ -88,6 +88,9 @@ def declare(command: Parser) -> None:
         help="cutoff of the sensors' low-pass, from the data sheet; order 1 or 2 (1). Else it is "
         "estimated, and taken to be 20 Hz or faster",
     )
+    sensors.add_argument(
+        "--no-gyro", action="store_true", help="leave out what gyroscopes say, where SUs have them"
+    )
     lengths = command.add_argument_group(
         "gravity, on which every length rests", "at most one of these"
     ).add_mutually_exclusive_group()
@@ -177,6 +180,7 @@ def calibration_settings(options: argparse.Namespace) -> CalibrationSettings:
         ),
         static_threshold=options.threshold * GRAVITY,
         motion=options.motion,
+        gyro=not options.no_gyro,
         bandwidth=options.bandwidth,
     )
     return replace(settings, gravity_deviation=ANOMALY) if "gravity" in given else settings

@@ -17,14 +17,14 @@ from skin2urdf.estimation.problem.cost import Cost, Priors
 from skin2urdf.estimation.problem.state import N_PLACEMENT, Free, State
 from skin2urdf.estimation.solve.arrow import factor
 
-_ENOUGH = 6
+ENOUGH = 6
 """Determined coordinates of a kind, two sensors' worth, from which their spread is learnt."""
 DETERMINED = 0.1
 """Variance over the prior's up to which the data determine a coordinate."""
 _GAIN = 2.0
 """Logarithm of the likelihood that a spread has to gain; chance exceeds it once in forty times
 (Chernoff 1954: half of a chi-squared variable beyond 4)."""
-_BEYOND_NOISE = 10.0
+BEYOND_NOISE = 10.0
 """A learnt prior over the sample's noise, at least: it is not to decide what the data determine."""
 
 
@@ -51,14 +51,14 @@ def learnt_priors(cost: Cost, state: State, free: Free) -> Priors:
             variance[:, columns], given**2, out=np.ones((len(error), 3)), where=given > 0
         )
         use = estimated[:, columns] & (share < DETERMINED)
-        if use.sum() < _ENOUGH:
+        if use.sum() < ENOUGH:
             found[name] = found["hidden"] = given
             continue
         # What the estimate would be without the prior.
         data = 1 / (1 - share[use])
         noise = variance[:, columns][use] * data
         size = spread(error[:, columns][use] * data, noise)
-        widest = max(size, _BEYOND_NOISE * float(np.sqrt(np.median(noise))))
+        widest = max(size, BEYOND_NOISE * float(np.sqrt(np.median(noise))))
         found[name], found["hidden"] = min(given, widest), min(given, size)
     return replace(priors, **found)
 

@@ -13,6 +13,8 @@ from skin2urdf.estimation.problem.state import State
 from skin2urdf.estimation.trajectory.elastic import elasticity, followed
 from skin2urdf.estimation.trajectory.fit import Fitted, fit
 from skin2urdf.estimation.trajectory.front_end import droop
+from skin2urdf.estimation.trajectory.gyro import gyro_deviations
+from skin2urdf.estimation.trajectory.listening import Gyros, found_gyros, listened
 from skin2urdf.estimation.trajectory.misfit import misfit, span_means
 from skin2urdf.estimation.trajectory.priors import MotionPriors
 from skin2urdf.estimation.trajectory.problem import MotionProblem
@@ -65,12 +67,14 @@ class MotionEstimate:
         information: what it is worth.
         misfit: squares of mean residuals over spans of time, over what noise makes of them; up to 1
             where the model explains the readings.
+        gyros: what was found of gyroscopes; None where no SU has one.
     """
 
     problem: MotionProblem
     fitted: Fitted
     information: MotionInformation
     misfit: float
+    gyros: Gyros | None = None
 
     @property
     def state(self) -> State:
@@ -125,8 +129,11 @@ def estimate_along(
         clock=clock,
         knots=tuple(np.zeros((n, U, 3)) for n in problem.layout.n_knots),
         unseen=np.zeros(problem.layout.n_unseen),
+        gyro=np.zeros((U, problem.layout.gyro.stop - problem.layout.gyro.start)),
     )
     fitted = fit(problem, begin, tell=tell)
+    problem, fitted, contradict = listened(problem, fitted)
+    logs, priors = problem.logs, problem.priors
     left = _misfit(problem, fitted, _SPAN)
     if left > _EXPLAINED:
         causes = [_with_elastic_joints(problem, fitted)]
@@ -142,7 +149,8 @@ def estimate_along(
     seconds = max(float(log.time[-1] - log.time[0]) for log in logs)
     spans = int(np.clip(seconds / _SPAN, _FEWEST, _MOST))
     information = motion_information(problem, fitted, spans, lasting)
-    return MotionEstimate(problem, fitted, information, left)
+    gyros = found_gyros(problem, fitted, contradict)
+    return MotionEstimate(problem, fitted, information, left, gyros)
 
 
 def _begin_front(front: F64) -> F64:
@@ -216,13 +224,16 @@ def _change(before: Sequence[F64], after: Sequence[F64]) -> float:
     return moved / largest if largest > 0 else 0.0
 
 
-def motion_priors(sensors: Priors, *, gravity: float, front: tuple[F64, F64]) -> MotionPriors:
+def motion_priors(
+    sensors: Priors, *, gravity: float, front: tuple[F64, F64], gyro: bool = True
+) -> MotionPriors:
     """What is commonly known before logs are read.
 
     Args:
         sensors: of bias, scale and cross-axis.
         gravity: standard deviation of its magnitude [m/s^2].
         front: mean and standard deviation (2,) of sensors' front ends [s^2].
+        gyro: whether gyroscopes have errors.
     """
     return MotionPriors(
         sensors=sensors,
@@ -232,4 +243,5 @@ def motion_priors(sensors: Priors, *, gravity: float, front: tuple[F64, F64]) ->
         drift=1e-2,
         bias_walk=0.0,
         unseen=np.zeros(0),
+        gyro=gyro_deviations(float(front[1].max())) * gyro,
     )

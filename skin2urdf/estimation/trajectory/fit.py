@@ -9,6 +9,7 @@ import numpy as np
 
 from skin2urdf.arrays import F64, Bool
 from skin2urdf.estimation.trajectory.arrow import eliminated, newton_step
+from skin2urdf.estimation.trajectory.gyro import rate_weights
 from skin2urdf.estimation.trajectory.problem import MotionProblem
 from skin2urdf.estimation.trajectory.records import Equations, Predicted
 from skin2urdf.estimation.trajectory.state import MotionState
@@ -31,8 +32,9 @@ class Fitted:
 
     Attributes:
         state: the state.
-        noise: per log (K, U, 3) standard deviation of each sample as the residuals show it.
-        weights: per log (K, U, 3) information that each sample counted with [s^4/m^2].
+        noise: per log (K, U, 3) standard deviation of each sample as the residuals show it; with
+            gyroscopes (K, U, 6), theirs last [m/s^2, rad/s].
+        weights: per log, of the same shape, information that each sample counted with.
         predicted: per log, residuals at the state.
         equations: normal equations there.
         chi2: sum of squared residuals over noise, times independence, priors included.
@@ -125,10 +127,11 @@ def _cost(
     weights: Sequence[F64],
 ) -> float:
     """Chi-squared with given weights."""
-    data = sum(
-        float((w * np.where(p.measured[..., None], p.residual, 0.0) ** 2).sum())
-        for w, p in zip(weights, predicted, strict=True)
-    )
+    data = 0.0
+    for w, p in zip(weights, predicted, strict=True):
+        data += float((w[..., :3] * np.where(p.measured[..., None], p.residual, 0.0) ** 2).sum())
+        if p.turned is not None:
+            data += float((w[..., 3:] * p.turned.residual**2).sum())
     return data + problem.prior_chi2(state)
 
 
@@ -149,6 +152,11 @@ def _noise(
         w = np.where(p.measured, log.independence * share, 0.0)[..., None] / sd**2
         noise.append(sd)
         weights.append(np.where(np.isfinite(w), w, 0.0))
+    turned = [p.turned for p in predicted]
+    if any(t is not None for t in turned):
+        rates = rate_weights(problem.tree, problem.logs, problem.gyros, turned)
+        noise = [np.concatenate(each, axis=2) for each in zip(noise, rates[0], strict=True)]
+        weights = [np.concatenate(each, axis=2) for each in zip(weights, rates[1], strict=True)]
     return tuple(noise), tuple(weights)
 
 

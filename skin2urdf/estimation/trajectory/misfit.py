@@ -32,6 +32,7 @@ def span_means(
     for log, p, w in zip(problem.logs, predicted, weights, strict=True):
         n = max(1, int((log.time[-1] - log.time[0]) / seconds))
         first = np.linspace(0, len(log.kept), n + 1).astype(int)[:-1]
+        w = w[..., :3]
         total = np.add.reduceat(w, first, axis=0)
         r = np.where(p.measured[..., None], p.residual, 0.0)
         known = total > 0

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -11,7 +11,7 @@ from skin2urdf.arrays import F64, frozen
 from skin2urdf.estimation.problem.cost import Priors
 from skin2urdf.estimation.problem.state import N_JOINT, N_PLACEMENT, N_SU
 from skin2urdf.estimation.trajectory.records import Equations
-from skin2urdf.estimation.trajectory.state import Layout, MotionState
+from skin2urdf.estimation.trajectory.state import N_GYRO, N_GYRO_BIAS, Layout, MotionState
 
 
 @dataclass(frozen=True)
@@ -26,6 +26,7 @@ class MotionPriors:
         drift: of its rate [1].
         bias_walk: of the change of a bias per root of a second [m/s^2/sqrt(s)].
         unseen: (S,) of the numbers that make what encoders do not see.
+        gyro: (14,) of a gyroscope's coordinates, its bias in a log last.
     """
 
     sensors: Priors
@@ -35,9 +36,10 @@ class MotionPriors:
     drift: float
     bias_walk: float
     unseen: F64
+    gyro: F64 = field(default_factory=lambda: np.zeros(N_GYRO + N_GYRO_BIAS))
 
     def __post_init__(self) -> None:
-        for name in ("front", "unseen"):
+        for name in ("front", "unseen", "gyro"):
             object.__setattr__(self, name, frozen(getattr(self, name)))
 
 
@@ -82,6 +84,10 @@ def prior_information(
     for g in range(layout.n_logs):
         of_su[layout.clock(g)] = inverse(np.array([priors.lag, priors.drift]))
         value[:, layout.clock(g)] = state.clock[g]
+    if layout.gyros:
+        of_log = np.tile(priors.gyro[N_GYRO:], layout.n_logs)
+        of_su[layout.gyro] = inverse(np.concatenate([priors.gyro[:N_GYRO], of_log]))
+        value[:, layout.gyro] = state.gyro
     su[:, range(layout.n_su), range(layout.n_su)] = of_su
     su_gradient -= of_su * value
     for g, n in enumerate(layout.n_knots):

@@ -17,6 +17,7 @@ from skin2urdf.estimation.problem.state import (
     identifiable,
 )
 from skin2urdf.estimation.trajectory.front_end import front_end
+from skin2urdf.estimation.trajectory.gyro import predicted_turning, rate_columns, with_gyros
 from skin2urdf.estimation.trajectory.kinematics import (
     FrameMotion,
     Path,
@@ -34,8 +35,8 @@ from skin2urdf.estimation.trajectory.priors import (
     sense,
     with_priors,
 )
-from skin2urdf.estimation.trajectory.records import Equations, Predicted, Spans
-from skin2urdf.estimation.trajectory.state import Layout, MotionState
+from skin2urdf.estimation.trajectory.records import Equations, Predicted, Spans, Turned
+from skin2urdf.estimation.trajectory.state import N_GYRO, Layout, MotionState
 from skin2urdf.estimation.trajectory.unseen import Unseen
 from skin2urdf.model.specific_force import specific_forces
 from skin2urdf.signals.filters import filtered, first_derivative, taken_at
@@ -69,8 +70,27 @@ class MotionProblem:
         self._motions = unseen.at_kept(self.logs) if unseen else ()
         self._seconds = tuple(float(log.time[-1] - log.time[0]) for log in self.logs)
         knots = tuple(n_knots or [0] * len(self.logs))
-        self.layout = Layout(tree.n_joints, len(self.logs), knots, len(priors.unseen))
+        self.gyros = with_gyros(tree, self.logs)
+        self.layout = Layout(
+            tree.n_joints,
+            len(self.logs),
+            knots,
+            len(priors.unseen),
+            any(log.rates is not None for log in self.logs),
+        )
         self.free_joint, self.free_su = self._free()
+
+    def again(
+        self, *, logs: Sequence[Trajectory] | None = None, priors: MotionPriors | None = None
+    ) -> MotionProblem:
+        """The same problem with other logs, or with something else known before."""
+        return MotionProblem(
+            self.tree,
+            self.logs if logs is None else logs,
+            priors or self.priors,
+            self.layout.n_knots,
+            self.unseen,
+        )
 
     def coarse(self) -> tuple[Bool, Bool]:
         """Coordinates (J,) and (U, n) to begin with: placements, biases and lags.
@@ -82,6 +102,8 @@ class MotionProblem:
         su[:, : N_PLACEMENT + 3] = True
         for g in range(layout.n_logs):
             su[:, layout.clock(g).start] = True
+        if layout.gyros:
+            su[:, layout.gyro.start + N_GYRO : layout.gyro.stop] = True
         return joint, su & self.free_su
 
     def _free(self) -> tuple[Bool, Bool]:
@@ -101,6 +123,10 @@ class MotionProblem:
             su[resting, layout.clock(g)] = False
             su[:, layout.knots(g)] = priors.bias_walk > 0
         su[resting, layout.front] = False
+        if layout.gyros:
+            of_log = np.tile(priors.gyro[N_GYRO:], layout.n_logs)
+            known = np.concatenate([priors.gyro[:N_GYRO], of_log])
+            su[:, layout.gyro] = self.gyros[:, None] & (known > 0)
         return joint, su
 
     def knot_shares(self, g: int) -> F64:
@@ -127,7 +153,8 @@ class MotionProblem:
         for u in range(self.tree.n_sus):
             residual[:, u] = taken_at(log.readings[:, u], at[:, u]) - predicted[:, u]
         measured = log.valid & np.isfinite(residual).all(axis=2)
-        return Predicted(residual, measured, ideal[log.kept], rates)
+        turned = predicted_turning(model, self.logs[g], log, state, g, self.lags(state, g))
+        return Predicted(residual, measured, ideal[log.kept], rates, turned)
 
     def moved(self, state: MotionState, g: int) -> Trajectory:
         """A log with the motion of the links, of which encoders do not see all."""
@@ -153,7 +180,7 @@ class MotionProblem:
         Args:
             state: placements, and sensors to begin with.
             predicted: residuals of each log there.
-            weights: per log (K, U, 3) information of each sample [s^4/m^2].
+            weights: per log (K, U, 3) information of each sample [s^4/m^2]; gyroscopes' behind it.
             free_su: (U, n) coordinates that may move.
         """
         at = slice(N_PLACEMENT, N_SU)
@@ -162,7 +189,7 @@ class MotionProblem:
         H, g = prior[:, at, at].copy(), gradient[:, at].copy()
         columns = [sensor_columns(p.ideal) for p in predicted]
         for A, p, w in zip(columns, predicted, weights, strict=True):
-            r = np.where(p.measured[..., None], p.residual, 0.0)
+            w, r = w[..., :3], np.where(p.measured[..., None], p.residual, 0.0)
             H += np.einsum("kucx,kux,kudx->ucd", A, w, A, optimize=True)
             g += np.einsum("kucx,kux->uc", A, w * r)
         H = np.where(free[:, :, None] & free[:, None], H, 0.0) + np.eye(H.shape[1]) * ~free[:, None]
@@ -196,7 +223,8 @@ class MotionProblem:
         Args:
             state: where.
             predicted: residuals of each log there.
-            weights: per log (K, U, 3) information of each sample [s^4/m^2]; 0 leaves one out.
+            weights: per log (K, U, 3) information of each sample [s^4/m^2], 0 leaves one out;
+                (K, U, 6) with that of gyroscopes [s^2/rad^2] where a log has any.
         """
         layout, U = self.layout, self.tree.n_sus
         J, n = layout.n_joint, layout.n_su
@@ -273,9 +301,15 @@ class MotionProblem:
             frames = frame_motions(self.tree, state.placements.T_parent_joint, up, q, qd, qdd)
             for u in range(self.tree.n_sus):
                 A = self._columns(state, g, u, frames, (q, qd, qdd), predicted[g].rates[:, :, u])
-                root = np.sqrt(weights[g][:, u].T)
+                root = np.sqrt(weights[g][:, u, :3].T)
                 residual = np.where(predicted[g].measured[:, u], predicted[g].residual[:, u].T, 0.0)
                 yield g, u, self._joint_columns(u, g), A * root, residual * root
+                turned = predicted[g].turned
+                if turned is None or not self.gyros[u]:
+                    continue
+                A = self._gyro_columns(state, g, u, frames, turned)
+                root = np.sqrt(weights[g][:, u, 3:].T)
+                yield g, u, self._joint_columns(u, g), A * root, turned.residual[:, u].T * root
 
     def _joint_columns(self, u: int, g: int) -> list[int]:
         """Columns of the joint part that an SU's readings in a log depend on."""
@@ -294,6 +328,24 @@ class MotionProblem:
             return np.zeros(0, dtype=np.int64)
         chain = self.tree.chain(int(self.tree.su_joint[u]))
         return np.flatnonzero(np.isin(self.unseen.joint, list(chain)))
+
+    def _gyro_columns(
+        self,
+        state: MotionState,
+        g: int,
+        u: int,
+        frames: tuple[list[FrameMotion], list[FrameMotion]],
+        turned: Turned,
+    ) -> F64:
+        """(C + n, 3, K) derivatives of what an SU's gyroscope is predicted to read."""
+        fixed, carried = frames
+        here = placed(carried[int(self.tree.su_joint[u])], state.placements.T_joint_su[u])
+        felt = self._moving(u)
+        unseen = felt, np.zeros((2, 0, here.w.shape[1]))
+        if self.unseen:
+            unseen = self.unseen.joint[felt], self._motions[g][:2, felt]
+        slopes = turned.slope[:, u], turned.bend[:, u], self._since_middle(g)
+        return rate_columns(self.tree, state, self.layout, g, u, (fixed, here), unseen, slopes)
 
     def _columns(
         self,

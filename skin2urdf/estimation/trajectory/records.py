@@ -17,12 +17,31 @@ class Predicted:
         ideal: (K, U, 3) what perfect sensors in the SUs' places would read, as predicted [m/s^2].
         rates: (3, K, U, 3) derivatives of predicted readings in time, and in the coordinates of the
             sensors' front ends.
+        turned: the same of gyroscopes; None where the log has none.
     """
 
     residual: F64
     measured: Bool
     ideal: F64
     rates: F64
+    turned: Turned | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Turned:
+    """What gyroscopes read in one log, held against a state.
+
+    Attributes:
+        residual: (K, U, 3) readings less prediction [rad/s]; 0 where nothing is measured.
+        measured: (K, U) where there is something to compare.
+        slope: (K, U, 3) derivative of the predicted readings in time [rad/s^2], and
+        bend: (K, U, 3) that of second order [rad/s^3].
+    """
+
+    residual: F64
+    measured: Bool
+    slope: F64
+    bend: F64
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -12,6 +12,9 @@ from skin2urdf.estimation.trajectory.front_end import N_FRONT
 
 N_CLOCK = 2
 """Coordinates of an SU's clock in a log: lag and drift."""
+N_GYRO_MATRIX, N_GYRO, N_GYRO_BIAS = 9, 11, 3
+"""Coordinates of a gyroscope: its sensitivity, row by row, with what else it always has (by how
+much it is late, and its droop), and its bias in a log."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,6 +29,9 @@ class MotionState:
             much more each second [1].
         knots: per log (B, U, 3) bias of each SU at B moments, above its own [m/s^2]; linear in
             between; none (B = 0) where biases are constant.
+        gyro: (U, 11 + 3 G) of each gyroscope, above a perfect one: sensitivity, row by row [1],
+            delay behind the accelerometer [s], droop [s^2], biases in each log [rad/s]; (U, 0)
+            where no SU has one.
         unseen: (S,) numbers that make the motion that encoders do not see, as in :mod:`unseen`.
     """
 
@@ -35,9 +41,10 @@ class MotionState:
     clock: F64
     knots: tuple[F64, ...]
     unseen: F64
+    gyro: F64 = field(default_factory=lambda: np.zeros((0, 0)))
 
     def __post_init__(self) -> None:
-        for name in ("front", "clock", "unseen"):
+        for name in ("front", "clock", "unseen", "gyro"):
             object.__setattr__(self, name, frozen(getattr(self, name)))
         object.__setattr__(self, "knots", tuple(frozen(k) for k in self.knots))
 
@@ -51,12 +58,14 @@ class Layout:
         n_logs: G.
         n_knots: B of each log.
         n_unseen: S.
+        gyros: whether any SU has a gyroscope.
     """
 
     n_joints: int
     n_logs: int
     n_knots: tuple[int, ...]
     n_unseen: int
+    gyros: bool = False
 
     @property
     def joints(self) -> slice:
@@ -99,9 +108,15 @@ class Layout:
         return slice(begin, begin + 3 * self.n_knots[log])
 
     @property
+    def gyro(self) -> slice:
+        """An SU's gyroscope, behind all that its accelerometer has."""
+        begin = self.front.stop + N_CLOCK * self.n_logs + 3 * sum(self.n_knots)
+        return slice(begin, begin + self.gyros * (N_GYRO + N_GYRO_BIAS * self.n_logs))
+
+    @property
     def n_su(self) -> int:
         """Number of coordinates of each SU."""
-        return int(self.front.stop) + N_CLOCK * self.n_logs + 3 * sum(self.n_knots)
+        return int(self.gyro.stop)
 
     def moved(self, state: MotionState, joint: F64, sus: F64) -> MotionState:
         """The state reached by a step.
@@ -129,4 +144,5 @@ class Layout:
             clock=state.clock + clock,
             knots=knots,
             unseen=state.unseen + joint[self.unseen],
+            gyro=state.gyro + sus[:, self.gyro] if self.gyros else state.gyro,
         )

@@ -1,0 +1,1 @@
+"""How much gyroscopes are worth: cases, figures and table."""

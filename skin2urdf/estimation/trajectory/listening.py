@@ -1,0 +1,156 @@
+"""Which gyroscopes count in a fit, how good they are taken to be, and what was found of them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from skin2urdf.arrays import F64, Bool, frozen
+from skin2urdf.estimation.solve.spread import BEYOND_NOISE, DETERMINED, ENOUGH, spread
+from skin2urdf.estimation.trajectory.arrow import eliminated, joint_inverse
+from skin2urdf.estimation.trajectory.fit import Fitted, fit
+from skin2urdf.estimation.trajectory.gyro import contradicting, without_gyros
+from skin2urdf.estimation.trajectory.problem import MotionProblem
+from skin2urdf.estimation.trajectory.state import N_GYRO, N_GYRO_MATRIX
+
+_DIAGONAL = np.eye(3, dtype=bool).ravel()
+_NARROWER = 0.8
+"""A spread of errors over the one given, from which it is worth another fit."""
+
+
+@dataclass(frozen=True, eq=False)
+class Gyros:
+    """What was found of the gyroscopes of U SUs.
+
+    Attributes:
+        used: (U,) those that count in the fit.
+        contradict: (U,) those that turn otherwise than their SU, and were left out.
+        scale: (U, 3) scale errors [1].
+        misalignment: (U, 6) what axis x reads of a turn about y and z, y of x and z, z of x and y,
+            per unit [rad]; with it the axes' directions in the accelerometer's frame.
+        bias: (G, U, 3) in each log [rad/s].
+        delay: (U,) by how much they are later than the accelerometers [s].
+        noise: (U,) noise of a low-passed sample while the SU moves [rad/s]; NaN where not used.
+        scale_sd: (U, 3) standard deviations, and
+        misalignment_sd: (U, 6) and
+        bias_sd: (G, U, 3) and
+        delay_sd: (U,).
+    """
+
+    used: Bool
+    contradict: Bool
+    scale: F64
+    misalignment: F64
+    bias: F64
+    delay: F64
+    noise: F64
+    scale_sd: F64
+    misalignment_sd: F64
+    bias_sd: F64
+    delay_sd: F64
+
+    def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            whole = np.bool_ if name in ("used", "contradict") else np.float64
+            object.__setattr__(self, name, frozen(value, whole))
+
+
+def listened(problem: MotionProblem, fitted: Fitted) -> tuple[MotionProblem, Fitted, Bool]:
+    """The fit without gyroscopes that contradict their SUs, and with errors like those of others.
+
+    Args:
+        problem: what was fitted.
+        fitted: the fit.
+
+    Returns:
+        The problem and its fit, and (U,) True for gyroscopes that are left out.
+    """
+    odd = np.zeros(problem.tree.n_sus, dtype=bool)
+    if not problem.gyros.any():
+        return problem, fitted, odd
+    odd = contradicting(problem.logs, [p.turned for p in fitted.predicted], problem.gyros)
+    if odd.any():
+        logs = without_gyros(problem.logs, odd)
+        problem = problem.again(logs=logs)
+        state = replace(fitted.state, gyro=np.where(odd[:, None], 0.0, fitted.state.gyro))
+        fitted = fit(problem, state)
+    deviations = _learnt(problem, fitted)
+    if (deviations < _NARROWER * problem.priors.gyro).any():
+        problem = problem.again(priors=replace(problem.priors, gyro=deviations))
+        fitted = fit(problem, fitted.state)
+    return problem, fitted, odd
+
+
+def _learnt(problem: MotionProblem, fitted: Fitted) -> F64:
+    """(14,) what is known before, narrowed to the errors that gyroscopes show (empirical Bayes)."""
+    given = problem.priors.gyro
+    out = np.array(given)
+    of = slice(problem.layout.gyro.start, problem.layout.gyro.start + N_GYRO_MATRIX)
+    variance = _variances(problem, fitted)[:, of]
+    error = fitted.state.gyro[:, :N_GYRO_MATRIX]
+    for kind in (_DIAGONAL, ~_DIAGONAL):
+        which = np.flatnonzero(kind)
+        before = given[which[0]]
+        if not before > 0:
+            continue
+        share = variance[:, which] / before**2
+        use = problem.gyros[:, None] & (share < DETERMINED)
+        if use.sum() < ENOUGH:
+            continue
+        data = 1 / (1 - share[use])
+        noise = variance[:, which][use] * data
+        size = spread(error[:, which][use] * data, noise)
+        widest = max(size, BEYOND_NOISE * float(np.sqrt(np.median(noise))))
+        out[which] = min(before, widest)
+    return out
+
+
+def _variances(problem: MotionProblem, fitted: Fitted) -> F64:
+    """(U, n) variances of the SUs' coordinates, whatever the joints are."""
+    free = problem.free_joint, problem.free_su
+    system = eliminated(fitted.equations, *free)
+    joint = joint_inverse(system.schur, free[0])
+    by_joint = np.einsum("unj,jk,unk->un", system.lean, joint, system.lean, optimize=True)
+    return np.asarray(np.einsum("unn->un", system.su_inverse) + by_joint)
+
+
+def found_gyros(problem: MotionProblem, fitted: Fitted, contradict: Bool) -> Gyros | None:
+    """What a fit found of gyroscopes; None where no SU has one.
+
+    Args:
+        problem: what was fitted.
+        fitted: the fit.
+        contradict: (U,) True for gyroscopes that were left out.
+    """
+    if not problem.layout.gyros:
+        return None
+    U, G = problem.tree.n_sus, len(problem.logs)
+    at = problem.layout.gyro
+    value, sd = fitted.state.gyro, np.sqrt(_variances(problem, fitted)[:, at])
+    noise = np.full(U, np.nan)
+    for u in np.flatnonzero(problem.gyros):
+        seen = [
+            sd_of[p.turned.measured[:, u], u, 3]
+            for sd_of, p in zip(fitted.noise, fitted.predicted, strict=True)
+            if p.turned is not None
+        ]
+        noise[u] = np.median(np.concatenate(seen))
+
+    def biases(of: F64) -> F64:
+        return np.asarray(of[:, N_GYRO:].reshape(U, G, 3).swapaxes(0, 1))
+
+    matrix, matrix_sd = value[:, :N_GYRO_MATRIX], sd[:, :N_GYRO_MATRIX]
+    return Gyros(
+        used=problem.gyros,
+        contradict=contradict,
+        scale=matrix[:, _DIAGONAL],
+        misalignment=matrix[:, ~_DIAGONAL],
+        bias=biases(value),
+        delay=value[:, N_GYRO_MATRIX],
+        noise=noise,
+        scale_sd=matrix_sd[:, _DIAGONAL],
+        misalignment_sd=matrix_sd[:, ~_DIAGONAL],
+        bias_sd=biases(sd),
+        delay_sd=sd[:, N_GYRO_MATRIX],
+    )

@@ -1,4 +1,4 @@
-"""Writing results so that a reader never meets half a file."""
+"""Files in and out: readers of results never meet half a file."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import os
 import secrets
 from pathlib import Path
 
-from skin2urdf.errors import UsageError
+from skin2urdf.errors import UnreadableInputError, UsageError
 
 
 def check_target(path: str | Path) -> Path:
@@ -82,3 +82,19 @@ def write_atomically(path: str | Path, text: str) -> None:
     finally:
         with contextlib.suppress(OSError):
             temporary.unlink(missing_ok=True)
+
+
+def read_text(path: str | Path) -> str:
+    """The text of a small UTF-8 file.
+
+    Raises:
+        UnreadableInputError: there is no such file, or it holds no UTF-8.
+    """
+    try:
+        return Path(path).read_text(encoding="utf-8")
+    except OSError as error:
+        raise UnreadableInputError(
+            str(path), f"can not be read: {error.strerror or error}", "check the path"
+        ) from error
+    except ValueError as error:
+        raise UnreadableInputError(str(path), "is no text in UTF-8", "check the path") from error

@@ -12,9 +12,19 @@ from skin2urdf.calibration.result import Calibration
 from skin2urdf.errors import BadFitError, UsageError
 from skin2urdf.files import check_target, write_atomically
 from skin2urdf.report.document import as_document, dumps
+from skin2urdf.report.findings import findings
+from skin2urdf.report.remarks import remarks
 from skin2urdf.urdf.beside import document_beside
 from skin2urdf.urdf.check import check_urdf
 from skin2urdf.urdf.emit import emit
+from skin2urdf.urdf.limits import (
+    Choice,
+    read_limits,
+    seen_limits,
+    wide_limits,
+    with_given,
+)
+from skin2urdf.urdf.records import JointLimits
 
 __all__ = ["document_beside", "not_to_be_saved", "output_paths", "render", "save"]
 
@@ -46,6 +56,8 @@ def save(
     *,
     name: str | None = None,
     visuals: bool = True,
+    collision: bool = False,
+    limits: Choice | str | Path = "wide",
     even_bad: bool = False,
 ) -> tuple[Path, Path]:
     """Write a calibration as URDF and JSON; on failure the old files of both names stay.
@@ -58,6 +70,8 @@ def save(
         path: the URDF to write; the JSON has its name with the ending ``.json``.
         name: the robot's name in the URDF; that of the file by default.
         visuals: whether to draw simple shapes, so that viewers show a robot.
+        collision: whether these shapes collide, too.
+        limits: of the joints, see :func:`render`.
         even_bad: write it even if its quality is "bad".
 
     Returns:
@@ -71,7 +85,9 @@ def save(
     if calibration.quality == "bad" and not even_bad:
         raise not_to_be_saved(calibration, path)
     urdf, beside = output_paths(path)
-    text, document = render(calibration, name or urdf.stem, visuals=visuals)
+    text, document = render(
+        calibration, name or urdf.stem, visuals=visuals, collision=collision, limits=limits
+    )
     # All that takes space on the disk is done before the first of the old files goes.
     staged = urdf.with_name(f".{urdf.name[:100]}.{secrets.token_hex(8)}.new")
     try:
@@ -101,7 +117,12 @@ def not_to_be_saved(calibration: Calibration, path: str | Path) -> BadFitError:
 
 
 def render(
-    calibration: Calibration, name: str, *, visuals: bool = True
+    calibration: Calibration,
+    name: str,
+    *,
+    visuals: bool = True,
+    collision: bool = False,
+    limits: Choice | str | Path = "wide",
 ) -> tuple[str, dict[str, Any]]:
     """The checked text of the URDF and the JSON document of a calibration.
 
@@ -109,21 +130,41 @@ def render(
         calibration: what was found.
         name: the robot's name.
         visuals: whether to draw simple shapes.
+        collision: whether these shapes collide, too.
+        limits: "wide" ones that do not bind, with the range that the log saw as soft limits; the
+            range that was "seen"; or a file that :func:`skin2urdf.urdf.limits.read_limits` reads,
+            with wide ones for joints that it does not name.
 
     Raises:
+        UnreadableInputError: the file with limits can not be read.
         UsageError: a name can not stand in a URDF.
         InconsistentUrdfError: the URDF does not read back as the robot that was found.
     """
+    chosen, continuous = joint_limits(calibration, limits), calibration.continuous
+    if limits not in ("wide", "seen"):
+        continuous = continuous & ~chosen.known
     text = emit(
         calibration.model,
         name=name,
-        limits=calibration.limits,
-        velocity=calibration.velocity,
-        continuous=calibration.continuous,
+        limits=chosen,
+        continuous=continuous,
         visuals=visuals,
+        collision=collision,
+        remarks=remarks(calibration, findings(calibration), chosen),
     )
     check_urdf(text, calibration.model)
     return text, as_document(calibration)
+
+
+def joint_limits(calibration: Calibration, limits: Choice | str | Path) -> JointLimits:
+    """Limits of a calibration's joints as they were chosen; see :func:`render`."""
+    tree, seen = calibration.model.tree, calibration.limits
+    if limits == "seen":
+        return seen_limits(seen, calibration.velocity)
+    wide = wide_limits(seen, calibration.velocity, tree.prismatic)
+    if limits == "wide":
+        return wide
+    return with_given(wide, tree.joint_names, read_limits(limits), str(limits))
 
 
 def _digest(urdf: Path, text: str) -> dict[str, str]:

@@ -121,7 +121,7 @@ READERS_OF_TRUTH = {"simulation", "cli"}
 ENTRIES = {"pyproject.toml", "skin2urdf", "robots", "tests", "scripts", "README.md", "LICENSE"}
 # Loading any of these takes longer than `skin2urdf --help` may.
 HEAVY = {"casadi", "matplotlib", "mujoco", "nlopt", "pinocchio", "trimesh", "yourdfpy"}
-IMPORT_NAMES = {"pin": "pinocchio", "example-robot-data": "example_robot_data"}
+IMPORT_NAMES = {"pin": "pinocchio", "example-robot-data": "example_robot_data", "pyyaml": "yaml"}
 
 
 @cache

@@ -146,3 +146,30 @@ def test_a_comparison_takes_the_json_that_belongs_to_the_estimate(tmp_path: Path
     assert error(unobservable={}) > 2 * informed
     urdf.write_text(urdf.read_text() + "\n")
     assert error() == error(unobservable={})
+
+
+def test_limits_can_be_chosen(tmp_path: Path) -> None:
+    names = calibration().model.tree.joint_names
+    seen = calibration().limits
+    urdf, _ = save(calibration(), tmp_path / "a.urdf", limits="seen")
+    np.testing.assert_array_equal([load_robot(urdf).limits[n] for n in names], seen)
+    file = tmp_path / "limits.yaml"
+    file.write_text(f"{names[1]}: [-2, 2.5]")
+    urdf, _ = save(calibration(), tmp_path / "b.urdf", limits=file)
+    assert load_robot(urdf).limits[names[1]] == (-2, 2.5)
+    for lower, upper in load_robot(urdf).limits.values():
+        assert lower < 0 < upper
+
+
+def test_comparisons_stay_inside_of_what_was_seen(tmp_path: Path) -> None:
+    truth = tmp_path / "truth.urdf"
+    truth.write_text(simulation().truth.urdf)
+    wide, seen = (
+        save(calibration(), tmp_path / f"{limits}.urdf", limits=limits)[0]
+        for limits in ("wide", "seen")
+    )
+    errors = [
+        compare(urdf, truth, n_configurations=20, rng=np.random.default_rng(0)).position
+        for urdf in (wide, seen)
+    ]
+    assert errors[0] == errors[1]

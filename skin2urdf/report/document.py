@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import platform
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict
 from importlib import metadata
 from typing import Any
@@ -16,8 +16,10 @@ from skin2urdf.calibration.result import Calibration
 from skin2urdf.estimation.uncertainty.goodness import Share
 from skin2urdf.faults import Fault
 from skin2urdf.geometry.dh import joint_placement, prismatic_placement
+from skin2urdf.model.records import OpenDirection
 from skin2urdf.report.faults import fault_words
 from skin2urdf.report.findings import Findings, findings
+from skin2urdf.report.words import Unknown
 from skin2urdf.signals.records import Features
 from skin2urdf.structure.activity import Activity
 
@@ -64,10 +66,8 @@ def as_document(calibration: Calibration) -> dict[str, Any]:
         "gravity_up": calibration.estimate.state.up,
         "observability": {
             "between_branches": [
-                {"joints": direction.joints, "sus": direction.sus, "words": asdict(unknown)}
-                for direction, unknown in zip(
-                    calibration.open_directions, found.between_branches, strict=True
-                )
+                {"kind": kind, "joints": each.joints, "sus": each.sus, "words": asdict(unknown)}
+                for kind, each, unknown in _open(calibration, found)
             ],
             "hidden_rotation_rad": calibration.observability.hidden_rotation,
             "sus": {
@@ -90,6 +90,18 @@ def as_document(calibration: Calibration) -> dict[str, Any]:
     }
     plain: dict[str, Any] = to_plain(document)
     return plain
+
+
+def _open(
+    calibration: Calibration, found: Findings
+) -> Iterator[tuple[str, OpenDirection, Unknown]]:
+    """Every direction that no reading tells, between branches of a limb and between limbs."""
+    for limb in found.open_limbs:
+        for direction in limb.directions:
+            yield "limb", direction, limb.words
+    pairs = zip(calibration.open_directions, found.between_branches, strict=True)
+    for direction, unknown in pairs:
+        yield "branch", direction, unknown
 
 
 def activity_document(activity: Activity) -> dict[str, Any]:

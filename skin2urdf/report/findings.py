@@ -11,6 +11,7 @@ from skin2urdf.calibration.result import Calibration
 from skin2urdf.estimation.uncertainty.observability import aligned_deviations
 from skin2urdf.estimation.uncertainty.placements import joint_placement_covariance
 from skin2urdf.report.branches import between_branches
+from skin2urdf.report.limbs import OpenLimb, open_limbs
 from skin2urdf.report.verdict import verdict
 from skin2urdf.report.words import Unknown, unknowns
 
@@ -40,6 +41,7 @@ class Findings:
             then that is told once, and not of every SU and branch.
         unknown: per SU what the log does not tell.
         between_branches: what the log does not tell of branches relative to each other.
+        open_limbs: limbs of which it does not tell where they are relative to the largest one.
     """
 
     verdict: str
@@ -55,6 +57,7 @@ class Findings:
     positions_open: bool
     unknown: tuple[tuple[Unknown, ...], ...]
     between_branches: tuple[Unknown, ...]
+    open_limbs: tuple[OpenLimb, ...]
 
     def __post_init__(self) -> None:
         for name in (
@@ -83,8 +86,9 @@ def findings(calibration: Calibration) -> Findings:
     # Where an axis on the RS passes is a free choice, where a prismatic one passes means nothing.
     anywhere = (tree.parent < 0) | tree.prismatic | positions_open
     (position, orientation), worst = _expected(calibration)
+    limbs = open_limbs(calibration)
     return Findings(
-        verdict=verdict(calibration, *worst),
+        verdict=verdict(calibration, *worst, limbs),
         joint_covariance=covariance,
         axis_position_sd=np.where(anywhere, np.nan, np.sqrt(variance[:, :3].sum(axis=1))),
         axis_direction_sd=np.sqrt(variance[:, 3:].sum(axis=1)),
@@ -101,6 +105,7 @@ def findings(calibration: Calibration) -> Findings:
             state.up,
         ),
         between_branches=between_branches(calibration.model, calibration.open_directions, state.up),
+        open_limbs=limbs,
     )
 
 

@@ -104,6 +104,7 @@ def _hidden(calibration: Calibration) -> list[str]:
 def _joints(calibration: Calibration, found: Findings) -> list[str]:
     """The table of joints."""
     tree, fit = calibration.model.tree, calibration.goodness.by_joint.per_dof
+    apart = {limb.joint for limb in found.open_limbs}
     rows = []
     for j, name in enumerate(tree.joint_names):
         prismatic = bool(tree.prismatic[j])
@@ -118,7 +119,7 @@ def _joints(calibration: Calibration, found: Findings) -> list[str]:
                 number(found.axis_position_sd[j] * _MM),
                 number(found.axis_direction_sd[j] * _DEG, 3),
                 number(fit[j]),
-                calibration.observability.joint_verdict[j],
+                calibration.observability.joint_verdict[j] + ", place open" * (name in apart),
             )
         )
     head = ("joint", "type", "parent", "range seen", "axis sd [mm]", "[deg]", "chi2/dof", "verdict")
@@ -168,7 +169,8 @@ def _latency(features: Features | None, su: str) -> float:
 
 def _not_known(names: Sequence[str], found: Findings) -> list[str]:
     """Everything the log does not tell, SUs of which it does not tell the same in one line."""
-    lines = _alike_together(names, found.unknown)
+    lines = [str(limb.words) for limb in found.open_limbs]
+    lines += _alike_together(names, found.unknown)
     if not found.positions_open:
         return lines + [str(unknown) for unknown in found.between_branches]
     return [str(NO_POSITIONS), *lines]

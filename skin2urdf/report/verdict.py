@@ -10,19 +10,26 @@ from skin2urdf.calibration.result import GOOD_FIT, Calibration
 from skin2urdf.estimation.uncertainty.narrow import narrow_priors
 from skin2urdf.estimation.uncertainty.observability import Verdict
 from skin2urdf.recording.naming import shortened
+from skin2urdf.report.limbs import OpenLimb
 from skin2urdf.report.tables import number
 
 _MM, _DEG = 1e3, float(np.rad2deg(1.0))
 _NAMED = 3
 
 
-def verdict(calibration: Calibration, worst_position: float, worst_orientation: float) -> str:
+def verdict(
+    calibration: Calibration,
+    worst_position: float,
+    worst_orientation: float,
+    limbs: Sequence[OpenLimb] = (),
+) -> str:
     """The outcome in one line that says how far it can be believed.
 
     Args:
         calibration: a finished calibration.
         worst_position: largest error to expect of an SU that is determined [m]; NaN without any.
         worst_orientation: the same of orientations [rad].
+        limbs: those that nothing connects with the largest one.
 
     Returns:
         ``good``, ``fair`` or ``bad``, the size of the robot, how well the model explains the
@@ -38,7 +45,7 @@ def verdict(calibration: Calibration, worst_position: float, worst_orientation: 
             f"errors to expect up to {number(worst_position * _MM)} mm, "
             f"{number(worst_orientation * _DEG, 3)} deg"
         )
-    but = [*_doubts(calibration), *_missing(calibration)]
+    but = [*_doubts(calibration), *_apart(limbs), *_missing(calibration)]
     if but:
         parts.append(f"but {'; '.join(but)}")
     return "; ".join(parts)
@@ -83,6 +90,18 @@ def _doubts(calibration: Calibration) -> list[str]:
     if weak:
         doubts.append(f"the axis of {shortened(weak, _NAMED)} is known weakly")
     return doubts
+
+
+def _apart(limbs: Sequence[OpenLimb]) -> list[str]:
+    """That limbs are not where the URDF has them."""
+    if not limbs:
+        return []
+    one = len(limbs) == 1
+    return [
+        f"where the limb{'s' * (not one)} beyond {_listed([limb.joint for limb in limbs])} "
+        f"{'is' if one else 'are'} relative to that beyond {limbs[0].reference} is open (in the "
+        "URDF all begin at the base's origin)"
+    ]
 
 
 def _missing(calibration: Calibration) -> list[str]:

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from skin2urdf.arrays import F64
 from skin2urdf.model.records import OpenDirection
-from skin2urdf.urdf.directions import load_determined, load_open, load_unobservable
+from skin2urdf.urdf.directions import load_determined, load_open, load_ranges, load_unobservable
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,12 +23,14 @@ class Untold:
             file says nothing of it.
         determined: names of the SUs that are determined; None likewise.
         open_directions: ways in which branches may sit elsewhere relative to each other.
+        ranges: lower and upper end of what the log saw of each joint [rad or m].
     """
 
     path: Path
     unobservable: Mapping[str, F64] | None
     determined: frozenset[str] | None
     open_directions: tuple[OpenDirection, ...]
+    ranges: Mapping[str, tuple[float, float]]
 
 
 def document_beside(urdf: str | Path) -> Path | None:
@@ -65,4 +67,6 @@ def untold_beside(urdf: str | Path) -> Untold | None:
     path = document_beside(urdf)
     if path is None:
         return None
-    return Untold(path, load_unobservable(path), load_determined(path), load_open(path))
+    return Untold(
+        path, load_unobservable(path), load_determined(path), load_open(path), load_ranges(path)
+    )

@@ -61,8 +61,9 @@ def compare(
     unless the caller gives any of ``unobservable``, ``anchors`` and ``open_directions``.
 
     SUs are the links of the estimate that end in a fixed joint and that the truth has, too. Both
-    robots take the same random positions of the joints they share, inside the limits of both.
-    Joints that only one of them has stay at the position nearest to 0.
+    robots take the same random positions of the joints they share, inside the limits of both, and
+    inside the range that the JSON says the log saw. Joints that only one of them has stay at the
+    position nearest to 0.
 
     Each limb, all that lies beyond one joint on the reference segment, is aligned by a rigid
     transform of its own: one log tells neither yaw nor position of the limbs relative to each
@@ -113,13 +114,14 @@ def compare(
         raise UsageError(f"{n_configurations} configurations can not be compared", "give 1 or more")
     if align not in ("limbs", "base"):
         raise UsageError(f"can not align by {align!r}", 'align by "limbs" or by "base"')
-    untold = None
-    if unobservable is None and anchors is None and open_directions is None:
-        untold = untold_beside(estimate)
-    if untold is not None:
-        unobservable, anchors = untold.unobservable, untold.determined
-        open_directions = untold.open_directions
     est, true = load_robot(estimate), load_robot(truth)
+    untold = untold_beside(estimate)
+    explicit = not (unobservable is None and anchors is None and open_directions is None)
+    if untold is not None:
+        est = est.within(untold.ranges)
+        if not explicit:
+            unobservable, anchors = untold.unobservable, untold.determined
+            open_directions = untold.open_directions
     shared, missing = _recognised(est, true, sus or ())
     placed, names_there = not shared, {}
     if placed:
@@ -190,7 +192,7 @@ def compare(
         n_configurations=n_configurations,
         matched=names_there,
         placed=placed,
-        document=untold.path if untold else None,
+        document=untold.path if untold and not explicit else None,
     )
 
 

@@ -52,7 +52,8 @@ def load_open(path: str | Path) -> tuple[OpenDirection, ...]:
 
     Args:
         path: the JSON file; ``observability.between_branches`` lists objects whose ``joints`` and
-            ``sus`` give twists of 6 numbers by name.
+            ``sus`` give twists of 6 numbers by name. Those of the kind "limb" are passed over:
+            limbs are aligned one by one anyway, or meant to be compared as they are.
 
     Returns:
         The directions, as :func:`skin2urdf.urdf.compare.compare` takes them; none where there is
@@ -66,7 +67,9 @@ def load_open(path: str | Path) -> tuple[OpenDirection, ...]:
     given = entry.get("between_branches") if isinstance(entry, dict) else None
     try:
         return tuple(
-            OpenDirection(_twists(each["joints"]), _twists(each["sus"])) for each in given or ()
+            OpenDirection(_twists(each["joints"]), _twists(each["sus"]))
+            for each in given or ()
+            if each.get("kind") != "limb"
         )
     except (AttributeError, KeyError, TypeError, ValueError) as error:
         raise UnreadableInputError(
@@ -82,6 +85,28 @@ def _twists(given: Mapping[str, Any]) -> dict[str, F64]:
     if any(xi.shape != (6,) or not np.isfinite(xi).all() for xi in twists.values()):
         raise ValueError("not 6 finite numbers")
     return twists
+
+
+def load_ranges(path: str | Path) -> dict[str, tuple[float, float]]:
+    """Read the ranges of the joints that the log saw from the JSON beside an estimated URDF.
+
+    Args:
+        path: the JSON file; ``joints[name].limits`` are the ends.
+
+    Returns:
+        Lower and upper end by joint name [rad or m]; joints without are missing.
+
+    Raises:
+        UnreadableInputError: the file is no JSON.
+    """
+    content = _json(path)
+    joints = content.get("joints") if isinstance(content, dict) else None
+    ranges = {}
+    for name, joint in joints.items() if isinstance(joints, dict) else ():
+        ends = joint.get("limits") if isinstance(joint, dict) else None
+        if isinstance(ends, list) and len(ends) == 2 and all(isinstance(e, float) for e in ends):
+            ranges[str(name)] = (ends[0], ends[1])
+    return ranges
 
 
 def load_determined(path: str | Path) -> frozenset[str] | None:

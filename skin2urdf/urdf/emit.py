@@ -15,12 +15,11 @@ import numpy as np
 from skin2urdf.arrays import F64, Bool
 from skin2urdf.errors import BadFitError, UsageError
 from skin2urdf.model.records import KinematicModel
-from skin2urdf.urdf.names import BASE_LINK, UrdfNames, urdf_names
+from skin2urdf.urdf.limits import NOMINAL_VELOCITY, seen_limits
+from skin2urdf.urdf.names import BASE_LINK, NOT_XML, UrdfNames, urdf_names
+from skin2urdf.urdf.records import JointLimits, Remarks
 from skin2urdf.urdf.rpy import rpy_of_rotation
 from skin2urdf.urdf.visuals import COLOURS, Shape, link_shapes, su_shapes, thickness
-
-NOMINAL_VELOCITY = 3.2
-"""Velocity limit where none is given [rad/s or m/s]; URDF demands one."""
 
 NOMINAL_EFFORT = 1000.0
 """Effort limit [Nm or N]. URDF demands one, no log tells it: large enough not to bind."""
@@ -32,33 +31,48 @@ NOMINAL_INERTIA = 0.004
 """Moment of inertia of every moving link about any axis through its centre [kg m^2]: that of a
 solid ball of 1 kg with 10 cm radius. Not an estimate."""
 
+SU_MASS, SU_INERTIA = 1e-3, 4e-8
+"""Mass [kg] and moment of inertia [kg m^2] of an SU: a ball of 1 g with 1 cm radius. Without any,
+PyBullet takes 1 kg and 1 kg m^2. Not an estimate."""
+
+_POSITION_GAIN, _VELOCITY_GAIN = 20.0, 10.0
+"""How soft limits act in ros_control: speed is brought down within 1/20 s of them [1/s], and effort
+limited by 10 per unit of speed [Nms/rad or Ns/m]."""
+
+PLACEHOLDER = "placeholder, no estimate"
+
 
 def emit(
     model: KinematicModel,
     *,
     name: str,
-    limits: F64,
+    limits: F64 | JointLimits,
     velocity: F64 | None = None,
     continuous: Bool | None = None,
     visuals: bool = True,
+    collision: bool = False,
+    remarks: Remarks | None = None,
 ) -> str:
     """Write a model as URDF.
 
     ``base_link`` is the model's base frame (z up). Each joint has the name it has in the log, the
     axis ``0 0 1`` and carries one link; each SU is a link of its own name on a fixed joint. All
     numbers are written so that they read back as the same float64. Masses and inertias are
-    nominal (see :data:`NOMINAL_MASS`), so that physics engines load the file; the base and the
-    SUs have none. There is no collision geometry. The ``mujoco`` tag, which other readers skip,
-    keeps MuJoCo from merging the SUs' frames into their links and from dropping the visuals.
+    nominal (see :data:`NOMINAL_MASS`), so that physics engines load the file, and are marked as
+    placeholders by comments; the base has none, since KDL, and with it ROS, warns of a base that
+    has. The ``mujoco`` tag, which other readers skip, keeps MuJoCo from merging the SUs' frames
+    into their links and from dropping the visuals.
 
     Args:
         model: D joints and U SUs.
         name: the robot's name.
-        limits: (D, 2) lower and upper position limit of each joint [rad or m].
-        velocity: (D,) velocity limits [rad/s or m/s]; nominal where None.
+        limits: limits of the joints, or (D, 2) lower and upper position limits alone [rad or m].
+        velocity: (D,) velocity limits [rad/s or m/s] in the second case; nominal where None.
         continuous: (D,) True for revolute joints without end, whose limits are not written; none
             where None.
         visuals: whether to draw cylinders along the links and a hexagon per SU.
+        collision: whether the same shapes collide; the log tells no shape.
+        remarks: what to say in comments.
 
     Returns:
         The text of the file.
@@ -68,13 +82,16 @@ def emit(
         UsageError: limits are not finite or not in order, or a name can not be written.
     """
     tree = model.tree
-    limits, velocity = _checked_limits(model, limits, velocity)
+    limits = _checked_limits(model, limits, velocity)
+    remarks = remarks or Remarks()
     names = urdf_names(tree)
     radius = thickness(model)
 
     robot = ET.Element("robot", name=name)
+    _comment(robot, remarks.head)
     mujoco = ET.SubElement(robot, "mujoco")
     ET.SubElement(mujoco, "compiler", fusestatic="false", discardvisual="false")
+    tags = [tag for tag, wanted in (("visual", visuals), ("collision", collision)) if wanted]
     if visuals:
         for material, rgba in COLOURS.items():
             element = ET.SubElement(robot, "material", name=material)
@@ -83,11 +100,14 @@ def emit(
     for j, link in enumerate((BASE_LINK, *names.joint_links), start=-1):
         element = ET.SubElement(robot, "link", name=link)
         if j >= 0:
-            _inertial(element, _centre(model, j))
-        _visuals(element, link_shapes(model, j, radius) if visuals else ())
+            _inertial(element, _centre(model, j), NOMINAL_MASS, NOMINAL_INERTIA)
+        for tag in tags:
+            _shapes(element, tag, link_shapes(model, j, radius))
     for link in names.su_links:
         element = ET.SubElement(robot, "link", name=link)
-        _visuals(element, su_shapes(radius) if visuals else ())
+        _inertial(element, np.zeros(3), SU_MASS, SU_INERTIA)
+        for tag in tags:
+            _shapes(element, tag, su_shapes(radius))
 
     for j, joint in enumerate(tree.joint_names):
         endless = continuous is not None and bool(continuous[j])
@@ -95,21 +115,21 @@ def emit(
         element = ET.SubElement(robot, "joint", name=joint, type=kind)
         _connect(element, names, int(tree.parent[j]), names.joint_links[j], model.T_parent_joint[j])
         ET.SubElement(element, "axis", xyz="0 0 1")
-        span = (
-            {} if endless else dict(zip(("lower", "upper"), map(_number, limits[j]), strict=True))
-        )
-        rates = {"effort": _number(NOMINAL_EFFORT), "velocity": _number(velocity[j])}
-        ET.SubElement(element, "limit", span | rates)
+        _comment(element, remarks.joints.get(joint, ()))
+        _limit(element, limits, j, endless)
     for u, joint in enumerate(names.su_joints):
         element = ET.SubElement(robot, "joint", name=joint, type="fixed")
         _connect(element, names, int(tree.su_joint[u]), names.su_links[u], model.T_joint_su[u])
+        _comment(element, remarks.sus.get(tree.su_names[u], ()))
 
     ET.indent(robot)
     return '<?xml version="1.0" encoding="utf-8"?>\n' + ET.tostring(robot, "unicode") + "\n"
 
 
-def _checked_limits(model: KinematicModel, limits: F64, velocity: F64 | None) -> tuple[F64, F64]:
-    """Limits (D, 2) and velocities (D,), checked; see :func:`emit` for the errors."""
+def _checked_limits(
+    model: KinematicModel, limits: F64 | JointLimits, velocity: F64 | None
+) -> JointLimits:
+    """Limits, checked like the placements; see :func:`emit` for the errors."""
     tree = model.tree
     placed = zip(
         (*tree.joint_names, *tree.su_names), (*model.T_parent_joint, *model.T_joint_su), strict=True
@@ -120,17 +140,42 @@ def _checked_limits(model: KinematicModel, limits: F64, velocity: F64 | None) ->
                 f"the placement of {who!r} is not a number",
                 "record more poses, or leave this joint or SU out",
             )
-    limits = np.asarray(limits, float).reshape(tree.n_joints, 2)
-    if velocity is None:
-        velocity = np.full(tree.n_joints, NOMINAL_VELOCITY)
-    velocity = np.asarray(velocity, float).reshape(tree.n_joints)
-    for joint, (lower, upper), speed in zip(tree.joint_names, limits, velocity, strict=True):
+    if not isinstance(limits, JointLimits):
+        if velocity is None:
+            velocity = np.full(tree.n_joints, NOMINAL_VELOCITY)
+        limits = seen_limits(
+            np.asarray(limits, float).reshape(tree.n_joints, 2),
+            np.asarray(velocity, float).reshape(tree.n_joints),
+        )
+    rows = zip(tree.joint_names, limits.position, limits.velocity, strict=True)
+    for joint, (lower, upper), speed in rows:
         if not (np.isfinite([lower, upper, speed]).all() and lower < upper and speed > 0):
             raise UsageError(
                 f"joint {joint!r} can not be limited to [{lower:g}, {upper:g}] at {speed:g} per s",
                 "a lower limit below the upper one and a velocity above 0 are needed",
             )
-    return limits, velocity
+    return limits
+
+
+def _limit(joint: ET.Element, limits: JointLimits, j: int, endless: bool) -> None:
+    """Add the limits of joint ``j``, soft ones too where it has any."""
+    span = dict(zip(("lower", "upper"), map(_number, limits.position[j]), strict=True))
+    rates = {"effort": _number(NOMINAL_EFFORT), "velocity": _number(limits.velocity[j])}
+    ET.SubElement(joint, "limit", rates if endless else span | rates)
+    if not endless and np.isfinite(limits.soft[j]).all():
+        lower, upper = map(_number, limits.soft[j])
+        gains = {"k_position": _number(_POSITION_GAIN), "k_velocity": _number(_VELOCITY_GAIN)}
+        soft = {"soft_lower_limit": lower, "soft_upper_limit": upper}
+        ET.SubElement(joint, "safety_controller", soft | gains)
+
+
+def _comment(element: ET.Element, words: Iterable[str]) -> None:
+    """Add comments; XML allows no two hyphens in a row in them, nor one at the end."""
+    for line in words:
+        safe = NOT_XML.sub("?", line)
+        while "--" in safe:
+            safe = safe.replace("--", "- -")
+        element.append(ET.Comment(f" {safe} "))
 
 
 def _connect(element: ET.Element, names: UrdfNames, parent: int, child: str, T: F64) -> None:
@@ -150,23 +195,22 @@ def _centre(model: KinematicModel, joint: int) -> F64:
     return carried[:, :3, 3].mean(axis=0) / 2.0 if len(carried) else np.zeros(3)
 
 
-def _inertial(link: ET.Element, centre: F64) -> None:
-    """Add the nominal mass and inertia, with the mass at ``centre`` (3,) [m]."""
+def _inertial(link: ET.Element, centre: F64, mass: float, moment: float) -> None:
+    """Add a nominal mass [kg] at ``centre`` (3,) [m] and a moment of inertia [kg m^2]."""
     T = np.eye(4)
     T[:3, 3] = centre
     element = ET.SubElement(link, "inertial")
+    _comment(element, [PLACEHOLDER])
     _origin(element, T)
-    ET.SubElement(element, "mass", value=_number(NOMINAL_MASS))
-    moment = _number(NOMINAL_INERTIA)
-    ET.SubElement(
-        element, "inertia", ixx=moment, ixy="0.0", ixz="0.0", iyy=moment, iyz="0.0", izz=moment
-    )
+    ET.SubElement(element, "mass", value=_number(mass))
+    diagonal = dict.fromkeys(("ixx", "iyy", "izz"), _number(moment))
+    ET.SubElement(element, "inertia", diagonal | dict.fromkeys(("ixy", "ixz", "iyz"), "0.0"))
 
 
-def _visuals(link: ET.Element, shapes: Iterable[Shape]) -> None:
-    """Add shapes to a link."""
+def _shapes(link: ET.Element, tag: str, shapes: Iterable[Shape]) -> None:
+    """Add shapes to a link, as what is seen ("visual") or as what collides ("collision")."""
     for shape in shapes:
-        element = ET.SubElement(link, "visual")
+        element = ET.SubElement(link, tag)
         _origin(element, shape.T_link_shape)
         geometry = ET.SubElement(element, "geometry")
         if shape.kind == "cylinder":
@@ -174,7 +218,8 @@ def _visuals(link: ET.Element, shapes: Iterable[Shape]) -> None:
             ET.SubElement(geometry, "cylinder", radius=radius, length=length)
         else:
             ET.SubElement(geometry, "box", size=_numbers(shape.size))
-        ET.SubElement(element, "material", name=shape.colour)
+        if tag == "visual":
+            ET.SubElement(element, "material", name=shape.colour)
 
 
 def _origin(element: ET.Element, T: F64) -> None:

@@ -76,6 +76,11 @@ class Robot:
             frame.placement = frame.placement * pin.exp6(pin.Motion(np.array(xi)))
         return replace(self, model=model)
 
+    def within(self, ranges: Mapping[str, tuple[float, float]]) -> Robot:
+        """The robot with other limits of some joints, by name [rad or m]."""
+        known = {name: ends for name, ends in ranges.items() if name in self.limits}
+        return replace(self, limits=self.limits | known)
+
     def renamed(self, names: Mapping[str, str]) -> Robot:
         """The robot with other names of joints, by their names so far; the rest keep theirs."""
         model = self.model.copy()

@@ -11,8 +11,8 @@ from skin2urdf.structure.records import KinematicTree
 
 BASE_LINK = "base_link"
 
-# What XML 1.0 has no way to write, not even escaped.
-_NOT_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
+NOT_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
+"""What XML 1.0 has no way to write, not even escaped."""
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,7 @@ def urdf_names(tree: KinematicTree) -> UrdfNames:
     """
     for kind, names in (("joint", tree.joint_names), ("SU", tree.su_names)):
         for name in names:
-            if not name.strip() or _NOT_XML.search(name):
+            if not name.strip() or NOT_XML.search(name):
                 raise UsageError(
                     f"the {kind} name {name!r} can not be written to a URDF",
                     "rename it in the driver that publishes it",

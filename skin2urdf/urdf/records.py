@@ -1,4 +1,4 @@
-"""What a comparison of two URDFs finds (design section 8)."""
+"""What is written beside a model, and what a comparison of two URDFs finds (design section 8)."""
 
 from __future__ import annotations
 
@@ -9,8 +9,45 @@ from typing import Any
 
 import numpy as np
 
-from skin2urdf.arrays import F64, frozen
+from skin2urdf.arrays import F64, Bool, frozen
 from skin2urdf.structure.records import JointType
+
+
+@dataclass(frozen=True, eq=False)
+class JointLimits:
+    """Limits of D joints.
+
+    Attributes:
+        position: (D, 2) lower and upper position limit [rad or m].
+        velocity: (D,) velocity limits [rad/s or m/s].
+        soft: (D, 2) lower and upper soft limit; NaN where a joint has none.
+        known: (D,) False where the position limits are placeholders.
+    """
+
+    position: F64
+    velocity: F64
+    soft: F64
+    known: Bool
+
+    def __post_init__(self) -> None:
+        for name in ("position", "velocity", "soft"):
+            object.__setattr__(self, name, frozen(getattr(self, name)))
+        object.__setattr__(self, "known", frozen(self.known, np.bool_))
+
+
+@dataclass(frozen=True)
+class Remarks:
+    """What is said as comments in a URDF.
+
+    Attributes:
+        head: at the top of the file.
+        joints: about joints, by name.
+        sus: about SUs, by name.
+    """
+
+    head: tuple[str, ...] = ()
+    joints: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    sus: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

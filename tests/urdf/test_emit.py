@@ -20,8 +20,10 @@ from skin2urdf.errors import BadFitError, UsageError
 from skin2urdf.model.records import KinematicModel
 from skin2urdf.structure.records import KinematicTree
 from skin2urdf.urdf.check import check_urdf
-from skin2urdf.urdf.emit import emit
+from skin2urdf.urdf.emit import NOMINAL_MASS, SU_MASS, emit
+from skin2urdf.urdf.limits import wide_limits
 from skin2urdf.urdf.names import urdf_names
+from skin2urdf.urdf.records import Remarks
 from skin2urdf.urdf.rpy import rpy_of_rotation
 
 Robots = Callable[..., KinematicModel]
@@ -123,7 +125,9 @@ def test_mujoco_reads_it_without_visuals(random_robot: Robots) -> None:
     read = mujoco.MjModel.from_xml_string(text_of(model, visuals=False))
     assert read.ngeom == 0
     assert read.nv == model.tree.n_joints
-    np.testing.assert_allclose(read.body_mass.sum(), model.tree.n_joints)
+    np.testing.assert_allclose(
+        read.body_mass.sum(), NOMINAL_MASS * model.tree.n_joints + SU_MASS * model.tree.n_sus
+    )
 
 
 def test_yourdfpy_reads_the_same_robot(random_robot: Robots, su_poses: Poses) -> None:
@@ -232,3 +236,51 @@ def test_a_joint_without_end_is_continuous(random_robot: Robots) -> None:
         assert joint.get("type") == ("continuous" if endless[j] else "prismatic")
         assert ("lower" in limit.attrib, "upper" in limit.attrib) == (not endless[j],) * 2
     check_urdf(text, model)
+
+
+def test_placeholders_and_remarks_are_comments(random_robot: Robots) -> None:
+    model = random_robot(np.random.default_rng(11))
+    remarks = Remarks(("a -- b--", "bell\x07"), {"joint_1": ("weak",)}, {"su_2": ("open",)})
+    text = emit(model, name="robot", limits=limits_of(model), remarks=remarks)
+    parser = ET.XMLParser(target=ET.TreeBuilder(insert_comments=True))  # noqa: S314
+    root = ET.fromstring(text, parser)  # noqa: S314  (our own text)
+
+    def said(element: ET.Element | None) -> list[str]:
+        assert element is not None
+        return [(c.text or "").strip() for c in element if c.tag is ET.Comment]
+
+    assert said(root) == ["a - - b- -", "bell?"]
+    assert said(root.find("joint[@name='joint_1']")) == ["weak"]
+    assert said(root.find("joint[@name='su_2_mount']")) == ["open"]
+    assert all(said(inertial) for inertial in root.iter("inertial"))
+    check_urdf(text, model)
+
+
+def test_soft_limits_stand_beside_wide_ones(random_robot: Robots) -> None:
+    model = random_robot(np.random.default_rng(12))
+    seen = limits_of(model)
+    wide = wide_limits(seen, np.ones(len(seen)), model.tree.prismatic)
+    text = emit(model, name="robot", limits=wide)
+    root = ET.fromstring(text)  # noqa: S314  (our own text)
+    for j, name in enumerate(model.tree.joint_names):
+        limit, soft = (
+            root.find(f"joint[@name='{name}']/{tag}") for tag in ("limit", "safety_controller")
+        )
+        assert limit is not None
+        assert soft is not None
+        ends = [float(limit.get(key, "nan")) for key in ("lower", "upper")]
+        assert ends == wide.position[j].tolist()
+        kept = [float(soft.get(f"soft_{key}_limit", "nan")) for key in ("lower", "upper")]
+        assert kept == seen[j].tolist()
+    read = pin.buildModelFromXML(text)
+    assert (read.lowerPositionLimit <= 0).all()
+    check_urdf(text, model)
+
+
+def test_shapes_collide_where_asked_to(random_robot: Robots) -> None:
+    model = random_robot(np.random.default_rng(13))
+    text = emit(model, name="robot", limits=limits_of(model), visuals=False, collision=True)
+    assert "<visual" not in text
+    read = mujoco.MjModel.from_xml_string(text)
+    assert read.ngeom > model.tree.n_sus
+    assert read.geom_contype.all()

@@ -56,6 +56,16 @@ def declare(command: Parser) -> None:
     command.add_argument("--name", help="the robot's name in the URDF (that of the file)")
     command.add_argument("--no-visuals", action="store_true", help="leave out the simple shapes")
     command.add_argument(
+        "--collision", action="store_true", help="let the simple shapes collide, too"
+    )
+    command.add_argument(
+        "--limits",
+        default="wide",
+        metavar="seen|wide|FILE",
+        help="of the joints: what the log saw; wide ones that do not bind, with what the log saw "
+        "as soft limits; or those of a URDF, YAML or TOML file, by joint name (%(default)s)",
+    )
+    command.add_argument(
         "--method",
         choices=("default", "paper"),
         default="default",
@@ -118,11 +128,16 @@ def declare(command: Parser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Do it; the exit status."""
     begin = time.perf_counter()
-    refuse_to_overwrite(options.logs, options.output, Path(options.output).with_suffix(".json"))
+    refuse_to_overwrite(
+        [*options.logs, options.limits], options.output, Path(options.output).with_suffix(".json")
+    )
     settings = calibration_settings(options)
     from skin2urdf.output import not_to_be_saved, output_paths, save
+    from skin2urdf.urdf.limits import read_limits
 
     replaced = present(output_paths(options.output))
+    if options.limits not in ("seen", "wide"):
+        read_limits(options.limits)
     from skin2urdf.calibration.pipeline import calibrate
     from skin2urdf.report.document import as_document
     from skin2urdf.report.summary import as_text
@@ -137,6 +152,8 @@ def run(options: argparse.Namespace) -> int:
                 options.output,
                 name=options.name,
                 visuals=not options.no_visuals,
+                collision=options.collision,
+                limits=options.limits,
                 even_bad=options.force,
             )
     if options.json:

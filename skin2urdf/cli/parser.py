@@ -7,7 +7,7 @@ from importlib import metadata
 from typing import Protocol
 
 from skin2urdf.cli.arguments import Parser
-from skin2urdf.cli.commands import calibrate, compare, explore, guide, info, simulate
+from skin2urdf.cli.commands import calibrate, compare, explore, guide, info, report, simulate
 
 
 class Command(Protocol):
@@ -29,6 +29,7 @@ COMMANDS: dict[str, Command] = {
     "compare": compare,
     "explore": explore,
     "info": info,
+    "report": report,
     "guide": guide,
 }
 """The commands by name, in the order that help shows them."""

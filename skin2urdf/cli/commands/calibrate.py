@@ -22,6 +22,7 @@ from skin2urdf.cli.terminal import progress_bar
 from skin2urdf.geometry.units import GRAVITY, MILLI_G
 
 if TYPE_CHECKING:
+    from skin2urdf.calibration.result import Calibration
     from skin2urdf.calibration.settings import CalibrationSettings
 
 HELP = "find the robot in one or several logs"
@@ -47,6 +48,9 @@ def declare(command: Parser) -> None:
         "-o", "--output", required=True, metavar="URDF", help="file to write; JSON goes beside it"
     )
     offer_json(command)
+    command.add_argument(
+        "--report", metavar="HTML", help="write a page that shows the result as well"
+    )
     command.add_argument("--name", help="the robot's name in the URDF (that of the file)")
     command.add_argument("--no-visuals", action="store_true", help="leave out the simple shapes")
     command.add_argument(
@@ -109,11 +113,19 @@ def declare(command: Parser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Do it; the exit status."""
     begin = time.perf_counter()
-    refuse_to_overwrite(options.logs, options.output, Path(options.output).with_suffix(".json"))
+    targets = [options.output, Path(options.output).with_suffix(".json")]
+    refuse_to_overwrite(options.logs, *targets, *([options.report] if options.report else []))
     settings = calibration_settings(options)
     from skin2urdf.output import output_paths, save
 
     output_paths(options.output)
+    if options.report:
+        from skin2urdf.page.html import check_libraries
+        from skin2urdf.page.writing import check_page
+
+        refuse_to_overwrite(targets, options.report)
+        check_libraries()
+        check_page(options.report)
     from skin2urdf.calibration.pipeline import calibrate
     from skin2urdf.report.document import as_document
     from skin2urdf.report.summary import as_text
@@ -124,15 +136,28 @@ def run(options: argparse.Namespace) -> int:
         urdf, beside = save(
             calibration, options.output, name=options.name, visuals=not options.no_visuals
         )
+        pages = [_report(calibration, urdf, options.report)] if options.report else []
     if options.json:
         print_json(as_document(calibration))
     elif not options.quiet:
         print(as_text(calibration))
-        print(f"wrote {shown(urdf)} and {shown(beside)} in {time.perf_counter() - begin:.1f} s")
+        first, last = [shown(urdf), *map(shown, pages)], shown(beside)
+        print(f"wrote {', '.join(first)} and {last} in {time.perf_counter() - begin:.1f} s")
     # Only the paper's method gets here with a bad fit: it was asked for, but is not to be trusted.
     if calibration.quality == "bad":
         return 1
     return _TO_REPAIR if any(fault.to_repair for fault in calibration.faults) else 0
+
+
+def _report(calibration: Calibration, urdf: Path, path: str) -> Path:
+    """Write the page of a calibration that was just written; where it is."""
+    from skin2urdf.page.contents import load_contents
+    from skin2urdf.page.html import as_page
+    from skin2urdf.page.writing import write_page
+    from skin2urdf.replay import traces_of
+
+    contents = replace(load_contents(urdf), traces=traces_of(calibration))
+    return write_page(path, as_page(contents))
 
 
 def calibration_settings(options: argparse.Namespace) -> CalibrationSettings:

@@ -77,11 +77,16 @@ def wrote(paths: Sequence[Path], replaced: Collection[Path], seconds: float | No
         replaced: those that existed before, see :func:`present`.
         seconds: how long it took [s].
     """
-    text = f"wrote {' and '.join(map(shown, paths))}"
+    text = f"wrote {_listed(list(map(shown, paths)))}"
     if seconds is not None:
         text += f" in {seconds:.1f} s"
     old = [shown(path) for path in paths if path in replaced]
-    return f"{text}; replaced the older {' and '.join(old)}" if old else text
+    return f"{text}; replaced the older {_listed(old)}" if old else text
+
+
+def _listed(names: Sequence[str]) -> str:
+    """Names in a sentence."""
+    return " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)
 
 
 def shown(path: Path) -> str:

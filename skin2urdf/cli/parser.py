@@ -7,7 +7,16 @@ from importlib import metadata
 from typing import Protocol
 
 from skin2urdf.cli.arguments import Parser
-from skin2urdf.cli.commands import calibrate, compare, convert, explore, guide, info, simulate
+from skin2urdf.cli.commands import (
+    calibrate,
+    compare,
+    convert,
+    explore,
+    guide,
+    info,
+    report,
+    simulate,
+)
 
 
 class Command(Protocol):
@@ -30,6 +39,7 @@ COMMANDS: dict[str, Command] = {
     "explore": explore,
     "info": info,
     "convert": convert,
+    "report": report,
     "guide": guide,
 }
 """The commands by name, in the order that help shows them."""

@@ -62,7 +62,7 @@ def as_document(calibration: Calibration) -> dict[str, Any]:
             },
         },
         "joints": {name: _joint(calibration, found, j) for j, name in enumerate(tree.joint_names)},
-        "sus": {name: _su(calibration, u) for u, name in enumerate(tree.su_names)},
+        "sus": {name: _su(calibration, found, u) for u, name in enumerate(tree.su_names)},
         "gravity_up": calibration.estimate.state.up,
         "observability": {
             "between_branches": [
@@ -230,13 +230,15 @@ def _joint(calibration: Calibration, found: Findings, j: int) -> dict[str, Any]:
     }
 
 
-def _su(calibration: Calibration, u: int) -> dict[str, Any]:
+def _su(calibration: Calibration, found: Findings, u: int) -> dict[str, Any]:
     """One SU: placement, uncertainty and what was found of its sensor."""
     tree, state = calibration.model.tree, calibration.estimate.state
     return {
         "joint": _name(tree.joint_names, int(tree.su_joint[u])),
         "T_joint_su": calibration.model.T_joint_su[u],
         "covariance": calibration.observability.su_covariance[u],
+        "position_sd_mm": found.su_position_sd[u] * _MM,
+        "orientation_sd_deg": found.su_orientation_sd[u] * _DEG,
         "verdict": calibration.observability.su_verdict[u],
         "bias": state.bias[u],
         "scale": state.shape[u, :3],

@@ -97,8 +97,9 @@ def _apart(limbs: Sequence[OpenLimb]) -> list[str]:
     if not limbs:
         return []
     one = len(limbs) == 1
+    beyond = shortened([limb.joint for limb in limbs], _NAMED)
     return [
-        f"where the limb{'s' * (not one)} beyond {_listed([limb.joint for limb in limbs])} "
+        f"where the limb{'s' * (not one)} beyond {beyond} "
         f"{'is' if one else 'are'} relative to that beyond {limbs[0].reference} is open (in the "
         "URDF all begin at the base's origin)"
     ]

@@ -24,6 +24,7 @@ from skin2urdf.errors import BadFitError
 from skin2urdf.geometry.units import GRAVITY, MILLI_G
 
 if TYPE_CHECKING:
+    from skin2urdf.calibration.result import Calibration
     from skin2urdf.calibration.settings import CalibrationSettings
 
 HELP = "find the robot in one or several logs"
@@ -53,6 +54,9 @@ def declare(command: Parser) -> None:
         "--force", action="store_true", help="write the URDF even where the result is bad"
     )
     offer_json(command)
+    command.add_argument(
+        "--report", metavar="HTML", help="write a page that shows the result as well"
+    )
     command.add_argument("--name", help="the robot's name in the URDF (that of the file)")
     command.add_argument("--no-visuals", action="store_true", help="leave out the simple shapes")
     command.add_argument(
@@ -128,16 +132,25 @@ def declare(command: Parser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Do it; the exit status."""
     begin = time.perf_counter()
+    targets = [options.output, Path(options.output).with_suffix(".json")]
     refuse_to_overwrite(
-        [*options.logs, options.limits], options.output, Path(options.output).with_suffix(".json")
+        [*options.logs, options.limits], *targets, *([options.report] if options.report else [])
     )
     settings = calibration_settings(options)
     from skin2urdf.output import not_to_be_saved, output_paths, save
     from skin2urdf.urdf.limits import read_limits
 
-    replaced = present(output_paths(options.output))
+    outputs = [*output_paths(options.output), *([options.report] if options.report else [])]
+    replaced = present(outputs)
     if options.limits not in ("seen", "wide"):
         read_limits(options.limits)
+    if options.report:
+        from skin2urdf.page.html import check_libraries
+        from skin2urdf.page.writing import check_page
+
+        refuse_to_overwrite(targets, options.report)
+        check_libraries()
+        check_page(options.report)
     from skin2urdf.calibration.pipeline import calibrate
     from skin2urdf.report.document import as_document
     from skin2urdf.report.summary import as_text
@@ -156,6 +169,8 @@ def run(options: argparse.Namespace) -> int:
                 limits=options.limits,
                 even_bad=options.force,
             )
+            if options.report:
+                written = (*written, _report(calibration, written[0], options.report))
     if options.json:
         print_json(as_document(calibration))
     elif not options.quiet:
@@ -168,6 +183,17 @@ def run(options: argparse.Namespace) -> int:
     if calibration.quality == "bad":
         return BadFitError.exit_status
     return _TO_REPAIR if any(fault.to_repair for fault in calibration.faults) else 0
+
+
+def _report(calibration: Calibration, urdf: Path, path: str) -> Path:
+    """Write the page of a calibration that was just written; where it is."""
+    from skin2urdf.page.contents import load_contents
+    from skin2urdf.page.html import as_page
+    from skin2urdf.page.writing import write_page
+    from skin2urdf.replay import traces_of
+
+    contents = replace(load_contents(urdf), traces=traces_of(calibration))
+    return write_page(path, as_page(contents))
 
 
 def calibration_settings(options: argparse.Namespace) -> CalibrationSettings:

@@ -1,0 +1,88 @@
+"""What to record or to give next, one entry for everything with the same remedy."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from skin2urdf.report.words import more
+
+_EXACT_GRAVITY = 2e-3
+"""Standard deviation of gravity up to which its size is known from the site [m/s^2]."""
+
+
+@dataclass(frozen=True)
+class Advice:
+    """Something to do.
+
+    Attributes:
+        remedy: what.
+        learns: what is known better then.
+    """
+
+    remedy: str
+    learns: tuple[str, ...]
+
+
+def advice(document: Mapping[str, Any]) -> list[Advice]:
+    """What a calibration's JSON says to record or to give next.
+
+    Args:
+        document: the JSON.
+    """
+    by_remedy: dict[str, list[str]] = {}
+    for remedy, learns in _asked(document):
+        by_remedy.setdefault(remedy, []).append(learns)
+    return [Advice(remedy, tuple(learns)) for remedy, learns in by_remedy.items()]
+
+
+def never_known(document: Mapping[str, Any]) -> list[Mapping[str, str]]:
+    """What no recording helps to learn: ``what`` and ``why``."""
+    return [words for words in _unknowns(document) if not words["remedy"]]
+
+
+def _asked(document: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
+    """Remedies, and what each is for."""
+    for words in _unknowns(document):
+        if words["remedy"]:
+            yield words["remedy"], f"{words['what']}: {words['why']}"
+    for name, joint in document["joints"].items():
+        if joint["verdict"] == "weak":
+            yield more([name]), f"the axis of {name}, which is known weakly"
+    for name, su in document["sus"].items():
+        if su["verdict"] == "weak":
+            chain = _chain(document, su["joint"])
+            if chain:
+                yield more(chain), f"the placement of {name}, which is known weakly"
+    if document["samples"] is not None:
+        deviation = document["settings"]["gravity_deviation"]
+        if deviation > _EXACT_GRAVITY:
+            share = 100 * deviation / document["samples"]["gravity"]
+            yield (
+                "give the latitude and height of the site (--site) or the size of gravity there "
+                "(--gravity)",
+                f"all lengths, which rest on gravity and are uncertain by {share:.2g} % of "
+                "themselves",
+            )
+    if document["goodness"]["prediction"] is None:
+        yield "record more poses, ten or so", "whether stated errors can be believed"
+
+
+def _unknowns(document: Mapping[str, Any]) -> Iterator[Mapping[str, str]]:
+    """Words for everything that is not observable."""
+    observability = document["observability"]
+    for su in observability["sus"].values():
+        yield from su["words"]
+    for between in observability["between_branches"]:
+        yield between["words"]
+
+
+def _chain(document: Mapping[str, Any], joint: str | None) -> list[str]:
+    """Names of the joints from the base to one of them."""
+    parents = {each["name"]: each["parent"] for each in document["tree"]["joints"]}
+    chain: list[str] = []
+    while joint is not None and joint not in chain:
+        chain.append(joint)
+        joint = parents[joint]
+    return chain[::-1]

@@ -40,7 +40,7 @@ def as_text(calibration: Calibration) -> str:
         found.verdict,
         _expectation(found),
         _prediction(calibration),
-        _rests_on(calibration),
+        *([] if found.positions_open else [_rests_on(calibration)]),
         "",
         *_joints(calibration, found),
         "",

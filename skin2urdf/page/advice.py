@@ -52,7 +52,7 @@ def _asked(document: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
             yield more([name]), f"the axis of {name}, which is known weakly"
     for name, su in document["sus"].items():
         if su["verdict"] == "weak":
-            chain = _chain(document, su["joint"])
+            chain = chain_to(document, su["joint"])
             if chain:
                 yield more(chain), f"the placement of {name}, which is known weakly"
     if document["samples"] is not None:
@@ -72,14 +72,22 @@ def _asked(document: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
 def _unknowns(document: Mapping[str, Any]) -> Iterator[Mapping[str, str]]:
     """Words for everything that is not observable."""
     observability = document["observability"]
+    if observability["positions_open"]:
+        # Told once, and not of every SU and branch.
+        yield observability["positions_open"]
     for su in observability["sus"].values():
         yield from su["words"]
-    for between in observability["between_branches"]:
-        yield between["words"]
+    if not observability["positions_open"]:
+        yield from (between["words"] for between in observability["between_branches"])
 
 
-def _chain(document: Mapping[str, Any], joint: str | None) -> list[str]:
-    """Names of the joints from the base to one of them."""
+def chain_to(document: Mapping[str, Any], joint: str | None) -> list[str]:
+    """Names of the joints from the base to one of them.
+
+    Args:
+        document: a calibration's JSON.
+        joint: the last of them; None for the base.
+    """
     parents = {each["name"]: each["parent"] for each in document["tree"]["joints"]}
     chain: list[str] = []
     while joint is not None and joint not in chain:

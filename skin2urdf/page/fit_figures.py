@@ -9,6 +9,7 @@ import numpy as np
 import plotly.graph_objects as go
 
 from skin2urdf.page import style
+from skin2urdf.page.advice import chain_to
 from skin2urdf.page.labels import in_words
 
 _ROW = 19
@@ -53,6 +54,11 @@ def activity_figure(document: Mapping[str, Any]) -> go.Figure:
     matrix, static, dynamic = (
         np.array(activity[key], dtype=np.float64)[at] for key in ("matrix", "static", "dynamic")
     )
+    if not activity["patterns_felt"]:
+        # The evidence of single moves and patterns says little then; the tree rests on all motion.
+        on = document["tree"]["sus"]
+        chains = [chain_to(document, on.get(su)) for su in rows]
+        matrix = np.array([[dof in chain for dof in columns] for chain in chains])
     words = [
         [
             f"{in_words(su)}, {in_words(dof)}: {'moves' if matrix[r, c] else 'does not move'}<br>"

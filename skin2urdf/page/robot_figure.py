@@ -46,8 +46,9 @@ def robot_figure(contents: Contents) -> tuple[go.Figure, float]:
     figure.add_trace(_drums(document["joints"], frames, radius))
     figure.add_traces(_sus(document["sus"], frames, radius))
     figure.add_trace(_joint_labels(document["joints"], frames))
-    of_sus = clouds(frames, document["sus"])
-    of_joints = clouds(frames, document["joints"])
+    unplaced = document["observability"]["positions_open"] is not None
+    of_sus = [] if unplaced else clouds(frames, document["sus"])
+    of_joints = [] if unplaced else clouds(frames, document["joints"])
     times = magnification([*of_sus, *of_joints], extent)
     for name, colour, found in (
         ("SU: 1 sd", style.CLOUD, of_sus),
@@ -55,7 +56,7 @@ def robot_figure(contents: Contents) -> tuple[go.Figure, float]:
     ):
         if found:
             figure.add_trace(_ellipsoids(f"{name}, {times:g} times as large", colour, found, times))
-    lines = open_lines(frames, document["observability"])
+    lines = [] if unplaced else open_lines(frames, document["observability"])
     for turn, words in ((False, "open: place along"), (True, "open: turn about")):
         chosen = [line for line in lines if line.turn is turn]
         if chosen:

@@ -19,7 +19,7 @@ from skin2urdf.geometry.dh import joint_placement, prismatic_placement
 from skin2urdf.model.records import OpenDirection
 from skin2urdf.report.faults import fault_words
 from skin2urdf.report.findings import Findings, findings
-from skin2urdf.report.words import Unknown
+from skin2urdf.report.words import NO_POSITIONS, Unknown
 from skin2urdf.signals.records import Features
 from skin2urdf.structure.activity import Activity
 
@@ -65,6 +65,7 @@ def as_document(calibration: Calibration) -> dict[str, Any]:
         "sus": {name: _su(calibration, found, u) for u, name in enumerate(tree.su_names)},
         "gravity_up": calibration.estimate.state.up,
         "observability": {
+            "positions_open": asdict(NO_POSITIONS) if found.positions_open else None,
             "between_branches": [
                 {"kind": kind, "joints": each.joints, "sus": each.sus, "words": asdict(unknown)}
                 for kind, each, unknown in _open(calibration, found)
@@ -108,6 +109,7 @@ def activity_document(activity: Activity) -> dict[str, Any]:
     """An activity matrix with its evidence; see :class:`Activity` for the figures."""
     plain: dict[str, Any] = to_plain(
         {
+            "patterns_felt": activity.patterns_felt,
             "sus": activity.su_names,
             "dofs": activity.dof_names,
             "matrix": activity.matrix,

@@ -98,7 +98,7 @@ def _apart(limbs: Sequence[OpenLimb]) -> list[str]:
         return []
     one = len(limbs) == 1
     return [
-        f"where the limb{'s' * (not one)} beyond {_listed([limb.joint for limb in limbs])} "
+        f"where the limb{'s' * (not one)} beyond {shortened([limb.joint for limb in limbs])} "
         f"{'is' if one else 'are'} relative to that beyond {limbs[0].reference} is open (in the "
         "URDF all begin at the base's origin)"
     ]

@@ -45,7 +45,11 @@ def parser() -> argparse.ArgumentParser:
     )  # fmt: skip
     what.add_argument("--grade", default=default.grade, choices=sorted(GRADES))
     what.add_argument(
-        "--noise", type=float, default=default.noise, help="of gyroscopes [deg/s] (%(default)s)"
+        "--gyros",
+        nargs="+",
+        default=[default.gyro],
+        metavar="GRADE",
+        help="gyroscopes: noise [deg/s], or a grade (%(default)s)",
     )
     what.add_argument("--excite", default=default.excite, choices=["one", "all", "none"])
     what.add_argument("--poses", type=int, default=default.poses, help="poses per recording")
@@ -61,18 +65,17 @@ def cases_of(options: argparse.Namespace) -> list[Case]:
     Raises:
         UsageError: an option can not be used.
     """
-    if options.poses < 1 or not options.minutes > 0 or not options.noise >= 0:
-        raise UsageError(
-            "--poses starts at 1, --minutes above 0, --noise at 0", "give larger numbers"
-        )
+    if options.poses < 1 or not options.minutes > 0:
+        raise UsageError("--poses starts at 1, --minutes above 0", "give larger numbers")
     return [
         Case(
             robot, posture, seed, options.excite, options.poses, options.minutes, options.grade,
-            options.noise,
+            gyro,
         )
         for seed in batch_options.seeds(options)
         for robot in options.robots
         for posture in options.postures
+        for gyro in options.gyros
     ]  # fmt: skip
 
 

@@ -26,6 +26,7 @@ from skin2urdf.estimation.uncertainty.observability import aligned_deviations
 from skin2urdf.recording.records import Recording
 from skin2urdf.recording.retiming import retimed
 from skin2urdf.simulation import SimulationSettings, Truth, load_robot, simulate
+from skin2urdf.simulation.sensors import GYROS
 from skin2urdf.simulation.settings import Excitation
 
 Posture = Literal["tilted", "upright"]
@@ -45,7 +46,7 @@ class Case:
         poses: number of poses; without patterns the time counts.
         minutes: how long it moves without patterns [min].
         grade: of the accelerometers.
-        noise: of the gyroscopes [deg/s].
+        gyro: noise of the gyroscopes [deg/s], or their grade.
     """
 
     robot: str
@@ -55,15 +56,13 @@ class Case:
     poses: int = 8
     minutes: float = 2.0
     grade: str = "mems"
-    noise: float = 0.1
+    gyro: str = "0.1"
 
     @property
     def group(self) -> str:
         """All but the seed, in words."""
         length = f"{self.minutes:g} min" if self.excite == "none" else f"{self.poses} poses"
-        return (
-            f"{self.robot} {self.grade} {self.excite} {length} {self.noise:g} deg/s {self.posture}"
-        )
+        return f"{self.robot} {self.grade} {self.excite} {length} gyro {self.gyro} {self.posture}"
 
     @property
     def key(self) -> str:
@@ -80,7 +79,7 @@ class Case:
             seed=self.seed,
             grade=self.grade,
             upright=self.posture == "upright",
-            gyro=self.noise,
+            gyro=self.gyro if self.gyro in GYROS else float(self.gyro),
         )
 
 

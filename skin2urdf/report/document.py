@@ -115,6 +115,7 @@ def activity_document(activity: Activity) -> dict[str, Any]:
             "matrix": activity.matrix,
             "static": activity.static,
             "dynamic": activity.dynamic,
+            "turned": activity.turned,
             "excited": activity.excited,
             "heard": activity.heard,
         }

@@ -29,6 +29,7 @@ from skin2urdf.signals.rounding import (
 )
 from skin2urdf.signals.sampling import Sampled, static_moves
 from skin2urdf.signals.steadiness import allowance, moderated
+from skin2urdf.signals.turn_evidence import turn_evidence
 
 Curvature = Callable[[F64, F64, F64, F64, int], tuple[F64, F64]]
 """(q (D,), dq (N, D), qd, qdd, log) -> (N, U, 3) readings beyond first order around pose q, and
@@ -89,6 +90,7 @@ def extract_features(
         moves=static_moves(sampled),
         notes=notes,
         faults=distinct(f for s in sampled for f in s.faults),
+        turns=turn_evidence(sampled, lag),
     )
 
 

@@ -41,6 +41,24 @@ class StaticMoves:
 
 
 @dataclass(frozen=True, eq=False)
+class Turns:
+    """How joints turn SUs, as gyroscopes tell.
+
+    Attributes:
+        length: (U, D) length of the axis that an SU turns about per velocity of a DoF, 1 for a
+            revolute joint that carries it and 0 for any other; NaN where it is not known.
+        deviation: (U, D) its standard deviation.
+    """
+
+    length: F64
+    deviation: F64
+
+    def __post_init__(self) -> None:
+        for name in ("length", "deviation"):
+            object.__setattr__(self, name, frozen(getattr(self, name)))
+
+
+@dataclass(frozen=True, eq=False)
 class Features:
     """Regression coefficients of the readings around each pose on the motion of all DoFs.
 
@@ -72,6 +90,7 @@ class Features:
         moves: static evidence from larger single-DoF moves.
         notes: what was found and mended, in words for the user.
         faults: what is wrong with the streams.
+        turns: which joints turn which SUs; None where no SU has a gyroscope.
     """
 
     su_names: tuple[str, ...]
@@ -88,6 +107,7 @@ class Features:
     span: F64 = field(default_factory=lambda: np.zeros(()))
     notes: tuple[str, ...] = field(default=())
     faults: tuple[Fault, ...] = field(default=())
+    turns: Turns | None = None
 
     def __post_init__(self) -> None:
         for name in ("q", "coefficients", "noise", "latency", "latency_sd"):

@@ -80,15 +80,13 @@ _RAD = np.pi / 180
 GYROS: Mapping[str, GyroGrade] = MappingProxyType(
     {
         "ideal": GyroGrade("ideal"),
-        "mems": GyroGrade(
-            "mems", noise_rms=0.1, bias=1.0, scale=0.01, cross=0.01, full_scale=500.0, bits=16
-        ),
+        "mems": GyroGrade("mems", noise_rms=0.1, bias=1.0, full_scale=500.0, bits=16),
         "cheap": GyroGrade(
             "cheap", noise_rms=0.4, bias=5.0, scale=0.03, cross=0.02, full_scale=2000.0, bits=16
         ),
     }
 )
-"""Grades by name: perfect, as in good IMUs of phones, as in the cheapest."""
+"""Grades by name: perfect; trimmed, as ``mems`` accelerometers are; and untrimmed."""
 
 GRADES: Mapping[str, SensorGrade] = MappingProxyType(
     {

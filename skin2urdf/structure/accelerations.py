@@ -29,6 +29,7 @@ from skin2urdf.signals.filters import (
     second_derivative,
 )
 from skin2urdf.signals.sampling import Sampled
+from skin2urdf.signals.turning import Turning
 from skin2urdf.structure.gravity import PRIOR, SHAPE_INDEX, tangent, turned
 from skin2urdf.structure.records import JointType
 
@@ -38,6 +39,8 @@ _STRETCH = 4.0
 """Length of a stretch of time [s] that is predicted from the others: longer than most moves."""
 _ROUGH = 0.1
 """Error [m/s^2] of a sample by which priors are weighed against samples."""
+_ROUGH_RATE, _RATE_BIAS = 0.02, 0.1
+"""The same of a rate, and the standard deviation of a gyroscope's bias [rad/s]."""
 _TURN, _OFFSET, _LAG = 0.05, 1.0, 0.05
 """Standard deviations of directions from gravity [rad], of offsets [m], and of clocks [s], as a
 constant and as what they drift in half a log."""
@@ -73,6 +76,8 @@ class Along:
         log: (N,) which log.
         time: (N,) time in its log, from -1 at its begin to 1 at its end.
         stretch: (N,) which stretch of time, counted through all logs.
+        rates: (N, U, 3) what gyroscopes read [rad/s]; None where no SU has one.
+        turning: (N, U) where those are whole.
     """
 
     q: F64
@@ -84,11 +89,16 @@ class Along:
     log: Int
     time: F64
     stretch: Int
+    rates: F64 | None = None
+    turning: Bool | None = None
 
     def __post_init__(self) -> None:
         for name in ("q", "qd", "qdd", "readings", "change", "time"):
             object.__setattr__(self, name, frozen(getattr(self, name)))
         object.__setattr__(self, "valid", frozen(self.valid, np.bool_))
+        if self.rates is not None and self.turning is not None:
+            object.__setattr__(self, "rates", frozen(self.rates))
+            object.__setattr__(self, "turning", frozen(self.turning, np.bool_))
         for name in ("log", "stretch"):
             object.__setattr__(self, name, frozen(getattr(self, name), np.int64))
 
@@ -100,7 +110,7 @@ class Along:
 
 def along(sampled: Sequence[Sampled]) -> Along:
     """All logs, low-passed and thinned out."""
-    parts = []
+    parts, turns = [], []
     stretches = 0
     for g, s in enumerate(sampled):
         rate = s.motion.grid.rate
@@ -112,6 +122,7 @@ def along(sampled: Sequence[Sampled]) -> Along:
         kept = np.arange(0, len(q), max(1, int(rate / (3 * _CUTOFF))))
         stretch = stretches + (kept / (rate * _STRETCH)).astype(np.int64)
         stretches = int(stretch.max(initial=stretches - 1)) + 1
+        turns.append(_turned(s.turning, s.motion.valid, taps, kept))
         parts.append(
             (
                 q[kept],
@@ -128,7 +139,29 @@ def along(sampled: Sequence[Sampled]) -> Along:
     q, qd, qdd, y, yd, ok, log, time, stretch = (
         np.concatenate([p[i] for p in parts]) for i in range(9)
     )
-    return Along(q, qd, qdd, y, yd, ok, log, time, stretch)
+    if all(t is None for t in turns):
+        return Along(q, qd, qdd, y, yd, ok, log, time, stretch)
+    shape = y.shape[1:]
+    rates, turning = (
+        np.concatenate(
+            [
+                np.zeros((len(p[0]), *shape[:n])) if t is None else t[i]
+                for p, t in zip(parts, turns, strict=True)
+            ]
+        )
+        for i, n in ((0, 2), (1, 1))
+    )
+    return Along(q, qd, qdd, y, yd, ok, log, time, stretch, rates, turning > 0)
+
+
+def _turned(turning: Turning | None, valid: Bool, taps: F64, kept: Int) -> tuple[F64, Bool] | None:
+    """Rates (K, U, 3) at the samples that are kept, and (K, U) where they are whole."""
+    if turning is None:
+        return None
+    half = len(taps) // 2
+    whole = turning.valid & valid[:, None]
+    ok = np.stack([eroded(column, half) for column in whole.T], axis=1)
+    return filtered(turning.rates, taps)[kept], ok[kept]
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,6 +175,8 @@ class Judged:
             where they are what they are taken for.
         slide_sd: (k,) standard deviations of their lengths.
         lever: distance of the SU from the chain's last revolute axis [m].
+        turn_loss: (B,) the same of its gyroscope's rates [rad^2/s^2], and
+        turn_count: (B,) measurements; 0 where it has none.
     """
 
     loss: F64
@@ -149,9 +184,11 @@ class Judged:
     slide: F64
     slide_sd: F64
     lever: float
+    turn_loss: F64
+    turn_count: F64
 
     def __post_init__(self) -> None:
-        for name in ("loss", "count", "slide", "slide_sd"):
+        for name in ("loss", "count", "slide", "slide_sd", "turn_loss", "turn_count"):
             object.__setattr__(self, name, frozen(getattr(self, name)))
 
 
@@ -170,31 +207,87 @@ def judge(
     """
     use = samples.valid[:, su]
     A, y, prior, slides, last = _regression(samples, su, use, chain, R, sensor, up)
-    B, n = samples.n_stretches, A.shape[-1]
     rows = samples.stretch[use]
-    AtA, Aty, yty = np.zeros((B, n, n)), np.zeros((B, n)), np.zeros(B)
-    edges = np.searchsorted(rows, np.arange(B + 1))
-    for b in range(B):
-        part = A[edges[b] : edges[b + 1]].reshape(-1, n)
-        left = y[edges[b] : edges[b + 1]].ravel()
-        AtA[b], Aty[b], yty[b] = part.T @ part, part.T @ left, left @ left
-    count = 3.0 * np.diff(edges)
     ridge = np.diag((_ROUGH / prior) ** 2)
-    loss = np.zeros(B)
-    for fold in (0, 1):
-        held = np.arange(B) % 2 == fold
-        x = np.linalg.solve(AtA[~held].sum(axis=0) + ridge, Aty[~held].sum(axis=0))
-        quadratic = np.einsum("i,bij,j->b", x, AtA[held], x)
-        loss[held] = yty[held] - 2 * Aty[held] @ x + quadratic
-    H = AtA.sum(axis=0) + ridge
-    x = np.linalg.solve(H, Aty.sum(axis=0))
+    loss, count, H, Aty = _held_out(A, y, rows, samples.n_stretches, ridge)
+    x = np.linalg.solve(H, Aty)
     total = max(float(count.sum()), 1.0)
     covariance = np.linalg.inv(H) * max(float(loss.sum()) / total, 1e-12)
     slide = np.array([x[s : s + 3] for s in slides]).reshape(-1, 3)
     slide_sd = np.array([np.sqrt(np.trace(covariance[s : s + 3, s : s + 3])) for s in slides])
     offset = x[last[0] : last[0] + 3]
     lever = float(np.linalg.norm(np.cross(last[1], offset))) if last[0] >= 0 else 0.0
-    return Judged(np.maximum(loss, 0.0), count, slide, slide_sd, lever)
+    turn_loss, turn_count = _turning(samples, su, chain, R)
+    return Judged(loss, count, slide, slide_sd, lever, turn_loss, turn_count)
+
+
+def _held_out(
+    A: F64, y: F64, stretch: Int, n_stretches: int, ridge: F64
+) -> tuple[F64, F64, F64, F64]:
+    """Fit columns to half of the stretches, predict the other half, and the other way round.
+
+    Args:
+        A: (N, 3, n) columns.
+        y: (N, 3) what they have to explain.
+        stretch: (N,) which of the B stretches of time, rising.
+        n_stretches: B.
+        ridge: (n, n) information on the coefficients before.
+
+    Returns:
+        (B,) squared errors of prediction and (B,) measurements, and (n, n) and (n,) the normal
+        equations of all stretches together.
+    """
+    B, n = n_stretches, A.shape[-1]
+    AtA, Aty, yty = np.zeros((B, n, n)), np.zeros((B, n)), np.zeros(B)
+    edges = np.searchsorted(stretch, np.arange(B + 1))
+    for b in range(B):
+        part = A[edges[b] : edges[b + 1]].reshape(-1, n)
+        left = y[edges[b] : edges[b + 1]].ravel()
+        AtA[b], Aty[b], yty[b] = part.T @ part, part.T @ left, left @ left
+    loss = np.zeros(B)
+    for fold in (0, 1):
+        held = np.arange(B) % 2 == fold
+        x = np.linalg.solve(AtA[~held].sum(axis=0) + ridge, Aty[~held].sum(axis=0))
+        quadratic = np.einsum("i,bij,j->b", x, AtA[held], x)
+        loss[held] = yty[held] - 2 * Aty[held] @ x + quadratic
+    count = 3.0 * np.diff(edges)
+    return np.maximum(loss, 0.0), count, AtA.sum(axis=0) + ridge, Aty.sum(axis=0)
+
+
+def _turning(samples: Along, su: int, chain: Sequence[ChainJoint], R: F64) -> tuple[F64, F64]:
+    """How well a chain predicts how an SU turns: (B,) squared errors and (B,) measurements.
+
+    An axis that is vertical is seen as gravity is, whatever the SU's turn about it.
+    """
+    B = samples.n_stretches
+    if samples.rates is None or samples.turning is None or not samples.turning[:, su].any():
+        return np.zeros(B), np.zeros(B)
+    use = samples.turning[:, su]
+    q, qd, qdd = samples.q[use], samples.qd[use], samples.qdd[use]
+    turn = np.tile(np.eye(3), (len(q), 1, 1))
+    omega, alpha = np.zeros((len(q), 3)), np.zeros((len(q), 3))
+    for joint in chain:
+        if joint.kind == "prismatic":
+            continue
+        d, axis = joint.dof, np.array(joint.axis)
+        a = turn @ axis
+        alpha = alpha + a * qdd[:, d, None] + np.cross(omega, a) * qd[:, d, None]
+        omega = omega + a * qd[:, d, None]
+        turn = turn @ axis_rotation(axis, q[:, d])
+    onto = R.T @ turn.swapaxes(1, 2)
+    w, slope = (np.einsum("nij,nj->ni", onto, x) for x in (omega, alpha))
+    # The gyroscope's bias, its clock, and nine numbers for its axes and for directions that are
+    # not known any better yet.
+    by_axes = np.zeros((len(w), 3, 9))
+    for i in range(3):
+        by_axes[:, i, 3 * i : 3 * i + 3] = w
+    late = np.stack([slope, slope * samples.time[use, None]], axis=-1)
+    A = np.concatenate([np.tile(np.eye(3), (len(w), 1, 1)), by_axes, late], axis=-1)
+    prior = np.array([_RATE_BIAS] * 3 + [_TURN] * 9 + [_LAG] * 2)
+    ridge = np.diag((_ROUGH_RATE / prior) ** 2)
+    rows = samples.stretch[use]
+    loss, count, _, _ = _held_out(A, samples.rates[use, su] - w, rows, B, ridge)
+    return loss, count
 
 
 def _regression(

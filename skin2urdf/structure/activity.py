@@ -9,7 +9,7 @@ import numpy as np
 
 from skin2urdf.arrays import F64, Bool, frozen
 from skin2urdf.geometry.units import GRAVITY
-from skin2urdf.signals.records import Features, StaticMoves
+from skin2urdf.signals.records import Features, StaticMoves, Turns
 
 STATIC_THRESHOLD = 0.05 * GRAVITY
 """Change of a static reading that makes an SU active, 0.05 g [m/s^2] (paper III)."""
@@ -28,6 +28,11 @@ _SIGNIFICANT = 4.0
 """Standard deviations of chi-squared from which a pattern's effect is no chance."""
 _UNMODELLED_FACTOR = 2.4
 """Doubt about an SU's effects, over what its regression leaves beyond noise."""
+_LENGTH = 0.2
+"""Error of the length of an axis that a gyroscope's scale, axes that turn with a pattern, and
+joints that move alike may cause."""
+_TELLS = 0.3
+"""Standard deviation of such a length up to which it tells 1 from 0."""
 _SECOND_ORDER = 0.3
 """Largest second-order effect of a pattern, over its first-order effect."""
 
@@ -47,6 +52,8 @@ class Activity:
             can have made.
         excited: (D,) False for DoFs that never moved.
         heard: (U,) False for SUs without data.
+        turned: (U, D) logarithm of the evidence of gyroscopes that a DoF turns an SU; NaN where
+            they do not tell, as of all SUs where a DoF turns none: it may slide. None without any.
     """
 
     su_names: tuple[str, ...]
@@ -56,10 +63,13 @@ class Activity:
     static_doubt: F64
     excited: Bool
     heard: Bool
+    turned: F64 | None = None
 
     def __post_init__(self) -> None:
         for name in ("static", "dynamic", "static_doubt"):
             object.__setattr__(self, name, frozen(getattr(self, name)))
+        if self.turned is not None:
+            object.__setattr__(self, "turned", frozen(self.turned))
         for name in ("excited", "heard"):
             object.__setattr__(self, name, frozen(getattr(self, name), np.bool_))
 
@@ -81,7 +91,8 @@ class Activity:
         static effect stands out from doubt, all SUs are judged by how close they come to it.
         Dynamic evidence decides for the DoFs that turn no gravity in this log. An SU that was not
         recorded while a DoF moved is undecided, 0, and so are all where a DoF without dynamic
-        evidence turns no gravity: its axis may be vertical.
+        evidence turns no gravity: its axis may be vertical. Gyroscopes decide where they tell: an
+        SU turns with a joint or it does not, whatever the joint's axis is.
         """
         static = np.nan_to_num(self.static, nan=0.0)
         largest = static.max(axis=0, initial=0.0)
@@ -93,12 +104,16 @@ class Activity:
         dynamic = np.nan_to_num(self.dynamic, nan=0.0)
         strongest = np.where(known, relative, np.maximum(static, dynamic))
         told = np.isfinite(self.dynamic) | (np.isfinite(self.static) & (known | (static >= 1.0)))
-        return np.where(told, np.log(np.maximum(strongest, 1e-3)), 0.0)
+        felt = np.where(told, np.log(np.maximum(strongest, 1e-3)), 0.0)
+        if self.turned is None:
+            return felt
+        return np.where(np.isfinite(self.turned), self.turned, felt)
 
     @property
     def tested(self) -> Bool:
         """(U, D) False for SUs that were not recorded while a DoF moved."""
-        return np.isfinite(self.static) | np.isfinite(self.dynamic)
+        tested = np.isfinite(self.static) | np.isfinite(self.dynamic)
+        return tested if self.turned is None else np.asarray(tested | np.isfinite(self.turned))
 
     @property
     def matrix(self) -> Bool:
@@ -128,7 +143,10 @@ class Activity:
         static, dynamic = np.array(self.static), np.array(self.dynamic)
         static[u, d] = np.nan
         dynamic[u, d] = np.exp(2 * CERTAIN if moved else -2 * CERTAIN)
-        return replace(self, static=static, dynamic=dynamic)
+        turned = None if self.turned is None else np.array(self.turned)
+        if turned is not None:
+            turned[u, d] = np.nan
+        return replace(self, static=static, dynamic=dynamic, turned=turned)
 
 
 def activity(features: Features, threshold: float = STATIC_THRESHOLD) -> Activity:
@@ -183,7 +201,20 @@ def activity(features: Features, threshold: float = STATIC_THRESHOLD) -> Activit
         static_doubt=static_doubt,
         excited=excited,
         heard=np.asarray(finite.any(axis=0)),
+        turned=None if features.turns is None else _turned(features.turns),
     )
+
+
+def _turned(turns: Turns) -> F64:
+    """(U, D) logarithm of the odds that SUs turn with DoFs, from lengths of 1 or 0.
+
+    Only where a DoF turns some SU for certain: a sliding one turns none of those it carries.
+    """
+    variance = turns.deviation**2 + _LENGTH**2
+    odds = np.clip((2 * turns.length - 1) / (2 * variance), -2 * CERTAIN, 2 * CERTAIN)
+    odds = np.where(turns.deviation < _TELLS, odds, np.nan)
+    revolute = np.nan_to_num(odds, nan=-np.inf).max(axis=0, initial=-np.inf) > CERTAIN
+    return np.where(revolute, odds, np.nan)
 
 
 def _static(moves: StaticMoves, n_dofs: int, threshold: float) -> tuple[F64, F64]:

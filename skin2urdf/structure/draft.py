@@ -24,6 +24,8 @@ _CONSISTENT = 4.0
 of time: errors that are alike for a while count once."""
 _QUIET = 1e-3
 """Noise [m/s^2] of low-passed samples below which no error matters: a tenth of a mg."""
+_QUIET_RATE = 1e-3
+"""The same of rates [rad/s]: what an encoder's steps make of a velocity."""
 _PARALLEL = 0.9962
 """Cosine of the angle up to which neighbouring axes turn gravity alike: 5 deg."""
 _PUSH = 0.1
@@ -213,8 +215,18 @@ def _alike(draft: Draft) -> Iterator[int]:
 
 def _gain(now: Judged, then: Judged) -> F64:
     """(B,) log-likelihood that another chain gains in each stretch, whatever its noise is."""
-    floor = _QUIET**2 * now.count + 1e-12
-    return np.asarray(now.count / 2 * np.log((now.loss + floor) / (then.loss + floor)))
+    return _log_ratio(now.loss, then.loss, now.count, _QUIET) + _gain_in_turning(now, then)
+
+
+def _gain_in_turning(now: Judged, then: Judged) -> F64:
+    """(B,) the part of it that a gyroscope tells; 0 where there is none."""
+    return _log_ratio(now.turn_loss, then.turn_loss, now.turn_count, _QUIET_RATE)
+
+
+def _log_ratio(now: F64, then: F64, count: F64, quiet: float) -> F64:
+    """Log-likelihood gained by a smaller sum of squares over so many measurements."""
+    floor = quiet**2 * count + 1e-12
+    return np.asarray(count / 2 * np.log((now + floor) / (then + floor)))
 
 
 def _places(
@@ -307,7 +319,9 @@ def _moved(
     if kind == "revolute":
         near = len(pairs) == 1 and pairs[0][1].lever < _NEAREST
         own = trial.path(int(trial.su_joint[members[0]]))
-        shaken = near and len(own) == len(draft.path(at)) + 1
+        # A gyroscope tells turning from shaking.
+        turns = sum(_gain_in_turning(a, b).sum() for a, b in pairs) > CERTAIN
+        shaken = near and not turns and len(own) == len(draft.path(at)) + 1
         return None if shaken else _Moved(float(gains.sum()), np.zeros(3), 0.0)
     # It comes after the sliding joints on the way to it.
     index = sum(draft.joints[j].kind == "prismatic" for j in draft.path(at))

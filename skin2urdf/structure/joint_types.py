@@ -40,6 +40,8 @@ def joint_type(features: Features, own: F64, activity: Activity, sus: Int, dof: 
     """
     if np.nanmax(activity.static[sus, dof], initial=0.0) >= 1.0:
         return "revolute"
+    if activity.turned is not None and np.isfinite(activity.turned[sus, dof]).any():
+        return "revolute"
     seen = _Column.of(features, own, sus, dof)
     if not seen.known.any():
         return "revolute"

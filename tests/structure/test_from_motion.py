@@ -14,7 +14,7 @@ from skin2urdf.recording.records import Recording
 from skin2urdf.recording.retiming import retimed
 from skin2urdf.signals.sampling import Sampled, sample_recording
 from skin2urdf.simulation import SimulationSettings, simulate
-from skin2urdf.simulation.robots import SkinLayout
+from skin2urdf.simulation.robots import GivenSu, SkinLayout
 from skin2urdf.structure.from_motion import MotionTree, trees_from_motion
 
 SQUARE = (np.pi / 2, 0.0, 0.0)
@@ -119,3 +119,31 @@ def test_one_su_beyond_joints_that_all_move_at_once_makes_no_tree(tmp_path: Path
     (tip,) = (u for u in range(len(whole.tree.su_joint)) if len(chain(whole, u)) == 5)
     with pytest.raises(StructureError):
         found_in(log, [tip])
+
+
+def test_gyroscopes_tell_an_su_on_a_vertical_axis_from_one_on_the_base(tmp_path: Path) -> None:
+    settings = SimulationSettings(
+        seed=1, excite="none", minutes=0.7, upright=True, imu_rate=250.0, joint_rate=125.0,
+        gyro="cheap",
+    )  # fmt: skip
+    # On the axis itself, where nothing but a turn is felt; and one further out.
+    given = (
+        GivenSu("link_vertical", (0.0, 0.0, 0.1), (0.3, 0.2, 0.1)),
+        GivenSu("link_swings", (0.1, 0.05, 0.02), (0.0, 0.4, 0.0)),
+    )
+    layout = SkinLayout(sus_per_segment=0, sus_on_base=1, given=given)
+    recording = retimed(simulate(robot_of(HIDDEN[:2], tmp_path, layout), settings).recording)
+    log = sampled(recording)
+    names = [su.name for su in recording.sus]
+
+    def chains(some: Sampled) -> dict[str, list[str]]:
+        tree = trees_from_motion([some], names)[0].tree
+        return {
+            name: [tree.joint_names[j] for j in tree.chain(int(at))]
+            for name, at in zip(tree.su_names, tree.su_joint, strict=True)
+        }
+
+    seen = chains(log)
+    assert sorted(seen.values(), key=len) == [[], ["vertical"], ["vertical", "swings"]]
+    deaf = chains(replace(log, turning=None))
+    assert sorted(deaf.values(), key=len) == [[], [], ["vertical", "swings"]]

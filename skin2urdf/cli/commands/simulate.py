@@ -71,8 +71,8 @@ def declare(command: Parser) -> None:
         "--gyro",
         type=_gyro,
         metavar="GRADE",
-        help="gyroscopes: ideal, mems (noise of 0.1 deg/s, bias of 1 deg/s, 1 %% of scale and "
-        "cross-axis errors), cheap, or the noise of mems ones [deg/s] (none)",
+        help="gyroscopes: ideal, mems (noise of 0.1 deg/s, bias of 1 deg/s), cheap (0.4 and 5 "
+        "deg/s, scale 3 %%, cross-axis 2 %%), or the noise of mems ones [deg/s] (none)",
     )
 
     clock = command.add_argument_group("rates and clocks")

@@ -1,0 +1,95 @@
+"""What gyroscopes add to the activity: who turns with a joint, wherever gravity points."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from random_robots import Joint, robot_of
+
+from skin2urdf.arrays import F64
+from skin2urdf.recording.records import Recording
+from skin2urdf.recording.retiming import retimed
+from skin2urdf.signals.features import extract_features
+from skin2urdf.signals.records import Features
+from skin2urdf.signals.sampling import sampled_together
+from skin2urdf.simulation import SimulationSettings, simulate
+from skin2urdf.simulation.robots import GivenSu, SkinLayout
+from skin2urdf.structure.activity import CERTAIN, activity
+from skin2urdf.structure.tree import kinematic_tree
+
+JOINTS = (
+    Joint("pan", -1, "revolute"),
+    Joint("lift", 0, "revolute", rpy=(np.pi / 2, 0.0, 0.0)),
+    Joint("slide", 1, "prismatic", rpy=(0.4, 0.0, 0.0), limits=(-0.2, 0.2)),
+)
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory: pytest.TempPathFactory) -> Recording:
+    """An upright robot with SUs on the base, on the vertical axis itself, and further out."""
+    given = (
+        GivenSu("base", (0.1, 0.0, 0.0), (0.2, 0.0, 0.1)),
+        GivenSu("link_pan", (0.0, 0.0, 0.1), (0.3, 0.2, 0.1)),
+        GivenSu("link_lift", (0.1, 0.05, 0.02), (0.0, 0.4, 0.0)),
+        GivenSu("link_slide", (0.05, 0.1, 0.0), (0.0, 0.4, 0.7)),
+    )
+    robot = robot_of(JOINTS, tmp_path_factory.mktemp("robot"), SkinLayout(0, 0, given=given))
+    settings = SimulationSettings(
+        n_poses=3, seed=2, upright=True, grade="bma150", gyro="cheap", imu_rate=250.0,
+        joint_rate=125.0,
+    )  # fmt: skip
+    return retimed(simulate(robot, settings).recording)
+
+
+def _features(log: Recording, changed: Callable[[F64], F64 | None] = lambda w: w) -> Features:
+    """Features of the log with what gyroscopes read changed."""
+    sus = tuple(
+        replace(su, angular_velocity=changed(np.array(su.angular_velocity))) for su in log.sus
+    )
+    return extract_features(*sampled_together([replace(log, sus=sus)]))
+
+
+def _carried(features: Features) -> list[list[str]]:
+    """The joints before each SU of the tree, shortest chain first."""
+    tree = kinematic_tree(activity(features), features)
+    chains = [[tree.joint_names[j] for j in tree.chain(int(at))] for at in tree.su_joint]
+    return sorted(chains, key=len)
+
+
+def test_an_su_on_a_vertical_axis_is_no_su_on_the_base(log: Recording) -> None:
+    expected = [[], ["pan"], ["pan", "lift"], ["pan", "lift", "slide"]]
+    assert _carried(_features(log)) == expected
+    assert _carried(_features(log, lambda _: None))[:2] == [[], []]
+
+
+def test_lengths_are_one_or_nothing_whatever_the_axes(log: Recording) -> None:
+    features = _features(log)
+    assert features.turns is not None
+    revolute = [features.dof_names.index(name) for name in ("pan", "lift")]
+    length = features.turns.length[:, revolute]
+    assert np.minimum(np.abs(length - 1), length).max() < 0.15
+    odd = _features(log, lambda w: w[:, [1, 0, 2]] * [1.0, -1.0, 1.0])
+    assert odd.turns is not None
+    np.testing.assert_allclose(odd.turns.length[:, revolute], length, atol=0.02)
+
+
+def test_a_joint_that_turns_nothing_is_left_to_accelerations(log: Recording) -> None:
+    features = _features(log)
+    seen = activity(features)
+    assert seen.turned is not None
+    slide = features.dof_names.index("slide")
+    assert np.isnan(seen.turned[:, slide]).all()
+    tree = kinematic_tree(seen, features)
+    assert dict(zip(tree.joint_names, tree.joint_types, strict=True))["slide"] == "prismatic"
+
+
+def test_what_is_certain_outweighs_gyroscopes(log: Recording) -> None:
+    features = _features(log)
+    seen = activity(features)
+    pan = features.dof_names.index("pan")
+    su = int(np.flatnonzero(~seen.matrix[:, pan])[0])
+    told = seen.moved_by(features.su_names[su], "pan", moved=True)
+    assert told.evidence[su, pan] > CERTAIN

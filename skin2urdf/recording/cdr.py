@@ -10,6 +10,7 @@ number of 4 bytes, so that its body, too, starts with the stamp 4 bytes into the
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import Literal, NamedTuple, TypeAlias
 
 import numpy as np
@@ -26,6 +27,9 @@ FRAME_TEXT = 12
 ByteOrder: TypeAlias = Literal["<", ">"]
 Passed: TypeAlias = list[tuple[str, Int]]
 """Why messages were passed over, and their numbers within the block."""
+
+# Names are shorter; what is longer is not kept [byte].
+LONG_TEXT = 256
 
 MALFORMED = "cut short or malformed"
 
@@ -248,5 +252,11 @@ def align(offset: Int, size: int) -> Int:
 
 def text_at(buffer: U8, start: int, length: int) -> str:
     """Decode a string of ``length`` bytes, its closing zero left out, as it can be printed."""
-    raw = buffer[start : start + length].tobytes().split(b"\0")[0]
-    return printable(raw.decode(errors="replace"))
+    raw = buffer[start : start + length].tobytes()
+    return _decoded(raw) if length < LONG_TEXT else _decoded.__wrapped__(raw)
+
+
+@lru_cache(maxsize=1 << 14)
+def _decoded(raw: bytes) -> str:
+    """A string as it can be printed; a log has few, and each in every block."""
+    return printable(raw.split(b"\0")[0].decode(errors="replace"))

@@ -57,11 +57,12 @@ class MessageIndex:
     Each has the channel (2 bytes), the length of its entries (4 bytes), and the entries.
     """
 
-    def __init__(self, window: U8, records: Sequence[Record]) -> None:
-        """Take the records, which lie in ``window``, unread."""
+    def __init__(self, window: U8, starts: Int) -> None:
+        """Take the records, the content of which starts at ``starts`` in ``window``, unread."""
         self._window = window
-        where = np.array([record[1:] for record in records], np.int64).reshape(-1, 2)
-        self._start, self._size = where[:, 0], where[:, 1] - where[:, 0]
+        self._start = starts
+        # The length of a record stands before its content; all of it lies in the window.
+        self._size = gather(window, starts - 8, "<u8").astype(np.int64)
 
     def __bool__(self) -> bool:
         """Tell whether there is any."""

@@ -5,8 +5,11 @@ Only record headers are walked in Python; messages stay bytes (https://mcap.dev/
 
 from __future__ import annotations
 
+import os
 import struct
+from collections import deque
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -16,8 +19,10 @@ from skin2urdf.arrays import Int
 from skin2urdf.recording.blocks import UNWANTED, Block, Channel, Channels
 from skin2urdf.recording.chunks import (
     LARGEST_UNPACKED,
+    ChunkContent,
     DamagedChunkError,
     MessageIndex,
+    PackedChunk,
     joined,
     packed_chunk,
     unpack_chunk,
@@ -42,6 +47,12 @@ WINDOW = 1 << 25
 # Channel ids of MCAP have 16 bits.
 CHANNEL_IDS = 1 << 16
 UNDEFINED = -1
+# Decompression and checksums leave Python's lock, so that they run beside all that is done with the
+# messages of the chunk before.
+WORKERS = min(4, len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else 2)
+# Chunks that are unpacked ahead, and what they may claim together [byte].
+AHEAD = 2 * WORKERS
+LARGEST_AHEAD = 1 << 26
 
 
 @dataclass(eq=False)
@@ -68,6 +79,7 @@ class McapFile:
     _schemas: dict[int, str] = field(default_factory=dict)
     _digested: int = 0
     _numbers: Int = field(default_factory=lambda: np.full(CHANNEL_IDS, UNDEFINED, np.int64))
+    _pool: ThreadPoolExecutor = field(init=False)
 
     def blocks(self) -> Iterator[Block]:
         """Hand out the messages of all wanted channels.
@@ -80,6 +92,11 @@ class McapFile:
         Raises:
             UnreadableInputError: the file was shortened while it was read.
         """
+        with ThreadPoolExecutor(WORKERS) as self._pool:
+            yield from self._all_blocks()
+
+    def _all_blocks(self) -> Iterator[Block]:
+        """Hand out all messages; chunks are unpacked in other threads meanwhile."""
         closed = False
         size = WINDOW
         while not closed and self.position < self.file.size:
@@ -89,7 +106,7 @@ class McapFile:
             stop = 0
             for batch in walk(window.data, 0, window.size):
                 records, stop = batch.others, batch.stop
-                closed = any(r.opcode == Opcode.FOOTER for r in records[-1:])
+                closed = bool(records) and records[-1].opcode == Opcode.FOOTER
                 if not (closed or last):
                     records, stop = _without_open_chunk(records, stop)
                 self._define(window, records, begin)
@@ -154,37 +171,50 @@ class McapFile:
         self, window: U8, records: Sequence[Record], begin: int
     ) -> Iterator[tuple[U8, Int]]:
         """Unpack the chunks among some records: bytes, and where messages start."""
-        at = 0
-        while at < len(records):
-            record = records[at]
-            at += 1
+        waiting: deque[tuple[Record, PackedChunk, Future[ChunkContent]]] = deque()
+        for record in records:
             if record.opcode != Opcode.CHUNK:
                 continue
-            first = at
-            while at < len(records) and records[at].opcode == Opcode.MESSAGE_INDEX:
-                at += 1
-            self.position = begin + record.stop
-            index = MessageIndex(window, records[first:at])
+            index = MessageIndex(window, record.indexes)
             try:
                 chunk = packed_chunk(window[record.start : record.stop])
-                if not chunk.size:
-                    continue
-                numbers = self._numbers[index.channels()]
-                if numbers.size and (numbers == UNWANTED).all():
-                    continue
-                content = unpack_chunk(chunk, index)
             except (*UNPARSABLE, DamagedChunkError) as error:
-                self.notes.append(
-                    f"the chunk at byte {begin + record.start} is damaged "
-                    f"({error or 'cut short'}); its messages were left out"
-                )
+                self._left_out(begin + record.start, error)
                 continue
-            self.compressions.add(chunk.compression or "none")
-            if content.note and content.note not in self.notes:
-                self.notes.append(content.note)
-            self._define(content.buffer, content.others, 0)
-            if content.messages.size:
-                yield content.buffer, content.messages
+            numbers = self._numbers[index.channels()]
+            if not chunk.size or (numbers.size and (numbers == UNWANTED).all()):
+                continue
+            while waiting and (
+                len(waiting) >= AHEAD
+                or sum(each[1].size for each in waiting) + chunk.size > LARGEST_AHEAD
+            ):
+                yield from self._unpacked(*waiting.popleft(), begin)
+            waiting.append((record, chunk, self._pool.submit(unpack_chunk, chunk, index)))
+        while waiting:
+            yield from self._unpacked(*waiting.popleft(), begin)
+
+    def _unpacked(
+        self, record: Record, chunk: PackedChunk, content: Future[ChunkContent], begin: int
+    ) -> Iterator[tuple[U8, Int]]:
+        """Take in what a chunk defines, and hand on its messages."""
+        self.position = begin + record.stop
+        try:
+            found = content.result()
+        except (*UNPARSABLE, DamagedChunkError) as error:
+            self._left_out(begin + record.start, error)
+            return
+        self.compressions.add(chunk.compression or "none")
+        if found.note and found.note not in self.notes:
+            self.notes.append(found.note)
+        self._define(found.buffer, found.others, 0)
+        if found.messages.size:
+            yield found.buffer, found.messages
+
+    def _left_out(self, position: int, error: Exception) -> None:
+        self.notes.append(
+            f"the chunk at byte {position} is damaged ({error or 'cut short'}); its messages were "
+            "left out"
+        )
 
     def _define(self, buffer: U8, records: Sequence[Record], begin: int) -> None:
         """Take in the definitions among some records."""
@@ -234,12 +264,9 @@ class McapFile:
 
 def _without_open_chunk(records: tuple[Record, ...], stop: int) -> tuple[tuple[Record, ...], int]:
     """Leave a chunk at the end for later, as more of its message indexes may follow."""
-    last = len(records)
-    while last and records[last - 1].opcode == Opcode.MESSAGE_INDEX:
-        last -= 1
     # The chunk is open only if nothing but its indexes lies behind it.
-    if last and records[last - 1].opcode == Opcode.CHUNK and records[-1].stop == stop:
-        return records[: last - 1], records[last - 1].start - 9
+    if records and records[-1].opcode == Opcode.CHUNK and records[-1].end == stop:
+        return records[:-1], records[-1].start - 9
     return records, stop
 
 

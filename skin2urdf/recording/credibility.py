@@ -37,7 +37,8 @@ def absurd(force: F64) -> Bool:
     Where most are larger, it is their unit that is odd, for others to say; none is marked then
     but those that no unit explains.
     """
-    size = np.abs(force).max(axis=1)
+    # By columns, as NumPy reduces short rows one by one.
+    size = np.maximum.reduce([np.abs(column) for column in force.T])
     bad = ~(size < LARGEST_FORCE)
     if 2 * np.count_nonzero(bad & np.isfinite(size)) > np.count_nonzero(np.isfinite(size)):
         bad = ~(size < LARGEST_IN_ANY_UNIT)

@@ -33,6 +33,7 @@ RECORD_HEADER = np.dtype([("opcode", "u1"), ("length", "<u8")])
 MESSAGE_FIELDS = MESSAGE_HEADER.itemsize - 9
 
 BATCH = 16384
+NONE = np.zeros(0, np.int64)
 
 
 class Record(NamedTuple):
@@ -42,11 +43,15 @@ class Record(NamedTuple):
         opcode: kind of record.
         start: first byte of the content.
         stop: first byte behind the content.
+        indexes: (I,) first byte of the content of each message index that follows, a chunk's.
+        end: first byte behind these.
     """
 
     opcode: int
     start: int
     stop: int
+    indexes: Int
+    end: int
 
 
 class Batch(NamedTuple):
@@ -54,7 +59,7 @@ class Batch(NamedTuple):
 
     Attributes:
         messages: (N,) first byte (the opcode's) of each message record.
-        others: all other records.
+        others: all other records; message indexes stand with the chunk before them.
         stop: first byte behind the last of them.
     """
 
@@ -76,11 +81,11 @@ def walk(buffer: memoryview, start: int, stop: int, size: int = BATCH) -> Iterat
         Batches of whole records.
     """
     header = struct.Struct("<BQ").unpack_from
-    message, footer = int(Opcode.MESSAGE), int(Opcode.FOOTER)
+    message, index, footer = int(Opcode.MESSAGE), int(Opcode.MESSAGE_INDEX), int(Opcode.FOOTER)
     at = start
     more = True
     while more:
-        found = array("q")
+        found, indexes = array("q"), array("q")
         others: list[Record] = []
         more = False
         while at + 9 <= stop:
@@ -92,15 +97,28 @@ def walk(buffer: memoryview, start: int, stop: int, size: int = BATCH) -> Iterat
                 if length < MESSAGE_FIELDS:
                     break
                 found.append(at)
+                if len(found) == size:
+                    at, more = behind, True
+                    break
+            elif opcode == index:
+                indexes.append(at + 9)
             else:
-                others.append(Record(opcode, at + 9, behind))
+                if indexes:
+                    _attach(others, indexes, at)
+                    indexes = array("q")
+                others.append(Record(opcode, at + 9, behind, NONE, behind))
             at = behind
             if opcode == footer:
                 break
-            if len(found) == size:
-                more = True
-                break
+        if indexes:
+            _attach(others, indexes, at)
         yield Batch(np.array(found, np.int64), tuple(others), at)
+
+
+def _attach(records: list[Record], indexes: array[int], end: int) -> None:
+    """Put message indexes to the chunk before them; without one they say nothing."""
+    if records and records[-1].opcode == Opcode.CHUNK:
+        records[-1] = records[-1]._replace(indexes=np.array(indexes, np.int64), end=end)
 
 
 def text(content: memoryview, at: int) -> tuple[str, int]:

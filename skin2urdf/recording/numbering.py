@@ -29,10 +29,18 @@ class Numbering(NamedTuple):
 
 
 def median_of(values: F64 | Int) -> float:
-    """Median of at most some thousand of the values, evenly spread: exact enough for a scale."""
+    """Median of some thousand of the values, evenly spread: to 3 per cent of their scatter."""
     # An odd stride does not fall in step with samples that come in bursts of 2, 4, 8 ...
-    stride = values.size // 4096 | 1
-    return float(np.median(values[::stride]))
+    some = values[:: values.size // 2048 | 1]
+    half = some.size // 2
+    if not half:
+        return float(np.median(some))
+    # `np.median` without its overhead, which is a third of the time of reading a thousand topics.
+    low, high = (half - 1, half) if some.size % 2 == 0 else (half, half)
+    ordered = np.partition(some, [low, high, some.size - 1])
+    if np.isnan(ordered[-1]):
+        return float("nan")
+    return 0.5 * (float(ordered[low]) + float(ordered[high]))
 
 
 def number_messages(stamp: F64, period: float, noise: float) -> Numbering | None:

@@ -9,9 +9,9 @@ from __future__ import annotations
 from itertools import pairwise
 
 import numpy as np
-from scipy.linalg import solveh_banded
+from scipy.linalg.lapack import dptsv as ptsv
 
-from skin2urdf.arrays import F64
+from skin2urdf.arrays import F64, Int
 from skin2urdf.recording.numbering import Numbering, median_of, number_messages
 
 # The line may bend after every stretch of this many samples and seconds, whichever is longer: long
@@ -21,6 +21,9 @@ STRETCH_SECONDS = 2.0
 # By how many squares of the stamps' noise a bend has to improve the fit (one, by chance alone).
 BEND_PRICE = 6.0
 MIN_SAMPLES = 16
+# Samples from which weights are found, and how many of a stretch there are among them at least.
+SOME = 1024
+LEAST = 34
 REWEIGHTINGS = 4
 # A fit that stays this far [periods] from the stamps for so many samples has miscounted.
 ASTRAY = 0.25
@@ -113,15 +116,12 @@ def _bent_line(number: F64, stamp: F64, period: float) -> F64 | None:
     # Numbers relative to the stretch's first and stamps to the nominal line: well conditioned.
     u = number - np.repeat(number[starts], np.diff(edges))
     deviation = stamp - period * number
-    weight = np.ones(number.size)
-    for _ in range(REWEIGHTINGS):
-        wu, wd = weight * u, weight * deviation
-        products = (weight, wu, wu * u, wd, wd * u, wd * deviation)
-        moments = np.stack([np.add.reduceat(each, starts) for each in products])
-        height, misfit = _joined(knots, moments)
-        residual = deviation - np.interp(number, knots, height)
-        scale = 1.4826 * median_of(np.abs(residual))
-        weight = 1.0 / (1.0 + np.square(residual / max(2.0 * scale, 1e-9)))
+    # What each sample weighs shows in some of them as well as in all.
+    some = np.arange(0, number.size, min(number.size // SOME | 1, STRETCH_SAMPLES // LEAST))
+    height = _reweighted(knots, number[some], u[some], deviation[some], some, starts)
+    weight = _weights(deviation - np.interp(number, knots, height))
+    moments = _moments(weight, u, deviation, starts)
+    height, misfit = _joined(knots, moments)
     noise = misfit / max(float(moments[0].sum()) - len(knots), 1.0)
     best, kept = misfit + BEND_PRICE * noise * len(knots), knots
     while len(knots) > 2:
@@ -135,6 +135,29 @@ def _bent_line(number: F64, stamp: F64, period: float) -> F64 | None:
     if not (np.diff(height) > 0.0).all():
         return None
     return np.asarray(np.interp(number, kept, height), dtype=np.float64)
+
+
+def _reweighted(knots: F64, number: F64, u: F64, deviation: F64, rows: Int, starts: Int) -> F64:
+    """Heights at the knots from some rows, by robust least squares (see :func:`_bent_line`)."""
+    first = np.searchsorted(rows, starts)
+    weight = np.ones(rows.size)
+    for _ in range(REWEIGHTINGS - 1):
+        height, _ = _joined(knots, _moments(weight, u, deviation, first))
+        weight = _weights(deviation - np.interp(number, knots, height))
+    return height
+
+
+def _weights(residual: F64) -> F64:
+    """What each of (N,) residuals weighs: less, the further they are out."""
+    scale = 1.4826 * median_of(np.abs(residual))
+    return np.asarray(1.0 / (1.0 + np.square(residual / max(2.0 * scale, 1e-9))))
+
+
+def _moments(weight: F64, u: F64, deviation: F64, starts: Int) -> F64:
+    """(6, K - 1) sums over each stretch (see :func:`_joined`)."""
+    wu, wd = weight * u, weight * deviation
+    products = (weight, wu, wu * u, wd, wd * u, wd * deviation)
+    return np.stack([np.add.reduceat(each, starts) for each in products])
 
 
 def _joined(knots: F64, moments: F64) -> tuple[F64, float]:
@@ -156,9 +179,11 @@ def _joined(knots: F64, moments: F64) -> tuple[F64, float]:
     diagonal[1:] += wtt
     right[:-1] += d - dt
     right[1:] += dt
-    bands = np.stack([np.concatenate([[0.0], wt - wtt]), diagonal])
-    height = np.asarray(solveh_banded(bands, right))
-    return height, float(dd.sum() - height @ right)
+    # The matrix is tridiagonal, symmetric and positive: LAPACK's solver for these, unwrapped.
+    *_, height, failed = ptsv(diagonal, wt - wtt, right)
+    if failed:
+        return np.full(len(knots), np.nan), np.inf
+    return np.asarray(height), float(dd.sum() - height @ right)
 
 
 def _with_half_the_bends(knots: F64, moments: F64) -> tuple[F64, F64]:

@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from skin2urdf.arrays import F64
+from skin2urdf.recording.numbering import median_of
 
 # First derivative per sample of a cubic fitted to 9 samples (Savitzky and Golay, 1964).
 SLOPE = np.array([86.0, -142.0, -193.0, -126.0, 0.0, 126.0, 193.0, 142.0, -86.0]) / 1188.0
@@ -59,7 +60,7 @@ def weigh_stamps(stamp: F64, regular: F64, signal: F64) -> StampEvidence:
     time = regular[index]
     span = time[:, 2 * HALO :] - time[:, : -2 * HALO]
     # Not across lost messages and pauses: there the rules for regular samples do not hold.
-    period = float(np.median(span)) / (2 * HALO)
+    period = median_of(span.reshape(-1)) / (2 * HALO)
     even = np.abs(span - 2 * HALO * period) < 0.5 * period
     delta = _correlate(stamp[index] - time, MISSED)
     believable = even & (np.abs(delta) < 3.0 * period) & (np.abs(delta) > 1e-4 * period)
@@ -73,7 +74,7 @@ def weigh_stamps(stamp: F64, regular: F64, signal: F64) -> StampEvidence:
         values = np.where(np.isfinite(values), values, 0.0)
         missed = _correlate(values, MISSED)
         slope = _correlate(values, SLOPE) / period
-        noise = max(1.4826 * float(np.median(np.abs(missed[whole]))), 1e-12)
+        noise = max(1.4826 * median_of(np.abs(missed[whole])), 1e-12)
         # Noise of one sample is about noise / 1.4, that of the slope a third of it per period.
         moving = whole & (np.abs(slope) > 0.75 * noise / period)
         predicted = slope[moving] * delta[moving]

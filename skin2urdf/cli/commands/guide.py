@@ -61,6 +61,7 @@ def guides() -> dict[str, Traversable]:
 
 _ORDER = (
     "record",
+    "formats",
     "calibrate",
     "judge",
     "use",

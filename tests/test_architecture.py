@@ -55,6 +55,7 @@ LAYERS: dict[str, tuple[str, ...]] = {
         "estimation",
     ),
     "urdf": (*BASE, "model", "structure"),
+    "export": (*BASE, "urdf"),
     "simulation": (
         "arrays",
         "errors",
@@ -117,6 +118,7 @@ LAYERS: dict[str, tuple[str, ...]] = {
         "model",
         "estimation",
         "urdf",
+        "export",
         "simulation",
         "calibration",
         "survey",

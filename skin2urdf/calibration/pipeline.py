@@ -11,7 +11,7 @@ import numpy as np
 from skin2urdf.arrays import F64, Bool
 from skin2urdf.calibration.at_rest import estimate_at_rest
 from skin2urdf.calibration.clock import Clock, Progress, Tell
-from skin2urdf.calibration.result import BAD_FIT, BAD_MISFIT, Calibration, Source
+from skin2urdf.calibration.result import BAD_FIT, BAD_MISFIT, Calibration, Source, SuSource
 from skin2urdf.calibration.rounds import (
     Logs,
     Solution,
@@ -36,7 +36,7 @@ from skin2urdf.hypotheses.search import explain
 from skin2urdf.model.canonical import canonical
 from skin2urdf.recording.records import Recording
 from skin2urdf.signals.encoders import corrected
-from skin2urdf.signals.filters import eroded
+from skin2urdf.signals.filters import eroded, low_pass, noise_bandwidth
 from skin2urdf.signals.records import Features
 from skin2urdf.signals.sampling import Sampled
 from skin2urdf.structure.records import KinematicTree
@@ -155,7 +155,22 @@ def _calibration(
         ),
         seconds=clock.seconds,
         clocks=tuple(s.clocks for s in sampled),
+        su_sources=_su_sources(recordings, sampled),
     )
+
+
+def _su_sources(recordings: Sequence[Recording], sampled: Sequence[Sampled]) -> dict[str, SuSource]:
+    """Where the readings of every SU come from; of several logs the longest counts."""
+    found: dict[str, SuSource] = {}
+    for recording, s in zip(recordings, sampled, strict=True):
+        rate = s.motion.grid.rate
+        bandwidth = noise_bandwidth(low_pass(s.cutoff, rate), rate)
+        for su in recording.sus:
+            known = found.get(su.name)
+            if su.time.size > 1 and (known is None or known.duration < recording.duration):
+                often = 1.0 / float(np.median(np.diff(su.time)))
+                found[su.name] = SuSource(su.topic, often, bandwidth, recording.duration)
+    return found
 
 
 def _estimate_by_the_paper(

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
@@ -54,6 +55,24 @@ class Source:
     duration: float
 
 
+@dataclass(frozen=True)
+class SuSource:
+    """Where an SU's readings come from.
+
+    Attributes:
+        topic: the topic they came on.
+        rate: readings per second [Hz].
+        bandwidth: one-sided noise bandwidth [Hz] of what features were taken from; a noise density
+            is the features' noise over the square root of twice that.
+        duration: of the longest log that holds it [s].
+    """
+
+    topic: str
+    rate: float
+    bandwidth: float
+    duration: float
+
+
 @dataclass(frozen=True, eq=False)
 class Calibration:
     """A finished calibration.
@@ -76,6 +95,7 @@ class Calibration:
         notes: what else was found, in words.
         seconds: time each stage took [s].
         clocks: for each log, the SUs whose clock ran differently from the joints'.
+        su_sources: where the SUs' readings come from, by name.
     """
 
     model: KinematicModel
@@ -94,6 +114,7 @@ class Calibration:
     notes: tuple[str, ...]
     seconds: dict[str, float]
     clocks: tuple[tuple[SuClock, ...], ...] = ()
+    su_sources: Mapping[str, SuSource] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "limits", frozen(self.limits))

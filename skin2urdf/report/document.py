@@ -247,6 +247,23 @@ def _su(calibration: Calibration, found: Findings, u: int) -> dict[str, Any]:
         "scale": state.shape[u, :3],
         "cross_yz_xz_xy": state.shape[u, 3:],
         **_stream(calibration.features, tree.su_names[u]),
+        **_sensor(calibration, u),
+    }
+
+
+def _sensor(calibration: Calibration, u: int) -> dict[str, Any]:
+    """Where an SU's readings come from, and its noise as densities; null where not known."""
+    name = calibration.model.tree.su_names[u]
+    source = calibration.su_sources.get(name)
+    if source is None:
+        return dict.fromkeys(("topic", "rate", "noise_density", "bias_random_walk"))
+    noise = _stream(calibration.features, name)["noise"]
+    drift = 0.0 if calibration.along is None else float(np.max(calibration.along.drifts[u]))
+    return {
+        "topic": source.topic,
+        "rate": source.rate,
+        "noise_density": None if noise is None else noise / np.sqrt(2 * source.bandwidth),
+        "bias_random_walk": drift / np.sqrt(source.duration) if drift > 0 else None,
     }
 
 

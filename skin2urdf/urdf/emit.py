@@ -16,7 +16,7 @@ from skin2urdf.arrays import F64, Bool
 from skin2urdf.errors import BadFitError, UsageError
 from skin2urdf.model.records import KinematicModel
 from skin2urdf.urdf.limits import NOMINAL_VELOCITY, seen_limits
-from skin2urdf.urdf.names import BASE_LINK, NOT_XML, UrdfNames, urdf_names
+from skin2urdf.urdf.names import BASE_LINK, UrdfNames, comment, urdf_names
 from skin2urdf.urdf.records import JointLimits, Remarks
 from skin2urdf.urdf.rpy import rpy_of_rotation
 from skin2urdf.urdf.visuals import COLOURS, Shape, link_shapes, su_shapes, thickness
@@ -170,12 +170,9 @@ def _limit(joint: ET.Element, limits: JointLimits, j: int, endless: bool) -> Non
 
 
 def _comment(element: ET.Element, words: Iterable[str]) -> None:
-    """Add comments; XML allows no two hyphens in a row in them, nor one at the end."""
+    """Add comments."""
     for line in words:
-        safe = NOT_XML.sub("?", line)
-        while "--" in safe:
-            safe = safe.replace("--", "- -")
-        element.append(ET.Comment(f" {safe} "))
+        element.append(comment(line))
 
 
 def _connect(element: ET.Element, names: UrdfNames, parent: int, child: str, T: F64) -> None:

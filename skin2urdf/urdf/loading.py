@@ -104,8 +104,8 @@ def load_robot(path: str | Path) -> Robot:
         UnreadableInputError: there is no such file, or it is no XML, or no URDF of one tree.
     """
     path = Path(path)
-    root = _read(path)
-    links, leaves = _check(path, root)
+    root = read_root(path)
+    links, leaves = check_tree(path, root)
 
     import pinocchio as pin
 
@@ -157,8 +157,12 @@ def _joint_type(shortname: str) -> JointType | None:
     return None
 
 
-def _read(path: Path) -> ET.Element:
-    """Root element of an XML file."""
+def read_root(path: Path) -> ET.Element:
+    """Root element of an XML file.
+
+    Raises:
+        UnreadableInputError: there is no such file, or it is no XML.
+    """
     try:
         # Plain expat: no external entities are fetched, and its own limit stops entity bombs.
         return ET.fromstring(path.read_bytes())  # noqa: S314
@@ -172,8 +176,16 @@ def _read(path: Path) -> ET.Element:
         ) from error
 
 
-def _check(path: Path, root: ET.Element) -> tuple[frozenset[str], tuple[str, ...]]:
-    """Names of all links and of the fixed leaves of a URDF that is one tree of links."""
+def check_tree(path: Path, root: ET.Element) -> tuple[frozenset[str], tuple[str, ...]]:
+    """Names of all links and of the fixed leaves of a URDF.
+
+    Args:
+        path: its file, for messages.
+        root: its root element.
+
+    Raises:
+        UnreadableInputError: it is no URDF, or not one tree of links.
+    """
 
     def complain(what: str) -> UnreadableInputError:
         return UnreadableInputError(str(path), what, "check it with check_urdf")

@@ -1,10 +1,12 @@
-"""Names of links and joints in a URDF: unique, and those of the log wherever possible."""
+"""Names and words in a URDF: names are unique, and those of the log wherever possible."""
 
 from __future__ import annotations
 
 import re
+import xml.etree.ElementTree as ET
 from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import Any, cast
 
 from skin2urdf.errors import UsageError
 from skin2urdf.structure.records import KinematicTree
@@ -13,6 +15,15 @@ BASE_LINK = "base_link"
 
 NOT_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 """What XML 1.0 has no way to write, not even escaped."""
+
+
+def comment(words: str) -> ET.Element:
+    """A comment in XML, which allows no two hyphens in a row in it, nor one at its end."""
+    safe = NOT_XML.sub("?", words)
+    while "--" in safe:
+        safe = safe.replace("--", "- -")
+    element: Any = ET.Comment(f" {safe} ")  # an element whose tag is a function
+    return cast("ET.Element", element)
 
 
 @dataclass(frozen=True)

@@ -24,7 +24,8 @@ class Gyros:
     """What was found of the gyroscopes of U SUs.
 
     Attributes:
-        used: (U,) those that count in the fit.
+        heard: (U,) SUs that have a gyroscope.
+        used: (U,) those that count in the fit; none that nothing turns.
         contradict: (U,) those that turn otherwise than their SU, and were left out.
         scale: (U, 3) scale errors [1].
         misalignment: (U, 6) what axis x reads of a turn about y and z, y of x and z, z of x and y,
@@ -38,6 +39,7 @@ class Gyros:
         delay_sd: (U,).
     """
 
+    heard: Bool
     used: Bool
     contradict: Bool
     scale: F64
@@ -52,7 +54,7 @@ class Gyros:
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
-            whole = np.bool_ if name in ("used", "contradict") else np.float64
+            whole = np.bool_ if name in ("heard", "used", "contradict") else np.float64
             object.__setattr__(self, name, frozen(value, whole))
 
 
@@ -141,7 +143,12 @@ def found_gyros(problem: MotionProblem, fitted: Fitted, contradict: Bool) -> Gyr
         return np.asarray(of[:, N_GYRO:].reshape(U, G, 3).swapaxes(0, 1))
 
     matrix, matrix_sd = value[:, :N_GYRO_MATRIX], sd[:, :N_GYRO_MATRIX]
+    heard = problem.gyros | contradict
+    for log in problem.logs:
+        if log.turning is not None:
+            heard = heard | log.turning.any(axis=0)
     return Gyros(
+        heard=heard,
         used=problem.gyros,
         contradict=contradict,
         scale=matrix[:, _DIAGONAL],

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from skin2urdf.calibration.result import Calibration
-from skin2urdf.estimation.trajectory.listening import Gyros
+from skin2urdf.estimation.trajectory.records import Gyros
 from skin2urdf.recording.naming import shortened
 from skin2urdf.report.tables import number
 
@@ -32,10 +32,10 @@ def gyro_notes(calibration: Calibration) -> list[str]:
             f"up to {number(float(bias) * _DEG)} deg/s, scale errors of up to "
             f"{number(100 * float(np.abs(gyros.scale[used]).max()))} %"
         )
-    for why in (_CONTRADICTS, _STILL):
-        left_out = [n for u, n in enumerate(names) if _why_not(gyros, u) == why]
-        if left_out:
-            notes.append(f"the gyroscope of {shortened(left_out)} does not count: {why}")
+    # That nothing turns an SU on the base is as it should be.
+    left_out = [name for name, odd in zip(names, gyros.contradict, strict=True) if odd]
+    if left_out:
+        notes.append(f"the gyroscope of {shortened(left_out)} does not count: {_CONTRADICTS}")
     return notes
 
 

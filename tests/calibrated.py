@@ -13,7 +13,9 @@ from skin2urdf.simulation import Simulation, SimulationSettings, load_robot, sim
 @cache
 def simulation() -> Simulation:
     """Three poses of an upright UR5 whose first axis is therefore vertical."""
-    settings = SimulationSettings(n_poses=3, seed=5, upright=True, imu_rate=250.0, joint_rate=125.0)
+    settings = SimulationSettings(
+        n_poses=3, seed=5, upright=True, gyro="mems", imu_rate=250.0, joint_rate=125.0
+    )
     return simulate(load_robot("ur5"), settings)
 
 

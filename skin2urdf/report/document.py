@@ -19,6 +19,7 @@ from skin2urdf.geometry.dh import joint_placement, prismatic_placement
 from skin2urdf.model.records import OpenDirection
 from skin2urdf.report.faults import fault_words
 from skin2urdf.report.findings import Findings, findings
+from skin2urdf.report.gyros import gyro_document
 from skin2urdf.report.words import NO_POSITIONS, Unknown
 from skin2urdf.signals.records import Features
 from skin2urdf.structure.activity import Activity
@@ -246,6 +247,7 @@ def _su(calibration: Calibration, found: Findings, u: int) -> dict[str, Any]:
         "bias": state.bias[u],
         "scale": state.shape[u, :3],
         "cross_yz_xz_xy": state.shape[u, 3:],
+        "gyro": gyro_document(calibration, u),
         **_stream(calibration.features, tree.su_names[u]),
         **_sensor(calibration, u),
     }

@@ -121,6 +121,7 @@ def _su(su: SuStream) -> dict[str, Any]:
         "rate": rate,
         "longest_gap": gap,
         "median_reading": float(np.median(size)) if size.size else None,
+        "gyroscope": su.angular_velocity is not None,
     }
 
 
@@ -171,11 +172,15 @@ def _sus(recording: Recording, surveyed: Surveyed) -> list[str]:
                 number(figures["rate"], 0),
                 number(figures["longest_gap"] * 1e3, 0),
                 number(figures["median_reading"] or float("nan")),
+                "real" if figures["gyroscope"] else "-",
                 number(latency.get(su.name, float("nan")) * 1e3),
             )
         )
-    head = ("SU", "topic", "rate [Hz]", "longest gap [ms]", "reading [m/s^2]", "latency [ms]")
-    return table(head, rows, "<<>>>>")
+    head = (
+        "SU", "topic", "rate [Hz]", "longest gap [ms]", "reading [m/s^2]", "gyroscope",
+        "latency [ms]",
+    )  # fmt: skip
+    return table(head, rows, "<<>>><>")
 
 
 def _found(surveyed: Surveyed, rests: int) -> str:

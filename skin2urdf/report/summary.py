@@ -14,6 +14,7 @@ from skin2urdf.recording.naming import shortened
 from skin2urdf.report.clocks import clock_notes
 from skin2urdf.report.faults import fault_words
 from skin2urdf.report.findings import Findings, findings
+from skin2urdf.report.gyros import gyro_notes
 from skin2urdf.report.tables import bullets, number, span, table
 from skin2urdf.report.words import NO_POSITIONS, Unknown
 from skin2urdf.signals.records import Features
@@ -50,7 +51,7 @@ def as_text(calibration: Calibration) -> str:
             "Not observable from this log", _not_known(calibration.model.tree.su_names, found)
         ),
         *bullets("Faults", _faults(calibration)),
-        *bullets("Notes", [*calibration.notes, *_clocks(calibration), *_sensors(calibration)]),
+        *bullets("Notes", _notes(calibration)),
     ]
     return "\n".join(lines) + "\n"
 
@@ -188,6 +189,16 @@ def _alike_together(names: Sequence[str], unknown: Sequence[Sequence[Unknown]]) 
 
 _NAME = "\0"
 """Stands for an SU's name; no name holds it."""
+
+
+def _notes(calibration: Calibration) -> list[str]:
+    """What else was found: of the logs, of clocks, sensors and gyroscopes."""
+    return [
+        *calibration.notes,
+        *_clocks(calibration),
+        *_sensors(calibration),
+        *gyro_notes(calibration),
+    ]
 
 
 def _sensors(calibration: Calibration) -> list[str]:

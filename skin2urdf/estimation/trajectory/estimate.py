@@ -14,10 +14,11 @@ from skin2urdf.estimation.trajectory.elastic import elasticity, followed
 from skin2urdf.estimation.trajectory.fit import Fitted, fit
 from skin2urdf.estimation.trajectory.front_end import droop
 from skin2urdf.estimation.trajectory.gyro import gyro_deviations
-from skin2urdf.estimation.trajectory.listening import Gyros, found_gyros, listened
+from skin2urdf.estimation.trajectory.listening import found_gyros, listened
 from skin2urdf.estimation.trajectory.misfit import misfit, span_means
 from skin2urdf.estimation.trajectory.priors import MotionPriors
 from skin2urdf.estimation.trajectory.problem import MotionProblem
+from skin2urdf.estimation.trajectory.records import Gyros
 from skin2urdf.estimation.trajectory.state import MotionState
 from skin2urdf.estimation.trajectory.uncertainty import MotionInformation, motion_information
 from skin2urdf.signals.trajectory import Trajectory

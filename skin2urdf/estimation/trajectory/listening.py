@@ -2,58 +2,22 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
-from skin2urdf.arrays import F64, Bool, frozen
+from skin2urdf.arrays import F64, Bool
 from skin2urdf.estimation.solve.spread import BEYOND_NOISE, DETERMINED, ENOUGH, spread
 from skin2urdf.estimation.trajectory.arrow import eliminated, joint_inverse
 from skin2urdf.estimation.trajectory.fit import Fitted, fit
 from skin2urdf.estimation.trajectory.gyro import contradicting, without_gyros
 from skin2urdf.estimation.trajectory.problem import MotionProblem
+from skin2urdf.estimation.trajectory.records import Gyros
 from skin2urdf.estimation.trajectory.state import N_GYRO, N_GYRO_MATRIX
 
 _DIAGONAL = np.eye(3, dtype=bool).ravel()
 _NARROWER = 0.8
 """A spread of errors over the one given, from which it is worth another fit."""
-
-
-@dataclass(frozen=True, eq=False)
-class Gyros:
-    """What was found of the gyroscopes of U SUs.
-
-    Attributes:
-        used: (U,) those that count in the fit.
-        contradict: (U,) those that turn otherwise than their SU, and were left out.
-        scale: (U, 3) scale errors [1].
-        misalignment: (U, 6) what axis x reads of a turn about y and z, y of x and z, z of x and y,
-            per unit [rad]; with it the axes' directions in the accelerometer's frame.
-        bias: (G, U, 3) in each log [rad/s].
-        delay: (U,) by how much they are later than the accelerometers [s].
-        noise: (U,) noise of a low-passed sample while the SU moves [rad/s]; NaN where not used.
-        scale_sd: (U, 3) standard deviations, and
-        misalignment_sd: (U, 6) and
-        bias_sd: (G, U, 3) and
-        delay_sd: (U,).
-    """
-
-    used: Bool
-    contradict: Bool
-    scale: F64
-    misalignment: F64
-    bias: F64
-    delay: F64
-    noise: F64
-    scale_sd: F64
-    misalignment_sd: F64
-    bias_sd: F64
-    delay_sd: F64
-
-    def __post_init__(self) -> None:
-        for name, value in vars(self).items():
-            whole = np.bool_ if name in ("used", "contradict") else np.float64
-            object.__setattr__(self, name, frozen(value, whole))
 
 
 def listened(problem: MotionProblem, fitted: Fitted) -> tuple[MotionProblem, Fitted, Bool]:
@@ -141,7 +105,12 @@ def found_gyros(problem: MotionProblem, fitted: Fitted, contradict: Bool) -> Gyr
         return np.asarray(of[:, N_GYRO:].reshape(U, G, 3).swapaxes(0, 1))
 
     matrix, matrix_sd = value[:, :N_GYRO_MATRIX], sd[:, :N_GYRO_MATRIX]
+    heard = problem.gyros | contradict
+    for log in problem.logs:
+        if log.turning is not None:
+            heard = heard | log.turning.any(axis=0)
     return Gyros(
+        heard=heard,
         used=problem.gyros,
         contradict=contradict,
         scale=matrix[:, _DIAGONAL],

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from skin2urdf.arrays import F64, Bool, Int
+import numpy as np
+
+from skin2urdf.arrays import F64, Bool, Int, frozen
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,3 +87,42 @@ class Spans:
     columns: Int
     joint_scores: F64
     su_scores: F64
+
+
+@dataclass(frozen=True, eq=False)
+class Gyros:
+    """What was found of the gyroscopes of U SUs.
+
+    Attributes:
+        heard: (U,) SUs that have a gyroscope.
+        used: (U,) those that count in the fit; none that nothing turns.
+        contradict: (U,) those that turn otherwise than their SU, and were left out.
+        scale: (U, 3) scale errors [1].
+        misalignment: (U, 6) what axis x reads of a turn about y and z, y of x and z, z of x and y,
+            per unit [rad]; with it the axes' directions in the accelerometer's frame.
+        bias: (G, U, 3) in each log [rad/s].
+        delay: (U,) by how much they are later than the accelerometers [s].
+        noise: (U,) noise of a low-passed sample while the SU moves [rad/s]; NaN where not used.
+        scale_sd: (U, 3) standard deviations, and
+        misalignment_sd: (U, 6) and
+        bias_sd: (G, U, 3) and
+        delay_sd: (U,).
+    """
+
+    heard: Bool
+    used: Bool
+    contradict: Bool
+    scale: F64
+    misalignment: F64
+    bias: F64
+    delay: F64
+    noise: F64
+    scale_sd: F64
+    misalignment_sd: F64
+    bias_sd: F64
+    delay_sd: F64
+
+    def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            whole = np.bool_ if name in ("heard", "used", "contradict") else np.float64
+            object.__setattr__(self, name, frozen(value, whole))

@@ -57,7 +57,9 @@ def read(
     ]
     samples, clock_notes = on_one_clock([*positions.values(), *forces.values()], names)
     joints, joint_notes = timed_joints(dict(zip(positions, samples, strict=False)))
-    sus, su_notes = timed_sus(dict(zip(forces, samples[len(positions) :], strict=True)))
+    forces = dict(zip(forces, samples[len(positions) :], strict=True))
+    del samples
+    sus, su_notes = timed_sus(forces)
     notes = [*log.notes, *_passed_notes(collector), *clock_notes, *joint_notes, *su_notes]
     if not joints or not sus:
         raise _missing(source, log, notes, "joints" if not joints else "SUs")

@@ -67,7 +67,7 @@ class SortedSamples:
         # One kind of numbers after the other, so that no more than the largest is there twice.
         kinds = [self._of_each_source(kind, sources) for kind in range(4)]
         self._bounds, self._groups = [], []
-        return [Columns(*columns) for columns in zip(*kinds, strict=True)]  # type: ignore[arg-type]
+        return [Columns(*columns) for columns in zip(*kinds, strict=True)]
 
     def _sort(self) -> None:
         """Sort what is waiting by source."""

@@ -20,6 +20,7 @@ from skin2urdf.estimation.start.order import ordered
 from skin2urdf.paper.exploration import Exploration
 from skin2urdf.paper.exploration import explore as run_algorithm_1
 from skin2urdf.recording.inventory import LogInventory
+from skin2urdf.recording.progress import Share
 from skin2urdf.recording.reading import inventory, read
 from skin2urdf.recording.records import Recording
 from skin2urdf.signals.features import extract_features
@@ -105,8 +106,8 @@ def explore(
     recordings = []
     for i, log in enumerate(logs):
 
-        def part(share: float, i: int = i) -> None:
-            tell("reading", (i + share) / len(logs))
+        def part(share: Share, i: int = i) -> None:
+            tell("reading", share.among(i, len(logs)))
 
         recordings.append(read(log, part))
     tell("features", 0.0)

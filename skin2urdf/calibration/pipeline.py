@@ -34,6 +34,7 @@ from skin2urdf.hypotheses.encoder import evident_errors
 from skin2urdf.hypotheses.kinds import KINDS
 from skin2urdf.hypotheses.search import explain
 from skin2urdf.model.canonical import canonical
+from skin2urdf.recording.progress import Share
 from skin2urdf.recording.records import Recording
 from skin2urdf.signals.encoders import corrected
 from skin2urdf.signals.filters import eroded, low_pass, noise_bandwidth
@@ -202,8 +203,8 @@ def _recordings(
     out = []
     for i, log in enumerate(given):
 
-        def part(share: float, i: int = i) -> None:
-            tell((i + share) / len(given))
+        def part(share: Share, i: int = i) -> None:
+            tell(share.among(i, len(given)))
 
         out.append(log if isinstance(log, Recording) else read(log, progress=part))
     if not out:

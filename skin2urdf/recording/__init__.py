@@ -1,1 +1,1 @@
-"""Logs in and out: files of any format to streams of positions and specific forces, and back."""
+"""Logs in and out: files of any format to streams of positions and readings, and back."""

@@ -102,12 +102,13 @@ def timed_joints(
 
 
 def timed_sus(
-    gathered: Mapping[tuple[str, str], Samples],
+    gathered: dict[tuple[str, str], Samples],
 ) -> tuple[list[TimedStream], list[str]]:
     """Name the SUs and time their samples.
 
     Args:
-        gathered: readings by topic and frame_id.
+        gathered: readings by topic and frame_id; emptied on the way, as what is not needed any
+            more is as large as what is kept.
 
     Returns:
         One stream per SU, sorted by name, and notes for the user.
@@ -116,7 +117,8 @@ def timed_sus(
     names, notes = writable(su_names(list(gathered)), "SU")
     few: list[str] = []
     repeating: dict[str, float] = {}
-    for name, ((topic, frame), samples) in zip(names, gathered.items(), strict=True):
+    for name, (topic, frame) in zip(names, list(gathered), strict=True):
+        samples = gathered.pop((topic, frame))
         what = f"SU {name} ({topic})"
         # Without its bad samples first: they would spoil the comparison of timings.
         bad = absurd(samples.values)
@@ -126,7 +128,7 @@ def timed_sus(
                 "accelerometer gives; left out"
             )
             samples = samples.at(~bad)
-        if samples.arrival.size < 2:
+        if samples.stamp.size < 2:
             few.append(what)
             continue
         if several_publishers(samples.values, FORCES_APART):
@@ -245,7 +247,7 @@ def recorded(
 def _timed(name: str, topic: str, samples: Samples) -> TimedStream:
     """Time the samples of one source."""
     times = sample_times(samples.stamp, samples.log_time, samples.values)
-    whole = np.array_equal(times.kept, np.arange(samples.arrival.size))
+    whole = np.array_equal(times.kept, np.arange(samples.stamp.size))
     return TimedStream(
         name=name,
         topic=topic,
@@ -254,7 +256,7 @@ def _timed(name: str, topic: str, samples: Samples) -> TimedStream:
         clock_offset=times.clock_offset,
         stamped=times.stamped,
         chosen=times.chosen,
-        contradicting=samples.arrival.size - times.kept.size,
+        contradicting=samples.stamp.size - times.kept.size,
         stamp_noise=times.noise,
         rates=samples.rates if whole or samples.rates is None else samples.rates[times.kept],
     )

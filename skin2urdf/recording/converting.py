@@ -13,6 +13,7 @@ from skin2urdf.errors import UnreadableInputError
 from skin2urdf.recording.blocks import Block, Channel
 from skin2urdf.recording.log_files import LogFiles
 from skin2urdf.recording.messages import role_of
+from skin2urdf.recording.progress import Share
 from skin2urdf.recording.writing import Compression, mcap_writer
 
 if TYPE_CHECKING:
@@ -45,7 +46,7 @@ def convert(
     target: str | Path,
     *,
     compression: Compression = "zstd",
-    progress: Callable[[float], None] | None = None,
+    progress: Callable[[Share], None] | None = None,
 ) -> Converted:
     """Write the joint states and accelerations of a log as a ROS 2 log in MCAP.
 

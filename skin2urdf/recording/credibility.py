@@ -53,7 +53,7 @@ def real_rates(rates: F64) -> F64 | None:
     Returns:
         None where an axis never changes, or where there are no two readings.
     """
-    bad = ~(np.abs(rates).max(axis=1) < LARGEST_RATE)
+    bad = ~(np.maximum.reduce([np.abs(column) for column in rates.T]) < LARGEST_RATE)
     if bad.any():
         rates = np.where(bad[:, None], np.nan, rates)
     sound = rates[~bad] if bad.any() else rates

@@ -10,6 +10,7 @@ from skin2urdf.recording.blocks import Block, Channel, Channels
 from skin2urdf.recording.formats import opened_log
 from skin2urdf.recording.inputs import bag_parts
 from skin2urdf.recording.naming import printable
+from skin2urdf.recording.progress import Share
 
 
 class LogFiles:
@@ -28,7 +29,7 @@ class LogFiles:
         self,
         path: Path,
         wanted: Callable[[Channel], bool],
-        progress: Callable[[float], None] | None = None,
+        progress: Callable[[Share], None] | None = None,
         with_digest: bool = False,
     ) -> None:
         """Begin with a log.
@@ -64,7 +65,8 @@ class LogFiles:
             with opened_log(part.path, self.channels, take) as log:
                 for block in log.blocks():
                     yield block
-                    self._progress((before + log.share * part.size) / total)
+                    done = before + int(log.share * part.size)
+                    self._progress(Share(done / total, done, total))
             before += part.size
             read = log.container
             self.profile = self.profile or read.profile
@@ -72,4 +74,4 @@ class LogFiles:
             prefix = f"{printable(part.path.name)}: " if len(parts) > 1 else ""
             self.notes.extend(prefix + note for note in read.notes)
         self.digest = digest.hexdigest() if self._with_digest else ""
-        self._progress(1.0)
+        self._progress(Share(1.0, total, total))

@@ -17,6 +17,7 @@ from skin2urdf.recording.inventory import LogInventory, Tally
 from skin2urdf.recording.log_files import LogFiles
 from skin2urdf.recording.messages import ACCELERATION_TAIL, JOINT_STATE, role_of
 from skin2urdf.recording.naming import shortened
+from skin2urdf.recording.progress import Share
 from skin2urdf.recording.records import Recording
 from skin2urdf.recording.segments import on_one_clock
 from skin2urdf.recording.streams import Collector
@@ -26,7 +27,7 @@ __all__ = ["inventory", "read"]
 
 def read(
     path: str | Path,
-    progress: Callable[[float], None] | None = None,
+    progress: Callable[[Share], None] | None = None,
     *,
     with_digest: bool = True,
 ) -> Recording:
@@ -34,7 +35,7 @@ def read(
 
     Args:
         path: a file of any format, or a directory, whose files are read as one log.
-        progress: called now and then with the part of the log that is read, up to 1.
+        progress: called now and then with the share that is read, up to 1, and its bytes.
         with_digest: take the digest as well, a third of the time of an uncompressed log.
 
     Returns:
@@ -57,7 +58,9 @@ def read(
     ]
     samples, clock_notes = on_one_clock([*positions.values(), *forces.values()], names)
     joints, joint_notes = timed_joints(dict(zip(positions, samples, strict=False)))
-    sus, su_notes = timed_sus(dict(zip(forces, samples[len(positions) :], strict=True)))
+    forces = dict(zip(forces, samples[len(positions) :], strict=True))
+    del samples
+    sus, su_notes = timed_sus(forces)
     notes = [*log.notes, *_passed_notes(collector), *clock_notes, *joint_notes, *su_notes]
     if not joints or not sus:
         raise _missing(source, log, notes, "joints" if not joints else "SUs")

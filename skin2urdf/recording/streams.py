@@ -7,7 +7,6 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from skin2urdf.arrays import F64, Bool, Int
 from skin2urdf.recording.blocks import Block, Channels
@@ -22,13 +21,13 @@ from skin2urdf.recording.messages import (
     ENCODINGS,
     role_of,
 )
+from skin2urdf.recording.sorting import Part, SortedSamples
 
 
 class Samples(NamedTuple):
     """Samples of one source in the order of the log.
 
     Attributes:
-        arrival: (N,) numbers that rise as the messages follow each other in the log.
         stamp: (N,) header stamps [ns], 0 where unset.
         log_time: (N,) times the messages were recorded [ns].
         values: (N, C) what was measured.
@@ -36,7 +35,6 @@ class Samples(NamedTuple):
             where there is none.
     """
 
-    arrival: Int
     stamp: Int
     log_time: Int
     values: F64
@@ -45,9 +43,19 @@ class Samples(NamedTuple):
     def at(self, keep: Int | Bool) -> Samples:
         """Return some of the samples."""
         rates = None if self.rates is None else self.rates[keep]
-        return Samples(
-            self.arrival[keep], self.stamp[keep], self.log_time[keep], self.values[keep], rates
-        )
+        return Samples(self.stamp[keep], self.log_time[keep], self.values[keep], rates)
+
+
+class Arrived(NamedTuple):
+    """Samples that may have to be put between others of their source.
+
+    Attributes:
+        order: (N,) numbers that rise as the messages follow each other in the log.
+        samples: the samples.
+    """
+
+    order: Int
+    samples: Samples
 
 
 @dataclass(eq=False)
@@ -61,9 +69,9 @@ class Collector:
 
     channels: Channels
     passed: defaultdict[str, Counter[str]] = field(default_factory=lambda: defaultdict(Counter))
-    _sources: dict[tuple[int, str], int] = field(default_factory=dict)
-    _parts: list[_Part] = field(default_factory=list)
-    _joints: dict[tuple[str, tuple[str, ...]], list[Samples]] = field(default_factory=dict)
+    _sources: dict[tuple[str, str], int] = field(default_factory=dict)
+    _sorted: SortedSamples = field(default_factory=SortedSamples)
+    _joints: dict[tuple[str, tuple[str, ...]], list[Arrived]] = field(default_factory=dict)
     _arrived: int = 0
 
     def add(self, block: Block) -> None:
@@ -93,9 +101,9 @@ class Collector:
         found, passed = joint_positions(block)
         for part in found:
             arrival = self._arrived + part.row
-            samples = Samples(arrival, part.stamp, part.log_time, part.position)
+            samples = Samples(part.stamp, part.log_time, part.position)
             key = self._topic(part.channel), part.names
-            self._joints.setdefault(key, []).append(samples)
+            self._joints.setdefault(key, []).append(Arrived(arrival, samples))
         return passed
 
     def _add_accelerations(self, block: Block) -> Passed:
@@ -107,57 +115,33 @@ class Collector:
             ACCELERATION_TAIL[ros_type],
             ANGULAR_VELOCITY_LEAD.get(ros_type),
         )
-        parts = []
+        parts, rows_of = [], []
         for part in found:
             pair = block.channel[part.row] * len(part.frames) + part.frame
             source = np.empty(pair.size, np.uint32)
             for rows in grouped(pair):
                 number, frame = divmod(int(pair[rows[0]]), len(part.frames))
-                key = number, part.frames[frame]
+                # Channels of one topic and frame_id, of several files say, are one source.
+                key = self._topic(number), part.frames[frame]
                 source[rows] = self._sources.setdefault(key, len(self._sources))
-            parts.append(
-                _Part(part.row, source, part.stamp, part.log_time, part.vector, part.rates)
-            )
+            parts.append(Part(source, part.stamp, part.log_time, part.vector, part.rates))
+            rows_of.append(part.row)
         if len(parts) > 1:
-            # Both byte orders in one block: back into the order of the log.
-            order = np.argsort(np.concatenate([part.row for part in parts]))
-            row, source, stamp, log_time, vector = (
-                np.concatenate(arrays)[order]
-                for arrays in zip(*(part[:5] for part in parts), strict=True)
-            )
-            rates = _joined_rates(parts)
-            rates = None if rates is None else rates[order]
-            parts = [_Part(row, source, stamp, log_time, vector, rates)]
-        self._parts += parts
+            parts = [_in_order(parts, rows_of)]
+        for each in parts:
+            self._sorted.add(each)
         return passed
 
     def accelerations(self) -> dict[tuple[str, str], Samples]:
-        """Return the samples of every SU, by topic and frame_id."""
-        # Channels of one topic and frame_id, of several files say, are one source.
-        keys = [(self._topic(number), frame) for number, frame in self._sources]
-        names = sorted(set(keys))
-        place = {name: k for k, name in enumerate(names)}
-        if not names:
-            return {}
-        small = np.uint16 if len(names) <= 1 << 16 else np.uint32
-        rank = np.array([place[key] for key in keys], small)
-        # NumPy sorts numbers of 16 bits by radix.
-        source = rank[np.concatenate([part.source for part in self._parts])]
-        order = np.argsort(source, kind="stable")
-        ends = np.cumsum(np.bincount(source, minlength=len(names)))[:-1]
-        columns = [
-            np.split(np.concatenate([part[k] for part in self._parts])[order], ends)
-            for k in range(2, 5)
-        ]
-        rates = _joined_rates(self._parts)
-        turning: list[F64 | None] = [None] * len(names)
-        if rates is not None:
-            turning = [real_rates(each) for each in np.split(rates[order], ends)]
-        self._parts = []
-        return {
-            name: Samples(np.arange(stamp.size), stamp, log_time, vector, own)
-            for name, stamp, log_time, vector, own in zip(names, *columns, turning, strict=True)
-        }
+        """Return the samples of every SU, by topic and frame_id; the collector keeps none."""
+        columns = self._sorted.take(len(self._sources))
+        found = {}
+        for key in sorted(self._sources):
+            stamp, log_time, vector, rates = columns[self._sources[key]]
+            found[key] = Samples(
+                stamp, log_time, vector, None if rates is None else real_rates(rates)
+            )
+        return found
 
     def joints(self) -> dict[tuple[str, tuple[str, ...]], Samples]:
         """Return joint positions by topic and names.
@@ -166,7 +150,7 @@ class Collector:
         joints that come in several companies are joined into one sequence.
         """
         merged: dict[tuple[str, tuple[str, ...]], Samples] = {}
-        by_topic: dict[str, dict[tuple[str, ...], Samples]] = {}
+        by_topic: dict[str, dict[tuple[str, ...], Arrived]] = {}
         for (topic, names), parts in sorted(self._joints.items(), key=lambda item: item[0]):
             by_topic.setdefault(topic, {})[names] = _joined(parts)
         for topic, companies in by_topic.items():
@@ -183,54 +167,42 @@ class Collector:
                     _columns(samples[company], [places[name][company] for name in members])
                     for company in held_by
                 ]
-                merged[topic, tuple(members)] = _joined(parts)
+                merged[topic, tuple(members)] = _joined(parts).samples
         return merged
 
 
-class _Part(NamedTuple):
-    """Accelerations out of one block.
-
-    Attributes:
-        row: (N,) number of each message within its block, rising.
-        source: (N,) number of the pair of channel and frame_id.
-        stamp: (N,) header stamps [ns].
-        log_time: (N,) times the messages were recorded [ns].
-        vector: (N, 3) accelerations.
-        rates: (N, 3) angular velocities; None where there are none.
-    """
-
-    row: Int
-    source: NDArray[np.uint32]
-    stamp: Int
-    log_time: Int
-    vector: F64
-    rates: F64 | None
-
-
-def _joined_rates(parts: list[_Part]) -> F64 | None:
-    """Angular velocities of several blocks, NaN for those without; None where none has any."""
-    if all(part.rates is None for part in parts):
-        return None
-    return np.concatenate(
-        [np.full(part.vector.shape, np.nan) if part.rates is None else part.rates for part in parts]
+def _in_order(parts: list[Part], rows: list[Int]) -> Part:
+    """Join parts of one block, of both byte orders say, in the order of the log."""
+    order = np.argsort(np.concatenate(rows))
+    source, stamp, log_time, vector = (
+        np.concatenate(arrays)[order] for arrays in zip(*(part[:4] for part in parts), strict=True)
     )
+    if all(part.rates is None for part in parts):
+        return Part(source, stamp, log_time, vector)
+    rates = [np.full(p.vector.shape, np.nan) if p.rates is None else p.rates for p in parts]
+    return Part(source, stamp, log_time, vector, np.concatenate(rates)[order])
 
 
-def _columns(samples: Samples, columns: list[int]) -> Samples:
+def _columns(arrived: Arrived, columns: list[int]) -> Arrived:
     """Return some columns, by reference where these are all."""
+    order, samples = arrived
     if columns == list(range(samples.values.shape[1])):
-        return samples
-    return samples._replace(values=samples.values[:, columns])
+        return arrived
+    return Arrived(order, samples._replace(values=samples.values[:, columns]))
 
 
-def _joined(parts: list[Samples]) -> Samples:
+def _joined(parts: list[Arrived]) -> Arrived:
     """Join samples of one source in the order of the log."""
     if len(parts) == 1:
-        joined = parts[0]
+        order, samples = parts[0]
     else:
-        joined = Samples(
-            *(np.concatenate(arrays) for arrays in zip(*(part[:4] for part in parts), strict=True))
+        order = np.concatenate([part.order for part in parts])
+        samples = Samples(
+            np.concatenate([part.samples.stamp for part in parts]),
+            np.concatenate([part.samples.log_time for part in parts]),
+            np.concatenate([part.samples.values for part in parts]),
         )
-    if (np.diff(joined.arrival) < 0).any():
-        joined = joined.at(np.argsort(joined.arrival, kind="stable"))
-    return joined
+    if (np.diff(order) < 0).any():
+        rising = np.argsort(order, kind="stable")
+        order, samples = order[rising], samples.at(rising)
+    return Arrived(order, samples)

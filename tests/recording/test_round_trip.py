@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 
 from skin2urdf.errors import UsageError
+from skin2urdf.recording.progress import Share
 from skin2urdf.recording.reading import inventory, read
 from skin2urdf.recording.records import JointStream, Recording, SuStream
 from skin2urdf.recording.writing import write
@@ -188,3 +190,16 @@ def test_bad_arguments_are_refused_and_leave_nothing(small: Recording, tmp_path:
     with pytest.raises(UsageError, match="topic of the joint states"):
         write(small, path, joint_topic="/skin/1")
     assert list(tmp_path.iterdir()) == []
+
+
+def test_progress_knows_the_bytes_that_were_read(small: Recording, tmp_path: Path) -> None:
+    path = tmp_path / "log.mcap"
+    write(small, path, chunk_size=20_000)
+    told: list[Share] = []
+    read(path, told.append)
+    size = path.stat().st_size
+    assert [share.total for share in told] == [size] * len(told)
+    assert all(a.done <= b.done for a, b in pairwise(told))
+    assert (told[-1], told[-1].done) == (1.0, size)
+    later = told[-1].among(1, 4)
+    assert (later, later.done) == (0.5, size)

@@ -38,6 +38,7 @@ COMMANDS: dict[str, Command] = {
     "compare": compare,
     "explore": explore,
     "info": info,
+    "report": report,
     "convert": convert,
     "report": report,
     "guide": guide,

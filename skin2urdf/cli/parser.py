@@ -16,6 +16,7 @@ from skin2urdf.cli.commands import (
     info,
     report,
     simulate,
+    view,
 )
 
 
@@ -39,6 +40,7 @@ COMMANDS: dict[str, Command] = {
     "explore": explore,
     "info": info,
     "report": report,
+    "view": view,
     "convert": convert,
     "report": report,
     "guide": guide,

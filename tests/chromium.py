@@ -96,6 +96,14 @@ class Tab:
                 self.errors.append(str(params["entry"]))
 
 
+def resize(tab: Tab, width: int, height: int = 900) -> None:
+    """Give the window another size [px]; a narrow one is that of a phone."""
+    tab.call(
+        "Emulation.setDeviceMetricsOverride",
+        width=width, height=height, deviceScaleFactor=1, mobile=width < 600,
+    )  # fmt: skip
+
+
 @contextmanager
 def opened(address: str, width: int = 1280, height: int = 900) -> Iterator[Tab]:
     """Open a page in a window of its own; the browser ends with the block.
@@ -117,10 +125,7 @@ def opened(address: str, width: int = 1280, height: int = 900) -> Iterator[Tab]:
                 tab = Tab(socket)
                 for domain in ("Page", "Runtime", "Network", "Log"):
                     tab.call(f"{domain}.enable")
-                tab.call(
-                    "Emulation.setDeviceMetricsOverride",
-                    width=width, height=height, deviceScaleFactor=1, mobile=width < 600,
-                )  # fmt: skip
+                resize(tab, width, height)
                 tab.call("Page.navigate", url=address)
                 yield tab
         finally:

@@ -17,6 +17,7 @@ from skin2urdf.cli.commands import (
     info,
     report,
     simulate,
+    view,
 )
 
 
@@ -35,13 +36,14 @@ class Command(Protocol):
 
 COMMANDS: dict[str, Command] = {
     "calibrate": calibrate,
-    "simulate": simulate,
-    "compare": compare,
-    "explore": explore,
-    "info": info,
-    "export": export,
-    "convert": convert,
     "report": report,
+    "view": view,
+    "export": export,
+    "info": info,
+    "explore": explore,
+    "compare": compare,
+    "simulate": simulate,
+    "convert": convert,
     "guide": guide,
 }
 """The commands by name, in the order that help shows them."""

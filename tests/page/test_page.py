@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 from calibrated import calibration, simulation
-from chromium import Tab, needs_chromium, opened
+from chromium import Tab, needs_chromium, opened, resize
 
 from skin2urdf.cli.main import main
 from skin2urdf.output import save
@@ -237,16 +237,15 @@ def drawn(tab: Tab) -> None:
 
 
 @needs_chromium
-@pytest.mark.parametrize("width", [1280, 400])
-def test_the_page_renders_without_an_error_and_asks_for_nothing(
-    page: str, tmp_path: Path, width: int
-) -> None:
+def test_the_page_renders_without_an_error_and_asks_for_nothing(page: str, tmp_path: Path) -> None:
     file = tmp_path / "robot.html"
     file.write_text(page)
-    with opened(file.as_uri(), width) as tab:
-        drawn(tab)
-        assert tab.run("document.documentElement.scrollWidth") <= width
-        assert len(tab.screenshot(tmp_path / "page.png")) > 10_000
+    with opened(file.as_uri()) as tab:
+        for width in (1280, 400):
+            resize(tab, width)
+            drawn(tab)
+            assert tab.run("document.documentElement.scrollWidth") <= width
+            assert len(tab.screenshot(tmp_path / "page.png")) > 10_000
         assert tab.run("document.querySelectorAll('#su option').length") > 0
         assert not tab.errors
         assert {re.sub(":.*", "", address) for address in tab.requests} <= {"file", "data", "blob"}

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from skin2urdf.cli.arguments import Parser, refuse_to_overwrite, shown
+from skin2urdf.cli.arguments import Parser, present, refuse_to_overwrite, wrote
 from skin2urdf.cli.terminal import progress_bar
 
 HELP = "show a calibration as one HTML page"
@@ -50,10 +50,11 @@ def run(options: argparse.Namespace) -> int:
 
     check_libraries()
     check_page(output)
+    replaced = present([output])
     with progress_bar(options.quiet) as bar:
         contents = load_contents(options.urdf, other=options.truth, logs=options.log, progress=bar)
         bar("drawing", 0.0)
-        write_page(output, as_page(contents))
+        written = write_page(output, as_page(contents))
     if not options.quiet:
-        print(f"wrote {shown(Path(output).resolve())}")
+        print(wrote([written], replaced))
     return 0

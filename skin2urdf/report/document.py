@@ -300,6 +300,10 @@ def _samples(calibration: Calibration) -> dict[str, Any] | None:
     if along is None:
         return None
     state, names = along.fitted.state, along.problem.tree.su_names
+    layout = along.problem.layout
+    deviations = np.sqrt(np.einsum("uii->ui", along.su_covariances).clip(0.0))
+    # Lag and drift of each log: (G, U, 2).
+    of_clocks = np.array([deviations[:, layout.clock(g)] for g in range(len(state.clock))])
     return {
         "misfit": along.misfit,
         "gravity": state.gravity,
@@ -311,8 +315,11 @@ def _samples(calibration: Calibration) -> dict[str, Any] | None:
         "sus": {
             name: {
                 "front_end": state.front[u],
+                "front_end_sd": deviations[u, layout.front],
                 "lag": state.clock[:, u, 0],
+                "lag_sd": of_clocks[:, u, 0],
                 "clock_drift": state.clock[:, u, 1],
+                "clock_drift_sd": of_clocks[:, u, 1],
                 "bias_drift": along.drifts[u],
             }
             for u, name in enumerate(names)

@@ -23,6 +23,8 @@ from skin2urdf.structure.records import KinematicTree
 _MM = 1e3
 _SLOW_DROOP = 4e-6
 """Droop of a pole at 56 Hz [s^2], which changes a pattern of 4 Hz by a quarter of a per cent."""
+_CERTAIN = 3.0
+"""Standard deviations from which a low-pass is told of."""
 _DEG = float(np.rad2deg(1.0))
 _MG = 1 / MILLI_G
 
@@ -215,7 +217,7 @@ def _sensors(calibration: Calibration) -> list[str]:
     if along.deflections.any():
         notes.append(_elastic(along.problem.tree, along.deflections))
     droops = along.droops
-    slow = droops > _SLOW_DROOP
+    slow = droops > np.maximum(_SLOW_DROOP, _CERTAIN * along.droop_deviations)
     if slow.any():
         cutoff = 1 / (2 * np.pi * np.sqrt(2 * droops[slow]))
         names = [n for n, s in zip(along.problem.tree.su_names, slow, strict=True) if s]

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
 from skin2urdf.arrays import F64
 from skin2urdf.estimation.problem.cost import Priors
 from skin2urdf.estimation.problem.state import State
+from skin2urdf.estimation.trajectory.deviations import su_covariances
 from skin2urdf.estimation.trajectory.elastic import elasticity, followed
 from skin2urdf.estimation.trajectory.fit import Fitted, fit
-from skin2urdf.estimation.trajectory.front_end import droop
+from skin2urdf.estimation.trajectory.front_end import droop, droop_variance
 from skin2urdf.estimation.trajectory.gyro import gyro_deviations
 from skin2urdf.estimation.trajectory.listening import found_gyros, listened
 from skin2urdf.estimation.trajectory.misfit import misfit, span_means
@@ -86,6 +88,17 @@ class MotionEstimate:
     def droops(self) -> F64:
         """(U,) what each SU's own low-pass takes away, per square of angular frequency [s^2]."""
         return droop(self.fitted.state.front)
+
+    @cached_property
+    def su_covariances(self) -> F64:
+        """(U, n, n) of each SU's own coordinates, as the layout has them."""
+        return su_covariances(self.fitted.equations)
+
+    @property
+    def droop_deviations(self) -> F64:
+        """(U,) standard deviations of the droops [s^2]."""
+        front = self.problem.layout.front
+        return np.sqrt(droop_variance(self.su_covariances[:, front, front]))
 
     @property
     def drifts(self) -> F64:

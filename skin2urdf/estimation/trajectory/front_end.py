@@ -67,6 +67,12 @@ def droop(front: F64) -> F64:
     return np.asarray(0.5 * front[..., 0] - front[..., 1])
 
 
+def droop_variance(covariance: F64) -> F64:
+    """Variance (...) of the droop [s^4] of front ends with covariances (..., 2, 2)."""
+    weight = np.array([0.5, -1.0])
+    return np.asarray(covariance @ weight @ weight)
+
+
 def common_front_end(cutoff: float, order: int) -> tuple[F64, F64]:
     """Mean and standard deviation (2,) of the coordinates of a front end of a data sheet [s^2].
 

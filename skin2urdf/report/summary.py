@@ -9,6 +9,7 @@ import numpy as np
 
 from skin2urdf.arrays import F64
 from skin2urdf.calibration.result import Calibration
+from skin2urdf.estimation.trajectory.estimate import MotionEstimate
 from skin2urdf.geometry.units import MILLI_G
 from skin2urdf.recording.naming import shortened
 from skin2urdf.report.clocks import clock_notes
@@ -50,7 +51,7 @@ def as_text(calibration: Calibration) -> str:
             "Not observable from this log", _not_known(calibration.model.tree.su_names, found)
         ),
         *bullets("Faults", _faults(calibration)),
-        *bullets("Notes", [*calibration.notes, *_clocks(calibration), *_sensors(calibration)]),
+        *bullets("Notes", _notes(calibration)),
     ]
     return "\n".join(lines) + "\n"
 
@@ -190,9 +191,13 @@ _NAME = "\0"
 """Stands for an SU's name; no name holds it."""
 
 
-def _sensors(calibration: Calibration) -> list[str]:
-    """What was found of biases that drift, joints that yield and sensors that are slow."""
-    along = calibration.along
+def sensor_notes(along: MotionEstimate | None, of: Sequence[str] | None = None) -> list[str]:
+    """What was found of biases that drift, joints that yield and sensors that are slow.
+
+    Args:
+        along: the fit of all samples, if there is one.
+        of: the SUs whose low-passes are told; all by default.
+    """
     if along is None:
         return []
     notes = []
@@ -205,6 +210,8 @@ def _sensors(calibration: Calibration) -> list[str]:
         notes.append(_elastic(along.problem.tree, along.deflections))
     droops = along.droops
     slow = droops > _SLOW_DROOP
+    if of is not None:
+        slow &= np.array([name in of for name in along.problem.tree.su_names], dtype=bool)
     if slow.any():
         cutoff = 1 / (2 * np.pi * np.sqrt(2 * droops[slow]))
         names = [n for n, s in zip(along.problem.tree.su_names, slow, strict=True) if s]
@@ -228,6 +235,12 @@ def _elastic(tree: KinematicTree, deflections: F64) -> str:
         f"{', '.join(parts)}; it was followed: the URDF holds for positions of the links, and what "
         "reads motor positions sees links off by these deflections (stiffness takes known torques)"
     )
+
+
+def _notes(calibration: Calibration) -> list[str]:
+    """What else was found."""
+    sensors = sensor_notes(calibration.along)
+    return [*calibration.notes, *_clocks(calibration), *sensors]
 
 
 def _clocks(calibration: Calibration) -> list[str]:

@@ -71,3 +71,25 @@ class BadFitError(Skin2UrdfError):
     def __init__(self, what: str, remedy: str = "", cost_per_dof: float = float("nan")) -> None:
         super().__init__(what, remedy)
         self.cost_per_dof = cost_per_dof
+
+
+class ModelMismatchError(BadFitError):
+    """A given model that is not the robot in the log.
+
+    Attributes:
+        joints: names of the model's joints that contradict the log; all of them where it is
+            another robot.
+        sus: names of the SUs that show it.
+    """
+
+    def __init__(
+        self,
+        what: str,
+        remedy: str = "",
+        joints: Sequence[str] = (),
+        sus: Sequence[str] = (),
+        cost_per_dof: float = float("nan"),
+    ) -> None:
+        super().__init__(what, remedy, cost_per_dof)
+        self.joints = tuple(joints)
+        self.sus = tuple(sus)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import secrets
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ from skin2urdf.errors import BadFitError, UsageError
 from skin2urdf.files import check_target, write_atomically
 from skin2urdf.report.document import as_document, dumps
 from skin2urdf.report.findings import findings
+from skin2urdf.report.model_document import as_document as model_document
 from skin2urdf.report.remarks import remarks
 from skin2urdf.urdf.beside import document_beside
 from skin2urdf.urdf.check import check_urdf
@@ -25,8 +27,18 @@ from skin2urdf.urdf.limits import (
     with_given,
 )
 from skin2urdf.urdf.records import JointLimits
+from skin2urdf.vendor.output import model_urdf
+from skin2urdf.vendor.records import ModelCalibration
 
-__all__ = ["document_beside", "not_to_be_saved", "output_paths", "render", "save"]
+__all__ = [
+    "document_beside",
+    "not_to_be_saved",
+    "output_paths",
+    "render",
+    "save",
+    "save_on_model",
+    "write_pair",
+]
 
 
 def output_paths(path: str | Path) -> tuple[Path, Path]:
@@ -84,10 +96,46 @@ def save(
     """
     if calibration.quality == "bad" and not even_bad:
         raise not_to_be_saved(calibration, path)
-    urdf, beside = output_paths(path)
+    urdf, _ = output_paths(path)
     text, document = render(
         calibration, name or urdf.stem, visuals=visuals, collision=collision, limits=limits
     )
+    return write_pair(urdf, text, document)
+
+
+def save_on_model(result: ModelCalibration, path: str | Path) -> tuple[Path, Path]:
+    """Write a calibration on a given model: the model's text with the SUs, and JSON beside it.
+
+    Args:
+        result: what was found.
+        path: the URDF to write; the JSON has its name with the ending ``.json``.
+
+    Returns:
+        Paths of the URDF and of the JSON.
+
+    Raises:
+        UsageError: a file can not be written.
+        InconsistentUrdfError: the URDF does not read back as what was found.
+    """
+    urdf, _ = output_paths(path)
+    return write_pair(urdf, model_urdf(result), model_document(result))
+
+
+def write_pair(urdf: Path, text: str, document: Mapping[str, Any]) -> tuple[Path, Path]:
+    """Write a URDF and its JSON; on failure the old files of both names stay.
+
+    Args:
+        urdf: absolute path of the URDF; see :func:`output_paths`.
+        text: of the URDF.
+        document: the JSON, to which the digest of the URDF is added.
+
+    Returns:
+        Paths of the URDF and of the JSON.
+
+    Raises:
+        UsageError: a file can not be written.
+    """
+    beside = urdf.with_suffix(".json")
     # All that takes space on the disk is done before the first of the old files goes.
     staged = urdf.with_name(f".{urdf.name[:100]}.{secrets.token_hex(8)}.new")
     try:
@@ -97,7 +145,7 @@ def save(
             staged.replace(urdf)
         except OSError as error:
             raise UsageError(
-                f"can not write {path}: {error.strerror}", "give another path"
+                f"can not write {urdf}: {error.strerror}", "give another path"
             ) from error
     finally:
         with contextlib.suppress(OSError):

@@ -71,10 +71,11 @@ LAYERS: dict[str, tuple[str, ...]] = {
         "structure",
         "paper.exploration",
         "estimation.uncertainty",
+        "estimation.trajectory.estimate",
         "calibration.result",
         "survey",
     ),
-    "output": (*BASE, "urdf", "calibration.result", "report"),
+    "output": (*BASE, "urdf", "calibration.result", "vendor.output", "vendor.records", "report"),
     "replay": (
         *BASE,
         "recording",
@@ -109,6 +110,17 @@ LAYERS: dict[str, tuple[str, ...]] = {
         "paper",
         "hypotheses",
     ),
+    "vendor": (
+        *BASE,
+        "recording",
+        "signals",
+        "structure",
+        "model",
+        "estimation",
+        "urdf",
+        "hypotheses",
+        "calibration",
+    ),
     "cli": (
         "",
         *BASE,
@@ -121,6 +133,7 @@ LAYERS: dict[str, tuple[str, ...]] = {
         "export",
         "simulation",
         "calibration",
+        "vendor",
         "survey",
         "report",
         "output",
@@ -142,6 +155,8 @@ HEAVY = {
     "yourdfpy",
 }  # fmt: skip
 IMPORT_NAMES = {"pin": "pinocchio", "example-robot-data": "example_robot_data", "pyyaml": "yaml"}
+# What optional dependencies bring with them.
+BROUGHT = {"xacro"}
 
 
 @cache
@@ -262,7 +277,7 @@ def test_every_third_party_import_is_a_declared_dependency() -> None:
     lines = [*project["dependencies"], *optional]
     distributions = {line.partition(">=")[0].strip() for line in lines}
     declared = {IMPORT_NAMES.get(name, name.replace("-", "_")) for name in distributions}
-    known = declared | sys.stdlib_module_names | {"skin2urdf"}
+    known = declared | BROUGHT | sys.stdlib_module_names | {"skin2urdf"}
     unknown = {
         f"{module}: {name}"
         for module in MODULES

@@ -69,7 +69,7 @@ def calibrate(
     """
     settings = settings or CalibrationSettings()
     clock = Clock(progress)
-    recordings = clock.run("reading", lambda tell: _recordings(logs, tell))
+    recordings = clock.run("reading", lambda tell: recordings_of(logs, tell))
     # No joint leaps: what its track alone shows to be wrong is taken off before the first look.
     leaps = clock.run("leaps", lambda _: evident_errors(recordings))
     sampled = sample_logs(corrected(recordings, [leap.error for leap in leaps]), settings, clock)
@@ -194,9 +194,15 @@ def _estimate_by_the_paper(
     return Solution(logs, structure.seen, as_estimate(result, features, gravity), features)
 
 
-def _recordings(
+def recordings_of(
     logs: str | Path | Recording | Sequence[str | Path | Recording], tell: Tell
 ) -> list[Recording]:
+    """Read the logs that are not read yet.
+
+    Raises:
+        UnreadableInputError: a log can not be read.
+        InsufficientDataError: none is given.
+    """
     from skin2urdf.recording.reading import read
 
     given = [logs] if isinstance(logs, str | Path | Recording) else list(logs)

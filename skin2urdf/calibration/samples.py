@@ -9,6 +9,8 @@ import numpy as np
 
 from skin2urdf.calibration.clock import Tell
 from skin2urdf.calibration.rounds import Logs, Solution
+from skin2urdf.calibration.settings import CalibrationSettings
+from skin2urdf.estimation.problem.cost import Priors
 from skin2urdf.estimation.solve.estimate import Estimate
 from skin2urdf.estimation.trajectory.estimate import (
     MotionEstimate,
@@ -16,6 +18,7 @@ from skin2urdf.estimation.trajectory.estimate import (
     motion_priors,
 )
 from skin2urdf.estimation.trajectory.front_end import common_front_end
+from skin2urdf.estimation.trajectory.priors import MotionPriors
 from skin2urdf.faults import Fault
 from skin2urdf.signals.sampling import Sampled
 from skin2urdf.signals.trajectory import Trajectory, in_order, trajectory
@@ -52,20 +55,29 @@ def fit_samples(solution: Solution, tell: Tell) -> MotionEstimate | None:
         trajectories.append(in_order(trajectory(sampled, log, reach), dofs, sus))
     if _share_of_poses(trajectories, logs.sampled) < _MOST:
         return None
+    priors = sample_priors(settings, found.cost.priors)
+    return estimate_along(trajectories, tree, found.state, priors, latency, tell)
+
+
+def sample_priors(settings: CalibrationSettings, sensors: Priors) -> MotionPriors:
+    """What is known before all samples are fitted.
+
+    Args:
+        settings: choices.
+        sensors: what is known of the sensors.
+    """
     front = np.zeros(2), np.full(2, settings.slowest_pole**2)
     if settings.bandwidth is not None:
         front = common_front_end(*settings.bandwidth)
-    sensors = found.cost.priors
     if not settings.estimation.intrinsics:
         sensors = replace(sensors, bias=0.0, scale=0.0, cross=0.0)
         front = np.zeros(2), np.zeros(2)
-    priors = motion_priors(
+    return motion_priors(
         sensors,
         gravity=settings.gravity_deviation,
         front=front,
         gyro=settings.estimation.intrinsics,
     )
-    return estimate_along(trajectories, tree, found.state, priors, latency, tell)
 
 
 def without_false_hits(

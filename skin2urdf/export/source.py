@@ -174,7 +174,7 @@ def load_source(path: str | Path) -> Source:
 
     path = Path(path)
     root = read_root(path)
-    _, leaves = check_tree(path, root)
+    _, leaves = check_tree(root, str(path))
     links = {link.get("name", ""): link for link in root.findall("link")}
     try:
         joints = _base_to_tip([_joint(element) for element in root.findall("joint")])

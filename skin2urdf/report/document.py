@@ -52,13 +52,13 @@ def as_document(calibration: Calibration) -> dict[str, Any]:
         "samples": _samples(calibration),
         "tree": {
             "joints": [
-                {"name": name, "parent": _name(tree.joint_names, int(parent)), "type": kind}
+                {"name": name, "parent": name_of(tree.joint_names, int(parent)), "type": kind}
                 for name, parent, kind in zip(
                     tree.joint_names, tree.parent, tree.joint_types, strict=True
                 )
             ],
             "sus": {
-                name: _name(tree.joint_names, int(joint))
+                name: name_of(tree.joint_names, int(joint))
                 for name, joint in zip(tree.su_names, tree.su_joint, strict=True)
             },
         },
@@ -85,7 +85,7 @@ def as_document(calibration: Calibration) -> dict[str, Any]:
             "sus": [n for n in calibration.activity.su_names if n not in tree.su_names],
             "joints": [n for n in calibration.activity.dof_names if n not in tree.joint_names],
         },
-        "faults": [_fault(fault, len(calibration.sources)) for fault in calibration.faults],
+        "faults": [fault_document(fault, len(calibration.sources)) for fault in calibration.faults],
         "notes": calibration.notes,
         "clocks": [[asdict(clock) for clock in clocks] for clocks in calibration.clocks],
         "seconds": calibration.seconds,
@@ -221,7 +221,7 @@ def _joint(calibration: Calibration, found: Findings, j: int) -> dict[str, Any]:
     if dh.hayati:
         numbers["beta"] = dh.turn
     return {
-        "parent": _name(tree.joint_names, int(tree.parent[j])),
+        "parent": name_of(tree.joint_names, int(tree.parent[j])),
         "type": "continuous" if calibration.continuous[j] else tree.joint_types[j],
         "dh": {key: float(value) for key, value in numbers.items()},
         "T_parent_joint": T,
@@ -238,7 +238,7 @@ def _su(calibration: Calibration, found: Findings, u: int) -> dict[str, Any]:
     """One SU: placement, uncertainty and what was found of its sensor."""
     tree, state = calibration.model.tree, calibration.estimate.state
     return {
-        "joint": _name(tree.joint_names, int(tree.su_joint[u])),
+        "joint": name_of(tree.joint_names, int(tree.su_joint[u])),
         "T_joint_su": calibration.model.T_joint_su[u],
         "covariance": calibration.observability.su_covariance[u],
         "position_sd_mm": found.su_position_sd[u] * _MM,
@@ -283,13 +283,13 @@ def _stream(features: Features | None, su: str) -> dict[str, Any]:
     }
 
 
-def _fault(fault: Fault, n_logs: int) -> dict[str, Any]:
+def fault_document(fault: Fault, n_logs: int) -> dict[str, Any]:
     """A fault in numbers and in words."""
     words = fault_words(fault, n_logs)
     return {**asdict(fault), "words": words.what, "remedy": words.remedy}
 
 
-def _name(names: Sequence[str], index: int) -> str | None:
+def name_of(names: Sequence[str], index: int) -> str | None:
     """Name of a joint, None for the reference segment."""
     return names[index] if index >= 0 else None
 

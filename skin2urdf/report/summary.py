@@ -9,6 +9,7 @@ import numpy as np
 
 from skin2urdf.arrays import F64
 from skin2urdf.calibration.result import Calibration
+from skin2urdf.estimation.trajectory.estimate import MotionEstimate
 from skin2urdf.geometry.units import MILLI_G
 from skin2urdf.recording.naming import shortened
 from skin2urdf.report.clocks import clock_notes
@@ -198,14 +199,18 @@ def _notes(calibration: Calibration) -> list[str]:
     return [
         *calibration.notes,
         *_clocks(calibration),
-        *_sensors(calibration),
+        *sensor_notes(calibration.along),
         *gyro_notes(calibration),
     ]
 
 
-def _sensors(calibration: Calibration) -> list[str]:
-    """What was found of biases that drift, joints that yield and sensors that are slow."""
-    along = calibration.along
+def sensor_notes(along: MotionEstimate | None, of: Sequence[str] | None = None) -> list[str]:
+    """What was found of biases that drift, joints that yield and sensors that are slow.
+
+    Args:
+        along: the fit of all samples, if there is one.
+        of: the SUs whose low-passes are told; all by default.
+    """
     if along is None:
         return []
     notes = []
@@ -218,6 +223,8 @@ def _sensors(calibration: Calibration) -> list[str]:
         notes.append(_elastic(along.problem.tree, along.deflections))
     droops = along.droops
     slow = droops > np.maximum(_SLOW_DROOP, _CERTAIN * along.droop_deviations)
+    if of is not None:
+        slow &= np.array([name in of for name in along.problem.tree.su_names], dtype=bool)
     if slow.any():
         cutoff = 1 / (2 * np.pi * np.sqrt(2 * droops[slow]))
         names = [n for n, s in zip(along.problem.tree.su_names, slow, strict=True) if s]

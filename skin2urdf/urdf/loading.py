@@ -105,7 +105,7 @@ def load_robot(path: str | Path) -> Robot:
     """
     path = Path(path)
     root = read_root(path)
-    links, leaves = check_tree(path, root)
+    links, leaves = check_tree(root, str(path))
 
     import pinocchio as pin
 
@@ -160,35 +160,53 @@ def _joint_type(shortname: str) -> JointType | None:
 def read_root(path: Path) -> ET.Element:
     """Root element of an XML file.
 
+    Args:
+        path: the file.
+
     Raises:
         UnreadableInputError: there is no such file, or it is no XML.
     """
     try:
-        # Plain expat: no external entities are fetched, and its own limit stops entity bombs.
-        return ET.fromstring(path.read_bytes())  # noqa: S314
+        content = path.read_bytes()
     except OSError as error:
         raise UnreadableInputError(
             str(path), f"can not be read: {error.strerror or error}", "check the path"
         ) from error
+    return parsed_urdf(content, str(path))
+
+
+def parsed_urdf(content: bytes, source: str) -> ET.Element:
+    """Root element of an XML document.
+
+    Args:
+        content: its bytes.
+        source: where it came from, for messages.
+
+    Raises:
+        UnreadableInputError: it is no XML.
+    """
+    try:
+        # Plain expat: no external entities are fetched, and its own limit stops entity bombs.
+        return ET.fromstring(content)  # noqa: S314
     except (ET.ParseError, ValueError, LookupError) as error:
         raise UnreadableInputError(
-            str(path), f"is not XML: {error}", "give a URDF file (not xacro, not a log)"
+            source, f"is not XML: {error}", "give a URDF file (not xacro, not a log)"
         ) from error
 
 
-def check_tree(path: Path, root: ET.Element) -> tuple[frozenset[str], tuple[str, ...]]:
-    """Names of all links and of the fixed leaves of a URDF.
+def check_tree(root: ET.Element, source: str) -> tuple[frozenset[str], tuple[str, ...]]:
+    """Names of all links and of the fixed leaves of a URDF that is one tree of links.
 
     Args:
-        path: its file, for messages.
         root: its root element.
+        source: where it came from, for messages.
 
     Raises:
-        UnreadableInputError: it is no URDF, or not one tree of links.
+        UnreadableInputError: it is no such URDF.
     """
 
     def complain(what: str) -> UnreadableInputError:
-        return UnreadableInputError(str(path), what, "check it with check_urdf")
+        return UnreadableInputError(source, what, "check it with check_urdf")
 
     if root.tag != "robot":
         raise complain(f"is not a URDF: its root element is <{root.tag}>, not <robot>")

@@ -20,23 +20,27 @@ from skin2urdf.cli.arguments import (
     wrote,
 )
 from skin2urdf.cli.terminal import progress_bar
-from skin2urdf.errors import BadFitError
+from skin2urdf.errors import BadFitError, UsageError
 from skin2urdf.geometry.units import GRAVITY, MILLI_G
 
 if TYPE_CHECKING:
     from skin2urdf.calibration.result import Calibration
     from skin2urdf.calibration.settings import CalibrationSettings
+    from skin2urdf.vendor.records import Correction
 
 HELP = "find the robot in one or several logs"
 EPILOG = """\
 example:
   skin2urdf calibrate log.mcap -o robot.urdf
   skin2urdf calibrate upright.mcap tilted.mcap -o robot.urdf --bias 5 --scale 0.003
+  skin2urdf calibrate log.mcap --model vendor.urdf -o with_skin.urdf
 
 A log is an MCAP file, a rosbag2 folder or database, a ROS 1 bag or a table (CSV, Parquet) with
 joint states and the accelerations of every skin unit (SU). The robot rests in some ten poses and
 moves its joints a little around each of them (0.1 rad at 1 to 4 Hz). Several logs are of one robot
 whose base was tilted in between.
+With --model any motion of half a minute does: the vendor's file is kept byte for byte, and the SUs
+are added to its links.
 Writes robot.urdf, and robot.json with all that a URDF has no place for.
 If it fails, look at the log with `skin2urdf info` and at the structure with `skin2urdf explore`."""
 
@@ -81,6 +85,21 @@ def declare(command: Parser) -> None:
         choices=("casadi", "none"),
         default="none",
         help="how to finish: a second least-squares over the whole tree, or not (%(default)s)",
+    )
+    model = command.add_argument_group("a robot that is known")
+    model.add_argument(
+        "--model",
+        metavar="URDF",
+        help="the vendor's URDF or xacro file, or 'bag' for the /robot_description in the log: SUs "
+        "are found on its links, which keep their frames",
+    )
+    model.add_argument(
+        "--correct",
+        type=_correction,
+        metavar="WHAT",
+        help="what of the model to correct: 'zeros' of the encoders (to 5 mrad), or 'all' "
+        "placements as well, as all[:MM,DEG] with the standard deviations that its maker would "
+        "state (1 mm, 0.1 deg)",
     )
     add_number(
         command.add_argument_group("structure"),
@@ -132,6 +151,10 @@ def declare(command: Parser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Do it; the exit status."""
     begin = time.perf_counter()
+    if options.model is not None:
+        return _run_on_model(options, begin)
+    if options.correct is not None:
+        raise UsageError("--correct says what of a model to correct", "give it with --model")
     targets = [options.output, Path(options.output).with_suffix(".json")]
     refuse_to_overwrite(
         [*options.logs, options.limits], *targets, *([options.report] if options.report else [])
@@ -194,6 +217,60 @@ def _report(calibration: Calibration, urdf: Path, path: str) -> Path:
 
     contents = replace(load_contents(urdf), traces=traces_of(calibration))
     return write_page(path, as_page(contents))
+
+
+def _run_on_model(options: argparse.Namespace, begin: float) -> int:
+    """Find SUs on a given model; the exit status."""
+    if options.method != "default" or options.motion != "all" or options.refine != "none":
+        raise UsageError(
+            "--model takes all samples of the log, by one method",
+            "leave out --method, --motion and --refine",
+        )
+    if options.name is not None or options.report:
+        raise UsageError(
+            "a robot with a model has its name, and no report of its own",
+            "leave out --name and --report",
+        )
+    beside = Path(options.output).with_suffix(".json")
+    refuse_to_overwrite([*options.logs, options.model], options.output, beside)
+    settings = calibration_settings(options)
+    from skin2urdf.output import output_paths, save_on_model
+
+    replaced = present(output_paths(options.output))
+    from skin2urdf.report.model_document import as_document
+    from skin2urdf.report.on_model import as_text
+    from skin2urdf.vendor.calibrate import calibrate_with_model
+
+    with progress_bar(options.quiet) as bar:
+        result = calibrate_with_model(
+            options.logs, options.model, settings, options.correct, progress=bar
+        )
+        bar("writing", 0.0)
+        written = save_on_model(result, options.output)
+    if options.json:
+        print_json(as_document(result))
+    elif not options.quiet:
+        print(as_text(result))
+        print(wrote(written, replaced, time.perf_counter() - begin))
+    return _TO_REPAIR if result.to_repair else 0
+
+
+def _correction(text: str) -> Correction:
+    """What of a model is corrected, and how well it is known."""
+    from skin2urdf.vendor.records import Correction
+
+    what, _, sizes = text.partition(":")
+    if what == "zeros" and not sizes:
+        return Correction("zeros")
+    if what != "all":
+        raise argparse.ArgumentTypeError(f"{text!r} is neither 'zeros' nor 'all[:MM,DEG]'")
+    if not sizes:
+        return Correction("all")
+    length, _, angle = sizes.partition(",")
+    found = Correction("all", 1e-3 * float(length), math.radians(float(angle or 0.1)))
+    if not (0 < found.length <= 0.1 and 0 < found.angle <= 0.2):
+        raise argparse.ArgumentTypeError(f"{text!r}: up to 100 mm and 11 deg are deviations")
+    return found
 
 
 def calibration_settings(options: argparse.Namespace) -> CalibrationSettings:

@@ -12,7 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from skin2urdf.arrays import F64
+from skin2urdf.arrays import F64, Bool
 from skin2urdf.estimation.problem.cost import Cost, Priors
 from skin2urdf.estimation.problem.state import N_PLACEMENT, Free, State
 from skin2urdf.estimation.solve.arrow import factor
@@ -39,11 +39,21 @@ def learnt_priors(cost: Cost, state: State, free: Free) -> Priors:
         state: its optimum.
         free: which coordinates were estimated.
     """
-    priors = cost.priors
     equations = cost.at(state).normal_equations()
     variance = factor(equations, free).su_variance()[:, N_PLACEMENT:]
     error = np.concatenate([state.bias, state.shape], axis=1)
-    estimated = free.sus[:, N_PLACEMENT:]
+    return narrowed(cost.priors, error, variance, free.sus[:, N_PLACEMENT:])
+
+
+def narrowed(priors: Priors, error: F64, variance: F64, estimated: Bool) -> Priors:
+    """Given priors, narrowed to errors that were estimated with them.
+
+    Args:
+        priors: the given ones.
+        error: (U, 9) bias and shape of the SUs.
+        variance: (U, 9) of the estimate.
+        estimated: (U, 9) which of them were estimated.
+    """
     found = {}
     for kind, name in enumerate(("bias", "scale", "cross")):
         columns, given = slice(3 * kind, 3 * kind + 3), getattr(priors, name)

@@ -121,6 +121,8 @@ def estimate_along(
     priors: MotionPriors,
     latency: F64,
     tell: Callable[[float], None] = lambda _: None,
+    *,
+    look_further: bool = True,
 ) -> MotionEstimate:
     """Fit all samples of all logs.
 
@@ -131,6 +133,8 @@ def estimate_along(
         priors: what is known before.
         latency: (U,) lag of each SU's clock to begin with [s].
         tell: told the share of the work that is done.
+        look_further: whether elastic joints and drifting biases are tried where noise and
+            placements do not explain the readings.
     """
     U, G = tree.n_sus, len(logs)
     problem = MotionProblem(tree, logs, priors)
@@ -149,7 +153,7 @@ def estimate_along(
     problem, fitted, contradict = listened(problem, fitted)
     logs, priors = problem.logs, problem.priors
     left = _misfit(problem, fitted, _SPAN)
-    if left > _EXPLAINED:
+    if left > _EXPLAINED and look_further:
         causes = [_with_elastic_joints(problem, fitted)]
         if priors.sensors.bias > 0:
             causes.append(_with_drifting_biases(problem, fitted))

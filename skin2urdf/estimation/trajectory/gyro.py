@@ -178,6 +178,11 @@ def rate_columns(
             continue
         axis = np.einsum("ijk,jk->ik", here.R_frame_base, fixed[k].R_frame_base[2])
         rows.append((turned(int(k), 2) * e + axis * ed)[None])
+    if layout.n_further:
+        # Neither how a robot is mounted nor shifts along axes; turns about axes, as those above.
+        rows.append(np.zeros((2 if g == 0 else 0, 3, K)))
+        for k in tree.chain(int(tree.su_joint[u])):
+            rows.append(np.stack([np.zeros((3, K)), turned(k, 2)]))
     joint = np.concatenate(rows)
     out = np.zeros((len(joint) + layout.n_su, 3, K))
     out[: len(joint)] = joint

@@ -10,6 +10,7 @@ import numpy as np
 from skin2urdf.arrays import F64, frozen
 from skin2urdf.estimation.problem.cost import Priors
 from skin2urdf.estimation.problem.state import N_JOINT, N_PLACEMENT, N_SU
+from skin2urdf.estimation.trajectory.blueprint import Blueprint
 from skin2urdf.estimation.trajectory.records import Equations
 from skin2urdf.estimation.trajectory.state import N_GYRO, N_GYRO_BIAS, Layout, MotionState
 
@@ -27,6 +28,7 @@ class MotionPriors:
         bias_walk: of the change of a bias per root of a second [m/s^2/sqrt(s)].
         unseen: (S,) of the numbers that make what encoders do not see.
         gyro: (14,) of a gyroscope's coordinates, its bias in a log last.
+        blueprint: the robot, where it is known; else its frames are the log's to choose.
     """
 
     sensors: Priors
@@ -37,6 +39,7 @@ class MotionPriors:
     bias_walk: float
     unseen: F64
     gyro: F64 = field(default_factory=lambda: np.zeros(N_GYRO + N_GYRO_BIAS))
+    blueprint: Blueprint | None = None
 
     def __post_init__(self) -> None:
         for name in ("front", "unseen", "gyro"):
@@ -75,6 +78,10 @@ def prior_information(
     joint_gradient[layout.gravity] = -joint[layout.gravity] * (1 - sense(priors, state))
     joint[layout.unseen] = inverse(priors.unseen)
     joint_gradient[layout.unseen] = -joint[layout.unseen] * state.unseen
+    if priors.blueprint:
+        of_joints, of_further = priors.blueprint.information(places)
+        joint[layout.joints], joint_gradient[layout.joints] = of_joints
+        joint[layout.further], joint_gradient[layout.further] = of_further
     of_su = np.zeros(layout.n_su)
     of_su[N_PLACEMENT:N_SU] = inverse(priors.sensors.deviations)
     of_su[layout.front] = inverse(priors.front[1])

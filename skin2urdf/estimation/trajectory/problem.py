@@ -16,6 +16,7 @@ from skin2urdf.estimation.problem.state import (
     N_SU,
     identifiable,
 )
+from skin2urdf.estimation.trajectory.blueprint import ALONG_AXIS, further_columns, turn_axes
 from skin2urdf.estimation.trajectory.front_end import front_end
 from skin2urdf.estimation.trajectory.gyro import predicted_turning, rate_columns, with_gyros
 from skin2urdf.estimation.trajectory.kinematics import (
@@ -77,6 +78,7 @@ class MotionProblem:
             knots,
             len(priors.unseen),
             any(log.rates is not None for log in self.logs),
+            priors.blueprint.n_coordinates if priors.blueprint else 0,
         )
         self.free_joint, self.free_su = self._free()
 
@@ -99,6 +101,7 @@ class MotionProblem:
         """
         layout, su = self.layout, np.zeros_like(self.free_su)
         joint = self.free_joint & (np.arange(layout.n_joint) < layout.gravity)
+        joint[layout.further] = self.free_joint[layout.further]
         su[:, : N_PLACEMENT + 3] = True
         for g in range(layout.n_logs):
             su[:, layout.clock(g).start] = True
@@ -111,6 +114,8 @@ class MotionProblem:
         placements = identifiable(tree, len(self.logs), True)
         joint = np.ones(layout.n_joint, dtype=bool)
         joint[layout.joints] = placements.joints.ravel()
+        if priors.blueprint:
+            joint[layout.joints], joint[layout.further] = priors.blueprint.free()
         joint[layout.gravity] = priors.gravity > 0
         joint[layout.unseen] = priors.unseen > 0
         su = np.ones((tree.n_sus, layout.n_su), dtype=bool)
@@ -262,15 +267,17 @@ class MotionProblem:
         """
         layout, U, G = self.layout, self.tree.n_sus, len(self.logs)
         J, n, S = layout.n_joint, layout.n_su, G * n_spans
-        width = max(len(self._joint_columns(u, G - 1)) for u in range(U)) + 2 * max(0, G - 2)
+        of_all = [
+            sorted({c for g in range(G) for c in self._joint_columns(u, g)}) for u in range(U)
+        ]
+        width = max(map(len, of_all))
         columns = np.full((U, width), -1)
         joint, su = np.zeros((S, J, J)), np.zeros((S, U, n, n))
         mixed = np.zeros((S, U, n, width))
         joint_scores = np.zeros((1 + n_draws, S, J))
         su_scores = np.zeros((1 + n_draws, S, U, n))
         for u in range(U):
-            all_logs = sorted({c for g in range(G) for c in self._joint_columns(u, g)})
-            columns[u, : len(all_logs)] = all_logs
+            columns[u, : len(of_all[u])] = of_all[u]
         for g, u, own, A, r in self._rows(state, predicted, weights):
             nj, K = len(own), r.shape[1]
             place = np.searchsorted(columns[u][columns[u] >= 0], own)
@@ -320,6 +327,8 @@ class MotionProblem:
         columns.append(layout.gravity)
         if self.unseen:
             columns += list(layout.unseen.start + self._moving(u))
+        if self.priors.blueprint:
+            columns += further_columns(layout.further.start, chain, g)
         return columns
 
     def _moving(self, u: int) -> Int:
@@ -368,9 +377,15 @@ class MotionProblem:
         by_joint: dict[int, F64] = {}
         still = np.zeros((3, K))
         path = Path(still + T[:3, 3:4], still, still, np.repeat(T[:3, :3, None], K, axis=2))
+        # A known robot may also deviate along and about its axes.
+        known = self.priors.blueprint is not None
+        wanted = JOINT_COORDINATES + ALONG_AXIS if known else JOINT_COORDINATES
+        along_axis: list[F64] = []
         for k in reversed(tree.chain(int(tree.su_joint[u]))):
             path = seen_before_joint(path, bool(tree.prismatic[k]), q[k], qd[k], qdd[k])
-            rows.append(placement_columns(fixed[k], path, JOINT_COORDINATES))
+            columns = placement_columns(fixed[k], path, wanted)
+            rows.append(columns[: len(JOINT_COORDINATES)])
+            along_axis.append(columns[len(JOINT_COORDINATES) :])
             if self.unseen:
                 by_joint[k] = joint_columns(fixed[k], path, bool(tree.prismatic[k]))
             path = seen_from_parent(path, places.T_parent_joint[k])
@@ -390,6 +405,11 @@ class MotionProblem:
                 e = self._motions[g][:, felt[of_joint]]
                 beyond[of_joint] = np.einsum("dck,dsk->sck", columns, e)
             rows.append(beyond)
+        if known:
+            if g == 0:
+                turn = np.cross(turn_axes(places.up[0]).T, places.up[0]) * state.gravity
+                rows.append(np.einsum("ijk,cj->cik", R_su_base, turn))
+            rows += reversed(along_axis)
         around = Path(still, still, still, np.repeat(np.eye(3)[:, :, None], K, axis=2))
         rows.append(placement_columns(here, around, tuple(range(N_PLACEMENT))))
         ideal = np.concatenate(rows)

@@ -8,6 +8,7 @@ import numpy as np
 
 from skin2urdf.arrays import F64, frozen
 from skin2urdf.estimation.problem.state import N_JOINT, N_SU, State, Step, screwed
+from skin2urdf.estimation.trajectory.blueprint import further_moved
 from skin2urdf.estimation.trajectory.front_end import N_FRONT
 
 N_CLOCK = 2
@@ -59,6 +60,7 @@ class Layout:
         n_knots: B of each log.
         n_unseen: S.
         gyros: whether any SU has a gyroscope.
+        n_further: coordinates that a robot that is known before has beyond these.
     """
 
     n_joints: int
@@ -66,6 +68,7 @@ class Layout:
     n_knots: tuple[int, ...]
     n_unseen: int
     gyros: bool = False
+    n_further: int = 0
 
     @property
     def joints(self) -> slice:
@@ -88,9 +91,14 @@ class Layout:
         return slice(self.gravity + 1, self.gravity + 1 + self.n_unseen)
 
     @property
+    def further(self) -> slice:
+        """What may deviate of a robot that is known before, see :mod:`blueprint`."""
+        return slice(self.unseen.stop, self.unseen.stop + self.n_further)
+
+    @property
     def n_joint(self) -> int:
         """Number of coordinates of the joint part."""
-        return self.gravity + 1 + self.n_unseen
+        return int(self.further.stop)
 
     @property
     def front(self) -> slice:
@@ -131,6 +139,9 @@ class Layout:
             joint[self.logs].reshape(-1, 2),
             sus[:, :N_SU],
         )
+        placements = screwed(state.placements, step)
+        if self.n_further:
+            placements = further_moved(placements, joint[self.further])
         clock = np.stack([sus[:, self.clock(g)] for g in range(self.n_logs)])
         knots = tuple(
             old + sus[:, self.knots(g)].reshape(len(sus), -1, 3).swapaxes(0, 1)
@@ -138,7 +149,7 @@ class Layout:
         )
         return replace(
             state,
-            placements=screwed(state.placements, step),
+            placements=placements,
             gravity=state.gravity * (1 + joint[self.gravity]),
             front=state.front + sus[:, self.front],
             clock=state.clock + clock,

@@ -24,6 +24,7 @@ from skin2urdf.estimation.trajectory.arrow import eliminated, newton_step
 from skin2urdf.estimation.trajectory.fit import Fitted
 from skin2urdf.estimation.trajectory.problem import MotionProblem
 from skin2urdf.estimation.trajectory.records import Equations, Spans
+from skin2urdf.estimation.trajectory.state import Layout
 from skin2urdf.estimation.uncertainty.covariance import ArrowCovariance
 from skin2urdf.model.prediction import Chains
 
@@ -54,6 +55,9 @@ class MotionInformation:
         prior_y: (U, Q, 15) on y.
         lasting: by how much larger variances are than spans taken as independent show.
         shares: (S, J) and (S, U, 15) part of the information on each coordinate that a span has.
+        prior_joint: (J + Z,) information on the coordinates of a robot that is known before.
+        shares_z: (S, Z) as ``shares``.
+        n_further: how many of the last z are those of a robot that is known before.
     """
 
     equations: NormalEquations
@@ -66,6 +70,9 @@ class MotionInformation:
     prior_y: F64
     lasting: float
     shares: tuple[F64, F64]
+    prior_joint: F64
+    shares_z: F64
+    n_further: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,7 +128,7 @@ def motion_information(
         _pulls(joint_scores, su_scores, by_x, by_y, J)
         for joint_scores, su_scores in _fitted_scores(spans, full, free_joint, free_su)
     ]
-    _, su_prior, _, _ = problem.prior_information(fitted.state)
+    joint_prior, su_prior, _, _ = problem.prior_information(fitted.state)
     scores = _roots(np.where(free_su[:, :, None] & free_su[:, None, :], su_prior, 0.0))
     chains = Chains.of(tree)
     columns = columns_of(chains, tree.n_joints, layout.n_logs)
@@ -144,6 +151,9 @@ def motion_information(
             _shares(np.einsum("sjj->sj", spans.joint)[:, :J]),
             _shares(np.einsum("sunn->sun", spans.su)[..., :N_SU]),
         ),
+        prior_joint=_of_the_robot(np.where(free_joint, joint_prior, 0.0), layout),
+        shares_z=_shares(np.einsum("sjj->sj", spans.joint)[:, J:]),
+        n_further=layout.n_further,
     )
 
 
@@ -182,6 +192,13 @@ def _roots(information: F64) -> F64:
     """(U, n, n) rows whose products add up to information matrices (U, n, n)."""
     lam, V = np.linalg.eigh(information)
     return np.swapaxes(V * np.sqrt(np.maximum(lam, 0.0))[:, None, :], 1, 2)
+
+
+def _of_the_robot(information: F64, layout: Layout) -> F64:
+    """Information (J + Z,) without that on what no robot has: gravity's size, compliance."""
+    out = np.array(information)
+    out[layout.gravity : layout.further.start] = 0.0
+    return out
 
 
 def _shares(information: F64) -> F64:
@@ -235,12 +252,12 @@ class _Response:
         """(J, Z) how x follows z."""
         return np.asarray(-self.weights.joint @ self.z_x.T)
 
-    def to(self, pulls: Pulls) -> tuple[F64, F64]:
-        """Changes (E, J) of x, and (U, E, 15) of y for known x and z."""
+    def to(self, pulls: Pulls) -> tuple[F64, F64, F64]:
+        """Changes (E, J) of x, (U, E, 15) of y for known x and z, and (E, Z) of z."""
         pull = pulls.x + np.einsum("uei,uij->ej", pulls.y, self.lean)
         rest = pulls.z - np.einsum("uei,uiz->ez", pulls.y, self.own_z)
         dz = (rest - pull @ self.weights.joint @ self.z_x.T) @ self.inverse_z
-        return (pull - dz @ self.z_x) @ self.weights.joint, pulls.y @ self.weights.own
+        return (pull - dz @ self.z_x) @ self.weights.joint, pulls.y @ self.weights.own, dz
 
 
 def disturbed(weights: ArrowCovariance, info: MotionInformation) -> ArrowCovariance:
@@ -257,8 +274,11 @@ def disturbed(weights: ArrowCovariance, info: MotionInformation) -> ArrowCovaria
     seen = _variances(response, info.errors)
     drawn = [_variances(response, each) for each in info.draws]
     expected = tuple(np.mean(each, axis=0) for each in zip(*drawn, strict=True))
-    by_joint, by_su = (info.lasting * r for r in _ratios(seen, expected, info.shares))
-    x_z, z = response.x_z, response.inverse_z
+    shares = (*info.shares, info.shares_z)
+    by_joint, by_su, by_z = (info.lasting * r for r in _ratios(seen, expected, shares))
+    # What all share beyond a known robot is known before, rather than found.
+    by_z[: len(by_z) - info.n_further] = 1.0
+    x_z, z = response.x_z, _scaled(response.inverse_z, known[2], by_z)
     apart = _scaled(weights.joint, known[0], by_joint)
     joint = np.block([[apart + x_z @ z @ x_z.T, x_z @ z], [z @ x_z.T, z]])
     J, Z, U = len(apart), len(z), len(weights.own)
@@ -267,15 +287,15 @@ def disturbed(weights: ArrowCovariance, info: MotionInformation) -> ArrowCovaria
     return ArrowCovariance(joint, columns, lean, _scaled(weights.own, known[1], by_su))
 
 
-def _variances(response: _Response, pulls: Pulls) -> tuple[F64, F64]:
-    """Variances (J,) of x, and (U, 15) of y for known x and z, under independent errors."""
-    dx, dy = response.to(pulls)
-    return (dx**2).sum(axis=0), (dy**2).sum(axis=1)
+def _variances(response: _Response, pulls: Pulls) -> tuple[F64, F64, F64]:
+    """Variances (J,) of x, (U, 15) of y for known x and z, and (Z,) of z, under errors."""
+    dx, dy, dz = response.to(pulls)
+    return (dx**2).sum(axis=0), (dy**2).sum(axis=1), (dz**2).sum(axis=0)
 
 
 def _ratios(
-    seen: tuple[F64, F64], expected: tuple[F64, F64], shares: tuple[F64, F64]
-) -> tuple[F64, F64]:
+    seen: tuple[F64, ...], expected: tuple[F64, ...], shares: tuple[F64, ...]
+) -> tuple[F64, ...]:
     """By how much the variance of each coordinate exceeds that under independent noise."""
     out = []
     for s, e, share in zip(seen, expected, shares, strict=True):
@@ -287,7 +307,7 @@ def _ratios(
         count = np.where(known & (share.sum(axis=0) > 0), count, 0.0)
         own = np.where(known, ratio, common)
         out.append((_COMMON * common + count * own) / (_COMMON + count))
-    return out[0], out[1]
+    return tuple(out)
 
 
 def _scaled(covariance: F64, known: F64, ratio: F64) -> F64:
@@ -306,15 +326,20 @@ def _scaled(covariance: F64, known: F64, ratio: F64) -> F64:
     return np.asarray(covariance * factor[..., :, None] * factor[..., None, :])
 
 
-def _of_priors(response: _Response, info: MotionInformation) -> tuple[F64, F64]:
-    """Variances (J,) and (U, 15) that come from what was known of the SUs before."""
+def _of_priors(response: _Response, info: MotionInformation) -> tuple[F64, F64, F64]:
+    """Variances (J,), (U, 15) and (Z,) that come from what was known before."""
     U, Q, _ = info.prior_y.shape
     J = info.shared_joint.shape[1]
     joint, own = np.zeros(J), np.zeros((U, N_SU))
+    shared = np.zeros(len(info.shared))
     for u in range(U):
         y = np.zeros((U, Q, N_SU))
         y[u] = info.prior_y[u]
-        dx, dy = response.to(Pulls(info.prior_xz[u][:, :J], info.prior_xz[u][:, J:], y))
+        dx, dy, dz = response.to(Pulls(info.prior_xz[u][:, :J], info.prior_xz[u][:, J:], y))
         joint += (dx**2).sum(axis=0)
         own[u] = (dy[u] ** 2).sum(axis=0)
-    return joint, own
+        shared += (dz**2).sum(axis=0)
+    roots = np.diag(np.sqrt(info.prior_joint))[info.prior_joint > 0]
+    nothing = np.zeros((U, len(roots), N_SU))
+    dx, _, dz = response.to(Pulls(roots[:, :J], roots[:, J:], nothing))
+    return joint + (dx**2).sum(axis=0), own, shared + (dz**2).sum(axis=0)

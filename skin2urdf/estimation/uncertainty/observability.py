@@ -7,6 +7,7 @@ uncertain by more than :data:`UNKNOWN`.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -14,7 +15,7 @@ import numpy as np
 
 from skin2urdf.arrays import F64, Bool, frozen
 from skin2urdf.estimation.problem.cost import NormalEquations, Priors
-from skin2urdf.estimation.problem.state import N_JOINT, N_PLACEMENT, N_SU
+from skin2urdf.estimation.problem.state import N_JOINT, N_PLACEMENT, N_SU, Free, State
 from skin2urdf.estimation.solve.estimate import Estimate
 from skin2urdf.estimation.trajectory.uncertainty import MotionInformation, disturbed
 from skin2urdf.estimation.uncertainty.bounds import Align, expected_errors
@@ -22,6 +23,7 @@ from skin2urdf.estimation.uncertainty.covariance import ArrowCovariance
 from skin2urdf.estimation.uncertainty.open_directions import ALIKE, open_directions
 from skin2urdf.estimation.uncertainty.shared_errors import with_shared_errors
 from skin2urdf.model.records import OpenDirection
+from skin2urdf.structure.records import KinematicTree
 
 Verdict = Literal["determined", "weak", "not observable"]
 
@@ -83,15 +85,76 @@ def observability(estimate: Estimate, along: MotionInformation | None = None) ->
     Covariances are those of the weights, times the residual-based scale (cost per degree of
     freedom) where that is above 1.
     """
-    tree, free = estimate.tree, estimate.free
-    equations = along.equations if along else _of_the_data(estimate)
-    scale = 1.0 if along else max(1.0, estimate.cost_per_dof)
+    subject = Subject(
+        tree=estimate.tree,
+        state=estimate.state,
+        free=estimate.free,
+        q=estimate.cost.blocks.q,
+        priors=estimate.cost.priors,
+        given=estimate.given,
+    )
+    if along:
+        return observability_along(subject, along)
+    scale = max(1.0, estimate.cost_per_dof)
+
+    def widened(weights: ArrowCovariance) -> ArrowCovariance:
+        return with_shared_errors(weights, estimate.cost, estimate.state).scaled(scale)
+
+    return _judged(subject, _of_the_data(estimate), widened, scale)
+
+
+@dataclass(frozen=True, eq=False)
+class Subject:
+    """An estimate that is judged.
+
+    Attributes:
+        tree: D joints and U SUs.
+        state: the estimate.
+        free: coordinates that were estimated.
+        q: (C, D) configurations of the logs.
+        priors: of the sensors, with all of them seen.
+        given: what was known of them before.
+    """
+
+    tree: KinematicTree
+    state: State
+    free: Free
+    q: F64
+    priors: Priors
+    given: Priors
+
+
+def observability_along(subject: Subject, along: MotionInformation) -> Observability:
+    """Covariances and verdicts of a fit of all samples.
+
+    Args:
+        subject: the estimate.
+        along: what the samples tell.
+    """
+    return _judged(subject, along.equations, lambda weights: disturbed(weights, along), 1.0)
+
+
+def _judged(
+    subject: Subject,
+    equations: NormalEquations,
+    widened: Callable[[ArrowCovariance], ArrowCovariance],
+    scale: float,
+) -> Observability:
+    """Covariances and verdicts from information.
+
+    Args:
+        subject: the estimate.
+        equations: information of the data.
+        widened: makes the covariance out of that of the weights.
+        scale: variances over those of the weights, for what counts as open.
+    """
+    tree, free = subject.tree, subject.free
     D, U = tree.n_joints, tree.n_sus
     free_joint = np.concatenate([free.joints.ravel(), free.logs.ravel()])
     inverse = np.zeros((U, N_SU, N_SU))
     known = np.tile(np.eye(N_SU), (U, 1, 1))
     directions = []
-    learnt = _information(estimate.cost.priors) - _information(estimate.given)
+    learnt = _information(subject.priors) - _information(subject.given)
     for u in range(U):
         inverse[u] = _su_inverse(equations.su[u], free.sus[u])
         # What only the likeness of other sensors tells is no observation.
@@ -105,21 +168,18 @@ def observability(estimate: Estimate, along: MotionInformation | None = None) ->
     np.add.at(H, (columns[:, :, None], columns[:, None, :]), np.swapaxes(mixed, 1, 2) @ lean)
     joint_inverse, null = _joint_inverse(H, free_joint, scale)
     open_ = open_directions(
-        tree, estimate.state, estimate.cost.blocks.q, equations, null, known @ lean, directions,
+        tree, subject.state, subject.q, equations, null, known @ lean, directions,
         least=scale / UNKNOWN**2, arm=ARM,
     )  # fmt: skip
     moving = {name for direction in open_ for name in _moving(direction)}
 
     # The antisymmetric part of a cross-axis error is a rotation of the sensor's frame: it can not
     # be seen, and is as large as the symmetric part.
-    hidden = estimate.cost.priors.hidden_rotation
+    hidden = subject.priors.hidden_rotation
     turns = np.zeros(N_SU)
     turns[3:N_PLACEMENT] = hidden**2
     weights = ArrowCovariance(joint_inverse, columns, lean, inverse)
-    if along:
-        full = disturbed(weights, along)
-    else:
-        full = with_shared_errors(weights, estimate.cost, estimate.state).scaled(scale)
+    full = widened(weights)
     own = known @ full.own @ known + np.diag(turns)
     covariance = replace(full, lean=known @ full.lean, own=own)
     su_covariance = covariance.su()[:, :N_PLACEMENT, :N_PLACEMENT]

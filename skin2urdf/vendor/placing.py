@@ -1,0 +1,306 @@
+"""Which link each SU sits on, where, and how the robot is mounted: no start, no patterns needed.
+
+A known model leaves each SU one unknown segment and placement, and all of them the direction of
+gravity in the base frame. Each is tried: what a segment leaves of an SU's readings follows from
+their moments. The segment that leaves least is taken; those that a log does not tell from it,
+since no joint between them moved, are told.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from skin2urdf.arrays import F64, Int, frozen
+from skin2urdf.estimation.problem.cost import Priors
+from skin2urdf.estimation.problem.state import State
+from skin2urdf.estimation.trajectory.blueprint import turn_axes
+from skin2urdf.geometry.se3 import placement
+from skin2urdf.geometry.so3 import rotation_exp
+from skin2urdf.signals.trajectory import Trajectory
+from skin2urdf.structure.records import KinematicTree
+from skin2urdf.vendor.matching import Chassis
+from skin2urdf.vendor.moments import Moments, all_moments
+from skin2urdf.vendor.rigid import (
+    NOISE,
+    Fit,
+    again,
+    fitted,
+    freely_linear,
+    gravity_known,
+    linear,
+    linear_ridge,
+    sums_of,
+    up_equations,
+)
+
+_DIRECTIONS = 400
+"""Directions of gravity that are tried: 10 degrees apart, from where turns are found."""
+_FOLLOWED = 3
+"""Directions that are followed beside the upright one."""
+_CLEAR = 4.0
+"""Difference of what two explanations leave, summed over spans of time, over its own scatter, from
+which the lesser is the right one: chance exceeds it once in 30,000 (Vuong 1989)."""
+_SAME = 1e-6
+"""Relative difference of sums of squares that is rounding."""
+_ROUNDS = 6
+_TURNS = 30
+
+
+@dataclass(frozen=True, eq=False)
+class Placed:
+    """U SUs on a model.
+
+    Attributes:
+        su_joint: (U,) the joint before each SU; -1 for the base.
+        fits: their placements.
+        up: (G, 3) direction opposite to gravity in the base frame, by log.
+        instead: per SU the joints that do as well: no motion in the logs tells.
+        left: (U,) rms of what is left of each SU's readings [m/s^2].
+    """
+
+    su_joint: Int
+    fits: tuple[Fit, ...]
+    up: F64
+    instead: tuple[tuple[int, ...], ...]
+    left: F64
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "su_joint", frozen(self.su_joint, np.int64))
+        object.__setattr__(self, "up", frozen(self.up))
+        object.__setattr__(self, "left", frozen(self.left))
+
+    @property
+    def rss(self) -> F64:
+        """(S,) sums of squares of all SUs, by span of time."""
+        return np.asarray(np.sum([fit.rss for fit in self.fits], axis=0))
+
+    @property
+    def lags(self) -> F64:
+        """(U,) by how much each SU's stamps are late [s]."""
+        return np.array([fit.lag for fit in self.fits])
+
+    def state(self, T_parent_joint: F64) -> State:
+        """The state to begin a fit of all samples with."""
+        return State(
+            T_parent_joint=T_parent_joint,
+            T_joint_su=np.stack([placement(fit.R, fit.r) for fit in self.fits]),
+            up=self.up,
+            bias=np.stack([fit.bias for fit in self.fits]),
+            shape=np.stack([fit.shape for fit in self.fits]),
+        )
+
+
+def place_sus(
+    chassis: Chassis,
+    logs: Sequence[Trajectory],
+    priors: Priors,
+    tell: Callable[[float], None] = lambda _: None,
+) -> Placed:
+    """Place SUs on a model.
+
+    Args:
+        chassis: the model, D joints.
+        logs: trajectories in its order, with U SUs that have valid samples.
+        priors: of the sensors.
+        tell: told the share of the work that is done.
+    """
+    U = logs[0].readings.shape[1]
+    tree = chassis.tree((), ())
+    moments = _of_segments(tree, chassis.T_parent_joint, logs)
+    tell(0.5)
+    upright = np.tile([0.0, 0.0, 1.0], (len(logs), 1))
+    best = _settled(moments, upright, U, priors)
+    if best.left.max() > NOISE:
+        others = [_best_directions([m[g] for m in moments], U, priors) for g in range(len(logs))]
+        for i, start in enumerate(zip(*others, strict=True)):
+            other = _settled(moments, np.stack(start), U, priors)
+            if clearly_less(other.rss, best.rss):
+                best = other
+            tell(0.5 + 0.5 * (i + 1) / _FOLLOWED)
+    return _with_alternatives(best, moments, priors)
+
+
+def placed_from(chassis: Chassis, logs: Sequence[Trajectory], up: F64, priors: Priors) -> Placed:
+    """Place SUs on a model whose mount is roughly known.
+
+    Args:
+        chassis: the model.
+        logs: trajectories in its order.
+        up: (G, 3) directions of gravity to begin with.
+        priors: of the sensors.
+    """
+    moments = _of_segments(chassis.tree((), ()), chassis.T_parent_joint, logs)
+    return _with_alternatives(
+        _settled(moments, up, logs[0].readings.shape[1], priors), moments, priors
+    )
+
+
+def roughly_left(chassis: Chassis, T_parent_joint: F64, logs: Sequence[Trajectory]) -> F64:
+    """(U,) mean squares that linear fits on the best segments leave of each SU [m^2/s^4].
+
+    Args:
+        chassis: the model.
+        T_parent_joint: (D, 4, 4) a version of its placements.
+        logs: trajectories in its order.
+    """
+    moments = _of_segments(chassis.tree((), ()), T_parent_joint, logs)
+    nowhere = np.tile([0.0, 0.0, 1.0], (len(logs), 1))
+    rss = [
+        min(freely_linear(sums_of(segment, u, nowhere)) for segment in moments)
+        for u in range(logs[0].readings.shape[1])
+    ]
+    count = np.sum([m.count.sum(axis=1) for m in moments[0]], axis=0)
+    return np.asarray(np.maximum(np.array(rss), 0.0) / (3.0 * np.maximum(count, 1)))
+
+
+def clearly_less(a: F64, b: F64) -> bool:
+    """Whether sums of squares by span (S,) are less than others beyond the chance of spans."""
+    total = float(b.sum())
+    if not a.sum() < total * (1 - _SAME):
+        return False
+    difference = b - a
+    return bool(difference.sum() > _CLEAR * np.sqrt((difference**2).sum()) * _few(len(a)))
+
+
+def _few(n: int) -> float:
+    """Part of the bound that few spans can reach at all: n equal differences have a sum of n."""
+    return float(min(1.0, 0.8 * np.sqrt(n) / _CLEAR))
+
+
+def _of_segments(
+    tree: KinematicTree, T_parent_joint: F64, logs: Sequence[Trajectory]
+) -> list[list[Moments]]:
+    """Moments by segment (the base last) and log."""
+    by_log = [all_moments(tree, T_parent_joint, log) for log in logs]
+    return [list(segment) for segment in zip(*by_log, strict=True)]
+
+
+def _best_directions(segments: Sequence[Moments], U: int, priors: Priors) -> list[F64]:
+    """Directions of gravity (3,) in one log that leave least, far from each other."""
+    ups = _sphere(_DIRECTIONS)
+    B = np.stack([gravity_known(up) for up in ups])
+    least = np.full((U, len(ups)), np.inf)
+    for m in segments:
+        N, c = m.N.sum(axis=1), m.c.sum(axis=1)
+        yy = m.yy.sum(axis=1)
+        for u in range(U):
+            small = np.swapaxes(B, 1, 2) @ N[u] @ B + np.diag(linear_ridge(priors.bias))
+            target = np.swapaxes(B, 1, 2) @ c[u]
+            x = np.linalg.solve(small, target)
+            least[u] = np.minimum(least[u], yy[u] - (x * target).sum(axis=(1, 2)))
+    count = segments[0].count.sum(axis=1)
+    size = np.maximum(least, 0.0) / np.maximum(count, 1)[:, None] + NOISE**2
+    score = (count[:, None] * np.log(size)).sum(axis=0)
+    out: list[F64] = []
+    for i in np.argsort(score):
+        if all(ups[i] @ other < np.cos(np.deg2rad(30.0)) for other in out):
+            out.append(ups[i])
+        if len(out) == _FOLLOWED:
+            break
+    return out
+
+
+def _sphere(n: int) -> F64:
+    """(n, 3) directions, evenly spread (Fibonacci's spiral)."""
+    k = np.arange(n) + 0.5
+    z, turn = 1 - 2 * k / n, np.pi * (1 + np.sqrt(5)) * k
+    flat = np.sqrt(1 - z**2)
+    return np.stack([flat * np.cos(turn), flat * np.sin(turn), z], axis=1)
+
+
+def _settled(moments: list[list[Moments]], up: F64, U: int, priors: Priors) -> Placed:
+    """Segments, placements and gravity's directions in turns, from directions to begin with."""
+    su_joint = np.full(U, -2)
+    fits: list[Fit] = []
+    for _ in range(_ROUNDS):
+        found = [_on_best(moments, u, up, priors) for u in range(U)]
+        segments = np.array([k for k, _ in found])
+        fits, up = _turned(moments, segments, [fit for _, fit in found], up, priors)
+        if (segments == su_joint).all():
+            break
+        su_joint = segments
+    return _placed(moments, su_joint, fits, up)
+
+
+def _on_best(moments: list[list[Moments]], u: int, up: F64, priors: Priors) -> tuple[int, Fit]:
+    """The segment (-1 for the base) on which an SU leaves least, and its placement there.
+
+    What a linear fit leaves is a lower bound: it knows nothing of rotations.
+    """
+    sums = [sums_of(logs, u, up) for logs in moments]
+    bounds = np.array([linear(each, priors.bias)[1] for each in sums])
+    first, *others = (int(k) for k in np.argsort(bounds))
+    best, least = first, fitted(sums[first], moments[first], u, priors)
+    for k in others:
+        if bounds[k] > least.cost:
+            break
+        fit = fitted(sums[k], moments[k], u, priors)
+        if fit.cost < least.cost * (1 - _SAME):
+            best, least = k, fit
+    return (best if best < len(moments) - 1 else -1), least
+
+
+def _turned(
+    moments: list[list[Moments]], su_joint: Int, fits: list[Fit], up: F64, priors: Priors
+) -> tuple[list[Fit], F64]:
+    """Gauss-Newton on gravity's directions, placements following."""
+    cost = sum(fit.cost for fit in fits)
+    for _ in range(_TURNS):
+        axes = np.stack([turn_axes(each) for each in up])
+        H, g = np.zeros((2 * len(up), 2 * len(up))), np.zeros(2 * len(up))
+        for u, (k, fit) in enumerate(zip(su_joint, fits, strict=True)):
+            own_H, own_g = up_equations(fit, sums_of(moments[k], u, up), axes, priors)
+            H += own_H
+            g += own_g
+        size = float(np.diag(H).max(initial=0.0))
+        step = np.linalg.solve(H + (1e-6 * size + 1e-9) * np.eye(len(H)), g).reshape(-1, 2)
+        step *= min(1.0, 0.3 / max(float(np.abs(step).max()), 1e-12))
+        turn = np.einsum("gij,gj->gi", axes, step)
+        there = np.einsum("gij,gj->gi", rotation_exp(turn), up)
+        trial = [
+            again(fit, sums_of(moments[k], u, there), moments[k], u, priors)
+            for u, (k, fit) in enumerate(zip(su_joint, fits, strict=True))
+        ]
+        total = sum(fit.cost for fit in trial)
+        if not total < cost:
+            break
+        gain = (cost - total) / max(cost, 1e-12)
+        fits, up, cost = trial, there, total
+        if gain < 1e-6:
+            break
+    return fits, up
+
+
+def _placed(moments: list[list[Moments]], su_joint: Int, fits: list[Fit], up: F64) -> Placed:
+    count = sum(m.count.sum(axis=1) for m in moments[0])
+    left = [np.sqrt(fit.rss.sum() / (3 * max(n, 1))) for fit, n in zip(fits, count, strict=True)]
+    return Placed(su_joint, tuple(fits), up, ((),) * len(fits), np.array(left))
+
+
+def _with_alternatives(found: Placed, moments: list[list[Moments]], priors: Priors) -> Placed:
+    """The same, with the segments that no motion tells from those that were taken.
+
+    Of those that are alike the one nearest to the base is taken.
+    """
+    su_joint, fits, instead = np.array(found.su_joint), list(found.fits), []
+    order = [-1, *range(len(moments) - 1)]
+    for u, (k, fit) in enumerate(zip(found.su_joint, found.fits, strict=True)):
+        alike = {int(k): fit}
+        for other in order:
+            if other == k:
+                continue
+            sums = sums_of(moments[other], u, found.up)
+            if linear(sums, priors.bias)[1] > 4 * fit.cost:
+                continue
+            there = fitted(sums, moments[other], u, priors)
+            if not clearly_less(fit.rss, there.rss):
+                alike[other] = there
+        first = next(j for j in order if j in alike)
+        su_joint[u], fits[u] = first, alike[first]
+        instead.append(tuple(j for j in order if j in alike and j != first))
+    count = sum(m.count.sum(axis=1) for m in moments[0])
+    left = [np.sqrt(fit.rss.sum() / (3 * max(n, 1))) for fit, n in zip(fits, count, strict=True)]
+    return Placed(su_joint, tuple(fits), found.up, tuple(instead), np.array(left))

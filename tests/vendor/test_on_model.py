@@ -1,0 +1,197 @@
+"""SUs on a given model: found, written into its text, and models that are not the robot."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from vendor.model_robot import URDF, Recorded, model, recorded, with_zero
+
+from skin2urdf.cli.main import main
+from skin2urdf.errors import ModelMismatchError, UnreadableInputError
+from skin2urdf.geometry.se3 import inverse, log
+from skin2urdf.recording.description import robot_descriptions
+from skin2urdf.recording.writing import write
+from skin2urdf.report.model_document import as_document
+from skin2urdf.report.on_model import as_text
+from skin2urdf.vendor.calibrate import calibrate_with_model
+from skin2urdf.vendor.description import describe
+from skin2urdf.vendor.matching import match
+from skin2urdf.vendor.output import model_urdf
+from skin2urdf.vendor.records import Correction, ModelCalibration
+from skin2urdf.vendor.source import read_model
+
+REVERSED = URDF.replace('<axis xyz="0 1 0"/><limit low', '<axis xyz="0 -1 0"/><limit low', 1)
+
+
+@pytest.fixture(scope="module")
+def toy(tmp_path_factory: pytest.TempPathFactory) -> Recorded:
+    return recorded(tmp_path_factory.mktemp("toy"))
+
+
+Calibrate = Callable[[str, Correction], ModelCalibration]
+
+
+@pytest.fixture(scope="module")
+def calibrated(toy: Recorded) -> Calibrate:
+    """Calibrations on a text, each done once."""
+
+    @cache
+    def calibrated(text: str, correction: Correction) -> ModelCalibration:
+        return calibrate_with_model(toy.recording, model(text), correction=correction)
+
+    return calibrated
+
+
+def test_sus_are_found_on_the_vendors_links_as_well_as_stated(
+    toy: Recorded, calibrated: Calibrate
+) -> None:
+    found = calibrated(URDF, Correction())
+    assert found.quality == "good"
+    assert dict(zip(found.tree.su_names, found.links, strict=True)) == {
+        name: toy.link[name] for name in found.tree.su_names
+    }
+    for u, name in enumerate(found.tree.su_names):
+        if found.observability.su_verdict[u] != "determined":
+            continue
+        off = log(inverse(toy.T_link_su[name]) @ found.T_link_su[u])
+        assert off @ np.linalg.solve(found.observability.su_covariance[u], off) < 25
+        assert np.linalg.norm(off[:3]) < 1e-3
+    # The one that the first joint alone turns has its place along that axis open.
+    assert "not observable" in found.observability.su_verdict
+
+
+def test_the_vendors_text_stays_byte_for_byte_around_what_is_added(calibrated: Calibrate) -> None:
+    found = calibrated(URDF, Correction())
+    written = model_urdf(found)
+    end = URDF.rindex("</robot>")
+    assert written.startswith(URDF[:end])
+    assert written.endswith(URDF[end:])
+    assert "\n" not in written.replace("\r\n", "")
+    read = describe(model(written))
+    assert {joint.child for joint in read.joints} >= set(found.tree.su_names)
+
+
+def test_the_document_and_the_text_tell_whose_the_kinematics_are(calibrated: Calibrate) -> None:
+    found = calibrated(URDF, Correction())
+    document = as_document(found)
+    assert document["model"]["kept"] is True
+    assert document["model"]["sha256"] == "0" * 64
+    assert document["sus"].keys() == set(found.tree.su_names)
+    assert json.dumps(document, allow_nan=False)
+    assert "toy.urdf" in as_text(found).splitlines()[1]
+
+
+def test_a_specimens_zero_is_allowed_for_and_corrected_where_asked(calibrated: Calibrate) -> None:
+    text = with_zero("lift", 0.004)
+    kept = calibrated(text, Correction())
+    assert kept.quality == "fair"
+    assert kept.deviates
+    assert model_urdf(kept).startswith(text[: text.rindex("</robot>")])
+    corrected = calibrated(text, Correction("zeros"))
+    lift = corrected.tree.joint_names.index("lift")
+    assert corrected.corrections[lift, 5] == pytest.approx(-0.004, abs=1e-4)
+    assert list(np.flatnonzero(corrected.significant.any(axis=1))) == [lift]
+    (joint,) = (j for j in describe(model(model_urdf(corrected))).joints if j.name == "lift")
+    assert np.abs(joint.T_parent_origin[:3, :3] - np.eye(3)).max() < 1e-3
+    # All but the numbers of origins, and the SUs, is as it was.
+    plain = re.compile(r"""(?:xyz|rpy)=["'][^"']*["']""")
+    end = text.rindex("</robot>")
+    as_was = plain.sub("", text[:end])
+    bare = plain.sub("", model_urdf(corrected))
+    assert bare.replace("<origin  />", "<origin />").startswith(as_was[: as_was.index("<joint")])
+    assert bare.count("<!--") == 2
+    assert bare.count("\r\n") == text.count("\r\n") + 6 * corrected.tree.n_sus
+
+
+def test_a_zero_far_off_is_named_and_found_where_asked(calibrated: Calibrate) -> None:
+    text = with_zero("lift", 0.1)
+    with pytest.raises(ModelMismatchError) as error:
+        calibrated(text, Correction())
+    assert error.value.joints == ("lift",)
+    assert error.value.exit_status == 1
+
+
+def test_a_joint_of_the_other_sense_is_named(calibrated: Calibrate) -> None:
+    with pytest.raises(ModelMismatchError) as error:
+        calibrated(REVERSED, Correction())
+    assert error.value.joints == ("lift",)
+
+
+def test_a_model_without_a_joint_of_that_name_is_refused(calibrated: Calibrate) -> None:
+    text = URDF.replace('"lift"', '"a"').replace('"turn"', '"b"').replace('"roll"', '"c"')
+    with pytest.raises(ModelMismatchError) as error:
+        calibrated(text, Correction())
+    assert error.value.joints == ("b", "a", "c", "grip")
+
+
+def test_joints_follow_what_they_mimic_and_the_rest_is_named() -> None:
+    mimic = '<mimic joint="lift" multiplier="-2" offset="0.3"/>'
+    text = URDF.replace('<axis xyz="2 0 1"/>', f'<axis xyz="2 0 1"/>{mimic}')
+    found = match(describe(model(text)), ["grasp", "lift", "turn"])
+    assert [joint.name for joint in found.joints] == ["turn", "lift", "roll"]
+    assert list(found.measured) == [2, 1, 1]
+    assert list(found.factor) == [1.0, 1.0, -2.0]
+    assert found.extra == ("grasp",)
+    assert found.absent == {"grip": 0.0}
+    all_ = match(describe(model(URDF)), ["turn", "lift", "roll", "grip"])
+    # The placements are those of the URDF, whatever turns the axes to z.
+    given = [joint.T_parent_origin for joint in all_.joints]
+    assert np.abs(all_.origins(all_.T_parent_joint) - given).max() < 1e-12
+
+
+def test_the_command_writes_the_file_and_reads_the_description_in_a_bag(
+    toy: Recorded, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    log_file, vendor = tmp_path / "log.mcap", tmp_path / "toy.urdf"
+    write(toy.recording, log_file)
+    vendor.write_bytes(URDF.encode())
+    out = tmp_path / "with_skin.urdf"
+    status = main(["calibrate", str(log_file), "--model", str(vendor), "-o", str(out), "--quiet"])
+    assert status == 0
+    assert out.read_bytes().startswith(URDF[: URDF.rindex("</robot>")].encode())
+    assert json.loads(out.with_suffix(".json").read_text())["model"]["kind"] == "urdf"
+    assert robot_descriptions(log_file) == {}
+    assert main(["calibrate", str(log_file), "--model", "bag", "-o", str(out)]) == 2
+    assert "robot_description" in capsys.readouterr().err
+    assert main(["calibrate", str(log_file), "--correct", "zeros", "-o", str(out)]) == 2
+
+
+def test_a_description_in_a_bag_is_read(tmp_path: Path) -> None:
+    import struct
+
+    from mcap.writer import Writer
+
+    path = tmp_path / "log.mcap"
+    text = URDF.encode()
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start(profile="ros2", library="")
+        schema = writer.register_schema("std_msgs/msg/String", "ros2msg", b"string data")
+        channel = writer.register_channel("/robot_description", "cdr", schema)
+        data = b"\0\1\0\0" + struct.pack("<I", len(text) + 1) + text + b"\0"
+        writer.add_message(channel, 1, data, 1)
+        writer.finish()
+    found = read_model("bag", [path])
+    assert found.text == URDF
+    assert found.kind == "bag"
+
+
+def test_xacro_without_its_packages_says_how_to_get_them(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(__import__("sys").modules, "xacrodoc", None)
+    monkeypatch.setitem(__import__("sys").modules, "xacro", None)
+    path = tmp_path / "robot.urdf.xacro"
+    path.write_text(URDF)
+    with pytest.raises(UnreadableInputError) as error:
+        read_model(path)
+    assert "xacrodoc" in error.value.remedy
+    assert error.value.exit_status == 2
+    with pytest.raises(UnreadableInputError):
+        describe(model("<robot"))

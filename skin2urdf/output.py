@@ -20,6 +20,7 @@ from skin2urdf.urdf.beside import document_beside
 from skin2urdf.urdf.check import check_urdf
 from skin2urdf.urdf.emit import emit
 from skin2urdf.urdf.limits import (
+    CHOICES,
     Choice,
     read_limits,
     seen_limits,
@@ -179,9 +180,10 @@ def render(
         name: the robot's name.
         visuals: whether to draw simple shapes.
         collision: whether these shapes collide, too.
-        limits: "wide" ones that do not bind, with the range that the log saw as soft limits; the
-            range that was "seen"; or a file that :func:`skin2urdf.urdf.limits.read_limits` reads,
-            with wide ones for joints that it does not name.
+        limits: "wide" ones that do not bind; "soft" ones, which are wide with the range that the
+            log saw as soft limits; the range that was "seen"; or a file that
+            :func:`skin2urdf.urdf.limits.read_limits` reads, with wide ones for joints that it does
+            not name.
 
     Raises:
         UnreadableInputError: the file with limits can not be read.
@@ -189,7 +191,7 @@ def render(
         InconsistentUrdfError: the URDF does not read back as the robot that was found.
     """
     chosen, continuous = joint_limits(calibration, limits), calibration.continuous
-    if limits not in ("wide", "seen"):
+    if limits not in CHOICES:
         continuous = continuous & ~chosen.known
     text = emit(
         calibration.model,
@@ -209,8 +211,8 @@ def joint_limits(calibration: Calibration, limits: Choice | str | Path) -> Joint
     tree, seen = calibration.model.tree, calibration.limits
     if limits == "seen":
         return seen_limits(seen, calibration.velocity)
-    wide = wide_limits(seen, calibration.velocity, tree.prismatic)
-    if limits == "wide":
+    wide = wide_limits(seen, calibration.velocity, tree.prismatic, soft=limits == "soft")
+    if limits in CHOICES:
         return wide
     return with_given(wide, tree.joint_names, read_limits(limits), str(limits))
 

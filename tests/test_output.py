@@ -153,6 +153,9 @@ def test_limits_can_be_chosen(tmp_path: Path) -> None:
     seen = calibration().limits
     urdf, _ = save(calibration(), tmp_path / "a.urdf", limits="seen")
     np.testing.assert_array_equal([load_robot(urdf).limits[n] for n in names], seen)
+    for limits, count in (("wide", 0), ("soft", len(names))):
+        urdf, _ = save(calibration(), tmp_path / "a.urdf", limits=limits)
+        assert urdf.read_text().count("<safety_controller") == count
     file = tmp_path / "limits.yaml"
     file.write_text(f"{names[1]}: [-2, 2.5]")
     urdf, _ = save(calibration(), tmp_path / "b.urdf", limits=file)

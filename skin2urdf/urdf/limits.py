@@ -1,10 +1,10 @@
 """How far joints may go: what a log saw, what does not bind, or what somebody says who knows.
 
 A log tells where joints have been, and not where their stops are. Limits that end where the log
-ended shut out most of the range of a real joint, and often zero, at which many tools begin. So by
-default the hard limits are wide placeholders, and the range that was seen stands beside them as
-soft limits (URDF's ``safety_controller``): MoveIt and ros_control keep real robots within these,
-simulators and kinematics libraries skip them.
+ended shut out most of the range of a real joint, and often zero, at which many tools begin: so the
+default is wide ones, marked as placeholders. For planning on a real robot the range that was seen
+can stand beside them as soft limits (URDF's ``safety_controller``): MoveIt and ros_control keep
+within these, other readers skip them (Drake says so in a warning).
 """
 
 from __future__ import annotations
@@ -24,7 +24,8 @@ from skin2urdf.errors import UnreadableInputError, UsageError
 from skin2urdf.files import read_text
 from skin2urdf.urdf.records import JointLimits
 
-Choice = Literal["wide", "seen"]
+Choice = Literal["wide", "soft", "seen"]
+CHOICES: tuple[Choice, ...] = ("wide", "soft", "seen")
 
 NOMINAL_VELOCITY = 3.2
 """Velocity limit where none is given [rad/s or m/s]; URDF demands one."""
@@ -56,8 +57,8 @@ def seen_limits(seen: F64, velocity: F64) -> JointLimits:
     return JointLimits(seen, velocity, np.full((n, 2), np.nan), np.ones(n, bool))
 
 
-def wide_limits(seen: F64, velocity: F64, prismatic: Bool) -> JointLimits:
-    """Limits that do not bind, with what was seen as soft limits.
+def wide_limits(seen: F64, velocity: F64, prismatic: Bool, *, soft: bool = False) -> JointLimits:
+    """Limits that do not bind.
 
     Half a turn either way for what turns, and for what slides the range seen, with zero, and as
     much again on both sides; more where the log went further.
@@ -66,6 +67,7 @@ def wide_limits(seen: F64, velocity: F64, prismatic: Bool) -> JointLimits:
         seen: (D, 2) ranges of the joints' positions in the log [rad or m].
         velocity: (D,) largest speeds in the log [rad/s or m/s].
         prismatic: (D,) which joints slide.
+        soft: whether what was seen are soft limits.
     """
     low, high = np.minimum(seen[:, 0], 0.0), np.maximum(seen[:, 1], 0.0)
     span = seen[:, 1] - seen[:, 0]
@@ -74,7 +76,7 @@ def wide_limits(seen: F64, velocity: F64, prismatic: Bool) -> JointLimits:
     return JointLimits(
         np.where(np.asarray(prismatic)[:, None], slides, turns),
         np.maximum(velocity, NOMINAL_VELOCITY),
-        seen,
+        seen if soft else np.full(seen.shape, np.nan),
         np.zeros(len(seen), bool),
     )
 
@@ -136,7 +138,7 @@ def read_limits(path: str | Path) -> dict[str, GivenLimit]:
     if path.suffix.lower() not in readers:
         raise UsageError(
             f"can not read limits from {path}",
-            "give `seen`, `wide`, or a file .urdf, .yaml or .toml",
+            "give `seen`, `wide`, `soft`, or a file .urdf, .yaml or .toml",
         )
     try:
         found = readers[path.suffix.lower()](read_text(path))

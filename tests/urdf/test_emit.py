@@ -259,7 +259,7 @@ def test_placeholders_and_remarks_are_comments(random_robot: Robots) -> None:
 def test_soft_limits_stand_beside_wide_ones(random_robot: Robots) -> None:
     model = random_robot(np.random.default_rng(12))
     seen = limits_of(model)
-    wide = wide_limits(seen, np.ones(len(seen)), model.tree.prismatic)
+    wide = wide_limits(seen, np.ones(len(seen)), model.tree.prismatic, soft=True)
     text = emit(model, name="robot", limits=wide)
     root = ET.fromstring(text)  # noqa: S314  (our own text)
     for j, name in enumerate(model.tree.joint_names):

@@ -35,7 +35,7 @@ URDF = """\
 
 
 def test_wide_limits_hold_zero_and_all_that_was_seen() -> None:
-    wide = wide_limits(SEEN, np.array([0.1, 9.0, 0.1]), PRISMATIC)
+    wide = wide_limits(SEEN, np.array([0.1, 9.0, 0.1]), PRISMATIC, soft=True)
     assert (wide.position[:, 0] <= np.minimum(SEEN[:, 0], 0)).all()
     assert (wide.position[:, 1] >= np.maximum(SEEN[:, 1], 0)).all()
     np.testing.assert_allclose(wide.position[0], [-np.pi, np.pi])
@@ -44,6 +44,7 @@ def test_wide_limits_hold_zero_and_all_that_was_seen() -> None:
     np.testing.assert_array_equal(wide.soft, SEEN)
     assert wide.velocity[1] == 9.0
     assert not wide.known.any()
+    assert np.isnan(wide_limits(SEEN, np.ones(3), PRISMATIC).soft).all()
 
 
 @pytest.mark.parametrize(
@@ -56,7 +57,7 @@ def test_files_give_limits_by_name(
     (tmp_path / name).write_text(text)
     given = read_limits(tmp_path / name)
     assert given["a"] == GivenLimit(-2.5, 2.25, speed)
-    wide = wide_limits(SEEN, np.full(3, 0.1), PRISMATIC)
+    wide = wide_limits(SEEN, np.full(3, 0.1), PRISMATIC, soft=True)
     limits = with_given(wide, NAMES, given, name)
     np.testing.assert_array_equal(limits.position[0], [-2.5, 2.25])
     np.testing.assert_array_equal(limits.position[1:], wide.position[1:])

@@ -69,9 +69,10 @@ def declare(command: Parser) -> None:
     command.add_argument(
         "--limits",
         default="wide",
-        metavar="seen|wide|FILE",
-        help="of the joints: what the log saw; wide ones that do not bind, with what the log saw "
-        "as soft limits; or those of a URDF, YAML or TOML file, by joint name (%(default)s)",
+        metavar="wide|soft|seen|FILE",
+        help="of the joints: wide ones that do not bind; the same with what the log saw as soft "
+        "limits, which MoveIt and ros_control keep; what the log saw; or those of a URDF, YAML or "
+        "TOML file, by joint name (%(default)s)",
     )
     command.add_argument(
         "--method",
@@ -161,11 +162,11 @@ def run(options: argparse.Namespace) -> int:
     )
     settings = calibration_settings(options)
     from skin2urdf.output import not_to_be_saved, output_paths, save
-    from skin2urdf.urdf.limits import read_limits
+    from skin2urdf.urdf.limits import CHOICES, read_limits
 
     outputs = [*output_paths(options.output), *([options.report] if options.report else [])]
     replaced = present(outputs)
-    if options.limits not in ("seen", "wide"):
+    if options.limits not in CHOICES:
         read_limits(options.limits)
     if options.report:
         from skin2urdf.page.html import check_libraries

@@ -28,8 +28,10 @@ _MOST_PIXELS = 30_000
 """Longest side of a PNG; a renderer takes 65,535 at most."""
 _STYLE: Any = {
     "font.family": "sans-serif",
-    "font.sans-serif": ["DejaVu Sans"],  # comes with matplotlib: the same widths everywhere
-    "svg.fonttype": "path",
+    # The first comes with matplotlib: the same widths everywhere. A viewer of SVG that lacks it
+    # takes the second, which is nearly as wide.
+    "font.sans-serif": ["DejaVu Sans", "Verdana"],
+    "svg.fonttype": "none",
     "svg.hashsalt": "skin2urdf",
     "pdf.fonttype": 42,
     "path.simplify": False,

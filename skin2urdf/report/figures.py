@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -21,6 +22,9 @@ _WIDEST_GAP = 1.5
 _NONE = "\N{EN DASH}"
 _CELL = 0.15
 _LARGE_CELL = 0.2
+_LARGEST_CELL = 0.36
+"""Side of cells that fill a page which the tree makes large [in]."""
+_FINER = 0.02
 _FEW = 16
 """Up to so many SUs and DoFs the cells are large."""
 _MAX_RUNS = 6
@@ -57,30 +61,70 @@ def draw_exploration(exploration: Exploration, path: str | Path) -> None:
 
 
 def _figure(exploration: Exploration) -> Panel:
-    """All panels, in the arrangement that takes the smaller page."""
-    matrices = _matrices(exploration)
-    steps = Row(matrices[1:], _GAP)
-    tree: tuple[Panel, ...] = ()
-    gap = _GAP
+    """All panels, in the arrangement that takes the smaller page, with cells that fill it."""
+    least = _LARGE_CELL if max(exploration.raw.shape) <= _FEW else _CELL
+    arrangements: list[Panel] = [Row(_matrices(exploration, least), _GAP)]
     if exploration.is_tree:
-        tree = (Headed("d", "Kinematic tree", _tree_note(exploration), TreePanel(exploration)),)
-        spare = tree[0].size[0] - Row(matrices, 0.0).size[0]
-        gap = float(np.clip(0.5 * spare, _GAP, _WIDEST_GAP))
-    arrangements: tuple[Panel, ...] = (
-        Column((Row(matrices, gap), *tree), _GAP),
-        Row((matrices[0], Column((steps, *tree), _GAP)), _GAP),
-    )
-    body = min(arrangements, key=lambda panel: panel.size[0] * panel.size[1])
+        arrangements = [_above(exploration, least), _beside(exploration, least)]
+    body = max(arrangements, key=_filled)
     notes = _violations(exploration.violations, max(body.size[0], _LEAST_WIDTH))
     title = Text(("Structural exploration",), points=TITLE, bold=True)
     return Column((title, body, *notes), _GAP - 0.15)
 
 
-def _matrices(exploration: Exploration) -> tuple[Headed, ...]:
+def _tree(exploration: Exploration, least_width: float = 0.0) -> Headed:
+    """The tree under its heading."""
+    panel = TreePanel(exploration, least_width)
+    return Headed("d", "Kinematic tree", _tree_note(exploration), panel)
+
+
+def _above(exploration: Exploration, least: float) -> Column:
+    """The matrices in a row above the tree, both as wide as the wider one."""
+    width = _tree(exploration).size[0]
+    cell = _largest_cell(
+        least, lambda cell: Row(_matrices(exploration, cell), _GAP).size[0] <= width
+    )
+    matrices = _matrices(exploration, cell)
+    tree = _tree(exploration, Row(matrices, _GAP).size[0])
+    spare = 0.5 * (tree.size[0] - Row(matrices, 0.0).size[0])
+    gap = float(np.clip(spare, _GAP, _WIDEST_GAP))
+    return Column((Row(matrices, gap), tree), _GAP)
+
+
+def _beside(exploration: Exploration, least: float) -> Row:
+    """The first matrix beside the others and the tree, all as high as the higher side."""
+    width = _tree(exploration).size[0]
+    cell = _largest_cell(
+        least, lambda cell: Row(_matrices(exploration, cell)[1:], _GAP).size[0] <= width
+    )
+    steps = Row(_matrices(exploration, cell)[1:], _GAP)
+    right = Column((steps, _tree(exploration, steps.size[0])), _GAP)
+    height = right.size[1]
+    cell = _largest_cell(least, lambda cell: _matrices(exploration, cell)[0].size[1] <= height)
+    return Row((_matrices(exploration, cell)[0], right), _GAP)
+
+
+def _filled(panel: Panel) -> float:
+    """Part of its rectangle that an arrangement fills."""
+    return _area(panel) / (panel.size[0] * panel.size[1])
+
+
+def _area(panel: Panel) -> float:
+    """Area of all that stands in rows and columns [in^2]."""
+    if isinstance(panel, Row | Column):
+        return sum(map(_area, panel.panels))
+    return panel.size[0] * panel.size[1]
+
+
+def _largest_cell(least: float, fits: Callable[[float], bool]) -> float:
+    """The largest side of a cell that fits, or the least [in]."""
+    sides = np.arange(_LARGEST_CELL, least, -_FINER)
+    return float(next((side for side in sides if fits(side)), least))
+
+
+def _matrices(exploration: Exploration, cell: float) -> tuple[Headed, ...]:
     """The three activity matrices, with their cells in line."""
     raw, merged, ordered = _raw(exploration), _merged(exploration), _sorted(exploration)
-    small = max(exploration.raw.shape) <= _FEW
-    cell = _LARGE_CELL if small else _CELL
     top = max(merged.top, ordered.top)
     panels = (
         Headed("a", "Activity matrix", _raw_note(exploration), replace(raw, cell=cell)),
@@ -163,7 +207,7 @@ def _tree_note(e: Exploration) -> str:
     ]
     if e.sub_limbs:
         parts.append(_count(len(e.sub_limbs), "sub-limb"))
-    return f"{', '.join(parts)}. Numbers are those of panel a."
+    return f"{', '.join(parts)}."
 
 
 def _count(number: int, what: str) -> str:

@@ -10,7 +10,7 @@ import numpy as np
 
 from skin2urdf.paper.exploration.records import Exploration
 from skin2urdf.report.canvas import Canvas, Point, line_height, text_width
-from skin2urdf.report.labels import joint_id, numbers, segment_id, shortened, wrapped
+from skin2urdf.report.labels import joint_id, segment_id, shortened
 from skin2urdf.report.style import (
     ACCENT,
     FAINT,
@@ -31,7 +31,6 @@ _AIR = 0.1
 """Beside the names of a joint's DoFs [in]."""
 _CLEARANCE = 0.12
 """Between the limbs [in]."""
-_LIST_WIDTH = 0.85
 _MAX_LINES = 8
 _LEGEND_HEIGHT = 0.36
 
@@ -42,9 +41,11 @@ class TreePanel:
 
     Attributes:
         exploration: what was found; it must be a tree.
+        least_width: width that it takes at least, with longer lines between the boxes [in].
     """
 
     exploration: Exploration
+    least_width: float = 0.0
 
     @property
     def size(self) -> tuple[float, float]:
@@ -130,10 +131,9 @@ class TreePanel:
     @cached_property
     def _su_lines(self) -> tuple[tuple[str, ...], ...]:
         """Lines in the box of each segment."""
+        names = self.exploration.su_names
         return tuple(
-            tuple(shortened(wrapped(f"SU {numbers(sus)}", SMALL, _LIST_WIDTH), _MAX_LINES))
-            if sus
-            else ("no SU",)
+            tuple(shortened([names[u] for u in sus], _MAX_LINES)) if sus else ("no SU",)
             for sus in self.exploration.segments
         )
 
@@ -142,7 +142,7 @@ class TreePanel:
         """Lines under the circle of each joint."""
         names = self.exploration.dof_names
         return tuple(
-            tuple(shortened([f"{d + 1} {names[d]}" for d in dofs], _MAX_LINES))
+            tuple(shortened([names[d] for d in dofs], _MAX_LINES))
             for dofs in self.exploration.joints
         )
 
@@ -167,7 +167,8 @@ class TreePanel:
         left = [0.0]
         for depth in range(1, len(self._box_width)):
             left.append(left[-1] + self._box_width[depth - 1] + 2 * _STUB + float(room[depth]))
-        return tuple(left)
+        spare = max(0.0, self.least_width - left[-1] - self._box_width[-1])
+        return tuple(x + spare * depth / max(1, len(left) - 1) for depth, x in enumerate(left))
 
     @cached_property
     def _extent(self) -> tuple[tuple[float, float], ...]:

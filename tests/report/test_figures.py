@@ -126,7 +126,9 @@ def test_everything_is_named(
         for n, dofs in enumerate(exploration.joints):
             # Above the sorted and the merged matrix, below the raw one, and in the tree.
             assert written.count(f"J{n + 1}") == 3 + len(dofs)
-            assert all(f"{d + 1} {exploration.dof_names[d]}" in written for d in dofs)
+            assert all(written.count(exploration.dof_names[d]) == 2 for d in dofs)
+        for sus in exploration.segments:
+            assert all(written.count(exploration.su_names[u]) == 2 for u in sus)
     else:
         assert not any("Kinematic tree" in text for text in written)
     words = " ".join(written).lower()
@@ -142,6 +144,13 @@ def test_the_svg_is_whole_and_the_same_every_time(exploration: Exploration, tmp_
     assert first.read_bytes() == second.read_bytes()
     assert ET.parse(first).getroot().tag == f"{SVG}svg"  # noqa: S314
     assert not re.search(r"<dc:date>|20\d\d-\d\d-\d\d", first.read_text())
+
+
+def test_text_in_an_svg_can_be_read_and_searched(exploration: Exploration, tmp_path: Path) -> None:
+    draw_exploration(exploration, tmp_path / "figure.svg")
+    root = ET.parse(tmp_path / "figure.svg").getroot()  # noqa: S314
+    written = {element.text for element in root.iter(f"{SVG}text")}
+    assert {*exploration.su_names, *exploration.dof_names} <= written
 
 
 def test_another_process_draws_the_same(tmp_path: Path) -> None:

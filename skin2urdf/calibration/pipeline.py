@@ -21,7 +21,12 @@ from skin2urdf.calibration.rounds import (
     sample_logs,
     take_features,
 )
-from skin2urdf.calibration.samples import fit_samples, with_samples, without_false_hits
+from skin2urdf.calibration.samples import (
+    clocks_in_all,
+    fit_samples,
+    with_samples,
+    without_false_hits,
+)
 from skin2urdf.calibration.settings import CalibrationSettings
 from skin2urdf.errors import BadFitError, InsufficientDataError
 from skin2urdf.estimation.solve.estimate import Estimate
@@ -155,7 +160,7 @@ def _calibration(
             )
         ),
         seconds=clock.seconds,
-        clocks=tuple(s.clocks for s in sampled),
+        clocks=clocks_in_all([s.clocks for s in sampled], along),
         su_sources=_su_sources(recordings, sampled),
     )
 

@@ -20,6 +20,7 @@ from skin2urdf.estimation.trajectory.estimate import (
 from skin2urdf.estimation.trajectory.front_end import common_front_end
 from skin2urdf.estimation.trajectory.priors import MotionPriors
 from skin2urdf.faults import Fault
+from skin2urdf.signals.records import SuClock
 from skin2urdf.signals.sampling import Sampled
 from skin2urdf.signals.trajectory import Trajectory, in_order, trajectory
 from skin2urdf.structure.ordering import places_of
@@ -78,6 +79,43 @@ def sample_priors(settings: CalibrationSettings, sensors: Priors) -> MotionPrior
         front=front,
         gyro=settings.estimation.intrinsics,
     )
+
+
+def clocks_in_all(
+    clocks: Sequence[Sequence[SuClock]], along: MotionEstimate | None
+) -> tuple[tuple[SuClock, ...], ...]:
+    """Clocks that were set right before all else, with what all samples still found of them.
+
+    Args:
+        clocks: by log, the SUs whose clock ran differently from the joints'.
+        along: the fit of all samples, if there is one.
+
+    Returns:
+        The same clocks: latency and drift as the fit leaves them, and its deviations.
+    """
+    if along is None:
+        return tuple(tuple(of_log) for of_log in clocks)
+    names, layout = along.problem.tree.su_names, along.problem.layout
+    found, variances = along.fitted.state.clock, np.einsum("uii->ui", along.su_covariances)
+
+    def fitted(clock: SuClock, log: int) -> SuClock:
+        if clock.su not in names:
+            return clock
+        u = names.index(clock.su)
+        late, fast = map(float, found[log, u])
+        late_sd, fast_sd = map(float, np.sqrt(variances[u, layout.clock(log)].clip(0.0)))
+        if late_sd > clock.latency_sd:
+            # Its readings do not show it: it runs on the clock that all others share.
+            return clock
+        return replace(
+            clock,
+            latency=clock.latency + late,
+            latency_sd=late_sd,
+            drift=clock.drift + fast,
+            drift_sd=fast_sd,
+        )
+
+    return tuple(tuple(fitted(clock, g) for clock in of_log) for g, of_log in enumerate(clocks))
 
 
 def without_false_hits(

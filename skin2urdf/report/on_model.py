@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from skin2urdf.arrays import F64
 from skin2urdf.calibration.result import GOOD_FIT
 from skin2urdf.geometry.units import MILLI_G
 from skin2urdf.model.records import KinematicModel
@@ -108,7 +109,7 @@ def _expectation(result: ModelCalibration) -> str:
 def _sus(result: ModelCalibration) -> list[str]:
     """The table of SUs."""
     state, seen = result.along.state, result.observability
-    clock = result.along.fitted.state.clock
+    late = _latencies(result)
     rows = []
     for u in np.argsort(result.tree.su_joint, kind="stable"):
         sd = np.sqrt(np.diag(seen.su_covariance[u]).clip(min=0.0))
@@ -122,12 +123,22 @@ def _sus(result: ModelCalibration) -> list[str]:
                 number(float(np.linalg.norm(sd[:3])) * _MM if not open_ else np.nan),
                 number(float(np.linalg.norm(sd[3:])) * _DEG if not open_ else np.nan, 3),
                 number(float(np.linalg.norm(state.bias[u])) / MILLI_G, 1),
-                number(float(clock[:, u, 0].mean()) * 1e3, 1),
+                number(float(late[:, u].mean()) * 1e3, 1),
                 seen.su_verdict[u],
             )
         )
     head = ("SU", "on link", "at [mm]", "sd [mm]", "[deg]", "bias [mg]", "lag [ms]", "verdict")
     return table(head, rows, "<<>>>>><")
+
+
+def _latencies(result: ModelCalibration) -> F64:
+    """(G, U) by how much the stamps of each SU are late in the middle of each log [s]."""
+    late = np.array(result.along.fitted.state.clock[:, :, 0])
+    for log, clocks in enumerate(result.clocks):
+        for clock in clocks:
+            if clock.su in result.tree.su_names:
+                late[log, result.tree.su_names.index(clock.su)] = clock.latency
+    return late
 
 
 def _hidden(result: ModelCalibration) -> list[str]:

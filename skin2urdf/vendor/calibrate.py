@@ -13,6 +13,7 @@ from skin2urdf.calibration.clock import Clock, Progress
 from skin2urdf.calibration.pipeline import recordings_of
 from skin2urdf.calibration.result import Source
 from skin2urdf.calibration.rounds import Logs, sample_logs
+from skin2urdf.calibration.samples import clocks_in_all
 from skin2urdf.calibration.settings import CalibrationSettings
 from skin2urdf.errors import InsufficientDataError
 from skin2urdf.faults import Fault, distinct
@@ -87,7 +88,7 @@ def calibrate_with_model(
         left_out=tuple(name for name in sampled.su_names if name not in bench.su_names),
         notes=tuple(dict.fromkeys(note for s in sampled.sampled for note in s.notes)),
         seconds=clock.seconds,
-        clocks=tuple(s.clocks for s in sampled.sampled),
+        clocks=clocks_in_all([s.clocks for s in sampled.sampled], found.along),
     )
     return replace(result, notes=(*model_notes(result, sampled.sampled), *result.notes))
 

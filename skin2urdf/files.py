@@ -98,3 +98,23 @@ def read_text(path: str | Path) -> str:
         ) from error
     except ValueError as error:
         raise UnreadableInputError(str(path), "is no text in UTF-8", "check the path") from error
+
+
+def append_line(path: str | Path, line: str) -> None:
+    """Add a line to the end of a file of text, which is begun where there is none.
+
+    Args:
+        path: the file; see :func:`check_target`.
+        line: the line, without its end.
+
+    Raises:
+        UsageError: the file can not be written.
+    """
+    target = check_target(path)
+    try:
+        with target.open("a", encoding="utf-8", newline="\n") as file:
+            file.write(f"{line}\n")
+    except OSError as error:
+        raise UsageError(
+            f"can not write {path}: {error.strerror or error}", "give another path"
+        ) from error

@@ -72,6 +72,7 @@ LAYERS: dict[str, tuple[str, ...]] = {
         "paper.exploration",
         "estimation.uncertainty",
         "estimation.trajectory.estimate",
+        "vendor.checking",
         "calibration.result",
         "survey",
     ),

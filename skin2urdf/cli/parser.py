@@ -9,6 +9,7 @@ from typing import Protocol
 from skin2urdf.cli.arguments import Parser
 from skin2urdf.cli.commands import (
     calibrate,
+    check,
     compare,
     convert,
     explore,
@@ -36,6 +37,12 @@ class Command(Protocol):
 
 COMMANDS: dict[str, Command] = {
     "calibrate": calibrate,
+    "check": check,
+    "simulate": simulate,
+    "compare": compare,
+    "explore": explore,
+    "info": info,
+    "convert": convert,
     "report": report,
     "view": view,
     "export": export,
@@ -59,7 +66,8 @@ try it without a robot:
 each command explains itself: skin2urdf calibrate --help
 
 exit status: 0 all is well, 1 no trustworthy result (or the trees differ), 2 bad usage or an
-unreadable input, 3 the URDF was written, but an SU or an encoder needs repair (calibrate)"""
+unreadable input, 3 the URDF was written, but an SU or an encoder needs repair (calibrate),
+or an SU is not where it was (check)"""
 
 
 def make_parser() -> argparse.ArgumentParser:

@@ -124,11 +124,12 @@ def _outwards(base: str, joints: dict[str, ModelJoint]) -> tuple[ModelJoint, ...
 
 def _joint(element: ET.Element) -> ModelJoint:
     name = element.get("name") or ""
-    axis = _triple(element.find("axis"), "xyz", "1 0 0")
+    kind = element.get("type") or ""
+    # People write any axis into joints that have none.
+    axis = _triple(element.find("axis") if kind in MOVABLE else None, "xyz", "1 0 0")
     length = float(np.linalg.norm(axis))
     if not length > 0:
         raise ValueError(f"joint {name!r} has the axis 0 0 0")
-    kind = element.get("type") or ""
     limit, mimic = element.find("limit"), element.find("mimic")
     limits = (-np.inf, np.inf)
     if kind != "continuous" and limit is not None:

@@ -38,7 +38,11 @@ class Attachment:
 
 
 def with_additions(
-    text: str, source: str, attachments: Sequence[Attachment], origins: Mapping[str, F64]
+    text: str,
+    source: str,
+    attachments: Sequence[Attachment],
+    origins: Mapping[str, F64],
+    parents: Mapping[str, str] | None = None,
 ) -> str:
     """The text of a URDF with SUs added and origins replaced.
 
@@ -47,6 +51,7 @@ def with_additions(
         source: where it came from, for messages.
         attachments: the SUs, added before the end of the robot.
         origins: (4, 4) new origin of joints, by name; only their numbers change.
+        parents: other links that joints hang on, by name.
 
     Raises:
         UnreadableInputError: the text is no XML.
@@ -58,6 +63,7 @@ def with_additions(
     data = text.encode()
     places = _places(data, source)
     changes = [_origin_change(data, places, name, T) for name, T in origins.items()]
+    changes += [_parent_change(data, places, *item) for item in (parents or {}).items()]
     newline = "\r\n" if "\r\n" in text else "\n"
     lines = [line for each in attachments for line in _lines(each)]
     added = newline.join(lines) + newline if lines else ""
@@ -75,11 +81,13 @@ class _Places:
     Attributes:
         joint: begin of each joint's tag.
         origin: begin of each joint's origin, of those that have one.
+        parent: begin of each joint's parent.
         end: begin of the closing tag of the robot.
     """
 
     joint: dict[str, int]
     origin: dict[str, int]
+    parent: dict[str, int]
     end: int
 
     @staticmethod
@@ -90,7 +98,7 @@ class _Places:
 
 
 def _places(data: bytes, source: str) -> _Places:
-    found = _Places({}, {}, -1)
+    found = _Places({}, {}, {}, -1)
     path: list[str] = []
     joint = ""
     parser = expat.ParserCreate()
@@ -105,6 +113,8 @@ def _places(data: bytes, source: str) -> _Places:
             found.joint[joint] = parser.CurrentByteIndex
         elif path == ["robot", "joint", "origin"]:
             found.origin.setdefault(joint, parser.CurrentByteIndex)
+        elif path == ["robot", "joint", "parent"]:
+            found.parent.setdefault(joint, parser.CurrentByteIndex)
 
     def end(_tag: str) -> None:
         if path == ["robot"]:
@@ -121,6 +131,7 @@ def _places(data: bytes, source: str) -> _Places:
         found.end += mark
         found.joint = {name: at + mark for name, at in found.joint.items()}
         found.origin = {name: at + mark for name, at in found.origin.items()}
+        found.parent = {name: at + mark for name, at in found.parent.items()}
     return found
 
 
@@ -133,8 +144,19 @@ def _origin_change(data: bytes, places: _Places, name: str, T: F64) -> tuple[int
         return at, at, new.encode()
     first = places.origin[name]
     last = _tag_end(data, first)
-    tag = data[first:last]
-    for attribute, value in numbers.items():
+    return first, last, _with_attributes(data[first:last], numbers)
+
+
+def _parent_change(data: bytes, places: _Places, name: str, link: str) -> tuple[int, int, bytes]:
+    """First and last byte to replace, and what with, for another link that a joint hangs on."""
+    first = places.parent[name]
+    last = _tag_end(data, first)
+    return first, last, _with_attributes(data[first:last], {b"link": quoteattr(link)[1:-1]})
+
+
+def _with_attributes(tag: bytes, values: Mapping[bytes, str]) -> bytes:
+    """A tag with other values of attributes, each in the quotes that it has."""
+    for attribute, value in values.items():
         old = next((m for m in _ATTRIBUTE.finditer(tag) if m.group(1) == attribute), None)
         if old is not None:
             begin, end = old.span(2)
@@ -143,7 +165,7 @@ def _origin_change(data: bytes, places: _Places, name: str, T: F64) -> tuple[int
             close = len(tag) - (2 if tag.endswith(b"/>") else 1)
             head = tag[:close].rstrip()
             tag = head + b" " + attribute + b'="' + value.encode() + b'"' + tag[len(head) :]
-    return first, last, tag
+    return tag
 
 
 def _tag_end(data: bytes, begin: int) -> int:

@@ -138,6 +138,23 @@ def placed_from(chassis: Chassis, logs: Sequence[Trajectory], up: F64, priors: P
     )
 
 
+def turned_up(chassis: Chassis, logs: Sequence[Trajectory], placed: Placed, priors: Priors) -> F64:
+    """(G, 3) directions of gravity that explain SUs best that sit on segments they are known on.
+
+    Args:
+        chassis: the model.
+        logs: trajectories in its order.
+        placed: where the SUs sit, and directions to begin with.
+        priors: of the sensors.
+    """
+    moments = _of_segments(chassis.tree((), ()), chassis.T_parent_joint, logs)
+    fits = [
+        again(fit, sums_of(moments[k], u, placed.up), moments[k], u, priors)
+        for u, (k, fit) in enumerate(zip(placed.su_joint, placed.fits, strict=True))
+    ]
+    return _turned(moments, placed.su_joint, fits, placed.up, priors)[1]
+
+
 def roughly_left(chassis: Chassis, T_parent_joint: F64, logs: Sequence[Trajectory]) -> F64:
     """(U,) mean squares that linear fits on the best segments leave of each SU [m^2/s^4].
 

@@ -33,6 +33,7 @@ from skin2urdf.estimation.solve.estimate import Estimate
 from skin2urdf.estimation.trajectory.estimate import MotionEstimate
 from skin2urdf.estimation.uncertainty.goodness import Goodness, goodness
 from skin2urdf.estimation.uncertainty.health import health_notes, why_bad
+from skin2urdf.estimation.uncertainty.narrow import narrow_priors
 from skin2urdf.estimation.uncertainty.observability import Observability, observability
 from skin2urdf.faults import distinct, without_slips
 from skin2urdf.hypotheses.encoder import evident_errors
@@ -135,6 +136,9 @@ def _calibration(
     tree = found.tree
     streams = [replace(f, log=log) for log, s in enumerate(sampled) for f in s.faults]
     span = np.array([_range(sampled, name) for name in tree.joint_names]).reshape(-1, 3)
+    narrow: list[str] = []
+    if solution.logs.settings.method != "paper":  # which estimates no errors of sensors at all
+        narrow = [f"{words}: give what their data sheet says" for words in narrow_priors(found)]
     return Calibration(
         model=canonical(found.state.model(tree)),
         estimate=found,
@@ -156,6 +160,7 @@ def _calibration(
                     *tree.notes,
                     *unknown_position_notes(features, tree),
                     *health_notes(found, fit),
+                    *narrow,
                 )
             )
         ),

@@ -26,6 +26,8 @@ from skin2urdf.urdf.names import comment
 
 _TINY_INERTIA = 1e-9
 """Moment of inertia [kg m^2] of what has a mass and none, such as 0.1 g in a ball of 5 mm."""
+_WORLD = "world"
+"""MuJoCo's name of its static body: a base of this name is that body."""
 _KINDS = {"revolute": "hinge", "continuous": "hinge", "prismatic": "slide"}
 
 
@@ -77,12 +79,20 @@ def to_mjcf(source: Source) -> str:
 
 def _body(parent: ET.Element, source: Source, link: str, joint: UrdfJoint | None) -> None:
     """Add a link, its joint, and all that hangs on it."""
-    body = ET.SubElement(parent, "body", name=link)
+    if joint is None and link == _WORLD:
+        _fill(parent, source, link)
+        return
+    body = ET.SubElement(parent, "body", name=f"{link}_link" if link == _WORLD else link)
     if joint is not None:
         _place(body, joint.xyz, rotation_of_rpy(joint.rpy))
         if joint.kind in MOVABLE:
             _joint(body, joint)
     _inertial(body, source.links[link], moves=joint is not None and joint.kind in MOVABLE)
+    _fill(body, source, link)
+
+
+def _fill(body: ET.Element, source: Source, link: str) -> None:
+    """Add the shapes of a link and what hangs on it."""
     for tag in ("visual", "collision"):
         for shape in source.links[link].findall(tag):
             _geom(body, shape, tag)

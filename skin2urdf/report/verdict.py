@@ -84,7 +84,9 @@ def _doubts(calibration: Calibration) -> list[str]:
     if calibration.goodness.prediction > GOOD_FIT:
         times = float(np.sqrt(calibration.goodness.prediction))
         doubts.append(f"poses that are left out are predicted {times:.1f} times worse than stated")
-    if calibration.misfit > GOOD_FIT and narrow_priors(calibration.estimate):
+    by_the_paper = calibration.settings.method == "paper"
+    narrow = not by_the_paper and narrow_priors(calibration.estimate)
+    if narrow and calibration.misfit > GOOD_FIT:
         doubts.append("the sensors are worse than the options say of them (see the notes)")
     weak = _with_verdict(tree.joint_names, seen.joint_verdict, ("weak",))
     if weak:

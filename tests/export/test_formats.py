@@ -298,6 +298,15 @@ def test_mjcf_of_a_vendors_file_moves_as_pinocchio_moves_it(tmp_path: Path) -> N
     assert read.ngeom == 1
 
 
+def test_a_base_called_world_is_mujocos(tmp_path: Path) -> None:
+    path = tmp_path / "v.urdf"
+    path.write_text(VENDOR.replace('"base"', '"world"'))
+    read = mujoco.MjModel.from_xml_string(to_mjcf(load_source(path)))
+    assert read.body("a").parentid[0] == 0
+    path.write_text(VENDOR.replace('"flange"', '"world"'))
+    assert mujoco.MjModel.from_xml_string(to_mjcf(load_source(path))).nbody == 6
+
+
 def test_joints_that_mjcf_can_not_hold_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "v.urdf"
     path.write_text(VENDOR.replace('"prismatic"', '"planar"'))

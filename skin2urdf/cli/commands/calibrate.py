@@ -232,6 +232,11 @@ def _run_on_model(options: argparse.Namespace, begin: float) -> int:
             "a robot with a model has its name, and no report of its own",
             "leave out --name and --report",
         )
+    if options.limits != "wide" or options.collision or options.no_visuals:
+        raise UsageError(
+            "a robot with a model has its limits and shapes",
+            "leave out --limits, --collision and --no-visuals",
+        )
     beside = Path(options.output).with_suffix(".json")
     refuse_to_overwrite([*options.logs, options.model], options.output, beside)
     settings = calibration_settings(options)

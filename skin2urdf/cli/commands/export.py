@@ -9,6 +9,7 @@ from pathlib import Path
 from skin2urdf.cli.arguments import Parser, present, refuse_to_overwrite, wrote
 from skin2urdf.errors import UsageError
 from skin2urdf.files import check_target, write_atomically
+from skin2urdf.recording.naming import printable
 
 FORMATS = ("xacro", "launch", "kinematics", "imu", "mjcf")
 STYLES = ("ur", "franka", "flexiv")
@@ -72,9 +73,9 @@ def run(options: argparse.Namespace) -> int:
     replaced = present([target])
     write_atomically(target, text)
     if not options.quiet:
-        for su in source.sus:
-            if su.position_open:
-                words = f"note: {su.name} is left out: the log does not tell where it sits"
-                print(words, file=sys.stderr)
+        left_out = [su.name for su in source.sus if su.position_open]
+        for name in left_out if options.to in ("xacro", "launch", "mjcf") else ():
+            words = f"note: {printable(name)} is left out: the log does not tell where it sits"
+            print(words, file=sys.stderr)
         print(wrote([target], replaced))
     return 0

@@ -67,7 +67,6 @@ def health_notes(estimate: Estimate, goodness: Goodness) -> tuple[str, ...]:
             f"{len(odd)} of {len(goodness.by_pose.dof)} poses {verb} little (number {listed} in "
             "the order of the log): something touched or moved the robot there, or its base moved"
         )
-    notes += [f"{words}: give what their data sheet says" for words in narrow_priors(estimate)]
     notes += _on_a_vertical_axis(estimate)
     for i, name in enumerate(tree.su_names):
         scale = float(np.abs(state.shape[i]).max())

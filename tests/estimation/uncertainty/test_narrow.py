@@ -11,7 +11,7 @@ from calibrated import calibration
 from skin2urdf.estimation.problem.cost import Cost
 from skin2urdf.estimation.problem.state import Free
 from skin2urdf.estimation.solve.estimate import Estimate
-from skin2urdf.estimation.uncertainty.health import health_notes, why_bad
+from skin2urdf.estimation.uncertainty.health import why_bad
 from skin2urdf.estimation.uncertainty.narrow import narrow_priors
 
 
@@ -26,7 +26,6 @@ def test_priors_far_below_what_was_found_are_named(name: str, option: str) -> No
     (words,) = narrow_priors(narrow)
     assert option in words
     assert option in why_bad(narrow, 50.0)[1]
-    assert any(option in note for note in health_notes(narrow, calibration().goodness))
 
 
 def test_errors_that_were_denied_show_in_the_size_of_gravity() -> None:

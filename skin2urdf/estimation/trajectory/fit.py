@@ -54,6 +54,7 @@ def fit(
     *,
     iterations: int = 30,
     tolerance: float = 0.1,
+    near: bool = False,
     tell: Callable[[float], None] = lambda _: None,
 ) -> Fitted:
     """Minimise chi-squared of all samples.
@@ -63,11 +64,14 @@ def fit(
         start: where to begin; orientations to some ten degrees are enough.
         iterations: at most that many linearisations.
         tolerance: length of the last step in standard deviations, all coordinates together.
+        near: whether it begins at an optimum of nearly the same problem, where all coordinates may
+            move at once.
         tell: told the share of the work that is done.
     """
-    coarse = _descend(problem, start, problem.coarse(), _ROUGHLY, iterations, tell)
+    if not near:
+        start = _descend(problem, start, problem.coarse(), _ROUGHLY, iterations, tell).state
     free = problem.free_joint, problem.free_su
-    return _descend(problem, coarse.state, free, tolerance, iterations, tell)
+    return _descend(problem, start, free, tolerance, iterations, tell)
 
 
 def _descend(

@@ -38,11 +38,11 @@ def listened(problem: MotionProblem, fitted: Fitted) -> tuple[MotionProblem, Fit
         logs = without_gyros(problem.logs, odd)
         problem = problem.again(logs=logs)
         state = replace(fitted.state, gyro=np.where(odd[:, None], 0.0, fitted.state.gyro))
-        fitted = fit(problem, state)
+        fitted = fit(problem, state, near=True)
     deviations = _learnt(problem, fitted)
     if (deviations < _NARROWER * problem.priors.gyro).any():
         problem = problem.again(priors=replace(problem.priors, gyro=deviations))
-        fitted = fit(problem, fitted.state)
+        fitted = fit(problem, fitted.state, near=True)
     return problem, fitted, odd
 
 

@@ -155,7 +155,8 @@ def main() -> None:
     print(f"{options.messages} Imu messages; ratios first, then million messages per second")
     print(
         f"{'topics':>6} {'storage':14} {'to mcap_ros2':>12} {'passed':>6} {'to rosbags':>10} "
-        f"{'passed':>6} {'skin2urdf':>9} {'SHA-256':>7} {'passed':>6} {'mcap_ros2':>9} {'rosbags':>7}"
+        f"{'passed':>6} {'skin2urdf':>9} {'SHA-256':>7} {'passed':>6} {'mcap_ros2':>9} "
+        f"{'rosbags':>7}"
     )
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "log.mcap"

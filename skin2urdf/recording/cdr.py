@@ -106,8 +106,8 @@ class Accelerations(NamedTuple):
     """Accelerations out of one block.
 
     Attributes:
-        frames: F distinct frame_ids.
-        frame: (N,) index of each message's frame_id.
+        sources: S pairs of a channel's number and a frame_id, no two alike.
+        source: (N,) index of each message's pair.
         row: (N,) number of each message within its block.
         stamp: (N,) header.stamp [ns].
         log_time: (N,) when each message was recorded [ns].
@@ -116,8 +116,8 @@ class Accelerations(NamedTuple):
             None where no message has any.
     """
 
-    frames: tuple[str, ...]
-    frame: Int
+    sources: tuple[tuple[int, str], ...]
+    source: Int
     row: Int
     stamp: Int
     log_time: Int
@@ -211,24 +211,63 @@ def accelerations(
         if not group.row.size:
             continue
         vector = gather_rows(group.buffer, group.body + fields + lead, 3, f"{group.order}f8")
-        text = group.body + FRAME_TEXT
-        first, frame = distinct(group.buffer, text, group.frame_length)
-        frames = tuple(
-            text_at(group.buffer, int(text[k]), int(group.frame_length[k])) for k in first
-        )
+        sources, source = _sources(group, block.channel[group.row])
         rates = None if turning is None else _rates(group, fields + turning)
         found.append(
             Accelerations(
-                frames,
-                frame,
+                sources,
+                source,
                 group.row,
                 group.stamp,
                 group.log_time,
-                vector.astype(np.float64),
+                vector.astype(np.float64, copy=False),
                 rates,
             )
         )
     return found, passed
+
+
+def _sources(group: Payloads, channel: Int) -> tuple[tuple[tuple[int, str], ...], Int]:
+    """Tell messages apart by channel and frame_id.
+
+    Args:
+        group: N messages.
+        channel: (N,) numbers of their channels.
+
+    Returns:
+        S pairs of channel and frame_id, and (N,) the pair of each message.
+    """
+    text = group.body + FRAME_TEXT
+    there = np.flatnonzero(np.bincount(channel))
+    place = np.zeros(int(there[-1]) + 1, np.int64)
+    place[there] = np.arange(there.size)
+    source = place[channel]
+    first = np.zeros(there.size, np.int64)
+    first[source[::-1]] = np.arange(source.size)[::-1]
+    # Mostly a channel has one frame_id: comparing with its first message is faster than sorting.
+    if not _alike(group, text, first[source]):
+        one, frame = distinct(group.buffer, text, group.frame_length)
+        pair = source * one.size + frame
+        _, first, source = np.unique(pair, return_index=True, return_inverse=True)
+    sources = tuple(
+        (int(channel[k]), text_at(group.buffer, int(text[k]), int(group.frame_length[k])))
+        for k in first
+    )
+    return sources, source.reshape(-1)
+
+
+def _alike(group: Payloads, text: Int, other: Int) -> bool:
+    """Whether the frame_id of each message is that of another, given by (N,) numbers."""
+    length = group.frame_length
+    if not (length == length[other]).all():
+        return False
+    for size in np.unique(length):
+        rows = slice(None) if (length == size).all() else np.flatnonzero(length == size)
+        mine = gather_rows(group.buffer, text[rows], int(size), np.uint8)
+        theirs = gather_rows(group.buffer, text[other[rows]], int(size), np.uint8)
+        if not np.array_equal(mine, theirs):
+            return False
+    return True
 
 
 def _rates(group: Payloads, offset: Int) -> F64 | None:

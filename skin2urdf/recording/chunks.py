@@ -170,7 +170,7 @@ def joined(contents: Iterable[tuple[U8, Int]]) -> Iterator[tuple[U8, Int]]:
         buffers.append(buffer)
         size += buffer.size
         count += messages.size
-        if count >= BATCH or size >= LARGEST_JOINED:
+        if count >= BATCH // 2 or size >= LARGEST_JOINED:
             yield _concatenated(buffers), np.concatenate(starts)
             buffers, starts, size, count = [], [], 0, 0
     if count:

@@ -12,7 +12,6 @@ from skin2urdf.arrays import F64, Bool, Int
 from skin2urdf.recording.blocks import Block, Channels
 from skin2urdf.recording.cdr import Passed, accelerations
 from skin2urdf.recording.credibility import real_rates
-from skin2urdf.recording.gather import grouped
 from skin2urdf.recording.joint_states import joint_positions
 from skin2urdf.recording.messages import (
     ACCELERATION_LEAD,
@@ -117,13 +116,10 @@ class Collector:
         )
         parts, rows_of = [], []
         for part in found:
-            pair = block.channel[part.row] * len(part.frames) + part.frame
-            source = np.empty(pair.size, np.uint32)
-            for rows in grouped(pair):
-                number, frame = divmod(int(pair[rows[0]]), len(part.frames))
-                # Channels of one topic and frame_id, of several files say, are one source.
-                key = self._topic(number), part.frames[frame]
-                source[rows] = self._sources.setdefault(key, len(self._sources))
+            # Channels of one topic and frame_id, of several files say, are one source.
+            keys = [(self._topic(number), frame) for number, frame in part.sources]
+            numbers = [self._sources.setdefault(key, len(self._sources)) for key in keys]
+            source = np.array(numbers, np.uint32)[part.source]
             parts.append(Part(source, part.stamp, part.log_time, part.vector, part.rates))
             rows_of.append(part.row)
         if len(parts) > 1:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from fuzz import MUTATIONS, PATIENCE, STATUSES, mutated_messages, perform
+from fuzz import MUTATIONS, PATIENCE, STATUSES, formats, mutated_bytes, mutated_messages, perform
 
 from skin2urdf.cli.main import main
 
@@ -38,6 +38,21 @@ def test_mutants_end_in_time_and_in_words(
         told = capfd.readouterr()
         assert "internal error" not in told.out + told.err
         assert time.monotonic() - begin < PATIENCE * usual + 10.0
+
+
+def test_mutants_of_every_format_end_in_words(
+    sound: bytes, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    log = tmp_path / "log.mcap"
+    log.write_bytes(sound)
+    for ending, whole in formats(log).items():
+        mutant = tmp_path / f"mutant{ending}"
+        mutant.write_bytes(whole)
+        assert main(["info", str(mutant), "--quiet"]) == 0
+        mutant.write_bytes(mutated_bytes(whole, np.random.default_rng(0)))
+        assert main(["info", str(mutant)]) in STATUSES
+        told = capfd.readouterr()
+        assert "internal error" not in told.out + told.err
 
 
 def test_a_mutant_through_the_whole_way(sound: bytes, tmp_path: Path) -> None:

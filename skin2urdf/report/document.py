@@ -306,6 +306,8 @@ def _samples(calibration: Calibration) -> dict[str, Any] | None:
     of_clocks = np.array([deviations[:, layout.clock(g)] for g in range(len(state.clock))])
     return {
         "misfit": along.misfit,
+        "causes": list(along.causes),
+        "slack": along.slack,
         "gravity": state.gravity,
         "gravity_deviation": calibration.settings.gravity_deviation,
         "joints": {

@@ -22,6 +22,8 @@ from skin2urdf.signals.records import Features
 from skin2urdf.structure.records import KinematicTree
 
 _MM = 1e3
+_GEARS = {"harmonics": "once and twice per turn", "ripples": "many times per turn"}
+"""How errors of gears are told."""
 _SLOW_DROOP = 4e-6
 """Droop of a pole at 56 Hz [s^2], which changes a pattern of 4 Hz by a quarter of a per cent."""
 _CERTAIN = 3.0
@@ -219,8 +221,24 @@ def sensor_notes(along: MotionEstimate | None, of: Sequence[str] | None = None) 
             f"biases drift within a log, by up to {number(along.drifts.max() / MILLI_G)} mg; they "
             "were followed: let sensors warm up before a recording"
         )
-    if along.deflections.any():
-        notes.append(_elastic(along.problem.tree, along.deflections))
+    largest = _largest(along.problem.tree, along.deflections)
+    if "elastic" in along.causes:
+        notes.append(
+            "joints yield under load, which their encoders, before the gears, do not see: at most "
+            f"{largest}; it was followed: the URDF holds for positions of the links, and what "
+            "reads motor positions sees links off by these deflections (stiffness takes known "
+            "torques)"
+        )
+    if uneven := [_GEARS[cause] for cause in along.causes if cause in _GEARS]:
+        notes.append(
+            f"gears are uneven ({', '.join(uneven)}): links are off what their encoders say, at "
+            f"most {largest}; it was followed"
+        )
+    if "slack" in along.causes:
+        notes.append(
+            f"encoders miss about {number(along.slack * _MM)} mrad of where links are, other in "
+            "every place: play, gears or a base that gives way; stated errors count it"
+        )
     droops = along.droops
     slow = droops > np.maximum(_SLOW_DROOP, _CERTAIN * along.droop_deviations)
     if of is not None:
@@ -236,17 +254,12 @@ def sensor_notes(along: MotionEstimate | None, of: Sequence[str] | None = None) 
     return notes
 
 
-def _elastic(tree: KinematicTree, deflections: F64) -> str:
-    """What was found of joints that yield, by deflections (D,) at most."""
-    parts = [
+def _largest(tree: KinematicTree, deflections: F64) -> str:
+    """By how much (D,) each link is beyond its encoder at most, in words."""
+    return ", ".join(
         f"{name} by {number(e * _MM)} {'mm' if slides else 'mrad'}"
         for name, e, slides in zip(tree.joint_names, deflections, tree.prismatic, strict=True)
         if e > 0
-    ]
-    return (
-        f"joints yield under load, which their encoders, before the gears, do not see: at most "
-        f"{', '.join(parts)}; it was followed: the URDF holds for positions of the links, and what "
-        "reads motor positions sees links off by these deflections (stiffness takes known torques)"
     )
 
 

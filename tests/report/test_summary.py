@@ -93,7 +93,9 @@ def yielding(deflections: dict[int, float]) -> Calibration:
     bent = MotionProblem(problem.tree, problem.logs, priors, unseen=elastic)
     state = replace(along.fitted.state, unseen=np.array(list(deflections.values())))
     fitted = replace(along.fitted, state=state)
-    return replace(calibration(), along=replace(along, problem=bent, fitted=fitted))
+    return replace(
+        calibration(), along=replace(along, problem=bent, fitted=fitted, causes=("elastic",))
+    )
 
 
 def test_joints_that_yield_are_told_with_their_deflections() -> None:
@@ -106,6 +108,26 @@ def test_joints_that_yield_are_told_with_their_deflections() -> None:
     assert samples["joints"][third]["largest_deflection"] == pytest.approx(4.5e-3)
     assert samples["joints"][second]["largest_deflection"] == 0.0
     assert f"{first} by" not in as_text(calibration())
+
+
+def test_uneven_gears_and_slack_are_told_with_their_sizes() -> None:
+    along = yielding({0: 2e-4, 1: 1e-4}).along
+    assert along is not None
+    first, second = calibration().model.tree.joint_names[:2]
+    uneven = replace(along, causes=("harmonics", "slack"))
+    priors = replace(uneven.problem.priors, unseen=np.array([1e-3, 7e-5]))
+    problem = MotionProblem(
+        uneven.problem.tree, uneven.problem.logs, priors, unseen=uneven.problem.unseen
+    )
+    found = replace(calibration(), along=replace(uneven, problem=problem))
+    text = as_text(found)
+    assert f"{first} by {number(0.2)} mrad, {second} by {number(0.1)} mrad" in text
+    assert f"{number(0.07)} mrad" in text
+    assert "joints yield" not in text
+    samples = as_document(found)["samples"]
+    assert samples["slack"] == 7e-5
+    assert samples["causes"] == ["harmonics", "slack"]
+    assert as_document(calibration())["samples"]["slack"] == 0.0
 
 
 def test_open_directions_between_branches_are_told() -> None:

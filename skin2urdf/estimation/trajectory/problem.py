@@ -296,18 +296,60 @@ class MotionProblem:
                 su_scores[:, s, u] += scores[:, nj:]
         return Spans(joint, su, mixed, columns, joint_scores, su_scores)
 
+    def pulls_of_joints(
+        self, state: MotionState, predicted: Sequence[Predicted], weights: Sequence[F64]
+    ) -> list[tuple[F64, F64]]:
+        """What residuals say of motion that encoders do not see, moment by moment.
+
+        Args:
+            state: where.
+            predicted: residuals of each log there.
+            weights: per log (K, U, 3) information of each sample [s^4/m^2].
+
+        Returns:
+            Per log (D, 3, K) gradient in a joint's position, velocity and acceleration beyond its
+            encoder, and (D, 3, 3, K) information on them, all else as it is.
+        """
+        out = []
+        sensors, T = state.placements.sensor_matrix(), state.placements.T_joint_su
+        for g in range(len(self.logs)):
+            motion, (fixed, _) = self._frames(state, g)
+            K = motion[0].shape[1]
+            G, H = np.zeros((self.tree.n_joints, 3, K)), np.zeros((self.tree.n_joints, 3, 3, K))
+            for u in range(self.tree.n_sus):
+                root = np.sqrt(weights[g][:, u, :3].T)
+                p = predicted[g]
+                r = np.where(p.measured[:, u], p.residual[:, u].T, 0.0) * root
+                path = _fixed_path(T[u], K)
+                for k in reversed(self.tree.chain(int(self.tree.su_joint[u]))):
+                    slides = bool(self.tree.prismatic[k])
+                    path = seen_before_joint(path, slides, *(x[k] for x in motion))
+                    c = joint_columns(fixed[k], path, slides)
+                    c = np.einsum("ij,djk->dik", sensors[u], c) * root
+                    G[k] += np.einsum("dik,ik->dk", c, r)
+                    H[k] += np.einsum("dik,eik->dek", c, c)
+                    path = seen_from_parent(path, state.placements.T_parent_joint[k])
+            out.append((G, H))
+        return out
+
+    def _frames(
+        self, state: MotionState, g: int
+    ) -> tuple[tuple[F64, F64, F64], tuple[list[FrameMotion], list[FrameMotion]]]:
+        """Motion (D, K) of the joints at the samples compared, and of their frames."""
+        log = self.moved(state, g)
+        q, qd, qdd = (np.ascontiguousarray(x[log.kept].T) for x in (log.q, log.qd, log.qdd))
+        up = state.placements.up[g] * state.gravity
+        T = state.placements.T_parent_joint
+        return (q, qd, qdd), frame_motions(self.tree, T, up, q, qd, qdd)
+
     def _rows(
         self, state: MotionState, predicted: Sequence[Predicted], weights: Sequence[F64]
     ) -> Iterator[tuple[int, int, list[int], F64, F64]]:
         """Whitened derivatives (C + n, 3, K) and residuals (3, K) of every log and SU."""
         for g in range(len(self.logs)):
-            log = self.moved(state, g)
-            kept = log.kept
-            q, qd, qdd = (np.ascontiguousarray(x[kept].T) for x in (log.q, log.qd, log.qdd))
-            up = state.placements.up[g] * state.gravity
-            frames = frame_motions(self.tree, state.placements.T_parent_joint, up, q, qd, qdd)
+            motion, frames = self._frames(state, g)
             for u in range(self.tree.n_sus):
-                A = self._columns(state, g, u, frames, (q, qd, qdd), predicted[g].rates[:, :, u])
+                A = self._columns(state, g, u, frames, motion, predicted[g].rates[:, :, u])
                 root = np.sqrt(weights[g][:, u, :3].T)
                 residual = np.where(predicted[g].measured[:, u], predicted[g].residual[:, u].T, 0.0)
                 yield g, u, self._joint_columns(u, g), A * root, residual * root
@@ -375,8 +417,7 @@ class MotionProblem:
         here = placed(carried[int(tree.su_joint[u])], T)
         rows: list[F64] = []
         by_joint: dict[int, F64] = {}
-        still = np.zeros((3, K))
-        path = Path(still + T[:3, 3:4], still, still, np.repeat(T[:3, :3, None], K, axis=2))
+        path = _fixed_path(T, K)
         # A known robot may also deviate along and about its axes.
         known = self.priors.blueprint is not None
         wanted = JOINT_COORDINATES + ALONG_AXIS if known else JOINT_COORDINATES
@@ -410,8 +451,7 @@ class MotionProblem:
                 turn = np.cross(turn_axes(places.up[0]).T, places.up[0]) * state.gravity
                 rows.append(np.einsum("ijk,cj->cik", R_su_base, turn))
             rows += reversed(along_axis)
-        around = Path(still, still, still, np.repeat(np.eye(3)[:, :, None], K, axis=2))
-        rows.append(placement_columns(here, around, tuple(range(N_PLACEMENT))))
+        rows.append(placement_columns(here, _fixed_path(np.eye(4), K), tuple(range(N_PLACEMENT))))
         ideal = np.concatenate(rows)
         C = len(ideal) - N_PLACEMENT
         out = np.zeros((C + layout.n_su, 3, K))
@@ -435,6 +475,12 @@ class MotionProblem:
     def prior_chi2(self, state: MotionState) -> float:
         """Chi-squared of the priors at a state."""
         return prior_chi2(self.priors, self.layout, self._seconds, state)
+
+
+def _fixed_path(T: F64, n: int) -> Path:
+    """Path of n samples of an SU that is fixed to a frame by T (4, 4)."""
+    still = np.zeros((3, n))
+    return Path(still + T[:3, 3:4], still, still, np.repeat(T[:3, :3, None], n, axis=2))
 
 
 def sensor_columns(ideal: F64) -> F64:

@@ -1,0 +1,188 @@
+"""What encoders leave out of the joints' positions from place to place: slack of a learnt size.
+
+Whatever stands between an encoder and its link (uneven teeth, play, twist under a load that changes
+from pose to pose) leaves the link off by some amount that is the same whenever the robot is in the
+same place. Numbers for every joint in every place where the robot stays, of a common size that is
+learnt from the readings (a variance component), take that up: the estimate weighs it as it
+deserves, and its stated errors know of it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from skin2urdf.arrays import F64, Int
+from skin2urdf.estimation.trajectory.arrow import eliminated, joint_inverse
+from skin2urdf.estimation.trajectory.fit import Fitted
+from skin2urdf.estimation.trajectory.problem import MotionProblem
+from skin2urdf.estimation.trajectory.unseen import Unseen, together
+from skin2urdf.signals.trajectory import Trajectory
+from skin2urdf.structure.records import KinematicTree
+
+LEVER = 0.1
+"""Slack of a joint that slides, over that of one that turns [m/rad]: a spindle for a gear."""
+_SAME = 0.02
+"""Distance of joint positions within which two rests are at one place [rad or m]; a place comes
+back to within a milliradian, patterns leave it by ten times as much."""
+_REST = 0.25
+"""Length of a rest at least [s], as poses have it; where a pattern turns round is none."""
+_MOST = 300
+"""Numbers of slack at most, since time goes with their square; the places visited longest count."""
+_WIDE = 1e-2
+"""Size that stands for any, where only information is wanted [rad]."""
+_SIZES = np.geomspace(1e-7, 1e-2, 101)
+"""Sizes that are compared [rad]: from what no encoder tells to half a degree, by 12 %."""
+
+
+@dataclass(frozen=True)
+class Size:
+    """How large a group of unseen motions is.
+
+    Attributes:
+        size: standard deviation of its numbers.
+        gain: logarithm of the likelihood of the readings, over that without the group.
+    """
+
+    size: float
+    gain: float
+
+
+def slack(tree: KinematicTree, logs: Sequence[Trajectory]) -> Unseen | None:
+    """An offset of every joint in every place where the robot stays; None without two places.
+
+    On its way from place to place a joint's offset changes as smoothly as the joint moves.
+
+    Args:
+        tree: D joints.
+        logs: trajectories.
+    """
+    stays = [_stays(log) for log in logs]
+    everywhere = np.array(
+        [
+            log.q[log.kept[b:e]].mean(axis=0)
+            for log, s in zip(logs, stays, strict=True)
+            for b, e in s
+        ]
+    )
+    if len(everywhere) < 2:
+        return None
+    length = np.array([e - b for s in stays for b, e in s])
+    place = _places(everywhere, length, max(2, _MOST // max(1, tree.n_joints)))
+    P = int(place.max()) + 1
+    if P < 2:
+        return None
+    first, shares = 0, []
+    for log, s in zip(logs, stays, strict=True):
+        shares.append(_shares(log, s, place[first : first + len(s)], P))
+        first += len(s)
+    unit = np.where(tree.prismatic, LEVER, 1.0)
+    motions = tuple(np.concatenate([h * k for k in unit], axis=1) for h in shares)
+    return Unseen(np.repeat(np.arange(tree.n_joints), P), motions)
+
+
+def size_of(problem: MotionProblem, fitted: Fitted, more: Unseen) -> Size:
+    """The size that the readings give to more unseen motion, by their likelihood.
+
+    All else follows it to first order, as the normal equations at the fit say (restricted maximum
+    likelihood: Patterson and Thompson 1971).
+
+    Args:
+        problem: what was fitted.
+        fitted: the fit.
+        more: motions that it lacks.
+    """
+    wider = with_unseen(problem, more, _WIDE)
+    state = replace(
+        fitted.state, unseen=np.concatenate([fitted.state.unseen, np.zeros(len(more.joint))])
+    )
+    equations = wider.equations(state, fitted.predicted, fitted.weights)
+    system = eliminated(equations, wider.free_joint, wider.free_su)
+    at = slice(wider.layout.unseen.stop - len(more.joint), wider.layout.unseen.stop)
+    H, g = np.array(system.schur), system.gradient
+    H[range(at.start, at.stop), range(at.start, at.stop)] -= _WIDE**-2
+    others = wider.free_joint.copy()
+    others[at] = False
+    follow = joint_inverse(H, others) @ np.column_stack([H[:, at], g])
+    left = H[at, at] - H[at] @ follow[:, :-1]
+    pull = g[at] - H[at] @ follow[:, -1]
+    lam, V = np.linalg.eigh(0.5 * (left + left.T))
+    lam, pull = np.maximum(lam, 0.0), V.T @ pull
+    known = lam > 1e-9 * max(float(lam[-1]), 1e-300)
+    v = _SIZES[:, None] ** 2
+    lam, pull = lam[known], pull[known]
+    gain = 0.5 * (v * pull**2 / (1 + v * lam) - np.log1p(v * lam)).sum(axis=1)
+    best = int(np.argmax(gain))
+    return Size(float(_SIZES[best]), float(gain[best]))
+
+
+def with_unseen(problem: MotionProblem, more: Unseen, size: float) -> MotionProblem:
+    """A problem with more unseen motion, of a common size.
+
+    Args:
+        problem: what was fitted.
+        more: motions, which become the last.
+        size: standard deviation of their numbers.
+    """
+    motion = more if problem.unseen is None else together([problem.unseen, more])
+    spread = np.concatenate([problem.priors.unseen, np.full(len(more.joint), size)])
+    priors = replace(problem.priors, unseen=spread)
+    return MotionProblem(problem.tree, problem.logs, priors, problem.layout.n_knots, motion)
+
+
+def _stays(log: Trajectory) -> list[tuple[int, int]]:
+    """First and end of the kept samples of each stay: rests at one place, one after the other."""
+    rest = ~log.moving.any(axis=1)
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], rest, [False]]).astype(int)))
+    out: list[tuple[int, int]] = []
+    q = log.q[log.kept]
+    for begin, end in edges.reshape(-1, 2):
+        if log.time[end - 1] - log.time[begin] < _REST:
+            continue
+        here = q[begin:end].mean(axis=0)
+        if out and np.abs(here - q[out[-1][0] : out[-1][1]][-1]).max() < _SAME:
+            out[-1] = (out[-1][0], int(end))
+        else:
+            out.append((int(begin), int(end)))
+    return out
+
+
+def _places(q: F64, length: Int, most: int) -> Int:
+    """(S,) number of the place of each stay.
+
+    Args:
+        q: (S, D) where each stay is.
+        length: (S,) how long.
+        most: number of places; stays elsewhere count to the place that is nearest.
+    """
+    near = np.abs(q[:, None] - q[None]).max(axis=2)
+    place = np.full(len(q), -1)
+    heads: list[int] = []
+    for s in np.argsort(-length, kind="stable"):
+        if place[s] >= 0:
+            continue
+        if len(heads) == most:
+            place[s] = int(np.argmin(near[s, heads]))
+            continue
+        place[(near[s] < _SAME) & (place < 0)] = len(heads)
+        heads.append(int(s))
+    return place
+
+
+def _shares(log: Trajectory, stays: Sequence[tuple[int, int]], place: Int, n: int) -> F64:
+    """(N, P) how much each place's offset counts along a log; all shares add up to 1."""
+    grid = np.arange(len(log.q))
+    out = np.zeros((len(grid), n))
+    if not stays:
+        return out
+    ends = np.array([(log.kept[b], log.kept[e - 1]) for b, e in stays]).ravel()
+    at = np.interp(grid, ends, np.repeat(np.arange(len(stays)), 2))
+    low = np.floor(at).astype(int)
+    high = np.minimum(low + 1, len(stays) - 1)
+    s = at - low
+    s = s * s * s * (s * (6 * s - 15) + 10)  # smooth in acceleration
+    np.add.at(out, (grid, place[low]), 1 - s)
+    np.add.at(out, (grid, place[high]), s)
+    return out

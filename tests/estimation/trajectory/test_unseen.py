@@ -1,0 +1,139 @@
+"""What encoders do not see is found from the readings, and sound recordings get none of it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from synthetic import random_state, serial_tree
+
+from skin2urdf.arrays import F64
+from skin2urdf.estimation.problem.cost import Priors
+from skin2urdf.estimation.problem.state import State
+from skin2urdf.estimation.trajectory.estimate import MotionEstimate, estimate_along, motion_priors
+from skin2urdf.estimation.trajectory.gears import find_ripples, harmonics, ripples
+from skin2urdf.estimation.trajectory.problem import MotionProblem
+from skin2urdf.estimation.trajectory.slack import size_of, slack
+from skin2urdf.model.specific_force import specific_forces
+from skin2urdf.signals.filters import filtered, first_derivative, low_pass, second_derivative
+from skin2urdf.signals.trajectory import Trajectory
+
+_RATE, _CUTOFF = 125.0, 6.0
+_TREE = serial_tree(2)
+_UP = np.array([0.0, 0.0, 1.0])
+_STAY, _MOVE, _PLACES = 130, 170, 10
+
+
+@cache
+def _truth() -> State:
+    state = random_state(np.random.default_rng(3), _TREE, 1, 0.3)
+    return replace(state, up=_UP[None])
+
+
+def _steps(at: F64) -> F64:
+    """(N, 2) stays in places (P, 2), and smooth moves between them."""
+    s = np.linspace(0, 1, _MOVE)[:, None]
+    s = s**4 * (35 - 84 * s + 70 * s**2 - 20 * s**3)
+    parts = [np.tile(at[0], (_STAY, 1))]
+    for a, b in pairwise(at):
+        parts += [a + s * (b - a), np.tile(b, (_STAY, 1))]
+    return np.concatenate(parts)
+
+
+def _moved(unseen: str) -> tuple[F64, F64]:
+    """(N, 2) what encoders say, and by how much links are beyond it."""
+    rng = np.random.default_rng(1)
+    theta = _steps(rng.uniform(-1.5, 1.5, (_PLACES, 2)))
+    beyond = {
+        "nothing": 0 * theta,
+        "harmonics": 1.5e-3 * np.sin(theta + 0.3) + 8e-4 * np.sin(2 * theta + 2.0),
+        "ripples": 2e-4 * np.sin(100 * theta + 0.3),
+        "slack": _steps(3e-4 * rng.standard_normal((_PLACES, 2))),
+    }
+    return theta, beyond[unseen]
+
+
+@cache
+def _log(unseen: str) -> Trajectory:
+    """Half a minute between ten places, with links off their encoders in some way."""
+    rng = np.random.default_rng(2)
+    theta, beyond = _moved(unseen)
+    q = theta + beyond
+    qd = first_derivative(q, _RATE)
+    qdd = second_derivative(q, _RATE)
+    truth = _truth()
+    ideal = specific_forces(truth.model(_TREE), q, qd, qdd, 9.81 * _UP)
+    read = np.einsum("uij,kuj->kui", truth.sensor_matrix(), ideal) + truth.bias
+    read = read + 7e-3 * rng.standard_normal(read.shape)
+    taps = low_pass(_CUTOFF, _RATE)
+    smooth = filtered(theta, taps)
+    kept = np.arange(len(taps), len(theta) - len(taps), 6)
+    velocity = first_derivative(smooth, _RATE)
+    return Trajectory(
+        log=0,
+        rate=_RATE,
+        taps=taps,
+        q=smooth,
+        qd=velocity,
+        qdd=second_derivative(smooth, _RATE),
+        readings=filtered(filtered(read, taps), taps),
+        kept=kept,
+        valid=np.ones((len(kept), 2), dtype=bool),
+        moving=np.abs(velocity[kept]) > 1e-3,
+        independence=0.5,
+    )
+
+
+@cache
+def _fit(unseen: str) -> MotionEstimate:
+    priors = motion_priors(Priors(), gravity=0.0, front=(np.zeros(2), np.zeros(2)))
+    return estimate_along([_log(unseen)], _TREE, _truth(), priors, np.zeros(2))
+
+
+def test_a_sound_recording_gets_nothing() -> None:
+    sound = _fit("nothing")
+    assert sound.causes == ()
+    assert sound.slack == 0.0
+    assert not sound.deflections.any()
+    places = slack(_TREE, sound.problem.logs)
+    assert places is not None
+    assert size_of(sound.problem, sound.fitted, places).gain < 3.0
+    assert find_ripples(sound.problem, sound.fitted) == []
+
+
+@pytest.mark.parametrize("unseen", ["harmonics", "ripples"])
+def test_uneven_gears_are_found_and_followed(unseen: str) -> None:
+    uneven, log = _fit(unseen), _log(unseen)
+    assert unseen in uneven.causes
+    theta, beyond = (filtered(x, log.taps)[log.kept, 0] for x in _moved(unseen))
+    off = uneven.problem.deflections(uneven.fitted.state)[0][:, 0] - beyond
+    # Its zero is a free choice of the first joint, and its gain hardly differs from lengths.
+    A = np.column_stack([np.ones(len(theta)), theta])
+    off -= A @ np.linalg.lstsq(A, off, rcond=None)[0]
+    assert off.std() < 0.25 * beyond.std()
+    assert uneven.misfit < 1.5
+
+
+def test_ripples_are_found_by_their_number_per_turn() -> None:
+    wavy, sound = _log("ripples"), _fit("nothing")
+    problem = MotionProblem(_TREE, [wavy], sound.problem.priors)
+    predicted = (problem.predict(sound.fitted.state, 0),)
+    assert (0, 100) in find_ripples(problem, replace(sound.fitted, predicted=predicted))
+    more = ripples([wavy], [(1, 100)])
+    assert more is not None
+    assert more.joint.tolist() == [1, 1]
+    sliding = replace(_TREE, joint_types=("prismatic", "prismatic"))
+    assert harmonics(sliding, [wavy]) is None
+
+
+def test_slack_of_places_is_of_the_size_that_it_has() -> None:
+    loose = _fit("slack")
+    assert loose.causes == ("slack",)
+    assert loose.slack == pytest.approx(3e-4, rel=0.8)
+    # They are known like gravity's size: all SUs share them.
+    shared = loose.information.shared
+    assert len(shared) > len(_fit("nothing").information.shared)
+    assert np.isfinite(shared).all()

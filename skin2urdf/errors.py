@@ -3,6 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Literal
+
+Lack = Literal[
+    "logs", "joints", "SUs", "positions", "samples", "overlap", "rests", "radians", "poses",
+    "patterns", "starts", "measurements", "observable SUs", "",
+]  # fmt: skip
+"""What logs may not hold of all that a calibration needs."""
 
 
 class Skin2UrdfError(Exception):
@@ -42,7 +49,19 @@ class UnreadableInputError(Skin2UrdfError):
 
 
 class InsufficientDataError(Skin2UrdfError):
-    """A readable log that does not hold what a calibration needs (poses, motion, sensors)."""
+    """A readable log that does not hold what a calibration needs (poses, motion, sensors).
+
+    Attributes:
+        lacks: what is missing; empty where it has no short name.
+        names: the SUs or joints it is missing of, where it is not missing of all.
+    """
+
+    def __init__(
+        self, what: str, remedy: str = "", lacks: Lack = "", names: Sequence[str] = ()
+    ) -> None:
+        super().__init__(what, remedy)
+        self.lacks = lacks
+        self.names = tuple(names)
 
 
 class StructureError(Skin2UrdfError):

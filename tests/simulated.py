@@ -17,6 +17,7 @@ import pinocchio as pin
 
 from skin2urdf.arrays import F64
 from skin2urdf.calibration.result import Calibration
+from skin2urdf.calibration.settings import CalibrationSettings
 from skin2urdf.recording.records import JointStream, Recording, SuStream
 from skin2urdf.signals.features import extract_features
 from skin2urdf.signals.records import Features
@@ -28,6 +29,10 @@ from skin2urdf.structure.tree import kinematic_tree
 from skin2urdf.urdf.compare import compare
 from skin2urdf.urdf.emit import emit
 from skin2urdf.urdf.records import Comparison
+
+PATTERNS = CalibrationSettings(motion="patterns")
+"""Settings of tests that look at features, structure or the search for faults, which the fit of all
+samples after them does not change."""
 
 
 @cache

@@ -224,7 +224,7 @@ def recordings_of(
 
         out.append(log if isinstance(log, Recording) else read(log, progress=part))
     if not out:
-        raise InsufficientDataError("no log was given", "name at least one log")
+        raise InsufficientDataError("no log was given", "name at least one log", lacks="logs")
     return out
 
 

@@ -225,6 +225,8 @@ def _training(
             f"{tree.su_names[su]}: gravity and the accelerations by its last "
             f"{data.acceleration.shape[1]} DoFs were measured together in {data.n_poses} poses",
             f"record the pattern on every DoF in {_FEWEST_POSES} poses or more",
+            lacks="poses",
+            names=[tree.su_names[su]],
         )
     return data
 

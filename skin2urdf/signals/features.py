@@ -73,6 +73,7 @@ def extract_features(
         raise InsufficientDataError(
             "no pose with readings around it was found",
             "record rests of about a second, with small motions of the joints between them",
+            lacks="poses",
         )
     notes = tuple(n for s in sampled for n in s.notes)
     return Features(

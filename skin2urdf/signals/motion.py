@@ -97,6 +97,7 @@ def joint_motion(recording: Recording, dof_names: Sequence[str] | None = None) -
         raise InsufficientDataError(
             f"{recording.source}: no joint has more than a few position samples",
             "record the joint states at 50 Hz or more while the robot moves",
+            lacks="samples",
         )
     start = max(j.time[0] for j in streams.values())
     end = min(j.time[-1] for j in streams.values())
@@ -104,6 +105,7 @@ def joint_motion(recording: Recording, dof_names: Sequence[str] | None = None) -
         raise InsufficientDataError(
             f"{recording.source}: the joint streams overlap for {max(0.0, end - start):.1f} s only",
             "record all joints over the whole experiment",
+            lacks="overlap",
         )
     grid = Grid(float(start), GRID_RATE, int((end - start) * GRID_RATE) + 1)
     q = np.zeros((grid.size, len(names)))

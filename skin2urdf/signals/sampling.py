@@ -83,6 +83,7 @@ def sample_recording(
             f"{recording.source}: the robot never rests: no quarter of a second in which all "
             "joints keep still",
             "let the robot rest for about a second in every pose, before and after each pattern",
+            lacks="rests",
         )
     neighbourhoods = find_neighbourhoods(motion, rests)
     grid = motion.grid
@@ -158,6 +159,7 @@ def _check_unit(motion: Motion, source: str) -> None:
             f"{source}: joint positions span {np.median(moved[moving]):.0f} and move at up to "
             f"{np.median(fast[moving]):.0f} per second: they look like degrees",
             "record the joint states in rad (REP 103)",
+            lacks="radians",
         )
 
 
@@ -220,6 +222,7 @@ def sampled_together(
         raise InsufficientDataError(
             f"{', '.join(r.source or 'the recording' for r in recordings)}: no {what}",
             "record the joint states and the SUs' topics together in one log",
+            lacks="SUs" if dofs else "joints",
         )
     return [sample_recording(r, dofs, sus) for r in recordings], sus
 

@@ -56,10 +56,13 @@ def usable(features: Features, tree: KinematicTree) -> Bool:
 def _check_left(heard: Bool, use: Bool, tree: KinematicTree) -> None:
     gone = heard.any(axis=0) & ~(heard & use).any(axis=0)
     if gone.any():
-        names = ", ".join(tree.su_names[u] for u in np.flatnonzero(gone))
+        names = [tree.su_names[u] for u in np.flatnonzero(gone)]
         raise InsufficientDataError(
-            f"{names}: recorded only in logs that lack positions of joints that matter to them",
+            f"{', '.join(names)}: recorded only in logs that lack positions of joints that matter "
+            "to them",
             "publish and record the states of all joints in every log, of those at rest too",
+            lacks="positions",
+            names=names,
         )
 
 

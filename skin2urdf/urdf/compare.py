@@ -148,6 +148,7 @@ def compare(
         raise InsufficientDataError(
             "nothing to compare: no SU of the estimate that a joint moves is observable",
             "record a log in which the joints move",
+            lacks="observable SUs",
         )
     groups = limbs if align == "limbs" else ["all"] * len(names)
     directions = held_by(est, open_directions or ())

@@ -11,7 +11,7 @@ from tempfile import mkdtemp
 import numpy as np
 import pytest
 from random_robots import chain, robot_of
-from simulated import changed_sus, features_of, held_against, tree_of
+from simulated import PATTERNS, changed_sus, features_of, held_against, tree_of
 
 from skin2urdf.calibration.pipeline import calibrate
 from skin2urdf.calibration.result import Calibration
@@ -99,7 +99,8 @@ def test_each_log_may_hold_other_sus(tmp_path: Path) -> None:
 def test_what_no_log_holds_together_is_said() -> None:
     """j0 moves in the first log alone, the branch's SUs are in the second alone."""
     first = with_sus_on(log().recording, {"j0", "j1", "j2", "j3"})
-    found = calibrate([first, with_sus_on(log(("j0",), 6).recording, {"j2", "j3", "k0", "k1"})])
+    second = with_sus_on(log(("j0",), 6).recording, {"j2", "j3", "k0", "k1"})
+    found = calibrate([first, second], PATTERNS)
     assert found.estimate.cost_per_dof < 2.0
     (note,) = (note for note in found.notes if "were not recorded while j0 moved" in note)
     for su in log().truth.sus:
@@ -111,8 +112,8 @@ def test_an_su_that_no_log_can_place_is_an_error_in_words() -> None:
     features = features_of(with_sus_on(log().recording, {"j0", "j1", "j2"}))
     tree = tree_of(features)
     unknown = np.where([name == "j2" for name in features.dof_names], np.inf, 0.0)
-    with pytest.raises(InsufficientDataError, match="recorded only in logs that lack") as caught:
+    with pytest.raises(InsufficientDataError) as caught:
         usable(replace(features, encoders=EncoderNoise(position_sd=unknown)), tree)
     (name,) = (su.name for su in log().truth.sus if su.link == "link_j2")
-    assert str(caught.value).startswith(f"{name}: ")
-    assert "all joints" in caught.value.remedy
+    assert (caught.value.lacks, caught.value.names) == ("positions", (name,))
+    assert caught.value.remedy

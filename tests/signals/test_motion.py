@@ -148,8 +148,9 @@ def test_a_gap_in_one_joint_invalidates_all() -> None:
 @pytest.mark.parametrize("n", [0, 5])
 def test_no_samples_are_an_error_in_words(n: int) -> None:
     short = JointStream("a", np.arange(n) / 100.0, np.zeros(n))
-    with pytest.raises(InsufficientDataError, match="position samples") as caught:
+    with pytest.raises(InsufficientDataError) as caught:
         joint_motion(Recording((short,), (), source="x.mcap"))
+    assert caught.value.lacks == "samples"
     assert "x.mcap" in str(caught.value)
     assert caught.value.remedy
 
@@ -157,6 +158,7 @@ def test_no_samples_are_an_error_in_words(n: int) -> None:
 def test_streams_that_do_not_overlap_are_an_error_in_words() -> None:
     a, b = np.arange(1000) / 100.0, 9.0 + np.arange(1000) / 100.0
     streams = (JointStream("a", a, np.sin(a)), JointStream("b", b, np.sin(b)))
-    with pytest.raises(InsufficientDataError, match=r"overlap for 1\.0 s") as caught:
+    with pytest.raises(InsufficientDataError) as caught:
         joint_motion(Recording(streams, ()))
+    assert caught.value.lacks == "overlap"
     assert caught.value.remedy

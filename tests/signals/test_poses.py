@@ -150,10 +150,11 @@ def test_a_robot_that_never_rests_is_an_error_in_words() -> None:
     su = SuStream("su", time, np.tile([0.0, 0.0, 9.81], (time.size, 1)))
     drift = np.outer(0.3 * np.sin(2 * np.pi * 0.7 * time), [1.0, 1.0])
     recording = path.recording(sus=[su], disturbance=drift)
-    with pytest.raises(InsufficientDataError, match="never rests") as caught:
+    with pytest.raises(InsufficientDataError) as caught:
         sample_recording(recording, ("a", "b"), ("su",))
-    assert "rest" in caught.value.remedy
-    assert "a path made by hand" in str(caught.value)
+    assert caught.value.lacks == "rests"
+    assert caught.value.remedy
+    assert recording.source in str(caught.value)
 
 
 def test_a_joint_that_moves_in_its_patterns_alone_spoils_no_pose() -> None:

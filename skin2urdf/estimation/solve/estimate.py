@@ -176,6 +176,7 @@ def _check_amount(cost: Cost, free: Free) -> None:
             f"{cost.n_data} independent measurements for {unknown} unknowns of {tree.n_joints} "
             f"joints and {tree.n_sus} SUs",
             remedy,
+            lacks="measurements",
         )
     L = blocks.chains.joint.shape[1]
     felt = np.isfinite(blocks.variance[:, :, 1 + L :]).any(axis=0) & blocks.chains.present
@@ -188,6 +189,8 @@ def _check_amount(cost: Cost, free: Free) -> None:
             "joints move at once that their motions depend on each other",
             f"{remedy}; joints that move at once need frequencies of their own and time enough "
             "to tell these apart, half a second for each joint between 1 and 4 Hz",
+            lacks="patterns",
+            names=quiet,
         )
 
 
@@ -199,6 +202,7 @@ def _check_gravity(cost: Cost) -> None:
             f"{cost.n_data} independent measurements for {unknown} directions of "
             f"{cost.tree.n_joints} joints and {cost.tree.n_sus} SUs",
             "record more rests in other poses",
+            lacks="measurements",
         )
 
 

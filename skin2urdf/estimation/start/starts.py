@@ -89,6 +89,7 @@ def followed_starts(
             "no start for the estimation: the gravity slopes of the DoFs were not measured, and a "
             "segment carries no SU",
             "record patterns that move every DoF by 0.05 rad or more around each pose",
+            lacks="starts",
         )
     best = min(followed, key=lambda f: f.chi2)
     if _explains(cost, [best]):

@@ -3,23 +3,66 @@
 from __future__ import annotations
 
 import argparse
+import re
+import textwrap
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from difflib import get_close_matches
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 from skin2urdf.errors import UsageError
 
 
+class Filled(argparse.RawDescriptionHelpFormatter):
+    """Help whose prose fills the width; what is indented, and lines that end in a colon, stay."""
+
+    def _fill_text(self, text: str, width: int, indent: str) -> str:
+        found: list[str] = []
+        prose: list[str] = []
+        for line in [*text.splitlines(), ""]:
+            stays = not line or line.startswith(" ") or line.endswith(":")
+            if stays and prose:
+                found += textwrap.wrap(" ".join(prose), width, break_on_hyphens=False)
+                prose = []
+            if stays:
+                found.append(line)
+            else:
+                prose.append(line)
+        return "\n".join(indent + line for line in found).rstrip()
+
+
 class Parser(argparse.ArgumentParser):
-    """A parser whose epilog may be worked out when help is asked for."""
+    """A parser whose epilog may be worked out when help is asked for, and that guesses typos.
+
+    Attributes:
+        late_epilog: makes the epilog.
+        options: options that a command line may hold, for guesses.
+    """
 
     late_epilog: Callable[[], str] | None = None
+    options: Collection[str] = ()
+
+    def error(self, message: str) -> NoReturn:
+        """Say what is wrong and what may have been meant, and exit with 2."""
+        found = re.search(r"invalid choice: '([^']*)' \(choose from (.*)\)", message)
+        if found:
+            message += did_you_mean(found[1], re.findall(r"[\w.-]+", found[2]))
+        found = re.match(r"unrecognized arguments: (\S+)", message)
+        if found:
+            message += did_you_mean(found[1].partition("=")[0], self.options)
+        super().error(message)
 
     def format_help(self) -> str:
         """The help, with the late epilog where there is one."""
         if self.late_epilog is not None:
             self.epilog = self.late_epilog()
         return super().format_help()
+
+
+def did_you_mean(word: str, known: Iterable[str]) -> str:
+    """Words behind an error that name what is spelt most alike; empty where nothing is."""
+    near = get_close_matches(word, list(known), n=1)
+    return f"; did you mean {near[0]}?" if near else ""
 
 
 def offer_json(command: Parser) -> None:

@@ -8,7 +8,7 @@ import warnings
 from collections.abc import Sequence
 
 from skin2urdf.cli.parser import COMMANDS, make_parser
-from skin2urdf.cli.terminal import open_streams, silence_stdout
+from skin2urdf.cli.terminal import complain, open_streams, silence_stdout
 from skin2urdf.errors import Skin2UrdfError, UsageError
 from skin2urdf.recording.naming import printable
 
@@ -41,7 +41,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except Skin2UrdfError as error:
         if options.debug:
             raise
-        print(f"error: {printable(str(error))}", file=sys.stderr)
+        complain(f"error: {printable(str(error))}")
         if error.remedy:
             print(f"  -> {printable(error.remedy)}", file=sys.stderr)
         return error.exit_status
@@ -50,7 +50,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             raise
         silence_stdout()
         where = f"{error.filename}: " if error.filename else "the output can not be written: "
-        print(f"error: {where}{error.strerror or error}", file=sys.stderr)
+        complain(f"error: {where}{error.strerror or error}")
         print("  -> check the paths, and that there is space where they lead", file=sys.stderr)
         return UsageError.exit_status
     except KeyboardInterrupt:
@@ -59,7 +59,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except Exception as error:
         if options.debug:
             raise
-        print(f"internal error: {type(error).__name__}: {error}", file=sys.stderr)
+        complain(f"internal error: {type(error).__name__}: {error}")
         print("  -> this is a defect; add --debug to see where, and report it", file=sys.stderr)
         return 1
     return status

@@ -6,16 +6,18 @@ import argparse
 from importlib import metadata
 from typing import Protocol
 
-from skin2urdf.cli.arguments import Parser
+from skin2urdf.cli.arguments import Filled, Parser
 from skin2urdf.cli.commands import (
     calibrate,
     check,
     compare,
+    completion,
     convert,
     explore,
     export,
     guide,
     info,
+    man,
     report,
     simulate,
     view,
@@ -52,6 +54,8 @@ COMMANDS: dict[str, Command] = {
     "simulate": simulate,
     "convert": convert,
     "guide": guide,
+    "completion": completion,
+    "man": man,
 }
 """The commands by name, in the order that help shows them."""
 
@@ -70,16 +74,16 @@ unreadable input, 3 the URDF was written, but an SU or an encoder needs repair (
 or an SU is not where it was (check)"""
 
 
-def make_parser() -> argparse.ArgumentParser:
+def make_parser() -> Parser:
     """The parser of the whole command line; ``command`` names the command."""
     top = Parser(
         prog="skin2urdf",
         description=_DESCRIPTION,
         epilog=_EPILOG,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
+        formatter_class=Filled,
         allow_abbrev=False,
     )
-    top.add_argument("--version", action="version", version=f"skin2urdf {_version()}")
+    top.add_argument("--version", action="version", version=f"skin2urdf {version()}")
     commands = top.add_subparsers(dest="command", metavar="COMMAND", required=True)
     for name, module in COMMANDS.items():
         command = commands.add_parser(
@@ -87,16 +91,20 @@ def make_parser() -> argparse.ArgumentParser:
             help=module.HELP,
             description=f"{module.HELP[0].upper()}{module.HELP[1:]}.",
             epilog=module.EPILOG,
-            formatter_class=argparse.RawDescriptionHelpFormatter,
+            formatter_class=Filled,
             allow_abbrev=False,
         )
         command.add_argument("--quiet", action="store_true", help="print errors only")
         command.add_argument("--debug", action="store_true", help="show where an error comes from")
         module.declare(command)
+        options = [option for action in command._actions for option in action.option_strings]
+        command.options = options
+        top.options = {*top.options, *options}
     return top
 
 
-def _version() -> str:
+def version() -> str:
+    """This package's version."""
     try:
         return metadata.version("skin2urdf")
     except metadata.PackageNotFoundError:

@@ -1,12 +1,14 @@
-"""What the command line does besides arguments and results: progress, and pipes that close."""
+"""What the command line does for whoever watches: progress, colour, lines that fit, pipes."""
 
 from __future__ import annotations
 
 import contextlib
 import os
+import shutil
 import sys
+import textwrap
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -66,13 +68,22 @@ class Bar:
 
 def _started() -> Progress:
     from rich.console import Console
-    from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+    from rich.progress import (
+        BarColumn,
+        Progress,
+        SpinnerColumn,
+        TextColumn,
+        TimeElapsedColumn,
+        TimeRemainingColumn,
+    )
 
     progress = Progress(
         SpinnerColumn(),
-        TextColumn("{task.description}"),
-        BarColumn(),
+        TextColumn("{task.description}", markup=False),
+        BarColumn(bar_width=None),
         TimeElapsedColumn(),
+        TextColumn("left"),
+        TimeRemainingColumn(),
         console=Console(stderr=True),
         transient=True,
     )
@@ -93,6 +104,67 @@ def progress_bar(quiet: bool, patience: float = PATIENCE) -> Iterator[Bar]:
         yield bar
     finally:
         bar.close()
+
+
+def show(text: Callable[[], str]) -> None:
+    """Print a result: as it is to a file or a pipe, in lines that fit and with colour to a screen.
+
+    Colour is left out where NO_COLOR is set.
+
+    Args:
+        text: makes the text; its tables then know how wide they may be.
+    """
+    if not sys.stdout.isatty():
+        print(text(), end="")
+        return
+    from rich.console import Console
+    from rich.text import Text
+
+    from skin2urdf.report.tables import fitting
+
+    width = max(_NARROWEST, shutil.get_terminal_size().columns)
+    with fitting(width):
+        lines = text().splitlines()
+    shown = Text("\n".join(part for line in lines for part in _folded(line, width)))
+    for pattern, style in _STYLES:
+        shown.highlight_regex(pattern, style)
+    Console(highlight=False, soft_wrap=True).print(shown)
+
+
+def complain(text: str) -> None:
+    """Print what is wrong to the error stream, the first word in red on a screen."""
+    if not sys.stderr.isatty():
+        print(text, file=sys.stderr)
+        return
+    from rich.console import Console
+    from rich.text import Text
+
+    shown = Text(text)
+    shown.highlight_regex(r"^[a-z ]*error:", "bold red")
+    Console(stderr=True, highlight=False, soft_wrap=True).print(shown)
+
+
+_NARROWEST = 40
+"""Columns that results take at least."""
+_STYLES = (
+    (r"\Agood:|^Tree: right", "bold green"),
+    (r"\Afair:", "bold yellow"),
+    (r"\Abad:|^Tree: WRONG", "bold red"),
+    (r"(?m)^(Faults|Missing):", "bold red"),
+    (r"(?m)^Not observable from this log:", "bold yellow"),
+    (r"\bnot observable\b|\bweak\b|\bplace open\b|\bnever move[sd]\b|\bmoves no SU\b", "yellow"),
+)
+"""What needs attention, and how that shows."""
+
+
+def _folded(line: str, width: int) -> list[str]:
+    """A line of prose in lines that fit; what follows a bullet stays behind it."""
+    if len(line) <= width:
+        return [line]
+    start = len(line) - len(line.lstrip(" -"))
+    return textwrap.wrap(
+        line, width, subsequent_indent=" " * start, break_on_hyphens=False, break_long_words=False
+    )
 
 
 def open_streams() -> None:

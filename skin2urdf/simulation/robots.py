@@ -25,6 +25,7 @@ from __future__ import annotations
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
+from difflib import get_close_matches
 from importlib.metadata import PackageNotFoundError, distribution
 from math import radians
 from pathlib import Path
@@ -120,9 +121,11 @@ def load_robot(name_or_path: str | Path) -> RobotSpec:
     if path.suffix.lower() == ".toml":
         return _from_toml(_existing(path))
     if text not in robot_names():
+        near = get_close_matches(text, robot_names(), n=1)
+        guess = f"did you mean {near[0]}? Else " if near else ""
         raise UsageError(
             f'no robot is named "{text}"',
-            f"use the path of a .urdf file, or one of: {', '.join(robot_names())}",
+            f"{guess}use the path of a .urdf file, or one of: {', '.join(robot_names())}",
         )
     return _from_toml(_robots_folder() / f"{text}.toml")
 

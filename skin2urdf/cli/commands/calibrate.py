@@ -19,7 +19,7 @@ from skin2urdf.cli.arguments import (
     refuse_to_overwrite,
     wrote,
 )
-from skin2urdf.cli.terminal import progress_bar
+from skin2urdf.cli.terminal import progress_bar, show
 from skin2urdf.errors import BadFitError, UsageError
 from skin2urdf.geometry.units import GRAVITY, MILLI_G
 
@@ -160,26 +160,28 @@ def run(options: argparse.Namespace) -> int:
     refuse_to_overwrite(
         [*options.logs, options.limits], *targets, *([options.report] if options.report else [])
     )
-    settings = calibration_settings(options)
-    from skin2urdf.output import not_to_be_saved, output_paths, save
-    from skin2urdf.urdf.limits import CHOICES, read_limits
-
-    outputs = [*output_paths(options.output), *([options.report] if options.report else [])]
-    replaced = present(outputs)
-    if options.limits not in CHOICES:
-        read_limits(options.limits)
-    if options.report:
-        from skin2urdf.page.html import check_libraries
-        from skin2urdf.page.writing import check_page
-
-        refuse_to_overwrite(targets, options.report)
-        check_libraries()
-        check_page(options.report)
-    from skin2urdf.calibration.pipeline import calibrate
-    from skin2urdf.report.document import as_document
-    from skin2urdf.report.summary import as_text
-
     with progress_bar(options.quiet) as bar:
+        bar("starting", 0.0)
+        settings = calibration_settings(options)
+        from skin2urdf.output import not_to_be_saved, output_paths, save
+        from skin2urdf.urdf.limits import CHOICES, read_limits
+
+        outputs = [*output_paths(options.output), *([options.report] if options.report else [])]
+        replaced = present(outputs)
+        if options.limits not in CHOICES:
+            read_limits(options.limits)
+        if options.report:
+            from skin2urdf.page.html import check_libraries
+            from skin2urdf.page.writing import check_page
+
+            refuse_to_overwrite(targets, options.report)
+            check_libraries()
+            check_page(options.report)
+        from skin2urdf.calibration.pipeline import calibrate
+        from skin2urdf.report.document import as_document
+        from skin2urdf.report.summary import as_text
+
+        bar("starting", 1.0)
         calibration = calibrate(options.logs, settings, progress=bar)
         written: tuple[Path, ...] = ()
         if calibration.quality != "bad" or options.force:
@@ -194,11 +196,12 @@ def run(options: argparse.Namespace) -> int:
                 even_bad=options.force,
             )
             if options.report:
+                bar("drawing", 0.0)
                 written = (*written, _report(calibration, written[0], options.report))
     if options.json:
         print_json(as_document(calibration))
     elif not options.quiet:
-        print(as_text(calibration))
+        show(lambda: as_text(calibration) + "\n")
         if written:
             print(wrote(written, replaced, time.perf_counter() - begin))
     # Only the paper's method gets here with a bad fit: it was asked for, but is not to be trusted.

@@ -6,6 +6,7 @@ import argparse
 import sys
 
 from skin2urdf.cli.arguments import Parser, add_number, check_at_least, offer_json, print_json
+from skin2urdf.cli.terminal import show
 
 HELP = "compare an estimated URDF with the true one"
 EPILOG = """\
@@ -54,7 +55,7 @@ def run(options: argparse.Namespace) -> int:
     if options.json:
         print_json(comparison.to_dict())
     elif not options.quiet:
-        print(as_text(comparison), end="")
+        show(lambda: as_text(comparison))
         if comparison.document is None:
             print(
                 f"note: no JSON of this very file beside {options.estimate}: what the log could "

@@ -13,7 +13,7 @@ from skin2urdf.cli.arguments import (
     print_json,
     wrote,
 )
-from skin2urdf.cli.terminal import progress_bar
+from skin2urdf.cli.terminal import progress_bar, show
 from skin2urdf.files import check_target
 from skin2urdf.geometry.units import GRAVITY
 
@@ -45,19 +45,23 @@ def run(options: argparse.Namespace) -> int:
     check_at_least(options, "threshold", 1e-3)
     plots = [check_target(options.plot)] if options.plot else []
     replaced = present(plots)
-    from skin2urdf.report.exploration import as_document, as_text
-    from skin2urdf.survey import explore
-
     with progress_bar(options.quiet) as bar:
+        bar("starting", 0.0)
+        from skin2urdf.report.exploration import as_document, as_text
+        from skin2urdf.survey import explore
+
+        bar("starting", 1.0)
         explored = explore(options.logs, options.threshold * GRAVITY, progress=bar)
     if options.json:
         print_json(as_document(explored))
     elif not options.quiet:
-        print(as_text(explored), end="")
+        show(lambda: as_text(explored))
     if plots:
         from skin2urdf.report.figures import draw_exploration
 
-        draw_exploration(explored.exploration, options.plot)
+        with progress_bar(options.quiet) as bar:
+            bar("drawing", 0.0)
+            draw_exploration(explored.exploration, options.plot)
         if not options.quiet and not options.json:
             print(wrote(plots, replaced))
     if explored.contradiction is not None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 
 from skin2urdf.cli.arguments import Parser, offer_json, print_json
-from skin2urdf.cli.terminal import progress_bar
+from skin2urdf.cli.terminal import progress_bar, show
 
 HELP = "show what a log holds and what it lacks"
 EPILOG = """\
@@ -25,13 +25,15 @@ def declare(command: Parser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Do it; the exit status."""
-    from skin2urdf.report.inventory import as_document, as_text
-    from skin2urdf.survey import survey
-
     with progress_bar(options.quiet) as bar:
+        bar("starting", 0.0)
+        from skin2urdf.report.inventory import as_document, as_text
+        from skin2urdf.survey import survey
+
+        bar("starting", 1.0)
         surveyed = survey(options.log, progress=bar)
     if options.json:
         print_json(as_document(surveyed))
     elif not options.quiet:
-        print(as_text(surveyed), end="")
+        show(lambda: as_text(surveyed))
     return 1 if surveyed.obstacles else 0

@@ -1,0 +1,54 @@
+"""``skin2urdf completion``: what completes its words in a shell."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+
+from skin2urdf.cli.arguments import Parser
+
+HELP = "print what lets a shell complete commands, options and files"
+EPILOG = """\
+to install it:
+  bash  skin2urdf completion bash > ~/.local/share/bash-completion/completions/skin2urdf
+  zsh   skin2urdf completion zsh > ~/.zfunc/_skin2urdf
+        with `fpath+=~/.zfunc; autoload -Uz compinit; compinit` in ~/.zshrc
+  fish  skin2urdf completion fish > ~/.config/fish/completions/skin2urdf.fish
+
+Make the folder first where there is none (mkdir -p). It takes effect in the next shell."""
+
+_FILES = frozenset({"LOG", "URDF", "OTHER", "HTML", "FILE", "ESTIMATE", "TRUTH", "OUT", "MODEL"})
+"""What stands for a file in help."""
+
+
+def declare(command: Parser) -> None:
+    """Add what the command takes."""
+    command.add_argument("shell", choices=("bash", "zsh", "fish"), help="for which shell")
+
+
+def run(options: argparse.Namespace) -> int:
+    """Do it; the exit status."""
+    import shtab
+
+    from skin2urdf.cli.parser import make_parser
+    from skin2urdf.simulation import robot_names
+
+    parser = make_parser()
+    for command in commands_of(parser).values():
+        for action in command._actions:
+            if action.metavar == "ROBOT":
+                action.choices = robot_names()
+            elif action.metavar in _FILES:
+                action.complete = shtab.FILE  # type: ignore[attr-defined]
+    sys.stdout.write(shtab.complete(parser, shell=options.shell) + "\n")
+    return 0
+
+
+def commands_of(parser: argparse.ArgumentParser) -> dict[str, argparse.ArgumentParser]:
+    """The parsers of all commands, by name."""
+    return {
+        name: command
+        for action in parser._actions
+        if isinstance(action, argparse._SubParsersAction)
+        for name, command in action.choices.items()
+    }

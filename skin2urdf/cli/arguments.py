@@ -7,6 +7,7 @@ import re
 import textwrap
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from difflib import get_close_matches
+from importlib import metadata
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -145,3 +146,13 @@ def print_json(document: Mapping[str, Any]) -> None:
     from skin2urdf.report.document import dumps
 
     print(dumps(document), end="")
+
+
+def version() -> str:
+    """This package's version."""
+    try:
+        return metadata.version("skin2urdf")
+    except metadata.PackageNotFoundError:
+        from skin2urdf import __version__
+
+        return __version__

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import argparse
-from importlib import metadata
 from typing import Protocol
 
-from skin2urdf.cli.arguments import Filled, Parser
+from skin2urdf.cli.arguments import Filled, Parser, version
 from skin2urdf.cli.commands import (
     calibrate,
     check,
@@ -40,11 +39,6 @@ class Command(Protocol):
 COMMANDS: dict[str, Command] = {
     "calibrate": calibrate,
     "check": check,
-    "simulate": simulate,
-    "compare": compare,
-    "explore": explore,
-    "info": info,
-    "convert": convert,
     "report": report,
     "view": view,
     "export": export,
@@ -84,6 +78,7 @@ def make_parser() -> Parser:
         allow_abbrev=False,
     )
     top.add_argument("--version", action="version", version=f"skin2urdf {version()}")
+    top.set_defaults(parser=top)
     commands = top.add_subparsers(dest="command", metavar="COMMAND", required=True)
     for name, module in COMMANDS.items():
         command = commands.add_parser(
@@ -101,13 +96,3 @@ def make_parser() -> Parser:
         command.options = options
         top.options = {*top.options, *options}
     return top
-
-
-def version() -> str:
-    """This package's version."""
-    try:
-        return metadata.version("skin2urdf")
-    except metadata.PackageNotFoundError:
-        from skin2urdf import __version__
-
-        return __version__

@@ -30,10 +30,9 @@ def run(options: argparse.Namespace) -> int:
     """Do it; the exit status."""
     import shtab
 
-    from skin2urdf.cli.parser import make_parser
     from skin2urdf.simulation import robot_names
 
-    parser = make_parser()
+    parser: argparse.ArgumentParser = options.parser
     for command in commands_of(parser).values():
         for action in command._actions:
             if action.metavar == "ROBOT":

@@ -7,7 +7,7 @@ import functools
 import re
 import sys
 
-from skin2urdf.cli.arguments import Filled, Parser
+from skin2urdf.cli.arguments import Filled, Parser, version
 
 HELP = "print the manual page"
 EPILOG = """\
@@ -24,12 +24,11 @@ def declare(command: Parser) -> None:
     """Add what the command takes: nothing."""
 
 
-def run(options: argparse.Namespace) -> int:  # noqa: ARG001 - as every command has it
+def run(options: argparse.Namespace) -> int:
     """Do it; the exit status."""
     from skin2urdf.cli.commands.completion import commands_of
-    from skin2urdf.cli.parser import make_parser, version
 
-    top = make_parser()
+    top: argparse.ArgumentParser = options.parser
     about = (top.description or "").rstrip(".")
     general = Filled("", width=_WIDTH)
     general.add_text(top.epilog)

@@ -40,11 +40,6 @@ class Command(Protocol):
 COMMANDS: dict[str, Command] = {
     "calibrate": calibrate,
     "check": check,
-    "simulate": simulate,
-    "compare": compare,
-    "explore": explore,
-    "info": info,
-    "convert": convert,
     "report": report,
     "view": view,
     "export": export,

@@ -108,6 +108,19 @@ def test_mirrored_limbs_are_told_apart_by_where_their_axes_lie(
     assert matched_joints(est, true) == {f"joint_{j}": f"axis_{j}" for j in range(6)}
 
 
+def test_limbs_that_are_built_alike_go_by_their_names(random_robot: Robots, tmp_path: Path) -> None:
+    leg = random_robot(np.random.default_rng(4), (-1, 0), (1,), ())
+    both = random_robot(np.random.default_rng(4), (-1, 0, -1, 2), (1, 3), ())
+    both = replace(both, T_parent_joint=np.tile(leg.T_parent_joint, (2, 1, 1)))
+    ours = replace(both.tree, joint_names=("L_HIP", "L_KNEE", "R_HIP", "R_KNEE"))
+    theirs = replace(both.tree, joint_names=("right_hip", "right_knee", "left_hip", "left_knee"))
+    est = load_robot(written(tmp_path / "est.urdf", replace(both, tree=ours)))
+    true = load_robot(written(tmp_path / "true.urdf", replace(both, tree=theirs), {}))
+    assert matched_joints(est, true) == {
+        "L_HIP": "left_hip", "L_KNEE": "left_knee", "R_HIP": "right_hip", "R_KNEE": "right_knee",
+    }  # fmt: skip
+
+
 def test_joints_that_only_the_other_robot_has_are_passed_over(
     random_robot: Robots, tmp_path: Path
 ) -> None:

@@ -61,6 +61,7 @@ STATUSES = {0, 1, 2, 3}
 ODD = (0.0, -0.0, 1e-308, 1e5, 1e30, 1e308, -1e308, float("nan"), float("inf"), 9.81)
 # A mutant may take so many times as long as the sound log, and so much more [s].
 PATIENCE, GRACE = 3.0, 10.0
+WAITING = 20.0
 
 Mutation = Callable[[bytes, np.random.Generator], bytes]
 
@@ -81,7 +82,7 @@ class Outcome(NamedTuple):
         fault: what is wrong with it, empty if nothing.
         status: exit status, negative for a signal.
         output: what it printed.
-        seconds: how long it took.
+        seconds: processor time that it took.
     """
 
     fault: str
@@ -335,7 +336,8 @@ def perform(words: Sequence[str], seconds: float, memory: int) -> Outcome:
 
     Args:
         words: the command and its arguments.
-        seconds: after which it is ended.
+        seconds: processor time after which it is ended; should it wait for something instead, it
+            is after `WAITING` times as long.
         memory: bytes that it may take beyond those that this process has.
 
     Returns:
@@ -345,28 +347,32 @@ def perform(words: Sequence[str], seconds: float, memory: int) -> Outcome:
     with tempfile.TemporaryFile("w+", errors="replace") as printed:
         child = os.fork()
         if child == 0:
-            _child(words, memory, printed.fileno())
-        status = None
-        while status is None and time.monotonic() - begin < seconds:
-            ended, code = os.waitpid(child, os.WNOHANG)
-            status = os.waitstatus_to_exitcode(code) if ended else None
+            _child(words, seconds, memory, printed.fileno())
+        status, used = None, 0.0
+        while status is None and time.monotonic() - begin < WAITING * seconds:
+            ended, code, usage = os.wait4(child, os.WNOHANG)
+            if ended:
+                status = os.waitstatus_to_exitcode(code)
+                used = usage.ru_utime + usage.ru_stime
             time.sleep(0.005)
         if status is None:
             os.kill(child, signal.SIGKILL)
             os.waitpid(child, 0)
         printed.seek(0)
         output = printed.read()
-    took = time.monotonic() - begin
     if status is None:
-        return Outcome(f"took more than {seconds:.0f} s", -signal.SIGKILL, output, took)
+        waited = time.monotonic() - begin
+        return Outcome(f"took more than {waited:.0f} s", -signal.SIGKILL, output, seconds)
+    if used > seconds:
+        return Outcome(f"took more than {seconds:.0f} s of work", status, output, used)
     if "Traceback" in output or "internal error" in output:
-        return Outcome("an error that is not in words", status, output, took)
+        return Outcome("an error that is not in words", status, output, used)
     if status not in STATUSES:
-        return Outcome(f"ended with {status}", status, output, took)
-    return Outcome("", status, output, took)
+        return Outcome(f"ended with {status}", status, output, used)
+    return Outcome("", status, output, used)
 
 
-def _child(words: Sequence[str], memory: int, output: int) -> None:
+def _child(words: Sequence[str], seconds: float, memory: int, output: int) -> None:
     """Run a command and end this process."""
     status = 120
     try:
@@ -375,6 +381,8 @@ def _child(words: Sequence[str], memory: int, output: int) -> None:
         pages = int(Path("/proc/self/statm").read_text().split()[0])
         limit = pages * resource.getpagesize() + memory
         resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
+        work = int(seconds) + 2
+        resource.setrlimit(resource.RLIMIT_CPU, (work, work))
         status = skin2urdf(list(words))
         sys.stdout.flush()
         sys.stderr.flush()

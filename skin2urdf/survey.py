@@ -23,11 +23,11 @@ from skin2urdf.recording.inventory import LogInventory
 from skin2urdf.recording.progress import Share
 from skin2urdf.recording.reading import inventory, read
 from skin2urdf.recording.records import Recording
-from skin2urdf.signals.features import extract_features
 from skin2urdf.signals.motion import travel
 from skin2urdf.signals.records import Features
 from skin2urdf.signals.sampling import Sampled, sampled_together
 from skin2urdf.structure.activity import STATIC_THRESHOLD, Activity, activity
+from skin2urdf.structure.first_features import first_features
 from skin2urdf.structure.from_motion import trees_from_motion
 from skin2urdf.structure.records import KinematicTree
 from skin2urdf.structure.tree import kinematic_tree, nested
@@ -112,7 +112,7 @@ def explore(
         recordings.append(read(log, part))
     tell("features", 0.0)
     sampled, sus = sampled_together(recordings)
-    features = extract_features(sampled, sus)
+    features = first_features(sampled, sus)
     tell("features", 1.0)
     seen = activity(features, threshold)
     tell("structure", 0.0)
@@ -196,7 +196,7 @@ def survey(log: str | Path, *, progress: Progress | None = None) -> Surveyed:
         return Surveyed(listed, recording, None, None, nothing, *_hopeless(error, log))
     tell("features", 0.0)
     try:
-        features = extract_features([sampled], sus)
+        features = first_features([sampled], sus)
     except InsufficientDataError as error:
         problems, obstacles = _hopeless(error, log)
         problems = (*problems, *_weak_motion(sampled))

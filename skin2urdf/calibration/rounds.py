@@ -28,6 +28,7 @@ from skin2urdf.signals.features import Curvature, extract_features
 from skin2urdf.signals.records import Features
 from skin2urdf.signals.sampling import Sampled, sampled_together
 from skin2urdf.structure.activity import Activity, activity
+from skin2urdf.structure.first_features import first_features
 from skin2urdf.structure.records import KinematicTree
 from skin2urdf.structure.tree import kinematic_tree
 
@@ -116,8 +117,10 @@ def take_features(
     """Features of all logs, given a prediction of what lies beyond first order if any.
 
     Raises:
-        InsufficientDataError: no pose has a pattern around it.
+        InsufficientDataError: no pose has a pattern around it, and no rests have readings.
     """
+    if curvature is None and latency is None:
+        return clock.run("features", lambda _: first_features(logs.sampled, logs.su_names))
     return clock.run(
         "features",
         lambda _: extract_features(

@@ -59,7 +59,8 @@ try it without a robot:
 each command explains itself: skin2urdf calibrate --help
 
 exit status: 0 all is well, 1 no trustworthy result (or the trees differ), 2 bad usage or an
-unreadable input, 3 the URDF was written, but an SU or an encoder needs repair (calibrate)"""
+unreadable input, 3 the URDF was written, but an SU or an encoder needs repair, or most SUs are not
+determined (calibrate)"""
 
 
 def make_parser() -> argparse.ArgumentParser:

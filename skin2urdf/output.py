@@ -159,8 +159,8 @@ def not_to_be_saved(calibration: Calibration, path: str | Path) -> BadFitError:
     stays = "; the file that is there stays as it was" if Path(path).exists() else ""
     return BadFitError(
         f"the result is bad, and {path} was not written{stays}",
-        "calibrate with the default method, or write it all the same with --force (in Python "
-        "even_bad=True) under another name",
+        "record more poses and moves with the default method, or write it all the same with "
+        "--force (in Python even_bad=True) under another name",
         cost_per_dof=calibration.misfit,
     )
 

@@ -218,7 +218,7 @@ def _exit_status(found: Calibration) -> int:
     """What the command line exits with for a result."""
     if found.quality == "bad":
         return 1
-    return 3 if any(fault.to_repair for fault in found.faults) else 0
+    return 3 if found.mostly_open or any(fault.to_repair for fault in found.faults) else 0
 
 
 _DEG = float(np.rad2deg(1.0))

@@ -11,7 +11,14 @@ import numpy as np
 from skin2urdf.arrays import F64, Bool
 from skin2urdf.calibration.at_rest import estimate_at_rest
 from skin2urdf.calibration.clock import Clock, Progress, Tell
-from skin2urdf.calibration.result import BAD_FIT, BAD_MISFIT, Calibration, Source, SuSource
+from skin2urdf.calibration.result import (
+    BAD_FIT,
+    BAD_MISFIT,
+    GOOD_FIT,
+    Calibration,
+    Source,
+    SuSource,
+)
 from skin2urdf.calibration.rounds import (
     Logs,
     Solution,
@@ -24,6 +31,7 @@ from skin2urdf.calibration.rounds import (
 from skin2urdf.calibration.samples import (
     clocks_in_all,
     fit_samples,
+    physics_of,
     with_samples,
     without_false_hits,
 )
@@ -32,7 +40,7 @@ from skin2urdf.errors import BadFitError, InsufficientDataError
 from skin2urdf.estimation.solve.estimate import Estimate
 from skin2urdf.estimation.trajectory.estimate import MotionEstimate
 from skin2urdf.estimation.uncertainty.goodness import Goodness, goodness
-from skin2urdf.estimation.uncertainty.health import health_notes, why_bad
+from skin2urdf.estimation.uncertainty.health import health_notes, why_bad, why_unexplained
 from skin2urdf.estimation.uncertainty.narrow import narrow_priors
 from skin2urdf.estimation.uncertainty.observability import Observability, observability
 from skin2urdf.faults import distinct, without_slips
@@ -81,19 +89,23 @@ def calibrate(
     sampled = sample_logs(corrected(recordings, [leap.error for leap in leaps]), settings, clock)
     features = take_features(sampled, clock)
     structure = find_structure(sampled, features, clock)
+    along = None
     if settings.method == "paper":
         solution = _estimate_by_the_paper(sampled, features, structure, clock)
     elif not structure.seen.patterns_felt:
         solution = estimate_at_rest(sampled, structure, clock)
     else:
         first = estimate_robot(sampled, features, structure, clock)
-        solution = clock.run(
-            "what is wrong",
-            lambda _: explain(recordings, leaps, (sampled, structure, first), KINDS, clock),
-        )
+        along = _physics(first, clock)
+        if first is not None and along is not None:
+            solution = replace(first, found=with_samples(first.found, along))
+        else:
+            solution = clock.run(
+                "what is wrong",
+                lambda _: explain(recordings, leaps, (sampled, structure, first), KINDS, clock),
+            )
     fit = clock.run("goodness of fit", lambda _: goodness(solution.found))
-    along = None
-    if settings.method != "paper" and settings.motion == "all":
+    if along is None and settings.method != "paper" and settings.motion == "all":
         along = clock.run("all samples", lambda tell: fit_samples(solution, tell))
         if along is not None:
             fitted = along
@@ -108,6 +120,15 @@ def calibrate(
     return _calibration(recordings, solution, along, fit, seen, clock)
 
 
+def _physics(first: Solution | None, clock: Clock) -> MotionEstimate | None:
+    """What all samples say of a first estimate that does not explain its features, if they do."""
+    if first is None or first.logs.settings.motion != "all":
+        return None
+    if not GOOD_FIT < first.found.cost_per_dof <= BAD_FIT:
+        return None
+    return clock.run("all samples", lambda tell: physics_of(first, tell))
+
+
 def check_fit(found: Estimate, along: MotionEstimate | None) -> None:
     """Refuse an estimate that does not explain the readings.
 
@@ -120,7 +141,10 @@ def check_fit(found: Estimate, along: MotionEstimate | None) -> None:
     """
     cost, limit = (found.cost_per_dof, BAD_FIT) if along is None else (along.misfit, BAD_MISFIT)
     if not cost <= limit:
-        raise BadFitError(*why_bad(found, limit), cost_per_dof=cost)
+        what, remedy = why_bad(found, limit)
+        if along is not None and along.tried:
+            what, remedy = why_unexplained(along.tried, along.misfit, what, remedy)
+        raise BadFitError(what, remedy, cost_per_dof=cost)
 
 
 def _calibration(

@@ -160,23 +160,35 @@ class Calibration:
         """How far the result can be trusted: whether the model explains the readings, and more.
 
         It is good only if poses are predicted as well as stated, nothing is wrong with an SU, a
-        pose or an encoder, no joint is weak, and half of the joints are determined. What no
+        pose or an encoder, no joint is weak, and half of the joints are determined; it is bad where
+        the readings are not explained, or where all SUs beyond the first joint are weak. What no
         recording can tell must not spoil it, such as where branches that meet in one joint sit
         along its axis.
         """
         if not self.misfit <= self.largest_misfit:
             return "bad"
+        if self._placed and set(self._placed) == {"weak"}:
+            return "bad"
         explained = max(self.misfit, self.goodness.prediction) <= GOOD_FIT
         alike = not (self.unlike_sus.odd.any() or self.unlike_poses.odd.any())
         verdicts = self.observability.joint_verdict
         known = "weak" not in verdicts and 2 * verdicts.count("determined") >= len(verdicts)
-        # An SU on the base or on the first joint never is, whatever is recorded.
-        placed = self.observability.su_verdict
-        beyond = self.model.tree.parent[self.model.tree.su_joint] >= 0
-        beyond &= self.model.tree.su_joint >= 0
-        of_those = [v for v, b in zip(placed, beyond, strict=True) if b]
-        known &= 2 * of_those.count("determined") >= len(of_those)
+        known &= not self.mostly_open
         return "good" if explained and alike and known and not self.faults else "fair"
+
+    @property
+    def mostly_open(self) -> bool:
+        """Whether more than half of the SUs that a recording could place are not determined."""
+        placed = self._placed
+        return 2 * placed.count("determined") < len(placed)
+
+    @property
+    def _placed(self) -> list[str]:
+        """Verdicts on SUs beyond the first joint; on it, or on the base, none is ever placed."""
+        tree = self.model.tree
+        beyond = (tree.su_joint >= 0) & (tree.parent[tree.su_joint] >= 0)
+        verdicts = self.observability.su_verdict
+        return [v for v, b in zip(verdicts, beyond, strict=True) if b]
 
     @property
     def unlike_sus(self) -> Unlike:

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from skin2urdf.calibration.clock import Tell
+from skin2urdf.calibration.result import GOOD_FIT
 from skin2urdf.calibration.rounds import Logs, Solution
 from skin2urdf.calibration.settings import CalibrationSettings
 from skin2urdf.estimation.problem.cost import Priors
@@ -30,6 +31,8 @@ _SETTLED = 5e-3
 a gap."""
 _HIT = 3.0
 """Mean size of what is left during a hit, in standard deviations of noise, from which it is one."""
+_MOMENT = 0.5
+"""Length of moments that may stand out [s]: about that of the shortest hit that matters."""
 _MOST = 0.5
 """Share of the poses from which the samples say all that features do."""
 
@@ -118,6 +121,39 @@ def clocks_in_all(
     return tuple(tuple(fitted(clock, g) for clock in of_log) for g, of_log in enumerate(clocks))
 
 
+def physics_of(first: Solution, tell: Tell) -> MotionEstimate | None:
+    """The fit of all samples of a first estimate, where what real robots have explains them.
+
+    An elastic gear, an uneven one or a drifting bias makes patterns look as if joints were hit or
+    encoders bent; so these are tried before anything is said to be wrong. Slack from place to place
+    explains nothing by a cause, and what stands out at some moment is left to the search.
+
+    Args:
+        first: an estimate from features that does not explain them.
+        tell: told the share of the work that is done.
+    """
+    along = fit_samples(first, tell)
+    if along is None or not along.causes or "slack" in along.causes:
+        return None
+    quiet = along.misfit <= GOOD_FIT and not _anything_stands_out(along)
+    return along if quiet else None
+
+
+def _anything_stands_out(along: MotionEstimate) -> bool:
+    """Whether any half second of an SU is far from what noise and all that was found leave."""
+    problem, fitted = along.problem, along.fitted
+    for g, (log, p) in enumerate(zip(problem.logs, fitted.predicted, strict=True)):
+        noise = fitted.noise[g][..., :3]
+        square = np.where(p.measured[..., None], p.residual / noise, 0.0) ** 2
+        size = max(1, round(_MOMENT * len(log.kept) / float(log.time[-1] - log.time[0])))
+        first = np.arange(0, len(log.kept), size)
+        count = np.diff(np.append(first, len(log.kept)))
+        means = np.add.reduceat(square.mean(axis=2), first, axis=0) / count[:, None]
+        if means.max() > _HIT**2:
+            return True
+    return False
+
+
 def without_false_hits(
     solution: Solution, along: MotionEstimate, whole: Logs, tell: Tell
 ) -> tuple[Solution, MotionEstimate]:
@@ -159,6 +195,20 @@ def _stands_out(hit: Fault, along: MotionEstimate, sampled: Sequence[Sampled]) -
         seen, fitted.predicted[g].residual[during] / fitted.noise[g][during][..., :3], 0.0
     )
     return bool((ratio**2).mean(axis=(0, 2)).max() > _HIT**2)
+
+
+def _rattle(along: MotionEstimate, log: Trajectory) -> float:
+    """What joints make SUs feel that cross their slack at once [m/s^2]; 0 where they have none.
+
+    Both sides of the slack are two standard deviations apart. A step that is low-passed as readings
+    are has an acceleration of which the root mean square counts, over the lever of the whole robot.
+    """
+    step = np.convolve(log.taps, log.taps) * log.rate
+    push = float(np.sqrt(np.mean((np.diff(step) * log.rate) ** 2)))
+    places = along.state
+    arms = np.linalg.norm(places.T_parent_joint[:, :3, 3], axis=1).sum()
+    reach = float(arms + np.linalg.norm(places.T_joint_su[:, :3, 3], axis=1).max(initial=0.0))
+    return 2 * along.slack * push * reach
 
 
 def _share_of_poses(trajectories: Sequence[Trajectory], sampled: Sequence[Sampled]) -> float:

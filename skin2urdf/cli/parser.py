@@ -64,8 +64,8 @@ try it without a robot:
 each command explains itself: skin2urdf calibrate --help
 
 exit status: 0 all is well, 1 no trustworthy result (or the trees differ), 2 bad usage or an
-unreadable input, 3 the URDF was written, but an SU or an encoder needs repair (calibrate),
-or an SU is not where it was (check)"""
+unreadable input, 3 the URDF was written, but an SU or an encoder needs repair, or most SUs are not
+determined (calibrate), or an SU is not where it was (check)"""
 
 
 def make_parser() -> Parser:

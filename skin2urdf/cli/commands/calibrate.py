@@ -204,12 +204,13 @@ def run(options: argparse.Namespace) -> int:
         show(lambda: as_text(calibration) + "\n")
         if written:
             print(wrote(written, replaced, time.perf_counter() - begin))
-    # Only the paper's method gets here with a bad fit: it was asked for, but is not to be trusted.
+    # The paper's method gets here with a bad fit, the default one where no SU is known well enough.
     if not written:
         raise not_to_be_saved(calibration, options.output)
     if calibration.quality == "bad":
         return BadFitError.exit_status
-    return _TO_REPAIR if any(fault.to_repair for fault in calibration.faults) else 0
+    to_do = calibration.mostly_open or any(fault.to_repair for fault in calibration.faults)
+    return _TO_REPAIR if to_do else 0
 
 
 def _report(calibration: Calibration, urdf: Path, path: str) -> Path:

@@ -11,7 +11,14 @@ import numpy as np
 from skin2urdf.arrays import F64, Bool
 from skin2urdf.calibration.at_rest import estimate_at_rest
 from skin2urdf.calibration.clock import Clock, Progress, Tell
-from skin2urdf.calibration.result import BAD_FIT, BAD_MISFIT, Calibration, Source, SuSource
+from skin2urdf.calibration.result import (
+    BAD_FIT,
+    BAD_MISFIT,
+    HOPELESS_FIT,
+    Calibration,
+    Source,
+    SuSource,
+)
 from skin2urdf.calibration.rounds import (
     Logs,
     Solution,
@@ -91,6 +98,7 @@ def calibrate(
             "what is wrong",
             lambda _: explain(recordings, leaps, (sampled, structure, first), KINDS, clock),
         )
+        _refuse_beyond(HOPELESS_FIT, solution.found.cost_per_dof, solution.found)
     fit = clock.run("goodness of fit", lambda _: goodness(solution.found))
     along = None
     if settings.method != "paper" and settings.motion == "all":
@@ -119,6 +127,10 @@ def check_fit(found: Estimate, along: MotionEstimate | None) -> None:
         BadFitError: it does not.
     """
     cost, limit = (found.cost_per_dof, BAD_FIT) if along is None else (along.misfit, BAD_MISFIT)
+    _refuse_beyond(limit, cost, found)
+
+
+def _refuse_beyond(limit: float, cost: float, found: Estimate) -> None:
     if not cost <= limit:
         raise BadFitError(*why_bad(found, limit), cost_per_dof=cost)
 

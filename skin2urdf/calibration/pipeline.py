@@ -15,6 +15,7 @@ from skin2urdf.calibration.result import (
     BAD_FIT,
     BAD_MISFIT,
     GOOD_FIT,
+    HOPELESS_FIT,
     Calibration,
     Source,
     SuSource,
@@ -104,6 +105,7 @@ def calibrate(
                 "what is wrong",
                 lambda _: explain(recordings, leaps, (sampled, structure, first), KINDS, clock),
             )
+            _refuse_beyond(HOPELESS_FIT, solution.found.cost_per_dof, solution.found)
     fit = clock.run("goodness of fit", lambda _: goodness(solution.found))
     if along is None and settings.method != "paper" and settings.motion == "all":
         along = clock.run("all samples", lambda tell: fit_samples(solution, tell))
@@ -140,11 +142,19 @@ def check_fit(found: Estimate, along: MotionEstimate | None) -> None:
         BadFitError: it does not.
     """
     cost, limit = (found.cost_per_dof, BAD_FIT) if along is None else (along.misfit, BAD_MISFIT)
-    if not cost <= limit:
-        what, remedy = why_bad(found, limit)
-        if along is not None and along.tried:
-            what, remedy = why_unexplained(along.tried, along.misfit, what, remedy)
-        raise BadFitError(what, remedy, cost_per_dof=cost)
+    _refuse_beyond(limit, cost, found, along)
+
+
+def _refuse_beyond(
+    limit: float, cost: float, found: Estimate, along: MotionEstimate | None = None
+) -> None:
+    """Refuse an estimate that leaves more of the readings than a limit."""
+    if cost <= limit:  # NaN is none
+        return
+    what, remedy = why_bad(found, limit)
+    if along is not None and along.tried:
+        what, remedy = why_unexplained(along.tried, along.misfit, what, remedy)
+    raise BadFitError(what, remedy, cost_per_dof=cost)
 
 
 def _calibration(

@@ -34,6 +34,11 @@ BAD_FIT = 50.0
 """Cost per degree of freedom beyond which no URDF is written."""
 
 
+HOPELESS_FIT = 1000.0
+"""Cost per degree of freedom of the features beyond which all samples are not asked. Gears that
+yield by 3 mrad leave 11, so that a degree, which fits of all samples can follow, leaves 400; a
+joint whose encoder is bent by 0.2 rad leaves 9,000, and its samples lead nowhere."""
+
 BAD_MISFIT = 20.0
 """What all samples leave, over noise, beyond which no URDF is written. Gears that yield by 3 mrad
 leave 11, and errors of 1.4 times what is then stated; a joint whose encoder is bent by 0.2 rad

@@ -6,7 +6,7 @@ that features taken again are exact, and show the structure more clearly where i
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -216,7 +216,7 @@ def _with_an_su_elsewhere(
             again = replace(again, notes=(*again.notes, _elsewhere(su, joint, moved)))
             if alike(again, found.tree):
                 continue
-            latest, shown = relinearise(logs, again, features, clock)
+            latest, shown = relinearise(logs, again, features, clock, hopeless=is_hopeless)
         except (StructureError, InsufficientDataError):
             continue
         if latest.misfit <= GOOD_FIT and not unlike_the_rest(latest):
@@ -224,13 +224,35 @@ def _with_an_su_elsewhere(
     return found, refined
 
 
+def is_hopeless(found: Estimate) -> bool:
+    """Whether no estimate explains the readings, before any of them are weighed down."""
+    return found.misfit > BAD_FIT
+
+
 def relinearise(
-    logs: Logs, tree: KinematicTree, features: Features, clock: Clock
+    logs: Logs,
+    tree: KinematicTree,
+    features: Features,
+    clock: Clock,
+    *,
+    hopeless: Callable[[Estimate], bool] | None = None,
 ) -> tuple[Estimate, Features]:
-    """Estimate, take the features again with what the estimate predicts, until it settles."""
+    """Estimate, take the features again with what the estimate predicts, until it settles.
+
+    Args:
+        logs: the logs.
+        tree: the structure.
+        features: the features to begin with.
+        clock: runs the stages.
+        hopeless: where only an explanation is of use, tells of a first estimate that leads to none:
+            what lies beyond first order is noise to the first features, and leaves 3 to 10 times
+            what noise does; a wrong structure or sensor leaves hundreds.
+    """
     found = estimate_once(logs, tree, features, None, clock)
-    if len(logs.sampled) > 1 and found.misfit > BAD_FIT:
+    if len(logs.sampled) > 1 and is_hopeless(found):
         found = _led_by_the_first_log(logs, found, features, clock)
+    if hopeless is not None and hopeless(found):
+        return found, features
     for again in range(logs.settings.relinearisations):
         previous = found
         features = take_features(
@@ -239,9 +261,11 @@ def relinearise(
         # Features that no start explains will have none when they change a little.
         found = estimate_once(logs, tree, features, previous.state, clock, search=not again)
         gain = previous.cost_per_dof / max(found.cost_per_dof, 1e-12)
-        settled = gain < 1.02 and found.cost_per_dof < GOOD_FIT
-        hopeless = gain < 2.0 and found.cost_per_dof > BAD_FIT
-        if _moved(previous, found) < 1e-4 or settled or hopeless:
+        # A cost that grows shows that the model has been led elsewhere, and may still fall there.
+        good = found.cost_per_dof < GOOD_FIT
+        settled = gain < 1.02 and (good or gain > 1 / 1.02)
+        led_astray = gain < 2.0 and found.cost_per_dof > BAD_FIT
+        if _moved(previous, found) < 1e-4 or settled or led_astray:
             break
     return found, features
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from skin2urdf.arrays import F64, Bool, Int
 from skin2urdf.calibration.clock import Clock
-from skin2urdf.calibration.result import GOOD_FIT
+from skin2urdf.calibration.result import BAD_FIT, GOOD_FIT
 from skin2urdf.calibration.rounds import (
     Logs,
     alike,
@@ -247,12 +247,18 @@ def _explanation(
         certain: False to look at the structure again where it does not explain the part.
     """
     try:
-        found, seen = relinearise(part, tree, take_features(part, clock), clock)
+        features = take_features(part, clock)
+        found, seen = relinearise(part, tree, features, clock, hopeless=_leads_nowhere)
         if not certain:
             found, seen = settle(part, found, seen, clock)
     except InsufficientDataError:
         return None
     return (found, seen.latency) if found.cost_per_dof <= GOOD_FIT else None
+
+
+def _leads_nowhere(found: Estimate) -> bool:
+    """Whether an estimate is worse than any that became an explanation, its outliers aside."""
+    return found.cost_per_dof > BAD_FIT
 
 
 def _visited(s: Sampled) -> Sampled:

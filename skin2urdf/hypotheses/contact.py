@@ -10,11 +10,11 @@ import numpy as np
 
 from skin2urdf.arrays import F64
 from skin2urdf.calibration.clock import Clock, Tell
-from skin2urdf.calibration.rounds import Logs, Solution, predicted_curvature
+from skin2urdf.calibration.rounds import Logs, Solution, is_hopeless, predicted_curvature
 from skin2urdf.estimation.solve.estimate import Estimate
 from skin2urdf.faults import Fault
 from skin2urdf.hypotheses.records import Amendment, Attempt, Candidate
-from skin2urdf.hypotheses.search import Search, hopeless
+from skin2urdf.hypotheses.search import Search
 from skin2urdf.model.prediction import Chains
 from skin2urdf.signals.contact import Disturbance, disturbances, without
 from skin2urdf.signals.records import Features
@@ -70,7 +70,7 @@ class Contact:
 
         What no estimate explains says nothing of what lies beyond first order.
         """
-        if now is None or hopeless(now.solution.found):
+        if now is None or is_hopeless(now.solution.found):
             return []
         found, features = now.solution.found, now.solution.features
         seen = _disturbed(now.solution.logs.sampled, now.solution, search.clock)

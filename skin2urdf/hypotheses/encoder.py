@@ -8,19 +8,19 @@ themselves are corrected.
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Sequence
+from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 
 from skin2urdf.calibration.clock import Clock
-from skin2urdf.calibration.rounds import Logs, Solution, estimate_once
+from skin2urdf.calibration.rounds import Logs, Solution, estimate_once, is_hopeless
 from skin2urdf.estimation.solve.estimate import Estimate
 from skin2urdf.faults import Fault
 from skin2urdf.hypotheses.encoder_score import unweighted
 from skin2urdf.hypotheses.records import Amendment, Attempt, Candidate
-from skin2urdf.hypotheses.search import Search, excess, hopeless
+from skin2urdf.hypotheses.search import Search, excess
 from skin2urdf.hypotheses.suspicions import gross_scales, suspicions
 from skin2urdf.recording.records import Recording
 from skin2urdf.signals.encoders import corrected, corrected_features, leaps
@@ -79,10 +79,16 @@ class Encoders:
         found, features = now.solution.found, now.solution.features
         known = {a.key for a in now.amendments}
         out = []
-        if hopeless(found) and (gross := gross_scales(found)):
+        if is_hopeless(found) and (gross := gross_scales(found)):
             joints = tuple(error.dof for error in gross)
             new = tuple(with_another(now.amendments, error, features) for error in gross)
-            out.append(Candidate("gross scale", joints, new, excess(found)))
+            # What slopes say of a scale is a per cent or two off, which leaves too much to explain.
+            out.append(
+                Candidate(
+                    "gross scale", joints, new, excess(found),
+                    sharpen=_sharpening(now, gross, search.clock),
+                )
+            )  # fmt: skip
         seen = set()
         suspected = suspicions(unweighted(found), features)
         among = len(suspected) // max(1, found.tree.n_joints)
@@ -93,10 +99,6 @@ class Encoders:
             if error.dof in seen or (_small(error, now.solution.logs) and new[0].key not in known):
                 continue
             seen.add(error.dof)
-
-            def sharpen(error: EncoderError = error) -> Sequence[Amendment]:
-                return [sharpened(now, error, search.clock)]
-
             out.append(
                 Candidate(
                     f"encoder {error.kind}",
@@ -104,7 +106,7 @@ class Encoders:
                     new,
                     each.gain,
                     among=among,
-                    sharpen=sharpen,
+                    sharpen=_sharpening(now, (error,), search.clock),
                 )
             )
         return out
@@ -144,28 +146,60 @@ def with_another(
     return Corrected(error)
 
 
-def sharpened(now: Attempt, error: EncoderError, clock: Clock) -> Corrected:
-    """An error as large as the features say, estimated again and again with it taken off.
+def _sharpening(
+    seen: Attempt, errors: Sequence[EncoderError], clock: Clock
+) -> Callable[[Attempt], Sequence[Corrected]]:
+    """How errors become sharper: in the attempt that showed them, and in later ones what is left.
 
     Args:
-        now: the attempt in which it was seen.
-        error: with its size at first order.
+        seen: the attempt that showed them.
+        errors: with the sizes seen there.
         clock: runs the stages.
     """
-    solution, best = now.solution, with_another(now.amendments, error, now.solution.features)
-    features, found, step = solution.features, solution.found, error
-    for _ in range(_STEPS):
-        features = corrected_features(features, step)
-        found = estimate_once(solution.logs, found.tree, features, found.state, clock)
-        left = _left_of(error, found, features)
-        if left is None:
-            break
-        best = with_another((best,), left, features)
-        step = left
-        amount = abs(left.size - 1) if left.kind == "scale" else abs(left.size)
-        if amount < max(left.deviation, _SMALL / 10):
+
+    def sharpen(attempt: Attempt) -> Sequence[Corrected]:
+        if attempt is seen:
+            return sharpened(attempt, errors, clock)
+        found, features = attempt.solution.found, attempt.solution.features
+        left = [rest for e in errors if (rest := _left_of(e, found, features)) is not None]
+        return sharpened(attempt, left, clock) if left else ()
+
+    return sharpen
+
+
+def sharpened(now: Attempt, errors: Sequence[EncoderError], clock: Clock) -> list[Corrected]:
+    """Errors as large as the features say, estimated again and again with them taken off.
+
+    Args:
+        now: the attempt in which they were seen.
+        errors: of different encoders, with their sizes at first order.
+        clock: runs the stages.
+    """
+    solution = now.solution
+    features, found = solution.features, solution.found
+    best = [with_another(now.amendments, error, features) for error in errors]
+    steps = list(errors)
+    for again in range(_STEPS):
+        for step in steps:
+            features = corrected_features(features, step)
+        # What the first correction leaves has been searched for starts, which the others do not
+        # change.
+        found = estimate_once(
+            solution.logs, found.tree, features, found.state, clock, search=not again
+        )
+        left = [_left_of(error, found, features) for error in errors]
+        best = [
+            known if rest is None else with_another((known,), rest, features)
+            for known, rest in zip(best, left, strict=True)
+        ]
+        steps = [rest for rest in left if rest is not None]
+        if not any(_amount(rest) >= max(rest.deviation, _SMALL / 10) for rest in steps):
             break
     return best
+
+
+def _amount(error: EncoderError) -> float:
+    return abs(error.size - 1) if error.kind == "scale" else abs(error.size)
 
 
 def _left_of(error: EncoderError, found: Estimate, features: Features) -> EncoderError | None:

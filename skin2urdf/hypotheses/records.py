@@ -83,8 +83,8 @@ class Candidate:
         drop: of chi-squared, nothing weighed down, that a score test expects.
         among: number of hypotheses that the score test has compared it with, itself included.
         holds: what else the attempt must show for the hypothesis; None where nothing.
-        sharpen: makes a better amendment from the same features, at the cost of some estimates;
-            None where there is nothing to sharpen.
+        sharpen: makes better amendments from the features of an attempt, at the cost of some
+            estimates; none where it sees nothing of them. None where there is nothing to sharpen.
     """
 
     kind: str
@@ -93,7 +93,7 @@ class Candidate:
     drop: float
     among: int = 1
     holds: Callable[[Attempt], bool] | None = None
-    sharpen: Callable[[], Sequence[Amendment]] | None = None
+    sharpen: Callable[[Attempt], Sequence[Amendment]] | None = None
 
     @property
     def parameters(self) -> int:

@@ -54,6 +54,9 @@ _PART = 0.3
 """Share of the misfit below which a candidate waits until all kinds have looked. The score test of
 a slip with the joints held takes half of the misfit where it is the cause; the offset that imitates
 an encoder of the other sense a sixth (seeds 30000 and 30001 of scripts/faults.py)."""
+_HALVED = 0.5
+"""Misfit that may stay for a candidate to be looked at again: it has a share in the cause, and its
+size may be what is wrong with it still."""
 _CHANCE = 3.0
 """Standard deviations of chi-squared of the measurements that one of two estimates lacks."""
 _TINY = 1e-9
@@ -263,7 +266,7 @@ def _better(
             if rank < _RANKS[-1] and _only_a_part(now, candidate):
                 waiting.append(candidate)
                 continue
-            after = _tried(search, now, candidate)
+            after = _sharpened(search, now, _tried(search, now, candidate), candidate)
             worth = 0.0 if after is None else _worth(now, after, candidate, search.tried)
             if after is None or worth <= 0:
                 failed.add(candidate.key)
@@ -297,14 +300,47 @@ def _nearly_all(now: Attempt | None, after: Attempt) -> bool:
 
 def _tried(search: Search, now: Attempt | None, candidate: Candidate) -> Attempt | None:
     """The logs explained with one more candidate; None where they can not be."""
-    new = candidate.amendments if candidate.sharpen is None else tuple(candidate.sharpen())
-    known = {a.key: a for a in (search.evident if now is None else now.amendments)}
+    new = candidate.amendments
+    if candidate.sharpen is not None and now is not None:
+        new = tuple(candidate.sharpen(now))
+    after = _with(search, now, new)
+    return after if after is None or candidate.holds is None or candidate.holds(after) else None
+
+
+def _sharpened(
+    search: Search, now: Attempt | None, after: Attempt | None, candidate: Candidate
+) -> Attempt | None:
+    """An attempt with a candidate whose size is looked at again as long as that explains more.
+
+    A size seen in features that a large error has spoilt is a few per cent off, which leaves far
+    more than noise does. It need not be followed where the attempt is good enough to go on from
+    before costlier looks.
+    """
+    if now is None or candidate.sharpen is None:
+        return after
+    before = now
+    while after is not None and search.attempts < _MOST and not _nearly_all(now, after):
+        if after.solution.found.misfit > _HALVED * before.solution.found.misfit:
+            break
+        further = _with(search, after, tuple(candidate.sharpen(after)))
+        if further is None or further.solution.found.misfit > after.solution.found.misfit:
+            break
+        before, after = after, further
+    return after
+
+
+def _with(search: Search, now: Attempt | None, new: Sequence[Amendment]) -> Attempt | None:
+    """The logs explained with more amendments; None where they can not be."""
+    before = search.evident if now is None else now.amendments
+    known = {a.key: a for a in before}
     known.update({a.key: a for a in new})
+    amendments = tuple(known.values())
+    if now is not None and amendments == before:
+        return None
     try:
-        after = search.attempt(tuple(known.values()))
+        return search.attempt(amendments)
     except (InsufficientDataError, StructureError):
         return None
-    return after if candidate.holds is None or candidate.holds(after) else None
 
 
 def _pruned(search: Search, first: Attempt | None, last: Attempt | None) -> Attempt | None:
@@ -403,8 +439,3 @@ def explains(found: Estimate) -> bool:
     """Whether an estimate leaves nothing to explain, nor weighs down what it does not explain."""
     fits = found.cost_per_dof <= GOOD_FIT and found.misfit <= BAD_FIT
     return fits and not unlike_the_rest(found)
-
-
-def hopeless(found: Estimate) -> bool:
-    """Whether no estimate explains the readings, before any of them are weighed down."""
-    return found.misfit > BAD_FIT

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
-from simulated import held_against
+from simulated import PATTERNS, held_against
 
 from skin2urdf.calibration.pipeline import calibrate
 from skin2urdf.calibration.result import Calibration
@@ -84,7 +84,8 @@ def of_six_poses(kind: str, seed: int) -> tuple[Faulty, Calibration]:
     settings = SimulationSettings(n_poses=6, excite="all", seed=seed)
     whole = Sound(robot, settings, simulate(robot, settings))
     injected = FAULTS[kind](whole, np.random.default_rng([seed, *kind.encode()]))
-    return injected, calibrate([retimed(recording) for recording in injected.recordings])
+    logs = [retimed(recording) for recording in injected.recordings]
+    return injected, calibrate(logs, PATTERNS)
 
 
 def test_a_slip_on_an_upright_first_joint_is_not_its_encoders_scale() -> None:
@@ -126,7 +127,7 @@ def test_names_swapped_on_one_segment_are_set_right(logs: int) -> None:
     renamed = tuple(replace(su, name=other.get(su.name, su.name)) for su in second.sus)
     second = replace(second, sus=tuple(sorted(renamed, key=lambda su: su.name)))
     given = [first, second] if logs == 2 else [joined(first, second)]
-    found = calibrate([retimed(log) for log in given])
+    found = calibrate([retimed(log) for log in given], PATTERNS)
     assert {(f.kind, f.subject) for f in found.faults} == {("swapped", name) for name in names}
     assert found.estimate.misfit < 1.5
 
@@ -161,7 +162,7 @@ def test_an_su_may_be_mirrored_on_any_segment(segment: int) -> None:
     negated = tuple(
         replace(su, specific_force=-su.specific_force) if su.name == name else su for su in log.sus
     )
-    found = calibrate(retimed(replace(log, sus=negated)))
+    found = calibrate(retimed(replace(log, sus=negated)), PATTERNS)
     assert [(f.kind, f.subject) for f in found.faults] == [("mirrored", name)]
     assert found.estimate.misfit < 1.5
 
@@ -253,6 +254,7 @@ def test_only_samples_at_the_end_of_the_range_are_clipped() -> None:
     assert not clipping(wave, moving).any()
 
 
+@settings(max_examples=15)
 @given(st.integers(0, 2**32 - 1), st.floats(0.3, 1.2), st.floats(1.0, 3.0))
 def test_a_coarse_noisy_sensor_is_clipped_where_its_noise_ends_too_early(
     seed: int, depth: float, digits: float

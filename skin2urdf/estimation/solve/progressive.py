@@ -23,6 +23,16 @@ from skin2urdf.structure.records import KinematicTree
 
 _DAMPING = 1e-5
 """Relative damping of the whitening; keeps steps along gauge directions small, hence linear."""
+_UNEXPLAINED = 10.0
+"""Chi-squared per measurement from which noise does not say what matters any more: see
+``_BARELY``."""
+_BARELY = 1e-3
+"""Relative fall of chi-squared in one step that says nothing where the model explains nothing.
+
+Explanations that leave so much are compared by the logarithm of what they leave, for each SU in
+each pose: for a hundred of these the fall is a tenth of chi-squared. Exchanged names leave 1e4 per
+measurement, of which the first 20 evaluations take a tenth and the next 220 a hundredth.
+"""
 
 
 def minimise(
@@ -42,7 +52,8 @@ def minimise(
         free: which coordinates may move.
         rounds: how often the whitening is renewed at most.
         evaluations: limit for each round.
-        tolerance: stop when chi-squared changes, and can be expected to change, by less than this.
+        tolerance: stop when chi-squared changes, and can be expected to change, by less than this;
+            or by little of itself where it is far more than noise makes of it.
 
     Returns:
         The best state evaluated and its chi-squared; never worse than the start.
@@ -54,6 +65,7 @@ def minimise(
     shape = cost.zero_step()
     for _ in range(rounds):
         begin = best
+        enough = max(tolerance, _BARELY * best) if _is_unexplained(cost, best) else tolerance
         arrow = factor(here.normal_equations(), free, _DAMPING)
         base, best_z, promise = state, np.zeros(shape.flat().size), np.inf
 
@@ -75,16 +87,20 @@ def minimise(
 
         optimiser = nlopt.opt(nlopt.LD_LBFGS, best_z.size)
         optimiser.set_min_objective(objective)
-        optimiser.set_ftol_abs(0.5 * tolerance)
+        optimiser.set_ftol_abs(0.5 * enough)
         optimiser.set_maxeval(evaluations)
         # NLopt raises at the floor of rounding; the best point is kept.
         with suppress(RuntimeError, nlopt.runtime_error):
             optimiser.optimize(np.zeros(best_z.size))
         state = moved(base, arrow.unwhiten(shape.like(best_z)))
-        if promise <= 4 * tolerance or begin - best <= max(tolerance, 1e-6 * best):
+        if promise <= 4 * enough or begin - best <= max(enough, 1e-6 * best):
             break
         here = cost.at(state)
     return state, best
+
+
+def _is_unexplained(cost: Cost, chi2: float) -> bool:
+    return chi2 > _UNEXPLAINED * cost.n_data
 
 
 def progressive(cost: Cost, state: State, free: Free) -> State:

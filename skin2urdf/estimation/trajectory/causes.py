@@ -28,6 +28,9 @@ and than a pattern's period."""
 _EXPLAINED = 2.0
 """Misfit up to which nothing is missing: recordings with nothing but noise have 0.6 to 0.9, and its
 scatter over the spans of a log is a twentieth."""
+_BEYOND = 400.0
+"""Misfit beyond which no cause is looked for: gears that yield by 3 mrad leave 11, so that a
+degree, the most that is allowed for, leaves 400."""
 _MOST_OF_IT = 0.2
 """Part of a misfit, above the 1 of noise, that may stay where a drift of biases or elastic joints
 are its cause: what bends otherwise looks like one only in part."""
@@ -80,7 +83,7 @@ def explained(problem: MotionProblem, fitted: Fitted) -> Explained:
         fitted: its fit.
     """
     rigid = _Attempt(problem, fitted, (), slack(problem.tree, problem.logs))
-    if not rigid.lacks:
+    if not rigid.lacks or rigid.misfit > _BEYOND:
         return Explained(problem, fitted)
     best = _with_uneven_gears(rigid)
     attempts = [best]

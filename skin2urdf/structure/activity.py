@@ -53,7 +53,7 @@ class Activity:
         excited: (D,) False for DoFs that never moved.
         heard: (U,) False for SUs without data.
         turned: (U, D) logarithm of the evidence of gyroscopes that a DoF turns an SU; NaN where
-            they do not tell, as of all SUs where a DoF turns none: it may slide. None without any.
+            they do not tell. None without any.
     """
 
     su_names: tuple[str, ...]
@@ -107,7 +107,16 @@ class Activity:
         felt = np.where(told, np.log(np.maximum(strongest, 1e-3)), 0.0)
         if self.turned is None:
             return felt
-        return np.where(np.isfinite(self.turned), self.turned, felt)
+        # A sliding DoF turns no SU, those that it carries neither.
+        return np.where(np.isfinite(self.turned) & self.turns, self.turned, felt)
+
+    @property
+    def turns(self) -> Bool:
+        """(D,) True for DoFs with which an SU turns for certain, as its gyroscope says."""
+        if self.turned is None:
+            return np.zeros(len(self.dof_names), dtype=bool)
+        told = np.nan_to_num(self.turned, nan=-np.inf)
+        return np.asarray(told.max(axis=0, initial=-np.inf) > CERTAIN)
 
     @property
     def tested(self) -> Bool:
@@ -206,15 +215,10 @@ def activity(features: Features, threshold: float = STATIC_THRESHOLD) -> Activit
 
 
 def _turned(turns: Turns) -> F64:
-    """(U, D) logarithm of the odds that SUs turn with DoFs, from lengths of 1 or 0.
-
-    Only where a DoF turns some SU for certain: a sliding one turns none of those it carries.
-    """
+    """(U, D) logarithm of the odds that SUs turn with DoFs, from lengths of 1 or 0."""
     variance = turns.deviation**2 + _LENGTH**2
     odds = np.clip((2 * turns.length - 1) / (2 * variance), -2 * CERTAIN, 2 * CERTAIN)
-    odds = np.where(turns.deviation < _TELLS, odds, np.nan)
-    revolute = np.nan_to_num(odds, nan=-np.inf).max(axis=0, initial=-np.inf) > CERTAIN
-    return np.where(revolute, odds, np.nan)
+    return np.where(turns.deviation < _TELLS, odds, np.nan)
 
 
 def _static(moves: StaticMoves, n_dofs: int, threshold: float) -> tuple[F64, F64]:

@@ -29,7 +29,7 @@ def joint_type(features: Features, own: F64, activity: Activity, sus: Int, dof: 
     A prismatic DoF turns nothing (``s = 0``) and pushes every SU beyond it by the same vector of
     length 1 (``tau``); hardly a lever arm of a revolute DoF does that in every SU and pose. Where
     others moved at the same time, what they leave in ``s`` may look like turning: then it must fit
-    an axis clearly better than it fits none.
+    an axis clearly better than it fits none. Gyroscopes tell turning from sliding by themselves.
 
     Args:
         features: the measurements.
@@ -40,8 +40,10 @@ def joint_type(features: Features, own: F64, activity: Activity, sus: Int, dof: 
     """
     if np.nanmax(activity.static[sus, dof], initial=0.0) >= 1.0:
         return "revolute"
-    if activity.turned is not None and np.isfinite(activity.turned[sus, dof]).any():
+    if activity.turns[dof]:
         return "revolute"
+    if activity.turned is not None and (activity.turned[sus, dof] < -CERTAIN).all():
+        return "prismatic"
     seen = _Column.of(features, own, sus, dof)
     if not seen.known.any():
         return "revolute"

@@ -76,14 +76,21 @@ def test_lengths_are_one_or_nothing_whatever_the_axes(log: Recording) -> None:
     np.testing.assert_allclose(odd.turns.length[:, revolute], length, atol=0.02)
 
 
-def test_a_joint_that_turns_nothing_is_left_to_accelerations(log: Recording) -> None:
+def test_a_joint_that_moves_sus_and_turns_none_slides(log: Recording) -> None:
     features = _features(log)
     seen = activity(features)
     assert seen.turned is not None
     slide = features.dof_names.index("slide")
-    assert np.isnan(seen.turned[:, slide]).all()
+    assert (seen.turned[:, slide] < -CERTAIN).all()
+    assert seen.turns.sum() == 2
+    assert seen.matrix[:, slide].sum() == 1
     tree = kinematic_tree(seen, features)
     assert dict(zip(tree.joint_names, tree.joint_types, strict=True))["slide"] == "prismatic"
+    # What the accelerations leave of it does not matter then.
+    odd = np.array(features.coefficients)
+    odd[:, :, 1 + slide] += 3.0
+    blurred = kinematic_tree(seen, replace(features, coefficients=odd))
+    assert dict(zip(blurred.joint_names, blurred.joint_types, strict=True))["slide"] == "prismatic"
 
 
 def test_what_is_certain_outweighs_gyroscopes(log: Recording) -> None:
@@ -93,3 +100,26 @@ def test_what_is_certain_outweighs_gyroscopes(log: Recording) -> None:
     su = int(np.flatnonzero(~seen.matrix[:, pan])[0])
     told = seen.moved_by(features.su_names[su], "pan", moved=True)
     assert told.evidence[su, pan] > CERTAIN
+
+
+def test_a_robot_that_gravity_says_nothing_of_shows_its_tree(tmp_path: Path) -> None:
+    """All axes vertical, as of SCARA robots: the last one turns an SU and hardly moves it."""
+    joints = (
+        Joint("a", -1, "revolute"),
+        Joint("b", 0, "revolute", xyz=(0.3, 0.0, 0.0)),
+        Joint("c", 1, "prismatic", xyz=(0.25, 0.0, 0.0), limits=(-0.2, 0.2)),
+        Joint("d", 2, "revolute"),
+    )
+    settings = SimulationSettings(
+        n_poses=3, seed=4, upright=True, excite="all", gyro="mems", imu_rate=250.0,
+        joint_rate=125.0,
+    )  # fmt: skip
+    robot = robot_of(joints, tmp_path, SkinLayout(1, 1))
+    simulation = simulate(robot, settings)
+    features = _features(retimed(simulation.recording))
+    tree = kinematic_tree(activity(features), features)
+    assert tree.joint_names == ("a", "b", "c", "d")
+    assert tree.parent.tolist() == [-1, 0, 1, 2]
+    assert tree.joint_types == ("revolute", "revolute", "prismatic", "revolute")
+    true = {su.name: su.joint for su in simulation.truth.sus}
+    assert [true[name] for name in tree.su_names] == tree.su_joint.tolist()

@@ -20,6 +20,7 @@ from skin2urdf.faults import Fault, distinct
 from skin2urdf.hypotheses.encoder import Corrected, evident_errors
 from skin2urdf.recording.records import Recording
 from skin2urdf.signals.encoders import corrected
+from skin2urdf.signals.sampling import Sampled
 from skin2urdf.signals.trajectory import Trajectory, trajectory
 from skin2urdf.vendor.description import describe
 from skin2urdf.vendor.explaining import explain
@@ -105,6 +106,13 @@ def _paths(recordings: Sequence[Recording]) -> list[str]:
     return [recording.source for recording in recordings if recording.source]
 
 
+def _whole(log: Trajectory, sampled: Sampled) -> bool:
+    """Whether some SU has samples to compare in most of the rests of a log."""
+    there = log.kept[log.valid.any(axis=1)]
+    ends = np.searchsorted(there, [(rest.begin, rest.end) for rest in sampled.rests])
+    return bool(len(there) and 2 * (ends[:, 1] > ends[:, 0]).sum() >= len(ends))
+
+
 def _heard(logs: Logs) -> Int:
     """Indices of the SUs that have valid samples in some log.
 
@@ -127,9 +135,10 @@ def _trajectories(logs: Logs, chassis: Chassis, heard: Int) -> list[Trajectory]:
         InsufficientDataError: nothing is whole for long enough.
     """
     found = [chassis.along(trajectory(s, g, REACH), heard) for g, s in enumerate(logs.sampled)]
-    if not any(log.valid.any() for log in found):
+    if not any(_whole(log, s) for log, s in zip(found, logs.sampled, strict=True)):
         raise InsufficientDataError(
-            "no readings are whole for as long as a second while the joints are known",
-            "record ten seconds or more of motion without gaps",
+            "the log has no samples to compare along most of its rests: it was recorded rest by "
+            "rest, or has gaps everywhere",
+            "record ten seconds or more of motion in one go",
         )
     return found

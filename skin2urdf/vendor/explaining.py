@@ -118,8 +118,11 @@ def explain(
     sensors = bench.settings.estimation.priors
     asked = bench.blueprint(correction, placed.up[0])
     found = Explained(bench, placed, asked, bench.fit(placed, asked, sensors, tell=tell), {}, {})
+    if not found.fits and correction.what != "none":
+        found = _placed_again(found)
     if not found.fits or (correction.what != "none" and _strange(found)):
         found = _cause(found, correction)
+    found = _with_doubts(found)
     learnt = found.bench.learnt(found.along, sensors)
     if learnt == sensors:
         return found
@@ -145,6 +148,8 @@ def _cause(kept: Explained, correction: Correction) -> Explained:
     specimen = replace(
         kept, blueprint=common, along=bench.fit(placed, common, sensors, kept.along.state)
     )
+    if not specimen.fits:
+        specimen = _placed_again(specimen)
     if specimen.fits and not _strange(specimen):
         return specimen
     tried = [kept]
@@ -171,6 +176,38 @@ def _cause(kept: Explained, correction: Correction) -> Explained:
     if np.nanmax(best.left.rms) > GROSS:
         raise another_robot(best)
     return best
+
+
+def _placed_again(found: Explained) -> Explained:
+    """The same with SUs on the segments on which they fit best with the model as it was found.
+
+    What a specimen deviates by may hide a joint that turns an SU about the vertical.
+    """
+    bench, state = found.bench, found.along.state
+    shifted = replace(bench.chassis, T_parent_joint=state.T_parent_joint)
+    placed = placed_from(shifted, bench.logs, state.up, bench.settings.estimation.priors)
+    if (placed.su_joint == found.placed.su_joint).all():
+        return found
+    start = replace(placed.state(state.T_parent_joint), up=state.up)
+    along = bench.fit(placed, found.blueprint, bench.settings.estimation.priors, start)
+    again = replace(found, placed=placed, along=along)
+    return again if again.left.mean < found.left.mean else found
+
+
+def _with_doubts(found: Explained) -> Explained:
+    """The same with the segments that SUs may sit on as well, given the model as it was found."""
+    if not any(found.placed.instead):
+        return found
+    state = found.along.state
+    shifted = replace(found.bench.chassis, T_parent_joint=state.T_parent_joint)
+    sensors = found.bench.settings.estimation.priors
+    again = placed_from(shifted, found.bench.logs, state.up, sensors)
+    same = again.su_joint == found.placed.su_joint
+    instead = tuple(
+        new if alike else old
+        for new, old, alike in zip(again.instead, found.placed.instead, same, strict=True)
+    )
+    return replace(found, placed=replace(found.placed, instead=instead))
 
 
 def _allowed(zeros: Explained, kept: Explained, correction: Correction) -> Explained:

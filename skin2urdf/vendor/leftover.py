@@ -18,6 +18,9 @@ from skin2urdf.signals.trajectory import Trajectory
 
 SPANS = (0.5, 2.0)
 """Lengths of spans whose means are looked at [s]: those of moves, and of what outlasts them."""
+_LEAST = 1e-3**2
+"""Variance of low-passed readings that no sensor falls below [m^2/s^4]: a tenth of a milligravity.
+Some logs repeat one value over a rest."""
 _FEWEST = 8
 """Samples of an SU from which its noise is known."""
 
@@ -107,7 +110,7 @@ def _noise(residual: F64, there: Bool, gain: float) -> float:
         return 0.0
     bend = (residual[:-2] - 2 * residual[1:-1] + residual[2:])[whole]
     # The median of chi-squared with three degrees of freedom is 2.366.
-    return float(np.median((bend**2).sum(axis=1)) / 2.366 / gain)
+    return max(_LEAST, float(np.median((bend**2).sum(axis=1)) / 2.366 / gain))
 
 
 def _means(residual: F64, there: Bool, n: int) -> F64:

@@ -300,7 +300,7 @@ def _placed(moments: list[list[Moments]], su_joint: Int, fits: list[Fit], up: F6
 def _with_alternatives(found: Placed, moments: list[list[Moments]], priors: Priors) -> Placed:
     """The same, with the segments that no motion tells from those that were taken.
 
-    Of those that are alike the one nearest to the base is taken.
+    The one that leaves least is taken.
     """
     su_joint, fits, instead = np.array(found.su_joint), list(found.fits), []
     order = [-1, *range(len(moments) - 1)]
@@ -315,7 +315,9 @@ def _with_alternatives(found: Placed, moments: list[list[Moments]], priors: Prio
             there = fitted(sums, moments[other], u, priors)
             if not clearly_less(fit.rss, there.rss):
                 alike[other] = there
-        first = next(j for j in order if j in alike)
+        # Where no joint between moved at all, the one nearest to the base.
+        least = min(each.cost for each in alike.values())
+        first = next(j for j in order if j in alike and alike[j].cost <= least * (1 + _SAME))
         su_joint[u], fits[u] = first, alike[first]
         instead.append(tuple(j for j in order if j in alike and j != first))
     count = sum(m.count.sum(axis=1) for m in moments[0])

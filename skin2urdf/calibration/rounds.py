@@ -98,14 +98,26 @@ class Solution:
 
 
 def sample_logs(
-    recordings: Sequence[Recording], settings: CalibrationSettings, clock: Clock
+    recordings: Sequence[Recording],
+    settings: CalibrationSettings,
+    clock: Clock,
+    *,
+    must_rest: bool = True,
 ) -> Logs:
     """Put recordings on their grids.
+
+    Args:
+        recordings: the logs.
+        settings: choices.
+        clock: runs the stage.
+        must_rest: False where slowest moments may stand for rests.
 
     Raises:
         InsufficientDataError: the logs lack what a calibration needs.
     """
-    sampled, su_names = clock.run("sampling", lambda _: sampled_together(recordings))
+    sampled, su_names = clock.run(
+        "sampling", lambda _: sampled_together(recordings, must_rest=must_rest)
+    )
     if not settings.gyro:
         sampled = [replace(s, turning=None) for s in sampled]
     return Logs(sampled, su_names, settings)

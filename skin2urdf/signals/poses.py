@@ -74,6 +74,24 @@ def find_rests(motion: Motion) -> tuple[Rest, ...]:
     return tuple(rests)
 
 
+def slowest_moments(motion: Motion, most: int = 8) -> tuple[Rest, ...]:
+    """Quarters of a second in which the joints move least, for logs of robots that never rest.
+
+    Args:
+        motion: the motion.
+        most: how many, at most; they do not overlap.
+    """
+    n = max(1, round(_SHORTEST_REST * motion.grid.rate))
+    size = len(motion.q) // n * n
+    span = np.maximum(np.ptp(motion.q, axis=0), 1e-3)
+    speed = (np.abs(motion.qd[:size]) / span).max(axis=1).reshape(-1, n).max(axis=1)
+    speed = np.where(motion.valid[:size].reshape(-1, n).all(axis=1), speed, np.inf)
+    chosen = [int(i) for i in np.argsort(speed)[:most] if np.isfinite(speed[i])]
+    return tuple(
+        Rest(i * n, (i + 1) * n, motion.q[i * n : (i + 1) * n].mean(axis=0)) for i in sorted(chosen)
+    )
+
+
 def find_neighbourhoods(motion: Motion, rests: tuple[Rest, ...]) -> tuple[Neighbourhood, ...]:
     """Group rests and the excursions between them into poses.
 

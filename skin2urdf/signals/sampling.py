@@ -19,7 +19,13 @@ from skin2urdf.signals.filters import sample, spread
 from skin2urdf.signals.health import checked, unusable
 from skin2urdf.signals.mending import computed
 from skin2urdf.signals.motion import Motion, joint_motion, travel
-from skin2urdf.signals.poses import Neighbourhood, Rest, find_neighbourhoods, find_rests
+from skin2urdf.signals.poses import (
+    Neighbourhood,
+    Rest,
+    find_neighbourhoods,
+    find_rests,
+    slowest_moments,
+)
 from skin2urdf.signals.records import StaticMoves, SuClock
 from skin2urdf.signals.turning import Turning, sampled_turning
 
@@ -68,16 +74,28 @@ class Sampled:
 
 
 def sample_recording(
-    recording: Recording, dof_names: Sequence[str], su_names: Sequence[str]
+    recording: Recording,
+    dof_names: Sequence[str],
+    su_names: Sequence[str],
+    *,
+    must_rest: bool = True,
 ) -> Sampled:
     """Put a recording on one grid and find its poses.
 
+    Args:
+        recording: the log.
+        dof_names: D joints, and
+        su_names: U SUs, in the order that is wanted.
+        must_rest: False where its slowest moments may stand for rests that it lacks.
+
     Raises:
-        InsufficientDataError: too few samples, or the robot never rests.
+        InsufficientDataError: too few samples, or the robot never rests and has to.
     """
     motion = joint_motion(recording, dof_names)
     _check_unit(motion, recording.source)
     rests = find_rests(motion)
+    if not rests and not must_rest:
+        rests = slowest_moments(motion)
     if not rests:
         raise InsufficientDataError(
             f"{recording.source}: the robot never rests: no quarter of a second in which all "
@@ -209,8 +227,14 @@ def _energy(motion: Motion, windows: Sequence[tuple[int, int]]) -> F64:
 
 def sampled_together(
     recordings: Sequence[Recording],
+    *,
+    must_rest: bool = True,
 ) -> tuple[list[Sampled], tuple[str, ...]]:
     """All logs of one robot on their grids, and the names of the SUs that occur in any of them.
+
+    Args:
+        recordings: the logs.
+        must_rest: False where slowest moments may stand for rests.
 
     Raises:
         InsufficientDataError: there are no joints or no SUs at all, or a log can not be used.
@@ -224,7 +248,7 @@ def sampled_together(
             "record the joint states and the SUs' topics together in one log",
             lacks="SUs" if dofs else "joints",
         )
-    return [sample_recording(r, dofs, sus) for r in recordings], sus
+    return [sample_recording(r, dofs, sus, must_rest=must_rest) for r in recordings], sus
 
 
 def static_moves(sampled: Sequence[Sampled]) -> StaticMoves:

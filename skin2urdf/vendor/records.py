@@ -184,6 +184,13 @@ class ModelCalibration:
         good = good and not self.odd
         if self.kept and self.deviates:
             good = False
+        # An SU on the base or on the first joint never is determined, whatever is recorded.
+        beyond = [
+            verdict == "determined"
+            for verdict, j in zip(self.observability.su_verdict, self.tree.su_joint, strict=True)
+            if j >= 0 and self.tree.parent[j] >= 0
+        ]
+        good = good and 2 * sum(beyond) >= len(beyond)
         return "good" if good and not self.offsets else "fair"
 
 

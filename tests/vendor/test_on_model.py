@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Callable
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -12,13 +13,17 @@ import numpy as np
 import pytest
 from vendor.model_robot import URDF, Recorded, model, recorded, with_zero
 
+from skin2urdf.arrays import F64, Bool
 from skin2urdf.cli.main import main
 from skin2urdf.errors import ModelMismatchError, UnreadableInputError
 from skin2urdf.geometry.se3 import inverse, log
 from skin2urdf.recording.description import robot_descriptions
+from skin2urdf.recording.records import Recording
 from skin2urdf.recording.writing import write
 from skin2urdf.report.model_document import as_document
 from skin2urdf.report.on_model import as_text
+from skin2urdf.signals.motion import joint_motion
+from skin2urdf.signals.poses import find_rests
 from skin2urdf.vendor.calibrate import calibrate_with_model
 from skin2urdf.vendor.description import describe
 from skin2urdf.vendor.matching import match
@@ -160,6 +165,34 @@ def test_the_command_writes_the_file_and_reads_the_description_in_a_bag(
     assert main(["calibrate", str(log_file), "--model", "bag", "-o", str(out)]) == 2
     assert "robot_description" in capsys.readouterr().err
     assert main(["calibrate", str(log_file), "--correct", "zeros", "-o", str(out)]) == 2
+
+
+def test_a_log_without_a_rest_does_and_what_it_leaves_open_is_named(toy: Recorded) -> None:
+    recording = between(toy.recording, 21.35, 27.35)
+    assert not find_rests(joint_motion(recording))
+    found = calibrate_with_model(recording, model())
+    assert dict(zip(found.tree.su_names, found.links, strict=True)) == {
+        name: toy.link[name] for name in found.tree.su_names
+    }
+    assert set(found.observability.su_verdict) == {"not observable"}
+    assert found.quality == "fair"
+
+
+def between(recording: Recording, begin: float, end: float) -> Recording:
+    """Part of a recording."""
+
+    def part(time: F64) -> Bool:
+        return (time >= begin) & (time <= end)
+
+    joints = [
+        replace(x, time=x.time[part(x.time)], position=x.position[part(x.time)])
+        for x in recording.joints
+    ]
+    sus = [
+        replace(x, time=x.time[part(x.time)], specific_force=x.specific_force[part(x.time)])
+        for x in recording.sus
+    ]
+    return replace(recording, joints=tuple(joints), sus=tuple(sus))
 
 
 def test_a_description_in_a_bag_is_read(tmp_path: Path) -> None:

@@ -209,12 +209,13 @@ def _su_sources(recordings: Sequence[Recording], sampled: Sequence[Sampled]) -> 
     found: dict[str, SuSource] = {}
     for recording, s in zip(recordings, sampled, strict=True):
         rate = s.motion.grid.rate
-        bandwidth = noise_bandwidth(low_pass(s.cutoff, rate), rate)
+        taps = low_pass(s.cutoff, rate)
+        once, twice = (noise_bandwidth(t, rate) for t in (taps, np.convolve(taps, taps)))
         for su in recording.sus:
             known = found.get(su.name)
             if su.time.size > 1 and (known is None or known.duration < recording.duration):
                 often = 1.0 / float(np.median(np.diff(su.time)))
-                found[su.name] = SuSource(su.topic, often, bandwidth, recording.duration)
+                found[su.name] = SuSource(su.topic, often, once, twice, recording.duration)
     return found
 
 

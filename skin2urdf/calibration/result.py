@@ -69,12 +69,14 @@ class SuSource:
         rate: readings per second [Hz].
         bandwidth: one-sided noise bandwidth [Hz] of what features were taken from; a noise density
             is the features' noise over the square root of twice that.
+        twice_bandwidth: the same of what all samples are fitted to, which is low-passed twice.
         duration: of the longest log that holds it [s].
     """
 
     topic: str
     rate: float
     bandwidth: float
+    twice_bandwidth: float
     duration: float
 
 

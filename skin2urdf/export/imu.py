@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -53,15 +54,31 @@ def _imu(su: ExportedSu) -> dict[str, Any]:
     M = np.eye(3) + np.diag(facts["scale"])
     yz, xz, xy = facts["cross_yz_xz_xy"]
     M += np.array([[0.0, xy, xz], [xy, 0.0, yz], [xz, yz, 0.0]])
+    turning = facts.get("gyro") or {}
+    gyro = _gyro(turning, facts.get("gyro_noise_density")) if turning.get("used") else {}
     return {
         "T_i_b": None if su.position_open else T_su_link(su).tolist(),
         "accelerometers": {"M": M.tolist(), "bias": list(facts["bias"])},
         "accelerometer_noise_density": None if noise is None else float(np.mean(noise)),
         "accelerometer_random_walk": facts.get("bias_random_walk"),
+        **gyro,
         "model": "scale-misalignment",
         "rostopic": facts.get("topic"),
         "time_offset": None if latency is None else -float(latency),
         "update_rate": None if rate is None else round(float(rate), 6),
         "frame_id": su.known_as,
         "body": su.joint.parent,
+    }
+
+
+def _gyro(facts: Mapping[str, Any], density: float | None) -> dict[str, Any]:
+    """What was found of a gyroscope that counted; of several logs the mean bias."""
+    xy, xz, yx, yz, zx, zy = facts["misalignment"]
+    M = np.diag(1.0 + np.array(facts["scale"]))
+    M += np.array([[0.0, xy, xz], [yx, 0.0, yz], [zx, zy, 0.0]])
+    bias = np.reshape(facts["bias"], (-1, 3)).mean(axis=0)
+    return {
+        "gyroscopes": {"M": M.tolist(), "bias": bias.tolist()},
+        "gyroscope_noise_density": density,
+        "gyroscope_random_walk": None,
     }

@@ -258,7 +258,8 @@ def _sensor(calibration: Calibration, u: int) -> dict[str, Any]:
     name = calibration.model.tree.su_names[u]
     source = calibration.su_sources.get(name)
     if source is None:
-        return dict.fromkeys(("topic", "rate", "noise_density", "bias_random_walk"))
+        keys = ("topic", "rate", "noise_density", "bias_random_walk", "gyro_noise_density")
+        return dict.fromkeys(keys)
     noise = _stream(calibration.features, name)["noise"]
     drift = 0.0 if calibration.along is None else float(np.max(calibration.along.drifts[u]))
     return {
@@ -266,6 +267,8 @@ def _sensor(calibration: Calibration, u: int) -> dict[str, Any]:
         "rate": source.rate,
         "noise_density": None if noise is None else noise / np.sqrt(2 * source.bandwidth),
         "bias_random_walk": drift / np.sqrt(source.duration) if drift > 0 else None,
+        "gyro_noise_density": (gyro_document(calibration, u) or {}).get("noise", np.nan)
+        / np.sqrt(2 * source.twice_bandwidth),
     }
 
 

@@ -222,6 +222,21 @@ def test_the_imu_file_has_kalibrs_keys_and_what_was_found(source: Source) -> Non
             np.testing.assert_allclose(entry["T_i_b"], expected, atol=1e-12)
 
 
+def test_gyroscopes_that_counted_are_in_the_imu_file(source: Source) -> None:
+    first, second, *rest = source.sus
+    found = {
+        "used": True, "scale": [0.1, 0.2, 0.3], "misalignment": [1, 2, 3, 4, 5, 6],
+        "bias": [[0.0, 0.2, 0.4], [0.2, 0.4, 0.6]],
+    }  # fmt: skip
+    heard = replace(first, facts={**(first.facts or {}), "gyro": found, "gyro_noise_density": 1e-4})
+    left_out = replace(second, facts={**(second.facts or {}), "gyro": {"used": False}})
+    table = yaml.safe_load(to_imu(replace(source, sus=(heard, left_out, *rest))))
+    assert table["imu0"]["gyroscopes"]["M"] == [[1.1, 1, 2], [3, 1.2, 4], [5, 6, 1.3]]
+    np.testing.assert_allclose(table["imu0"]["gyroscopes"]["bias"], [0.1, 0.3, 0.5])
+    assert table["imu0"]["gyroscope_noise_density"] == 1e-4
+    assert "gyroscopes" not in table["imu1"]
+
+
 def test_mjcf_has_the_same_kinematics_and_feels_gravity(source: Source) -> None:
     read = mujoco.MjModel.from_xml_string(to_mjcf(source))
     data = mujoco.MjData(read)

@@ -12,11 +12,12 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from skin2urdf.errors import UsageError
+from skin2urdf.geometry import se3
 from skin2urdf.model.records import KinematicModel
 from skin2urdf.urdf.compare import compare
 from skin2urdf.urdf.emit import emit
 from skin2urdf.urdf.loading import load_robot
-from skin2urdf.urdf.matching import matched_joints
+from skin2urdf.urdf.matching import fit_axes, matched_joints
 from skin2urdf.urdf.records import Comparison
 
 Robots = Callable[..., KinematicModel]
@@ -145,3 +146,20 @@ def test_robots_that_share_nothing_are_refused(random_robot: Robots, tmp_path: P
     with pytest.raises(UsageError) as raised:
         against(tmp_path, est, true, {"joint_0": "slide"})
     assert raised.value.remedy
+
+
+@pytest.mark.parametrize("parallel", [False, True])
+def test_axes_are_laid_onto_each_other(base: np.ndarray, parallel: bool) -> None:
+    """A slide and three revolute axes, all parallel as in a SCARA, or not."""
+    rng = np.random.default_rng(6)
+    w = np.tile([0.6, 0.0, 0.8], (5, 3, 1))
+    if not parallel:
+        w = rng.normal(size=(5, 3, 3))
+        w /= np.linalg.norm(w, axis=-1, keepdims=True)
+    points = rng.uniform(-0.5, 0.5, (5, 3, 3))
+    turning = np.concatenate([-np.cross(w, points), w], axis=-1)
+    slide = np.concatenate([w[:, :1], np.zeros((5, 1, 3))], axis=-1)
+    axes = np.concatenate([turning, slide], axis=1)
+    kinds = [True, True, True, False]
+    X = fit_axes(axes, axes @ se3.adjoint(base).T, kinds)
+    np.testing.assert_allclose(axes @ se3.adjoint(X).T, axes @ se3.adjoint(base).T, atol=1e-9)

@@ -12,7 +12,7 @@ from gyroscopes.trials import Judged, Trial
 _HEAD = (
     ("re-", "cordings"), ("trees", "right"), ("position", "true mm"), ("", "stated"),
     ("orientation", "true deg"), ("", "stated"), ("axes", "true deg"), ("SUs not", "known"),
-    ("good/fair", "/none"), ("time", "s"),
+    ("good/fair", "/none"),
 )  # fmt: skip
 _LEGEND = (
     "Root mean squares over recordings, SUs whose placement is determined and configurations; axes "
@@ -67,7 +67,6 @@ def _row(done: Sequence[Judged], n: int) -> tuple[str, ...]:
         figures.short(figures.rms(f.axis_deg for f in right)),
         str(sum(f.n_undetermined for f in done)),
         f"{verdicts['good']}/{verdicts['fair']}/{verdicts['none']}",
-        figures.short(figures.rms(f.seconds for f in done)),
     )
 
 

@@ -34,7 +34,7 @@ def turn_evidence(sampled: Sequence[Sampled], lag: F64) -> Turns | None:
     if all(s.turning is None for s in sampled):
         return None
     U, D = len(lag), len(sampled[0].motion.dof_names)
-    square, weight = np.zeros((U, D)), np.zeros((U, D))
+    square, fourth, weight = np.zeros((U, D)), np.zeros((U, D)), np.zeros((U, D))
     for s in sampled:
         if s.turning is None:
             continue
@@ -51,10 +51,14 @@ def turn_evidence(sampled: Sequence[Sampled], lag: F64) -> Turns | None:
                 if found is not None:
                     size2, variance = found
                     square[u] += size2 / variance
+                    fourth[u] += size2**2 / variance
                     weight[u] += 1 / variance
     known = weight > 0
     mean = np.divide(square, weight, out=np.full((U, D), np.nan), where=known)
-    sd = np.divide(1.0, np.sqrt(weight), out=np.full((U, D), np.inf), where=known)
+    some = np.where(known, weight, 1.0)
+    # Poses that contradict each other, as where SUs exchanged their names, tell nothing together.
+    scatter = np.sqrt(np.maximum(fourth / some - (square / some) ** 2, 0.0))
+    sd = np.where(known, np.hypot(1 / np.sqrt(some), scatter), np.inf)
     return Turns(np.sqrt(np.maximum(mean, 0.0)), sd)
 
 

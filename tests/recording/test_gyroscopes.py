@@ -108,3 +108,17 @@ def test_rates_keep_to_their_samples(small: Recording, rates: F64) -> None:
     again = retimed(turning).sus[0]
     assert again.angular_velocity is not None
     assert len(again.angular_velocity) == len(again.time)
+
+
+def test_a_gyroscope_that_starts_late_is_read_from_then_on(
+    small: Recording, rates: F64, tmp_path: Path
+) -> None:
+    path = tmp_path / "log.mcap"
+    late = np.array(rates)
+    late[: len(late) // 2] = 0.0
+    write(_turning(small, late), path, chunk_size=3000)
+    found = read(path).sus[0].angular_velocity
+    assert found is not None
+    np.testing.assert_array_equal(found[len(late) // 2 :], late[len(late) // 2 :])
+    # Blocks without any rate have none; a zero among others is a reading like any.
+    assert np.nan_to_num(found[: len(late) // 2]).max() == 0.0

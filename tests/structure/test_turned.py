@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 from random_robots import Joint, robot_of
 
 from skin2urdf.arrays import F64
-from skin2urdf.recording.records import Recording
+from skin2urdf.recording.records import Recording, SuStream
 from skin2urdf.recording.retiming import retimed
 from skin2urdf.signals.features import extract_features
 from skin2urdf.signals.records import Features
@@ -91,6 +92,29 @@ def test_a_joint_that_moves_sus_and_turns_none_slides(log: Recording) -> None:
     odd[:, :, 1 + slide] += 3.0
     blurred = kinematic_tree(seen, replace(features, coefficients=odd))
     assert dict(zip(blurred.joint_names, blurred.joint_types, strict=True))["slide"] == "prismatic"
+
+
+def test_sus_that_exchange_their_names_tell_nothing(log: Recording) -> None:
+    fewest, most = min(log.sus, key=_motion), max(log.sus, key=_motion)
+    time = most.time
+    rates = np.array(most.angular_velocity)
+    other = np.array(fewest.angular_velocity)
+    later = np.flatnonzero(time > time.mean())
+    later = later[later < len(other)]
+    rates[later] = other[later]
+    sus = tuple(replace(su, angular_velocity=rates) if su is most else su for su in log.sus)
+    features = extract_features(*sampled_together([replace(log, sus=sus)]))
+    seen = activity(features)
+    assert seen.turned is not None
+    turning = [features.dof_names.index(name) for name in ("pan", "lift")]
+    u = features.su_names.index(most.name)
+    assert np.isnan(seen.turned[u, turning]).any()
+    others = np.delete(seen.turned[:, turning], u, axis=0)
+    assert np.isfinite(others).all()
+
+
+def _motion(su: SuStream) -> float:
+    return float(np.std(np.array(su.angular_velocity)))
 
 
 def test_what_is_certain_outweighs_gyroscopes(log: Recording) -> None:

@@ -126,7 +126,7 @@ def _physics(first: Solution | None, clock: Clock) -> MotionEstimate | None:
     """What all samples say of a first estimate that does not explain its features, if they do."""
     if first is None or first.logs.settings.motion != "all":
         return None
-    if not GOOD_FIT < first.found.cost_per_dof <= BAD_FIT:
+    if not (first.found.cost_per_dof > GOOD_FIT and first.found.misfit <= BAD_FIT):
         return None
     return clock.run("all samples", lambda tell: physics_of(first, tell))
 

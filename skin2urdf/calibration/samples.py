@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from skin2urdf.calibration.clock import Tell
-from skin2urdf.calibration.result import GOOD_FIT
+from skin2urdf.calibration.result import BAD_MISFIT, GOOD_FIT
 from skin2urdf.calibration.rounds import Logs, Solution
 from skin2urdf.calibration.settings import CalibrationSettings
 from skin2urdf.estimation.problem.cost import Priors
@@ -37,12 +37,13 @@ _MOST = 0.5
 """Share of the poses from which the samples say all that features do."""
 
 
-def fit_samples(solution: Solution, tell: Tell) -> MotionEstimate | None:
+def fit_samples(solution: Solution, tell: Tell, *, most: float = np.inf) -> MotionEstimate | None:
     """Fit all samples of mended logs, starting from what the features around poses say.
 
     Args:
         solution: the logs, and the estimate to begin with.
         tell: told the share of the work that is done.
+        most: misfit beyond which no physics is tried that a rigid robot has not.
 
     Returns:
         None where most poses have no samples to compare, as rests that were recorded one by one:
@@ -60,7 +61,7 @@ def fit_samples(solution: Solution, tell: Tell) -> MotionEstimate | None:
     if _share_of_poses(trajectories, logs.sampled) < _MOST:
         return None
     priors = sample_priors(settings, found.cost.priors)
-    return estimate_along(trajectories, tree, found.state, priors, latency, tell)
+    return estimate_along(trajectories, tree, found.state, priors, latency, tell, most=most)
 
 
 def sample_priors(settings: CalibrationSettings, sensors: Priors) -> MotionPriors:
@@ -132,7 +133,7 @@ def physics_of(first: Solution, tell: Tell) -> MotionEstimate | None:
         first: an estimate from features that does not explain them.
         tell: told the share of the work that is done.
     """
-    along = fit_samples(first, tell)
+    along = fit_samples(first, tell, most=BAD_MISFIT)
     if along is None or not along.causes or "slack" in along.causes:
         return None
     quiet = along.misfit <= GOOD_FIT and not _anything_stands_out(along)

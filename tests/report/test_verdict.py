@@ -6,10 +6,14 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+import pytest
 from calibrated import calibration
 
+from skin2urdf.calibration.pipeline import check_fit
 from skin2urdf.calibration.result import Calibration
+from skin2urdf.errors import BadFitError
 from skin2urdf.estimation.uncertainty.goodness import Share
+from skin2urdf.estimation.uncertainty.health import why_unexplained
 from skin2urdf.faults import Fault
 from skin2urdf.report.findings import findings
 
@@ -117,3 +121,27 @@ def test_a_bad_fit_promises_no_accuracy() -> None:
     found = replace(calibration(), along=replace(along, misfit=900.0))
     assert line(found).startswith("bad: ")
     assert "errors to expect" not in line(found)
+
+
+def test_a_robot_of_which_all_sus_are_weak_is_bad_and_one_mostly_open_is_not_good() -> None:
+    all_weak = with_observability(su_verdict=("weak",) * 7)
+    assert all_weak.quality == "bad"
+    assert all_weak.mostly_open
+    assert "7 of 7 SUs are not determined" in line(all_weak)
+    # Rests alone show no position at all: what they show is worth something.
+    rests = with_observability(su_verdict=("not observable",) * 7)
+    assert rests.quality == "fair"
+    assert rests.mostly_open
+    assert not calibration().mostly_open
+
+
+def test_a_refusal_names_the_physics_that_explains_most() -> None:
+    along = calibration().along
+    assert along is not None
+    far = replace(along, misfit=60.0, tried={"drift": 800.0, "elastic": 60.0})
+    with pytest.raises(BadFitError) as refused:
+        check_fit(calibration().estimate, far)
+    likely = why_unexplained(far.tried, 60.0, "", "")
+    assert all(words.strip("; ") in str(refused.value) for words in likely[:1])
+    assert likely != why_unexplained({"drift": 60.0}, 60.0, "", "")
+    check_fit(calibration().estimate, along)

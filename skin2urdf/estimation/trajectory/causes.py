@@ -75,15 +75,16 @@ class Explained:
     tried: Mapping[str, float] = field(default_factory=dict)
 
 
-def explained(problem: MotionProblem, fitted: Fitted) -> Explained:
+def explained(problem: MotionProblem, fitted: Fitted, most: float = np.inf) -> Explained:
     """Try what a rigid robot with steady sensors has not, where it does not explain the readings.
 
     Args:
         problem: the rigid robot.
         fitted: its fit.
+        most: misfit of the rigid robot beyond which nothing is tried.
     """
     rigid = _Attempt(problem, fitted, (), slack(problem.tree, problem.logs))
-    if not rigid.lacks or rigid.misfit > _BEYOND:
+    if rigid.misfit > min(most, _BEYOND) or not rigid.lacks:
         return Explained(problem, fitted)
     best = _with_uneven_gears(rigid)
     attempts = [best]

@@ -107,6 +107,7 @@ def estimate_along(
     tell: Callable[[float], None] = lambda _: None,
     *,
     look_further: bool = True,
+    most: float = np.inf,
 ) -> MotionEstimate:
     """Fit all samples of all logs.
 
@@ -119,6 +120,7 @@ def estimate_along(
         tell: told the share of the work that is done.
         look_further: whether elastic joints and drifting biases are tried where noise and
             placements do not explain the readings.
+        most: misfit beyond which they are not tried either.
     """
     U, G = tree.n_sus, len(logs)
     problem = MotionProblem(tree, logs, priors)
@@ -138,7 +140,7 @@ def estimate_along(
     logs = problem.logs
     found = Explained(problem, fitted)
     if look_further:
-        found = explained(problem, fitted)
+        found = explained(problem, fitted, most)
         problem, fitted = found.problem, found.fitted
     left = misfit_of(problem, fitted, SPAN)
     # Errors that last longer than a span are larger than spans taken as independent show.

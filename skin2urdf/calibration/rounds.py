@@ -228,7 +228,7 @@ def _with_an_su_elsewhere(
             again = replace(again, notes=(*again.notes, _elsewhere(su, joint, moved)))
             if alike(again, found.tree):
                 continue
-            latest, shown = relinearise(logs, again, features, clock, hopeless=is_hopeless)
+            latest, shown = relinearise(logs, again, features, clock, hopeless=_leads_nowhere)
         except (StructureError, InsufficientDataError):
             continue
         if latest.misfit <= GOOD_FIT and not unlike_the_rest(latest):
@@ -239,6 +239,16 @@ def _with_an_su_elsewhere(
 def is_hopeless(found: Estimate) -> bool:
     """Whether no estimate explains the readings, before any of them are weighed down."""
     return found.misfit > BAD_FIT
+
+
+def _leads_nowhere(found: Estimate) -> bool:
+    """Whether a structure is wrong beyond doubt, as seen in the first features."""
+    return found.misfit > _NOWHERE
+
+
+_NOWHERE = 1000.0
+"""Misfit of first features from which a structure is wrong: what lies beyond first order, and is
+noise to them, leaves 3 to 70 with the right one, and one SU on a wrong joint 10,000 and more."""
 
 
 def relinearise(
@@ -256,9 +266,7 @@ def relinearise(
         tree: the structure.
         features: the features to begin with.
         clock: runs the stages.
-        hopeless: where only an explanation is of use, tells of a first estimate that leads to none:
-            what lies beyond first order is noise to the first features, and leaves 3 to 10 times
-            what noise does; a wrong structure or sensor leaves hundreds.
+        hopeless: where only an explanation is of use, tells of a first estimate that leads to none.
     """
     found = estimate_once(logs, tree, features, None, clock)
     if len(logs.sampled) > 1 and is_hopeless(found):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -103,7 +104,9 @@ def test_every_su_on_the_axis_of_its_joint(upright: bool, tmp_path: Path) -> Non
         return
     first, *_ = (su.name for su in recorded(robot).truth.sus if su.link == "link_j0")
     (difference,) = comparison.tree_differences
-    assert difference == f"SU {first} hangs on no joint; in the truth on j0"
+    assert {first, "j0"} <= set(re.findall(r"\w+", difference))
+    tree = calibration.model.tree
+    assert tree.su_joint[tree.su_names.index(first)] < 0
     assert comparison.position.rms < 0.5e-3
     assert calibration.estimate.cost_per_dof < 2.0
 
@@ -118,8 +121,8 @@ def test_segments_without_sus(links: tuple[int, ...], tmp_path: Path) -> None:
         assert comparison.joints_left_out == ()
     else:
         assert "j3" not in calibration.model.tree.joint_names
-        assert any("j3 is left out" in note for note in calibration.notes)
-    assert any("no SU sits on the reference segment" in note for note in calibration.notes)
+        assert any("j3" in note for note in calibration.notes)
+    assert (calibration.model.tree.su_joint >= 0).all()
 
 
 @pytest.mark.parametrize("upright", [False, True])

@@ -98,9 +98,9 @@ def test_an_su_whose_last_joint_was_missed_in_gaps_is_put_beyond_it() -> None:
     injected, found = of_six_poses("gaps", 10282)
     assert [(f.kind, f.subject) for f in found.faults] == [(injected.kind, injected.subjects[0])]
     assert found.estimate.misfit < 1.3
-    (note,) = (n for n in found.notes if n.startswith(injected.subjects[0]))
-    assert "taken to move with panda_joint5" in note
-    assert "record panda_joint5 moving by itself" in note
+    tree, (name,) = found.model.tree, injected.subjects
+    assert tree.joint_names[tree.su_joint[tree.su_names.index(name)]] == "panda_joint5"
+    assert any(name in note and "panda_joint5" in note for note in found.notes)
 
 
 def test_a_fixed_su_does_not_slip() -> None:
@@ -254,7 +254,7 @@ def test_only_samples_at_the_end_of_the_range_are_clipped() -> None:
     assert not clipping(wave, moving).any()
 
 
-@settings(max_examples=15)
+@settings(max_examples=15, deadline=None)
 @given(st.integers(0, 2**32 - 1), st.floats(0.3, 1.2), st.floats(1.0, 3.0))
 def test_a_coarse_noisy_sensor_is_clipped_where_its_noise_ends_too_early(
     seed: int, depth: float, digits: float

@@ -107,6 +107,7 @@ def estimate_along(
     tell: Callable[[float], None] = lambda _: None,
     *,
     look_further: bool = True,
+    iterations: int = 30,
 ) -> MotionEstimate:
     """Fit all samples of all logs.
 
@@ -119,6 +120,7 @@ def estimate_along(
         tell: told the share of the work that is done.
         look_further: whether elastic joints and drifting biases are tried where noise and
             placements do not explain the readings.
+        iterations: linearisations, at most, of a first fit and of the last.
     """
     U, G = tree.n_sus, len(logs)
     problem = MotionProblem(tree, logs, priors)
@@ -133,7 +135,7 @@ def estimate_along(
         unseen=np.zeros(problem.layout.n_unseen),
         gyro=np.zeros((U, problem.layout.gyro.stop - problem.layout.gyro.start)),
     )
-    fitted = fit(problem, begin, tell=tell)
+    fitted = fit(problem, begin, iterations=iterations, tell=tell)
     problem, fitted, contradict = listened(problem, fitted)
     logs = problem.logs
     found = Explained(problem, fitted)

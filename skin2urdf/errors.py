@@ -48,6 +48,12 @@ class UnreadableInputError(Skin2UrdfError):
         self.path = path
 
 
+class PlanError(Skin2UrdfError):
+    """A motion that can not be: limits, obstacles or the time leave no room for it."""
+
+    exit_status = 2
+
+
 class InsufficientDataError(Skin2UrdfError):
     """A readable log that does not hold what a calibration needs (poses, motion, sensors).
 

@@ -62,6 +62,15 @@ LAYERS: dict[str, tuple[str, ...]] = {
         "geometry",
         "recording.records",
         "recording.writing",
+        "planning.trajectory",
+    ),
+    "planning": (
+        *BASE,
+        "recording.records",
+        "signals",
+        "structure",
+        "model",
+        "estimation",
     ),
     "survey": (*BASE, "recording", "signals", "structure", "estimation.start.order", "paper"),
     "report": (
@@ -75,6 +84,7 @@ LAYERS: dict[str, tuple[str, ...]] = {
         "vendor.checking",
         "calibration.result",
         "survey",
+        "planning",
     ),
     "output": (*BASE, "urdf", "calibration.result", "vendor.output", "vendor.records", "report"),
     "replay": (
@@ -133,6 +143,7 @@ LAYERS: dict[str, tuple[str, ...]] = {
         "urdf",
         "export",
         "simulation",
+        "planning",
         "calibration",
         "vendor",
         "survey",

@@ -17,6 +17,7 @@ from skin2urdf.cli.commands import (
     guide,
     info,
     man,
+    plan,
     report,
     simulate,
     view,
@@ -37,6 +38,7 @@ class Command(Protocol):
 
 
 COMMANDS: dict[str, Command] = {
+    "plan": plan,
     "calibrate": calibrate,
     "check": check,
     "report": report,

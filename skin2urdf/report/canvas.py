@@ -17,6 +17,7 @@ from skin2urdf.files import check_target
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 Point = tuple[float, float]
 Align = Literal["left", "center", "right"]
@@ -66,8 +67,8 @@ def check_picture(path: str | Path) -> Path:
 
 
 @contextmanager
-def page(path: str | Path, width: float, height: float) -> Iterator[Canvas]:
-    """Open a page; what was drawn is saved when the context ends without an error.
+def sheet(path: str | Path, width: float, height: float) -> Iterator[Figure]:
+    """Open an empty figure; what was drawn is saved when the context ends without an error.
 
     Args:
         path: where to save; the ending says the format (.svg, .pdf, .png).
@@ -84,9 +85,7 @@ def page(path: str | Path, width: float, height: float) -> Iterator[Canvas]:
 
     with mpl.rc_context(_STYLE):
         figure = Figure(figsize=(width, height), facecolor="white")
-        axes = figure.add_axes((0.0, 0.0, 1.0, 1.0), frameon=False)
-        axes.set(xlim=(0.0, width), ylim=(height, 0.0), xticks=(), yticks=())
-        yield Canvas(axes)
+        yield figure
         dpi = min(_PNG_DPI, _MOST_PIXELS / max(width, height))
         kind = Path(path).suffix.lower()
         drawn = BytesIO()
@@ -97,6 +96,15 @@ def page(path: str | Path, width: float, height: float) -> Iterator[Canvas]:
         raise UsageError(
             f"can not write {path}: {error.strerror or error}", "give another output path"
         ) from error
+
+
+@contextmanager
+def page(path: str | Path, width: float, height: float) -> Iterator[Canvas]:
+    """Open a page to draw on in inches; arguments and errors as of :func:`sheet`."""
+    with sheet(path, width, height) as figure:
+        axes = figure.add_axes((0.0, 0.0, 1.0, 1.0), frameon=False)
+        axes.set(xlim=(0.0, width), ylim=(height, 0.0), xticks=(), yticks=())
+        yield Canvas(axes)
 
 
 @lru_cache(maxsize=4096)

@@ -8,6 +8,7 @@ from types import MappingProxyType
 from typing import Literal, TypeVar
 
 from skin2urdf.errors import UsageError
+from skin2urdf.planning.trajectory import JointTrajectory
 from skin2urdf.simulation.defects.records import Defect
 from skin2urdf.simulation.motion_settings import MotionSettings
 from skin2urdf.simulation.sensors import GRADES, GYROS, GyroGrade, SensorGrade
@@ -82,6 +83,8 @@ class SimulationSettings:
         sus_on_base: SUs on the reference segment; None for the robot's own number.
         motion: shape of the motion; None for the robot's own.
         defects: what is not ideal beyond all that, in any number and combination.
+        plan: a trajectory to follow in place of random poses; poses, patterns and minutes are its
+            own then.
     """
 
     n_poses: int = 12
@@ -106,6 +109,7 @@ class SimulationSettings:
     sus_on_base: int | None = None
     motion: MotionSettings | None = None
     defects: tuple[Defect, ...] = ()
+    plan: JointTrajectory | None = None
 
     def __post_init__(self) -> None:
         checks = {

@@ -15,6 +15,7 @@ from skin2urdf.simulation.defects.records import Flexibility, Moved
 from skin2urdf.simulation.mechanism import Mechanism, load_mechanism, read_urdf
 from skin2urdf.simulation.motion import Reference, plan_moves, plan_reference
 from skin2urdf.simulation.motion_settings import MotionSettings
+from skin2urdf.simulation.planned import follow_plan
 from skin2urdf.simulation.plant import actual_motion
 from skin2urdf.simulation.robots import RobotSpec, SkinLayout, Vector3
 from skin2urdf.simulation.sensors import Gyroscope, draw_accelerometer, draw_gyroscope
@@ -146,7 +147,9 @@ def _plan(
     settings: SimulationSettings,
     rng: np.random.Generator,
 ) -> Reference:
-    """What the robot is commanded to do, with patterns or without."""
+    """What the robot is commanded to do: as planned, or with patterns or without."""
+    if settings.plan is not None:
+        return follow_plan(mechanism, settings.plan)
     structural = settings.has_structural
     if settings.excite == "none":
         return plan_moves(mechanism, motion, settings.duration, rng, structural)

@@ -39,6 +39,9 @@ def declare(command: Parser) -> None:
         help="pattern on one DoF after the other, on all at once, or ordinary moves from pose to "
         "pose without any (%(default)s)",
     )
+    motion.add_argument(
+        "--plan", metavar="YAML", help="follow a trajectory that plan wrote, in place of all that"
+    )
     add_number(motion, "--minutes", None, "how long to move without patterns [min] (3)")
     motion.add_argument(
         "--structural",
@@ -114,7 +117,8 @@ def run(options: argparse.Namespace) -> int:
     targets = [check_target(path) for path in (options.output, options.truth) if path]
     if len(set(targets)) < len(targets):
         raise UsageError("the log and the truth would be the same file", "give two names")
-    refuse_to_overwrite([robot.urdf, options.robot], *targets)
+    inputs = [robot.urdf, options.robot, *([options.plan] if options.plan else [])]
+    refuse_to_overwrite(inputs, *targets)
     replaced = present(targets)
     with progress_bar(options.quiet) as bar:
         bar("moving the robot", 0.0)
@@ -147,6 +151,7 @@ def _simulation_settings(options: argparse.Namespace) -> SimulationSettings:
     """Settings as the options say."""
     from math import radians
 
+    from skin2urdf.planning.files import read_trajectory
     from skin2urdf.simulation import SimulationSettings
 
     rpy = options.base_rpy
@@ -168,6 +173,7 @@ def _simulation_settings(options: argparse.Namespace) -> SimulationSettings:
         lag=options.lag * 1e-3,
         sus_per_segment=options.sus_per_segment,
         sus_on_base=options.sus_on_base,
+        plan=read_trajectory(options.plan) if options.plan else None,
     )
 
 

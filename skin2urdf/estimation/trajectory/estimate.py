@@ -108,6 +108,7 @@ def estimate_along(
     *,
     look_further: bool = True,
     most: float = np.inf,
+    iterations: int = 30,
 ) -> MotionEstimate:
     """Fit all samples of all logs.
 
@@ -121,6 +122,7 @@ def estimate_along(
         look_further: whether elastic joints and drifting biases are tried where noise and
             placements do not explain the readings.
         most: misfit beyond which they are not tried either.
+        iterations: linearisations, at most, of a first fit and of the last.
     """
     U, G = tree.n_sus, len(logs)
     problem = MotionProblem(tree, logs, priors)
@@ -135,7 +137,7 @@ def estimate_along(
         unseen=np.zeros(problem.layout.n_unseen),
         gyro=np.zeros((U, problem.layout.gyro.stop - problem.layout.gyro.start)),
     )
-    fitted = fit(problem, begin, tell=tell)
+    fitted = fit(problem, begin, iterations=iterations, tell=tell)
     problem, fitted, contradict = listened(problem, fitted)
     logs = problem.logs
     found = Explained(problem, fitted)

@@ -293,7 +293,7 @@ def _verdict(covariance: F64, n_open: int) -> Verdict:
 
 
 def aligned_deviations(
-    estimate: Estimate, found: Observability, q: F64, *, align: Align = "limbs"
+    estimate: Estimate | Subject, found: Observability, q: F64, *, align: Align = "limbs"
 ) -> tuple[F64, F64]:
     """Standard deviations to expect when the robot is compared with the truth.
 

@@ -1,0 +1,1 @@
+"""Motion to record: poses, patterns and transfers within limits, and the accuracy to expect."""

@@ -1,0 +1,204 @@
+"""What a calibration from a recording of a motion will be worth, before anything is recorded.
+
+The motion is sampled as encoders and accelerometers will, with their noise and rounding, put on the
+grid and low-passed by the program's own way from a recording to samples. The fit of all samples
+starts at the truth, and its information, disturbed by that noise, gives the covariance that a
+calibration will state (Cramer-Rao, and what encoders add that all SUs feel).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from skin2urdf.arrays import F64, Bool
+from skin2urdf.estimation.problem.cost import Priors
+from skin2urdf.estimation.problem.state import State, identifiable
+from skin2urdf.estimation.trajectory.estimate import estimate_along, motion_priors
+from skin2urdf.estimation.trajectory.uncertainty import MotionInformation
+from skin2urdf.estimation.uncertainty.observability import (
+    Observability,
+    Subject,
+    aligned_deviations,
+    observability_along,
+)
+from skin2urdf.geometry.earth import ANOMALY
+from skin2urdf.geometry.units import GRAVITY
+from skin2urdf.model.records import KinematicModel
+from skin2urdf.model.specific_force import specific_forces
+from skin2urdf.planning.trajectory import JointTrajectory
+from skin2urdf.recording.records import JointStream, Recording, SuStream
+from skin2urdf.signals.sampling import sample_recording
+from skin2urdf.signals.trajectory import in_order, trajectory
+from skin2urdf.structure.ordering import places_of
+
+_CONFIGURATIONS = 200
+_ELSEWHERE = 0.02
+"""How well the size of gravity is known where nobody tells the place [m/s^2]."""
+_ITERATIONS = 2
+"""Linearisations of a fit that starts at the truth."""
+_SLOWEST_POLE = 8e-3
+"""Time constant of a sensor's low-pass that is slow, but not rare [s]: that of 20 Hz."""
+
+
+@dataclass(frozen=True)
+class Sensors:
+    """The sensors of a recording.
+
+    Attributes:
+        name: name of the grade of accelerometers.
+        noise: white noise of every sample and axis, standard deviation [m/s^2].
+        step: size of one digit of an accelerometer [m/s^2].
+        bias: standard deviation of biases over a production [m/s^2].
+        scale: of relative scale errors.
+        cross: of cross-axis sensitivities.
+        rate: readings per second [Hz].
+        joint_rate: joint states per second [Hz].
+        encoder_step: (revolute, prismatic) size of one count [rad, m].
+        jitter: scatter of time stamps [s]; that of a computer which stamps what arrives.
+    """
+
+    name: str
+    noise: float
+    step: float = 0.0
+    bias: float = 0.0
+    scale: float = 0.0
+    cross: float = 0.0
+    rate: float = 500.0
+    joint_rate: float = 250.0
+    encoder_step: tuple[float, float] = (2 * np.pi / 2**17, 1e-6)
+    jitter: float = 1e-4
+
+
+@dataclass(frozen=True, eq=False)
+class Expected:
+    """The accuracy to expect.
+
+    Attributes:
+        sensors: with these sensors.
+        position: (U,) of each SU after alignment, over the joints' ranges [m]; NaN where nothing is
+            observable, and on the base.
+        orientation: (U,) likewise [rad].
+        position_elsewhere: (U,) as ``position`` where the size of gravity is not told.
+        observability: covariances and verdicts where it is.
+    """
+
+    sensors: Sensors
+    position: F64
+    orientation: F64
+    position_elsewhere: F64
+    observability: Observability
+
+    @property
+    def determined(self) -> Bool:
+        """(U,) the SUs that are determined."""
+        return np.array([verdict == "determined" for verdict in self.observability.su_verdict])
+
+
+def expected(
+    motions: JointTrajectory | tuple[JointTrajectory, ...],
+    model: KinematicModel,
+    sensors: Sensors,
+    *,
+    ups: F64 | None = None,
+    seed: int = 0,
+) -> Expected:
+    """The accuracy of a calibration from recordings of motions.
+
+    Args:
+        motions: what the robot does, one for each log.
+        model: the robot, its base upright in the first log.
+        sensors: what it carries.
+        ups: (G, 3) unit vectors opposite to gravity in the base frame in each log.
+        seed: noise is drawn from it.
+    """
+    motions = motions if isinstance(motions, tuple) else (motions,)
+    ups = np.tile([0.0, 0.0, 1.0], (len(motions), 1)) if ups is None else ups
+    rng = np.random.default_rng(seed)
+    tree, U = model.tree, model.tree.n_sus
+    order = tuple(sorted(tree.su_names)), tuple(sorted(tree.joint_names))
+    logs, seen = [], []
+    for g, (motion, up) in enumerate(zip(motions, ups, strict=True)):
+        recording = _recorded(motion, model, sensors, up, rng)
+        sampled = sample_recording(recording, order[1], order[0])
+        dofs, sus = places_of(tree.joint_names, order[1]), places_of(tree.su_names, order[0])
+        logs.append(in_order(trajectory(sampled, g), dofs, sus))
+        seen.append(logs[-1].q[logs[-1].kept])
+    state = State(model.T_parent_joint, model.T_joint_su, ups, np.zeros((U, 3)), np.zeros((U, 6)))
+    known = Priors(bias=sensors.bias, scale=sensors.scale, cross=sensors.cross)
+    front = np.zeros(2), np.full(2, _SLOWEST_POLE**2)
+    priors = motion_priors(known, gravity=_ELSEWHERE, front=front)
+    along = estimate_along(
+        logs, tree, state, priors, np.zeros(U), look_further=False, iterations=_ITERATIONS
+    )
+    q = np.concatenate(seen)
+    free = identifiable(tree, len(motions), True)
+    moving = known.deviations > 0
+    sus_free = np.array(free.sus)
+    sus_free[:, 6:] &= moving
+    subject = Subject(
+        tree=tree,
+        state=along.state,
+        free=replace(free, sus=sus_free),
+        q=q,
+        priors=known,
+        given=Priors(),
+    )
+    low, high = q.min(axis=0), q.max(axis=0)
+    far = low + (high - low) * np.random.default_rng(0).random((_CONFIGURATIONS, len(low)))
+    found = [
+        observability_along(subject, information)
+        for information in (_with_gravity(along.information), along.information)
+    ]
+    (position, orientation), (elsewhere, _) = (
+        aligned_deviations(subject, each, far) for each in found
+    )
+    return Expected(sensors, position, orientation, elsewhere, found[0])
+
+
+def _with_gravity(information: MotionInformation) -> MotionInformation:
+    """The same with the size of gravity as well known as a place on Earth tells."""
+    shared = np.array(information.shared)
+    shared[0, 0] += (GRAVITY / ANOMALY) ** 2 - (GRAVITY / _ELSEWHERE) ** 2
+    return replace(information, shared=shared)
+
+
+def _recorded(
+    motion: JointTrajectory,
+    model: KinematicModel,
+    sensors: Sensors,
+    up: F64,
+    rng: np.random.Generator,
+) -> Recording:
+    """What is recorded of a motion."""
+    tree = model.tree
+    columns = places_of(tree.joint_names, motion.joint_names)
+    end = motion.duration
+    t = np.arange(int(end * sensors.rate) + 1) / sensors.rate
+    q, qd, qdd, _ = (x[:, columns] for x in motion.at(t))
+    read = specific_forces(model, q, qd, qdd, up * GRAVITY)
+    read += sensors.noise * rng.standard_normal(read.shape)
+    if sensors.step:
+        read = np.round(read / sensors.step) * sensors.step
+    joint_time = np.arange(int(end * sensors.joint_rate) + 1) / sensors.joint_rate
+    step = np.where(tree.prismatic, sensors.encoder_step[1], sensors.encoder_step[0])
+    # Where counts begin is anywhere, so that a joint at rest in 0 is as rounded as any other.
+    zero = rng.uniform(0.0, step)
+    counted = np.round((motion.at(joint_time)[0][:, columns] + zero) / step) * step - zero
+    stamps = _stamped(joint_time, sensors.jitter, rng)
+    return Recording(
+        joints=tuple(
+            JointStream(name, stamps, counted[:, d]) for d, name in enumerate(tree.joint_names)
+        ),
+        sus=tuple(
+            SuStream(name, _stamped(t, sensors.jitter, rng), read[:, u])
+            for u, name in enumerate(tree.su_names)
+        ),
+        source="the plan",
+    )
+
+
+def _stamped(time: F64, jitter: float, rng: np.random.Generator) -> F64:
+    """(N,) increasing stamps that scatter about increasing times."""
+    return np.sort(time + jitter * rng.standard_normal(time.shape))

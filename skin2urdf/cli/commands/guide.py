@@ -61,12 +61,14 @@ def guides() -> dict[str, Traversable]:
 
 _ORDER = (
     "record",
+    "plan",
     "formats",
     "calibrate",
     "judge",
     "use",
     "vendor-models",
     "real-robots",
+    "gyroscopes",
     "simulate",
     "how-it-works",
     "measured",

@@ -34,6 +34,7 @@ from skin2urdf.signals.trajectory import in_order, trajectory
 from skin2urdf.structure.ordering import places_of
 
 _CONFIGURATIONS = 200
+"""Random poses over which errors are averaged, as in what a calibration states."""
 _ELSEWHERE = 0.02
 """How well the size of gravity is known where nobody tells the place [m/s^2]."""
 _ITERATIONS = 2

@@ -36,6 +36,7 @@ readings against what is known of sensors before."""
 _BANDWIDTH = 7.0
 """Bandwidth of low-passed readings [Hz]: that which the highest tones ask for."""
 _SLOWEST_POLE = 8e-3
+"""Time constant of a sensor's low-pass that is slow, but not rare [s]: that of 20 Hz."""
 _NOTHING = 1e-9
 """Relative weight that holds directions without any information."""
 _HELD = 1e-6
@@ -73,7 +74,6 @@ class Known:
         mixed: (U, n, J).
         free_joint: (J,) coordinates that are estimated, and
         free_su: (U, n).
-        lengths: (J,) True for lengths [m] among placements of joints; the others are angles.
         placements: (J,) True for coordinates of joint placements.
     """
 

@@ -64,7 +64,11 @@ def as_text(
         lines.append(f"{plan.checked} pairs of bodies are kept apart all along")
     lines += [_wrapped(f"note: {note}") for note in plan.notes]
     if expected:
-        lines += ["", "accuracy to expect where gravity is known (calibrate --site), and else:"]
+        alone = " of this recording alone" if shrinking else ""
+        lines += [
+            "",
+            f"accuracy to expect{alone} where gravity is known (calibrate --site), and else:",
+        ]
         lines += [_accuracy(each) for each in expected]
         lines += _open(su_names, plan.limits.joint_names, expected[0])
     if shrinking:

@@ -53,10 +53,13 @@ def draw_plan(plan: Plan, path: str | Path) -> None:
             color=INK,
             va="center",
         )
-        for i, kind in enumerate(_SHADES):
+        shown = [kind for kind in _SHADES if any(phase.kind == kind for phase in plan.phases)]
+        for i, kind in enumerate(shown):
             x = (5.6 + 2.4 * i) / _WIDTH
             box = (x, 1 - 0.39 / height, 0.22 / _WIDTH, 0.14 / height)
-            figure.add_axes(box, facecolor=_SHADES[kind], xticks=(), yticks=(), frame_on=True)
+            swatch = figure.add_axes(box, facecolor=_SHADES[kind], xticks=(), yticks=())
+            for side in swatch.spines.values():
+                side.set_color(GRID)
             figure.text(
                 x + 0.3 / _WIDTH, 1 - 0.32 / height, _WORDS[kind],
                 fontsize=NORMAL, color=INK, va="center",
@@ -79,7 +82,7 @@ def draw_plan(plan: Plan, path: str | Path) -> None:
                     share = 100 * (np.abs(rate) / most).max(axis=1)
                     axes.plot(time, share, lw=0.6, color=colour, label=word)
                 axes.axhline(100.0, color=WARNING, lw=0.8)
-                axes.set_ylim(0.0, 112.0)
+                axes.set_ylim(0.0, 145.0)
                 axes.legend(
                     loc="upper right", fontsize=SMALL, ncols=3, frameon=True, framealpha=0.9
                 )

@@ -72,6 +72,22 @@ class Shrinking:
     after: float
 
 
+def seen_ranges(path: str | Path) -> dict[str, Given]:
+    """Ranges and speeds of joints that the log of a calibration saw, by joint.
+
+    Args:
+        path: the JSON beside a URDF.
+
+    Returns:
+        Nothing for a calibration on a vendor's model, whose file has the vendor's limits.
+
+    Raises:
+        UnreadableInputError: it can not be read, or is something else.
+    """
+    data = json.loads(Path(path).read_text(encoding="utf-8"))
+    return {} if data.get("model") else read_earlier(path).limits
+
+
 def read_earlier(path: str | Path) -> Earlier:
     """Read the JSON that a calibration wrote.
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from skin2urdf.calibration.result import Calibration
 from skin2urdf.report.findings import Findings
 from skin2urdf.report.words import NO_POSITIONS
-from skin2urdf.urdf.records import JointLimits, Remarks
+from skin2urdf.urdf.records import NO_LIMITS, JointLimits, Remarks
 
 
 def remarks(calibration: Calibration, found: Findings, limits: JointLimits) -> Remarks:
@@ -40,10 +40,7 @@ def remarks(calibration: Calibration, found: Findings, limits: JointLimits) -> R
         if not limits.known[j] and not calibration.continuous[j]:
             low, high = calibration.limits[j]
             unit = "m" if tree.prismatic[j] else "rad"
-            joints[name].append(
-                f"lower and upper are placeholders; the log went from {low:.4g} to {high:.4g} "
-                f"{unit}"
-            )
+            joints[name].append(f"{NO_LIMITS}; the log went from {low:.4g} to {high:.4g} {unit}")
     sus = {
         name: tuple(f"OPEN: {unknown.what}" for unknown in words)
         for name, words in zip(tree.su_names, found.unknown, strict=True)

@@ -12,6 +12,9 @@ import numpy as np
 from skin2urdf.arrays import F64, Bool, frozen
 from skin2urdf.structure.records import JointType
 
+NO_LIMITS = "lower and upper are placeholders"
+"""How a URDF says of a joint that its limits are nobody's."""
+
 
 @dataclass(frozen=True, eq=False)
 class JointLimits:

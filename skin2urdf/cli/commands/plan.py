@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from skin2urdf.planning.collisions import CollisionChecker
     from skin2urdf.planning.earlier import Earlier, Shrinking
     from skin2urdf.planning.expected import Expected
+    from skin2urdf.planning.limits import Given
     from skin2urdf.planning.records import Limits, Plan
     from skin2urdf.simulation.mechanism import Mechanism
 
@@ -237,6 +238,7 @@ def _robot(options: argparse.Namespace, earlier: Earlier | None) -> _Robot:
     mechanism = load_mechanism(spec, (float(r), float(p), float(y)))
     check_names(given, mechanism.joint_names, options.limits or "")
     beyond = acceleration_and_jerk(read_urdf(spec))
+    seen, ranges = _seen(spec.urdf, given)
     limits_of = {}
     for d, name in enumerate(mechanism.joint_names):
         of_model = Given(
@@ -245,8 +247,8 @@ def _robot(options: argparse.Namespace, earlier: Earlier | None) -> _Robot:
             upper=_finite(mechanism.upper[d]),
             velocity=_finite(mechanism.speed_limit[d]),
         )
-        for more in (beyond.get(name, Given()), given.get(name, Given())):
-            of_model = merged(more, of_model)
+        for more in (beyond, seen, given):
+            of_model = merged(more.get(name, Given()), of_model)
         limits_of[name] = of_model
     names = mechanism.joint_names
     model = _placements(options, mechanism)
@@ -256,7 +258,32 @@ def _robot(options: argparse.Namespace, earlier: Earlier | None) -> _Robot:
         model = _tilted(options, earlier.model)
     limits = complete(names, limits_of)
     checker, notes = _checker(options, mechanism, limits)
-    return _Robot(limits, model, checker, notes)
+    return _Robot(limits, model, checker, (*ranges, *notes))
+
+
+def _seen(urdf: Path, given: Mapping[str, Given]) -> tuple[Mapping[str, Given], tuple[str, ...]]:
+    """Ranges of a calibrated robot, whose URDF has limits that are nobody's, and what to say of it.
+
+    Raises:
+        UsageError: neither its JSON nor a file of limits says how far its joints may go.
+    """
+    from skin2urdf.planning.earlier import seen_ranges
+    from skin2urdf.urdf.beside import document_beside
+    from skin2urdf.urdf.records import NO_LIMITS
+
+    beside = document_beside(urdf)
+    ranges = seen_ranges(beside) if beside else {}
+    if ranges:
+        return ranges, (
+            f"joints keep to the ranges that the log of {urdf.name} saw: its own limits are "
+            "placeholders, and --limits says otherwise",
+        )
+    if not given and NO_LIMITS in urdf.read_text(encoding="utf-8", errors="replace"):
+        raise UsageError(
+            f"the limits in {urdf} are placeholders, and its JSON is not beside it",
+            "put the JSON there, or give the joints' limits (--limits joint_limits.yaml)",
+        )
+    return {}, ()
 
 
 _NO_MODEL = (

@@ -200,6 +200,8 @@ def _of_gyros(found: Calibration, truth: Truth) -> dict[str, Block]:
     if gyros is None:
         return {}
     names = [su.name for su in truth.sus]
+    # An SU's frame is its accelerometer's, as cross-axis errors turn it.
+    felt = sensor_rotations(truth.sensor_matrix)
     parts: dict[str, list[Block]] = {"gyro bias": [], "gyro scale": [], "gyro axes": []}
     prior = gyro_deviations(0.0)
     off_diagonal = ~np.eye(3, dtype=bool)
@@ -212,7 +214,7 @@ def _of_gyros(found: Calibration, truth: Truth) -> dict[str, Block]:
         if not gyros.used[u]:
             continue
         true = truth.gyros[names.index(name)]
-        E = true.matrix - np.eye(3)
+        E = true.matrix @ felt[names.index(name)].T - np.eye(3)
         bias = gyros.bias[0, u] - true.bias
         parts["gyro bias"].append(errors(bias, gyros.bias_sd[0, u], prior[-1]))
         scale = gyros.scale[u] - np.diag(E)

@@ -419,6 +419,18 @@ def test_options_reach_the_settings() -> None:
     assert not settings.estimation.intrinsics
     assert settings.estimation.refine == "casadi"
     assert settings.static_threshold == pytest.approx(0.981)
+    assert settings.gyro
+    deaf = make_parser().parse_args(["calibrate", "l", "-o", "r", "--no-gyro"])
+    assert not calibration_settings(deaf).gyro
+
+
+def test_simulated_sus_have_gyroscopes_where_they_are_asked_for(run: Run, tmp_path: Path) -> None:
+    log, words = tmp_path / "log.mcap", ["--excite", "none", "--minutes", 0.1, "--imu-rate", 50]
+    for given in ([], ["--gyro", 0.2], ["--gyro", "cheap"]):
+        assert run("simulate", "so101", "-o", log, *words, *given)[0] == 0
+        assert all((su.angular_velocity is not None) == bool(given) for su in read(log).sus)
+    for wrong in ("none", -1):
+        assert run("simulate", "so101", "-o", log, *words, "--gyro", wrong)[0] == 2
 
 
 @pytest.mark.parametrize("command", ["calibrate", "simulate", "compare", "explore", "info"])

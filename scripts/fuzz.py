@@ -61,7 +61,7 @@ STATUSES = {0, 1, 2, 3}
 ODD = (0.0, -0.0, 1e-308, 1e5, 1e30, 1e308, -1e308, float("nan"), float("inf"), 9.81)
 # A mutant may take so many times as long as the sound log, and so much more [s].
 PATIENCE, GRACE = 3.0, 10.0
-WAITING = 20.0
+WAITING = 100.0
 
 Mutation = Callable[[bytes, np.random.Generator], bytes]
 

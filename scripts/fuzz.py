@@ -455,8 +455,8 @@ def main() -> None:
         robot.write_text(ROBOT)
         skin2urdf(
             ["simulate", str(robot), "-o", str(log), "--truth", str(truth), "--poses", "5",
-             "--sus-per-segment", "2", "--seed", "5", "--imu-rate", "100", "--joint-rate", "100", "--excite", "all",
-             "--quiet"]
+             "--sus-per-segment", "2", "--seed", "5", "--imu-rate", "100", "--joint-rate", "100",
+             "--excite", "all", "--quiet"]
         )  # fmt: skip
 
         def words_of(name: str, log: Path) -> list[str]:

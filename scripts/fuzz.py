@@ -61,7 +61,7 @@ STATUSES = {0, 1, 2, 3}
 ODD = (0.0, -0.0, 1e-308, 1e5, 1e30, 1e308, -1e308, float("nan"), float("inf"), 9.81)
 # A mutant may take so many times as long as the sound log, and so much more [s].
 PATIENCE, GRACE = 3.0, 10.0
-WAITING = 20.0
+WAITING = 100.0
 
 Mutation = Callable[[bytes, np.random.Generator], bytes]
 
@@ -454,9 +454,9 @@ def main() -> None:
         )
         robot.write_text(ROBOT)
         skin2urdf(
-            ["simulate", str(robot), "-o", str(log), "--truth", str(truth), "--poses", "3",
-             "--seed", "5", "--imu-rate", "100", "--joint-rate", "100", "--excite", "all",
-             "--quiet"]
+            ["simulate", str(robot), "-o", str(log), "--truth", str(truth), "--poses", "5",
+             "--sus-per-segment", "2", "--seed", "5", "--imu-rate", "100", "--joint-rate", "100",
+             "--excite", "all", "--quiet"]
         )  # fmt: skip
 
         def words_of(name: str, log: Path) -> list[str]:
@@ -465,7 +465,11 @@ def main() -> None:
         memory = options.memory << 20
         usual = {name: perform(words_of(name, log), 600.0, memory) for name in options.commands}
         for name, outcome in usual.items():
-            print(f"sound log, {name}: status {outcome.status}, {outcome.seconds:.1f} s")
+            print(
+                f"sound log, {name}: status {outcome.status}, {outcome.seconds:.1f} s", flush=True
+            )
+            if outcome.status:
+                raise SystemExit(f"{name} ends so for the sound log: {outcome.output.strip()}")
         beside = urdf.with_suffix(".json")
         sound = spoken(json.loads(beside.read_text())) if beside.exists() else set()
         whole = formats(log)

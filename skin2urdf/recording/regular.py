@@ -87,14 +87,14 @@ def _fit(stamp: F64, numbering: Numbering, period: float) -> F64 | None:
         if stop - start < MIN_SAMPLES:
             continue
         number = numbering.number[start:stop].astype(np.float64)
-        line = _bent_line(number - number[0], stamp[start:stop], period)
+        line = bent_line(number - number[0], stamp[start:stop], period)
         if line is None:
             return None
         fitted[start:stop] = line
     return fitted
 
 
-def _bent_line(number: F64, stamp: F64, period: float) -> F64 | None:
+def bent_line(number: F64, stamp: F64, period: float) -> F64 | None:
     """Fit a line with a bend every so often by robust least squares, and no more bends than needed.
 
     A bend that the clock did not make follows the noise of the stamps, by the same time for all
@@ -138,7 +138,7 @@ def _bent_line(number: F64, stamp: F64, period: float) -> F64 | None:
 
 
 def _reweighted(knots: F64, number: F64, u: F64, deviation: F64, rows: Int, starts: Int) -> F64:
-    """Heights at the knots from some rows, by robust least squares (see :func:`_bent_line`)."""
+    """Heights at the knots from some rows, by robust least squares (see :func:`bent_line`)."""
     first = np.searchsorted(rows, starts)
     weight = np.ones(rows.size)
     for _ in range(REWEIGHTINGS - 1):

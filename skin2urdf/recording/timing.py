@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skin2urdf.arrays import F64, Int
+from skin2urdf.recording.bursts import burst_ends, times_of_bursts
 from skin2urdf.recording.numbering import median_of
 from skin2urdf.recording.regular import regular_times
 from skin2urdf.recording.smoothness import weigh_stamps
@@ -78,12 +79,16 @@ def sample_times(stamp: Int, log_time: Int, signal: F64) -> SampleTimes:
         return SampleTimes(clock, kept, "stamps", stamped, offset)
     origin = int(clock.min())
     stamps = (clock - origin) / NS_PER_S
-    regular = regular_times(stamps)
-    chosen = _choose(stamps, regular, signal)
+    ends = burst_ends(stamps)
+    regular = regular_times(stamps) if ends is None else times_of_bursts(stamps, ends)
+    # What arrived in bursts was not taken in bursts.
+    in_bursts = ends is not None and regular is not None
+    chosen = "regular" if in_bursts else _choose(stamps, regular, signal)
     if chosen == "regular" and regular is not None:
         rising = _rising(regular, stamps)
         time = origin + np.rint(regular[rising] * NS_PER_S).astype(np.int64)
-        noise = 1.4826 * median_of(np.abs(stamps - regular))
+        apart = np.abs(stamps - regular)
+        noise = 1.4826 * median_of(apart if ends is None else apart[ends])
     else:
         rising = _rising(stamps, regular)
         time = clock[rising]

@@ -226,3 +226,29 @@ def test_times_rise_strictly_whatever_the_stamps(stamps: list[int], seed: int) -
     assert times.time.size == times.kept.size
     assert np.unique(times.kept).size == times.kept.size
     assert times.time.size > 0 or stamp.size == 0
+
+
+@pytest.mark.parametrize("burst", [3, 7, 40, 64])
+@pytest.mark.parametrize("lost", [False, True])
+def test_samples_that_arrive_in_bursts_lie_on_a_line(burst: int, lost: bool) -> None:
+    rng = np.random.default_rng(burst)
+    true = np.arange(N) / 493.7  # a rate that no data sheet knows
+    signal = moving(true, 0.01, rng)
+    last = np.minimum((np.arange(N) // burst + 1) * burst - 1, N - 1)
+    late = (2e-3 + 5e-4 * rng.random(N))[last]
+    arrival = true[last] + late + 2e-5 * (np.arange(N) % burst)
+    kept = np.ones(N, np.bool_)
+    if lost:
+        for k in rng.choice(N // burst - 2, 4, replace=False) + 1:
+            kept[k * burst : (k + 1) * burst] = False
+    found = sample_times(
+        np.rint(1e9 * (1 + arrival[kept])).astype(np.int64),
+        np.rint(1e9 * (1 + arrival[kept])).astype(np.int64),
+        signal[kept],
+    )
+    assert found.chosen == "regular"
+    off = found.time / 1e9 - 1 - true[kept][found.kept]
+    # All alike late is a latency, found later on; each for itself is an error.
+    assert np.std(off) < 2e-4
+    assert abs(off.mean() - 2.25e-3) < 2e-3
+    assert found.noise < 1e-3

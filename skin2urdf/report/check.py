@@ -24,7 +24,7 @@ def as_text(checked: Checked) -> str:
         *_table(checked),
         *bullets("What changed", [_words(su) for su in checked.sus if su.changed]),
         *bullets("Faults", [str(fault_words(f, len(checked.sources))) for f in checked.faults]),
-        *bullets("Notes", [*_new(checked), *checked.notes]),
+        *bullets("Notes", [*_in_common(checked), *_new(checked), *checked.notes]),
     ]
     return "\n".join(lines) + "\n"
 
@@ -76,6 +76,17 @@ def _words(su: SuCheck) -> str:
     }.get(su.what, f"{su.name}: {su.what}")
 
 
+def _in_common(checked: Checked) -> list[str]:
+    joint = checked.in_common
+    if not joint:
+        return []
+    return [
+        f"all SUs beyond {joint} changed and no others: rather than these, the zero of its encoder "
+        "may have; hold the joints against their model with skin2urdf calibrate --model --correct "
+        "zeros, or calibrate again"
+    ]
+
+
 def _new(checked: Checked) -> list[str]:
     return [f"{name} of the log is not in the calibration" for name in checked.new]
 
@@ -95,6 +106,7 @@ def as_document(checked: Checked) -> dict[str, Any]:
             "words": _verdict(checked),
             "left": checked.left.mean,
             "sus": {su.name: _su(su) for su in checked.sus},
+            "joint_in_common": checked.in_common or None,
             "new_sus": checked.new,
             "faults": [fault_document(f, len(checked.sources)) for f in checked.faults],
             "notes": checked.notes,

@@ -15,7 +15,7 @@ from typing import Literal
 import numpy as np
 from scipy.stats import chi2 as chi_squared
 
-from skin2urdf.arrays import F64, frozen
+from skin2urdf.arrays import F64, Bool, frozen
 from skin2urdf.calibration.clock import Clock, Progress
 from skin2urdf.calibration.pipeline import recordings_of
 from skin2urdf.calibration.result import GOOD_FIT, Source
@@ -140,6 +140,23 @@ class Checked:
         """Whether the calibration is still true of all its SUs."""
         return not any(su.changed for su in self.sus)
 
+    @property
+    def in_common(self) -> str:
+        """The joint beyond which all SUs changed, and none before it; empty where there is none.
+
+        Two SUs and more do not slip at once: the zero of that joint's encoder may have.
+        """
+        index = {joint.name: j for j, joint in enumerate(self.chassis.joints)}
+        tree = self.chassis.tree((), ())
+        at = {su.name: _segment(self.chassis, index, su) for su in self.skin.sus}
+        told = [su for su in self.sus if su.what not in ("gone", "open")]
+        changed = {su.name for su in told if su.changed}
+        for name, j in reversed(index.items()):
+            beyond = {su.name for su in told if j in tree.chain(at[su.name])}
+            if len(beyond) > 1 and beyond == changed:
+                return name
+        return ""
+
 
 def check(
     logs: str | Path | Recording | Sequence[str | Path | Recording],
@@ -218,8 +235,7 @@ def _fitted(bench: Bench, before: Sequence[KnownSu], up: F64) -> Explained:
     there = Placed(segments, tuple(fits), ups, ((),) * len(fits), np.zeros(len(fits)))
     there = replace(there, up=turned_up(chassis, bench.logs, there, sensors))
     found = _explained(bench, there)
-    each = found.left.ratio
-    odd = (each > _FAR * max(float(np.nanmedian(each)), GOOD_FIT)) | (found.left.rms > GROSS)
+    odd = _odd(found)
     if odd.any():
         anywhere = placed_from(chassis, bench.logs, there.up, sensors)
         mixed = [
@@ -237,6 +253,13 @@ def _fitted(bench: Bench, before: Sequence[KnownSu], up: F64) -> Explained:
     learnt = bench.learnt(found.along, sensors)
     along = bench.fit(found.placed, found.blueprint, learnt, found.along.state)
     return replace(found, along=along)
+
+
+def _odd(found: Explained) -> Bool:
+    """(U,) SUs whose readings are not explained, or far worse than those of the others."""
+    each = found.left.ratio
+    far = each > _FAR * max(float(np.nanmedian(each)), GOOD_FIT)
+    return np.asarray(far | (found.left.rms > GROSS))
 
 
 def _segment(chassis: Chassis, index: dict[str, int], su: KnownSu) -> int:
@@ -263,6 +286,7 @@ def _compared(found: Explained, before: Sequence[KnownSu], skin: KnownSkin) -> t
     tree = found.along.problem.tree
     links = _links(chassis, skin)
     alarm = chi_squared.isf  # the bound of each number of directions
+    odd = _odd(found)
     out: dict[str, SuCheck] = {}
     for u, su in enumerate(before):
         joint = int(tree.su_joint[u])
@@ -276,7 +300,7 @@ def _compared(found: Explained, before: Sequence[KnownSu], skin: KnownSkin) -> t
             what, chi2, dof = "elsewhere", np.inf, 6
         elif dof and chi2 > alarm(FALSE_ALARM / len(before), dof):
             what = "moved"
-        if found.left.rms[u] > GROSS:
+        if odd[u]:
             what = "does not fit"
         place_of = _place_of(su, link, T, skin, links) if what in ("moved", "elsewhere") else ""
         if place_of:

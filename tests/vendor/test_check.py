@@ -15,7 +15,7 @@ from skin2urdf.cli.main import main
 from skin2urdf.errors import UnreadableInputError
 from skin2urdf.geometry.se3 import exp, inverse, log
 from skin2urdf.output import save_on_model, write_pair
-from skin2urdf.recording.records import Recording
+from skin2urdf.recording.records import JointStream, Recording
 from skin2urdf.recording.writing import write
 from skin2urdf.vendor.calibrate import calibrate_with_model
 from skin2urdf.vendor.checking import Checked, check
@@ -110,6 +110,18 @@ def test_exchanged_and_dead_sus_are_named(toy: Recorded, calibrated: Path) -> No
     places = {su.name: su.place_of for su in checked.sus}
     assert places[two] == three
     assert places[three] == two
+
+
+def test_what_changed_beyond_one_joint_alone_points_at_its_encoder(
+    toy: Recorded, calibrated: Path
+) -> None:
+    def shifted(joint: JointStream) -> JointStream:
+        return replace(joint, position=joint.position + 0.05 * (joint.name == "lift"))
+
+    joints = tuple(map(shifted, toy.recording.joints))
+    checked = check(replace(toy.recording, joints=joints), calibrated)
+    assert not checked.true
+    assert checked.in_common == "lift"
 
 
 def test_a_urdf_without_its_json_is_refused(calibrated: Path, tmp_path: Path) -> None:

@@ -292,14 +292,15 @@ def test_positions_in_degrees_give_no_robot() -> None:
 
 
 def test_a_joint_that_is_not_linear_is_a_bad_fit() -> None:
-    name = plain().joints[2].name
+    log = simulation("so101", **MEMS).recording
+    name = log.joints[2].name
 
     def bent(joint: JointStream) -> JointStream:
         position = joint.position + 0.2 * np.sin(3 * joint.position)
         return replace(joint, position=position) if joint.name == name else joint
 
     with pytest.raises(BadFitError) as caught:
-        calibrate(changed_joints(plain(), bent))
+        calibrate(changed_joints(log, bent))
     assert caught.value.cost_per_dof > BAD_MISFIT
 
 

@@ -93,7 +93,8 @@ def test_each_log_may_hold_other_sus(tmp_path: Path) -> None:
         [
             with_sus_on(first, {"j0", "j1", "j2", "k0", "k1"}),
             with_sus_on(second, {"j1", "j2", "j3"}),
-        ]
+        ],
+        PATTERNS,
     )
     assert found.model.tree.n_sus == 6
     check(found, tmp_path)

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from random_robots import chain, robot_of
 from simulated import PATTERNS, held_against
 
 from skin2urdf.calibration.pipeline import calibrate
@@ -21,6 +22,7 @@ from skin2urdf.recording.retiming import retimed
 from skin2urdf.signals.health import checked, clipping, rest_noise
 from skin2urdf.simulation import Simulation, SimulationSettings, load_robot, simulate
 from skin2urdf.simulation.faults import FAULTS, Faulty, Sound, in_two
+from skin2urdf.simulation.robots import SkinLayout
 
 SETTINGS = SimulationSettings(n_poses=4, excite="all", seed=1, imu_rate=250.0, joint_rate=125.0)
 
@@ -116,9 +118,8 @@ def test_the_earlier_placement_of_a_loose_su_is_an_su_of_its_own() -> None:
 
 
 @pytest.mark.parametrize("logs", [1, 2])
-def test_names_swapped_on_one_segment_are_set_right(logs: int) -> None:
-    robot = load_robot("so101")
-    robot = replace(robot, skin=replace(robot.skin, sus_per_segment=2))
+def test_names_swapped_on_one_segment_are_set_right(logs: int, tmp_path: Path) -> None:
+    robot = robot_of(chain(4, turns=1.4), tmp_path, SkinLayout(sus_per_segment=2, sus_on_base=1))
     both = Sound(robot, SETTINGS, simulate(robot, SETTINGS))
     sus = both.simulation.truth.sus
     names = [su.name for su in sus if su.joint == sus[-1].joint]

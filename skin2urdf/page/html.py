@@ -89,6 +89,7 @@ def _render(contents: Contents) -> str:
         never=never_known(document),
         tree=_tree(document),
         times=times,
+        shown=set(figures),
         limbs=len(contents.limbs),
         traces=bool(contents.traces),
         replayed=contents.replayed,

@@ -85,6 +85,7 @@ def _render(contents: Contents) -> str:
         document=document,
         name=contents.robot.model.name,
         urdf=contents.urdf.name,
+        beside=contents.urdf.with_suffix(".json").name,
         advice=advice(document),
         never=never_known(document),
         tree=_tree(document),

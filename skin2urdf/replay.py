@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -103,6 +103,7 @@ def replay(
     path = trajectory(sampled[0], 0, reach)
     dofs = places_of(tree.joint_names, motion.dof_names)
     path = in_order(path, dofs, places_of(tree.su_names, su_names))
+    path = replace(path, rates=None, turning=None)  # traces are of accelerometers
     sensors = Priors(gravity=float(document["settings"]["estimation"]["priors"]["gravity"]))
     known = MotionPriors(
         sensors=sensors,

@@ -21,7 +21,7 @@ _AROUND = 70
 
 
 def residual_figures(document: Mapping[str, Any]) -> dict[str, go.Figure]:
-    """What is left of the readings, in multiples of noise: by SU, by joint and by pose.
+    """What is left of the readings, in multiples of noise: by SU, by pose, and by joint if known.
 
     Args:
         document: a calibration's JSON.
@@ -29,11 +29,14 @@ def residual_figures(document: Mapping[str, Any]) -> dict[str, go.Figure]:
     goodness = document["goodness"]
     order = _in_tree_order(document)
     sus = {name: goodness["by_su"][name] for name in order}
-    return {
+    figures = {
         "by_su": _bars(sus, "SU"),
-        "by_joint": _bars(goodness["by_joint"], "joint"),
         "by_pose": _poses(goodness["by_pose"], goodness["held_out"]),
     }
+    # Logs without patterns show no joint's motion by itself.
+    if any(part["per_dof"] is not None for part in goodness["by_joint"].values()):
+        figures["by_joint"] = _bars(goodness["by_joint"], "joint")
+    return figures
 
 
 def activity_figure(document: Mapping[str, Any]) -> go.Figure:

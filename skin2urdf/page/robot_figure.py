@@ -23,6 +23,8 @@ _THICKEST = 1 / 70
 """Radius of links, over the robot's extent, beyond which they hide what they carry."""
 _BOX = 1.2
 """Diagonal of the box around the robot, in the units of the camera's distance."""
+_HIGHEST = 0.8
+"""Its height in the same units; figures are wider than high."""
 _DIGITS = 5
 """Decimals of vertices [m]: a hundredth of a millimetre, less than a pixel."""
 
@@ -34,7 +36,8 @@ def robot_figure(contents: Contents) -> tuple[go.Figure, float]:
         contents: the calibration and another robot, if any.
 
     Returns:
-        The figure, and how many times as large as one standard deviation ellipsoids are drawn.
+        The figure, and how many times as large as one standard deviation ellipsoids are drawn; 0
+        where there are none.
     """
     document, parts = contents.document, contents.segments
     frames = contents.frames()
@@ -63,7 +66,7 @@ def robot_figure(contents: Contents) -> tuple[go.Figure, float]:
             figure.add_trace(_open(words, chosen, _LINE * extent))
     figure.add_traces(_other(contents, frames, radius))
     figure.update_layout(scene=_view(figure))
-    return figure, times
+    return figure, times if of_sus or of_joints else 0.0
 
 
 def _view(figure: go.Figure) -> dict[str, Any]:
@@ -73,7 +76,7 @@ def _view(figure: go.Figure) -> dict[str, Any]:
     low, high = np.nanmin(points, axis=0), np.nanmax(points, axis=0)
     size = np.maximum(high - low, 0.1 * float(np.max(high - low)) + 1e-3)
     low, high = (0.5 * (low + high) + side * 0.52 * size for side in (-1, 1))
-    x, y, z = _BOX * size / np.linalg.norm(size)
+    x, y, z = size * min(_BOX / float(np.linalg.norm(size)), _HIGHEST / float(size[2]))
     across = 1.05 if size[0] > size[1] else 0.55
     eye = {"x": 1.6 - across, "y": -across, "z": 0.45}
     ranges = {

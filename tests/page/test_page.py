@@ -228,9 +228,9 @@ def test_a_missing_library_is_named_with_how_to_get_it(
 
 
 def drawn(tab: Tab) -> None:
-    """Wait for the robot, then bring everything else into sight and wait for that."""
-    ready = "e => e.querySelector('.main-svg, canvas') !== null"
-    tab.wait_for("document.querySelector('#robot canvas') !== null")
+    """Bring everything into sight and wait for it; for the robot, until it is drawn in 3D."""
+    ready = "e => e.querySelector(e.id === 'robot' ? 'canvas' : '.main-svg') !== null"
+    tab.wait_for("document.readyState === 'complete'")
     for name in tab.run("[...document.querySelectorAll('.plot')].map(e => e.id)"):
         tab.run(f"document.getElementById('{name}').scrollIntoView()")
         tab.wait_for(f"({ready})(document.getElementById('{name}'))")
@@ -244,7 +244,7 @@ def test_the_page_renders_without_an_error_and_asks_for_nothing(page: str, tmp_p
         for width in (1280, 400):
             resize(tab, width)
             drawn(tab)
-            assert tab.run("document.documentElement.scrollWidth") <= width
+            tab.wait_for(f"document.documentElement.scrollWidth <= {width}")
             assert len(tab.screenshot(tmp_path / "page.png")) > 10_000
         assert tab.run("document.querySelectorAll('#su option').length") > 0
         assert not tab.errors

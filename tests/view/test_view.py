@@ -130,7 +130,7 @@ def test_a_browser_shows_it_without_an_error_and_asks_nobody_else(
             resize(tab, width, 500)
             words = "document.body.innerText"
             tab.wait_for(f"{list(play.limits)}.every(name => {words}.includes(name))")
-            assert tab.run("document.documentElement.scrollWidth") <= width
+            tab.wait_for(f"document.documentElement.scrollWidth <= {width}")
             assert len(tab.screenshot(tmp_path / "view.png")) > 10_000
         shown.choose(next(iter(play.about)))
         tab.wait_for("document.querySelector('textarea').value.includes('\\non ')")

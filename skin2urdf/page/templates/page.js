@@ -53,7 +53,7 @@
     const logs = new Set(data.traces.map((trace) => trace.log));
     data.traces.forEach((trace, i) => {
       const log = logs.size > 1 ? `, log ${trace.log + 1}` : "";
-      const left = (1000 * trace.rms).toPrecision(2);
+      const left = Number((1000 * trace.rms).toPrecision(2));
       choice.add(new Option(`${trace.su}${log}: ${left} mm/s² left`, String(i)));
     });
     choice.addEventListener("change", () => draw.traces(document.getElementById("traces")));

@@ -31,7 +31,7 @@ _STANDS_OUT = 30.0
 
 Noise alone exceeds the median of chi-squared with two degrees of freedom by that much once in
 ``exp(30 * 0.69)``, coloured noise of encoders and sensors reached 21 times (panda, one recording),
-and ripples of 0.1 mrad have 38 to 420 where their joint carries much."""
+and ripples of 0.1 mrad have 35 to 300 where their joint carries much."""
 
 
 def harmonics(tree: KinematicTree, logs: Sequence[Trajectory]) -> Unseen | None:

@@ -32,7 +32,7 @@ from skin2urdf.calibration.rounds import (
 from skin2urdf.calibration.samples import (
     clocks_in_all,
     fit_samples,
-    physics_of,
+    is_explained_by_physics,
     with_samples,
     without_false_hits,
 )
@@ -90,25 +90,26 @@ def calibrate(
     sampled = sample_logs(corrected(recordings, [leap.error for leap in leaps]), settings, clock)
     features = take_features(sampled, clock)
     structure = find_structure(sampled, features, clock)
-    along = None
+    along = looked = None
     if settings.method == "paper":
         solution = _estimate_by_the_paper(sampled, features, structure, clock)
     elif not structure.seen.patterns_felt:
         solution = estimate_at_rest(sampled, structure, clock)
     else:
         first = estimate_robot(sampled, features, structure, clock)
-        along = _physics(first, clock)
-        if first is not None and along is not None:
-            solution = replace(first, found=with_samples(first.found, along))
+        looked = _look(first, clock)
+        if first is not None and looked is not None and is_explained_by_physics(looked):
+            solution = first
         else:
             solution = clock.run(
                 "what is wrong",
                 lambda _: explain(recordings, leaps, (sampled, structure, first), KINDS, clock),
             )
             _refuse_beyond(HOPELESS_FIT, solution.found.cost_per_dof, solution.found)
+            looked = looked if first is not None and _untouched(first, solution) else None
     fit = clock.run("goodness of fit", lambda _: goodness(solution.found))
-    if along is None and settings.method != "paper" and settings.motion == "all":
-        along = clock.run("all samples", lambda tell: fit_samples(solution, tell))
+    if settings.method != "paper" and settings.motion == "all":
+        along = looked or clock.run("all samples", lambda tell: fit_samples(solution, tell))
         if along is not None:
             fitted = along
             solution, along = clock.run(
@@ -122,13 +123,21 @@ def calibrate(
     return _calibration(recordings, solution, along, fit, seen, clock)
 
 
-def _physics(first: Solution | None, clock: Clock) -> MotionEstimate | None:
-    """What all samples say of a first estimate that does not explain its features, if they do."""
+def _look(first: Solution | None, clock: Clock) -> MotionEstimate | None:
+    """What all samples say of a first estimate that does not explain its features; None if none."""
     if first is None or first.logs.settings.motion != "all":
         return None
     if not (first.found.cost_per_dof > GOOD_FIT and first.found.misfit <= BAD_FIT):
         return None
-    return clock.run("all samples", lambda tell: physics_of(first, tell))
+    # What is bent by more is first to be mended.
+    along = clock.run("all samples", lambda tell: fit_samples(first, tell, most=BAD_MISFIT))
+    return along if along is not None and along.misfit <= BAD_MISFIT else None
+
+
+def _untouched(first: Solution, solution: Solution) -> bool:
+    """Whether a search has left the logs and the structure as they were."""
+    same_logs = solution.logs.sampled is first.logs.sampled
+    return same_logs and solution.found.tree is first.found.tree and not solution.faults
 
 
 def check_fit(found: Estimate, along: MotionEstimate | None) -> None:

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from skin2urdf.calibration.clock import Tell
-from skin2urdf.calibration.result import BAD_MISFIT, GOOD_FIT
+from skin2urdf.calibration.result import GOOD_FIT
 from skin2urdf.calibration.rounds import Logs, Solution
 from skin2urdf.calibration.settings import CalibrationSettings
 from skin2urdf.estimation.problem.cost import Priors
@@ -122,22 +122,19 @@ def clocks_in_all(
     return tuple(tuple(fitted(clock, g) for clock in of_log) for g, of_log in enumerate(clocks))
 
 
-def physics_of(first: Solution, tell: Tell) -> MotionEstimate | None:
-    """The fit of all samples of a first estimate, where what real robots have explains them.
+def is_explained_by_physics(along: MotionEstimate) -> bool:
+    """Whether what real robots have explains all samples, so that nothing need be wrong.
 
     An elastic gear, an uneven one or a drifting bias makes patterns look as if joints were hit or
     encoders bent; so these are tried before anything is said to be wrong. Slack from place to place
     explains nothing by a cause, and what stands out at some moment is left to the search.
 
     Args:
-        first: an estimate from features that does not explain them.
-        tell: told the share of the work that is done.
+        along: the fit of all samples of logs that nothing was mended in.
     """
-    along = fit_samples(first, tell, most=BAD_MISFIT)
-    if along is None or not along.causes or "slack" in along.causes:
-        return None
-    quiet = along.misfit <= GOOD_FIT and not _anything_stands_out(along)
-    return along if quiet else None
+    if not along.causes or "slack" in along.causes:
+        return False
+    return along.misfit <= GOOD_FIT and not _anything_stands_out(along)
 
 
 def _anything_stands_out(along: MotionEstimate) -> bool:

@@ -30,8 +30,8 @@ _STANDS_OUT = 30.0
 """Pull of a ripple, over the median of all of its joint's, from which it is one.
 
 Noise alone exceeds the median of chi-squared with two degrees of freedom by that much once in
-``exp(30 * 0.69)``, coloured noise of encoders and sensors reached 21 times (panda, 20 recordings),
-and ripples of 0.1 mrad have 38 to 420 where their joint carries much."""
+``exp(30 * 0.69)``, coloured noise of encoders and sensors reached 21 times (panda, one recording),
+and ripples of 0.1 mrad have 35 to 300 where their joint carries much."""
 
 
 def harmonics(tree: KinematicTree, logs: Sequence[Trajectory]) -> Unseen | None:

@@ -28,9 +28,10 @@ and than a pattern's period."""
 _EXPLAINED = 2.0
 """Misfit up to which nothing is missing: recordings with nothing but noise have 0.6 to 0.9, and its
 scatter over the spans of a log is a twentieth."""
-_BEYOND = 400.0
-"""Misfit beyond which no cause is looked for: gears that yield by 3 mrad leave 11, so that a
-degree, the most that is allowed for, leaves 400."""
+_BEYOND = 200.0
+"""Misfit beyond which no cause is looked for: gears that yield by 3 mrad leave 11, a joint whose
+encoder is bent by 0.2 rad 62, and one that counts the other way from some time on 280, of which
+causes that are none take 100 s to try."""
 _MOST_OF_IT = 0.2
 """Part of a misfit, above the 1 of noise, that may stay where a drift of biases or elastic joints
 are its cause: what bends otherwise looks like one only in part."""

@@ -168,13 +168,13 @@ class Calibration:
 
         It is good only if poses are predicted as well as stated, nothing is wrong with an SU, a
         pose or an encoder, no joint is weak, and half of the joints are determined; it is bad where
-        the readings are not explained, or where all SUs beyond the first joint are weak. What no
-        recording can tell must not spoil it, such as where branches that meet in one joint sit
-        along its axis.
+        the readings are not explained, or only in part while all SUs beyond the first joint are
+        weak. What no recording can tell must not spoil it, such as where branches that meet in one
+        joint sit along its axis.
         """
         if not self.misfit <= self.largest_misfit:
             return "bad"
-        if self._placed and set(self._placed) == {"weak"}:
+        if self.misfit > GOOD_FIT and set(self._placed) == {"weak"}:
             return "bad"
         explained = max(self.misfit, self.goodness.prediction) <= GOOD_FIT
         alike = not (self.unlike_sus.odd.any() or self.unlike_poses.odd.any())

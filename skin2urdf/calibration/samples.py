@@ -25,6 +25,7 @@ from skin2urdf.signals.records import SuClock
 from skin2urdf.signals.sampling import Sampled
 from skin2urdf.signals.trajectory import Trajectory, in_order, trajectory
 from skin2urdf.structure.ordering import places_of
+from skin2urdf.structure.unknown_positions import usable
 
 _SETTLED = 5e-3
 """By how much clocks may still be off once features were taken [s]: nothing is compared so near to
@@ -54,10 +55,21 @@ def fit_samples(solution: Solution, tell: Tell, *, most: float = np.inf) -> Moti
     sus = places_of(tree.su_names, logs.su_names)
     latency = features.latency[places_of(tree.su_names, features.su_names)]
     reach = float(np.abs(latency).max(initial=0.0)) + _SETTLED
+    use = usable(features, tree)
     trajectories = []
     for log, sampled in enumerate(logs.sampled):
         dofs = places_of(tree.joint_names, sampled.motion.dof_names)
-        trajectories.append(in_order(trajectory(sampled, log, reach), dofs, sus))
+        whole = in_order(trajectory(sampled, log, reach), dofs, sus)
+        mine = features.log == log
+        # What lies beyond a joint whose position the log lacks tells nothing.
+        tells = use[mine].any(axis=0) if mine.any() else np.ones(tree.n_sus, dtype=bool)
+        trajectories.append(
+            replace(
+                whole,
+                valid=whole.valid & tells,
+                turning=None if whole.turning is None else whole.turning & tells,
+            )
+        )
     if _share_of_poses(trajectories, logs.sampled) < _MOST:
         return None
     priors = sample_priors(settings, found.cost.priors)

@@ -125,7 +125,10 @@ def test_a_bad_fit_promises_no_accuracy() -> None:
 
 def test_a_robot_of_which_all_sus_are_weak_is_bad_and_one_mostly_open_is_not_good() -> None:
     all_weak = with_observability(su_verdict=("weak",) * 7)
-    assert all_weak.quality == "bad"
+    assert all_weak.quality == "fair"
+    assert all_weak.along is not None
+    half_explained = replace(all_weak, along=replace(all_weak.along, misfit=7.0))
+    assert half_explained.quality == "bad"
     assert all_weak.mostly_open
     assert "7 of 7 SUs are not determined" in line(all_weak)
     # Rests alone show no position at all: what they show is worth something.

@@ -65,6 +65,7 @@ _ORDER = (
     "formats",
     "calibrate",
     "judge",
+    "see",
     "use",
     "vendor-models",
     "real-robots",

@@ -64,10 +64,16 @@ def blocks_of(found: Calibration, truth: Truth) -> dict[str, Block]:
 
     names = found.features.su_names
     lag = truth.lag[[[su.name for su in truth.sus].index(name) for name in names]]
-    # What was found of a clock before features were taken is no longer in their latency.
-    early = {clock.su: clock.latency for clock in found.clocks[0]}
-    total = found.features.latency + [early.get(name, 0.0) for name in names]
-    for e, sd in zip(total - lag, found.features.latency_sd, strict=True):
+    # What was found of a clock before features were taken is no longer in their latency; where all
+    # samples were fitted, it has what these found, too.
+    total, deviation = np.array(found.features.latency), np.array(found.features.latency_sd)
+    for clock in found.clocks[0]:
+        u = names.index(clock.su)
+        if found.along is None:
+            total[u] += clock.latency
+        else:
+            total[u], deviation[u] = clock.latency, clock.latency_sd
+    for e, sd in zip(total - lag, deviation, strict=True):
         if np.isfinite(sd):
             parts["latency"].append(
                 normalised(np.array([e]), np.array([[sd**2]]), _OBSERVABLE["latency"])

@@ -10,6 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.signal import freqz
 
 from skin2urdf.arrays import F64, Bool, Int, frozen
 from skin2urdf.signals.filters import (
@@ -20,6 +21,7 @@ from skin2urdf.signals.filters import (
     noise_bandwidth,
     second_derivative,
 )
+from skin2urdf.signals.motion import Motion
 from skin2urdf.signals.sampling import Sampled
 
 _RATE_OVER_CUTOFF = 3.0
@@ -46,6 +48,9 @@ class Trajectory:
         independence: independent measurements in one kept sample, at most 1.
         rates: (N, U, 3) what gyroscopes read, low-passed twice [rad/s]; None without any.
         turning: (K, U) where those are whole.
+        noise: (D, 2) variance of what encoders' noise makes of an acceleration, low-passed twice,
+            and of the derivative of that, while a joint moves [rad^2/s^4 and rad^2/s^6, or m]; None
+            where positions are exact.
     """
 
     log: int
@@ -61,6 +66,7 @@ class Trajectory:
     independence: float
     rates: F64 | None = None
     turning: Bool | None = None
+    noise: F64 | None = None
 
     def __post_init__(self) -> None:
         for name in ("taps", "q", "qd", "qdd", "readings"):
@@ -68,6 +74,8 @@ class Trajectory:
         if self.rates is not None and self.turning is not None:
             object.__setattr__(self, "rates", frozen(self.rates))
             object.__setattr__(self, "turning", frozen(self.turning, np.bool_))
+        if self.noise is not None:
+            object.__setattr__(self, "noise", frozen(self.noise))
         object.__setattr__(self, "kept", frozen(self.kept, np.int64))
         for name in ("valid", "moving"):
             object.__setattr__(self, name, frozen(getattr(self, name), np.bool_))
@@ -115,9 +123,18 @@ def trajectory(sampled: Sampled, log: int, reach: float = 0.0) -> Trajectory:
         valid=valid,
         moving=(np.abs(motion.qd) >= np.maximum(_MOVING * motion.resolution, 1e-3))[kept],
         independence=min(1.0, 2 * noise_bandwidth(twice, rate) * every / rate),
+        noise=_noise(motion, taps),
         rates=rates,
         turning=turning,
     )
+
+
+def _noise(motion: Motion, taps: F64) -> F64:
+    """(D, 2) variances of accelerations and of their derivatives, of white noise of positions."""
+    w, H = freqz(taps, worN=1024, fs=2 * np.pi * motion.grid.rate)
+    density = 2 * motion.noise**2 / motion.raw_rate / (2 * np.pi)
+    gain = np.abs(H) ** 4
+    return np.stack([density * float(np.trapezoid(gain * w**power, w)) for power in (4, 6)], axis=1)
 
 
 def in_order(log: Trajectory, dofs: Int, sus: Int) -> Trajectory:
@@ -134,6 +151,7 @@ def in_order(log: Trajectory, dofs: Int, sus: Int) -> Trajectory:
         qd=log.qd[:, dofs],
         qdd=log.qdd[:, dofs],
         moving=log.moving[:, dofs],
+        noise=None if log.noise is None else log.noise[dofs],
         readings=log.readings[:, sus],
         valid=log.valid[:, sus],
         rates=None if log.rates is None else log.rates[:, sus],

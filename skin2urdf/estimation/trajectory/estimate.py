@@ -13,6 +13,7 @@ from skin2urdf.estimation.problem.cost import Priors
 from skin2urdf.estimation.problem.state import State
 from skin2urdf.estimation.trajectory.causes import SPAN, Explained, explained, misfit_of
 from skin2urdf.estimation.trajectory.deviations import su_covariances
+from skin2urdf.estimation.trajectory.encoder_noise import without_shortening
 from skin2urdf.estimation.trajectory.fit import Fitted, fit
 from skin2urdf.estimation.trajectory.front_end import droop, droop_variance
 from skin2urdf.estimation.trajectory.gyro import gyro_deviations
@@ -144,6 +145,7 @@ def estimate_along(
     if look_further:
         found = explained(problem, fitted, most)
         problem, fitted = found.problem, found.fitted
+    fitted = without_shortening(problem, fitted)
     left = misfit_of(problem, fitted, SPAN)
     # Errors that last longer than a span are larger than spans taken as independent show.
     lasting = max(1.0, misfit_of(problem, fitted, _LONG) / max(left, 1.0))

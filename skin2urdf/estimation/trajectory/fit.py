@@ -117,6 +117,20 @@ def _descend(
     return Fitted(state, noise, weights, predicted, equations, cost)
 
 
+def held(problem: MotionProblem, state: MotionState) -> Fitted:
+    """All samples held against a state.
+
+    Args:
+        problem: the logs, the tree and what is known before.
+        state: where.
+    """
+    predicted = tuple(problem.predict(state, g) for g in range(len(problem.logs)))
+    noise, weights = _noise(problem, predicted)
+    equations = problem.equations(state, predicted, weights)
+    cost = _cost(problem, state, predicted, weights)
+    return Fitted(state, noise, weights, predicted, equations, cost)
+
+
 def _length(equations: Equations, joint: F64, sus: F64) -> float:
     """Length of a step in standard deviations."""
     own = np.einsum("un,unm,um->", sus, equations.su, sus)

@@ -281,9 +281,7 @@ def relinearise(
         # Features that no start explains will have none when they change a little.
         found = estimate_once(logs, tree, features, previous.state, clock, search=not again)
         gain = previous.cost_per_dof / max(found.cost_per_dof, 1e-12)
-        # A cost that grows shows that the model has been led elsewhere, and may still fall there.
-        good = found.cost_per_dof < GOOD_FIT
-        settled = gain < 1.02 and (good or gain > 1 / 1.02)
+        settled = gain < 1.02 and found.cost_per_dof < GOOD_FIT
         led_astray = gain < 2.0 and found.cost_per_dof > BAD_FIT
         if _moved(previous, found) < 1e-4 or settled or led_astray:
             break

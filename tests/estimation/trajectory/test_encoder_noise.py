@@ -1,0 +1,41 @@
+"""The noise of encoders shortens no lever arms."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+from random_robots import Joint, robot_of
+from simulated import held_against
+
+from skin2urdf import calibrate
+from skin2urdf.calibration.settings import CalibrationSettings
+from skin2urdf.estimation.trajectory.fit import fit
+from skin2urdf.model.canonical import canonical
+from skin2urdf.simulation import SimulationSettings, simulate
+from skin2urdf.simulation.robots import SkinLayout
+
+ARM = (
+    Joint("first", -1, "revolute", rpy=(1.2, 0.3, 0.0)),
+    Joint("second", 0, "revolute", xyz=(0.3, 0.0, 0.1), rpy=(1.4, 0.0, 0.0)),
+)
+
+
+def test_what_coarse_encoders_do_to_lengths_is_taken_off(tmp_path: Path) -> None:
+    layout = SkinLayout(sus_per_segment=2, sus_on_base=1)
+    settings = SimulationSettings(
+        n_poses=5, seed=3, excite="all", encoder_bits=14,
+        imu_rate=250.0, joint_rate=125.0,
+    )  # fmt: skip
+    simulation = simulate(robot_of(ARM, tmp_path, layout), settings)
+    found = calibrate(simulation.recording, CalibrationSettings(gravity_deviation=0.0))
+    along = found.along
+    assert along is not None
+    # From where the fit ended, plain least squares goes back to its own optimum.
+    plain = fit(along.problem, along.fitted.state, near=True).state.placements
+    shortened = replace(found, model=canonical(plain.model(along.problem.tree)))
+    right, wrong = (
+        held_against(each, simulation.truth.urdf, tmp_path).position.rms
+        for each in (found, shortened)
+    )
+    assert right < 0.7 * wrong

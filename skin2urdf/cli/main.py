@@ -7,6 +7,7 @@ import sys
 import warnings
 from collections.abc import Sequence
 
+from skin2urdf.cli.commands.completion import answer_the_shell
 from skin2urdf.cli.parser import COMMANDS, make_parser
 from skin2urdf.cli.terminal import complain, open_streams, silence_stdout
 from skin2urdf.errors import Skin2UrdfError, UsageError
@@ -28,7 +29,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     open_streams()
     _tolerant_output()
     _one_thread()
-    options = make_parser().parse_args(arguments)
+    parser = make_parser()
+    if "_ARGCOMPLETE" in os.environ:
+        answer_the_shell(parser)
+    options = parser.parse_args(arguments)
     if not options.debug:
         # The quality of a result is told in words; stray warnings of libraries only puzzle.
         warnings.simplefilter("ignore")

@@ -15,10 +15,8 @@ to install it:
         with `fpath+=~/.zfunc; autoload -Uz compinit; compinit` in ~/.zshrc
   fish  skin2urdf completion fish > ~/.config/fish/completions/skin2urdf.fish
 
-Make the folder first where there is none (mkdir -p). It takes effect in the next shell."""
-
-_FILES = frozenset({"LOG", "URDF", "OTHER", "HTML", "FILE", "ESTIMATE", "TRUTH", "OUT", "MODEL"})
-"""What stands for a file in help."""
+Make the folder first where there is none (mkdir -p). It takes effect in the next shell, which asks
+the command itself for what may follow."""
 
 
 def declare(command: Parser) -> None:
@@ -28,19 +26,27 @@ def declare(command: Parser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Do it; the exit status."""
-    import shtab
+    from argcomplete.shell_integration import shellcode
 
-    from skin2urdf.simulation import robot_names
+    sys.stdout.write(shellcode(["skin2urdf"], shell=options.shell))
+    return 0
 
-    parser: argparse.ArgumentParser = options.parser
+
+def answer_the_shell(parser: argparse.ArgumentParser) -> None:
+    """Tell a shell that asks what may follow its words, and end; return where none asks.
+
+    Args:
+        parser: of the whole command line.
+    """
+    import argcomplete
+
+    from skin2urdf.simulation.robots import robot_names
+
     for command in commands_of(parser).values():
         for action in command._actions:
             if action.metavar == "ROBOT":
-                action.choices = robot_names()
-            elif action.metavar in _FILES:
-                action.complete = shtab.FILE  # type: ignore[attr-defined]
-    sys.stdout.write(shtab.complete(parser, shell=options.shell) + "\n")
-    return 0
+                action.completer = lambda **_: robot_names()  # type: ignore[attr-defined]
+    argcomplete.autocomplete(parser)
 
 
 def commands_of(parser: argparse.ArgumentParser) -> dict[str, argparse.ArgumentParser]:

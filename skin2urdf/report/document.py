@@ -23,6 +23,7 @@ from skin2urdf.report.gyros import gyro_document
 from skin2urdf.report.words import NO_POSITIONS, Unknown
 from skin2urdf.signals.records import Features
 from skin2urdf.structure.activity import Activity
+from skin2urdf.structure.records import KinematicTree
 
 SCHEMA = "skin2urdf/calibration/1"
 _LIBRARIES = ("numpy", "scipy", "pin", "nlopt", "casadi")
@@ -50,18 +51,7 @@ def as_document(calibration: Calibration) -> dict[str, Any]:
         "fit": _fit(calibration, found),
         "goodness": _goodness(calibration),
         "samples": _samples(calibration),
-        "tree": {
-            "joints": [
-                {"name": name, "parent": name_of(tree.joint_names, int(parent)), "type": kind}
-                for name, parent, kind in zip(
-                    tree.joint_names, tree.parent, tree.joint_types, strict=True
-                )
-            ],
-            "sus": {
-                name: name_of(tree.joint_names, int(joint))
-                for name, joint in zip(tree.su_names, tree.su_joint, strict=True)
-            },
-        },
+        "tree": tree_document(tree),
         "joints": {name: _joint(calibration, found, j) for j, name in enumerate(tree.joint_names)},
         "sus": {name: _su(calibration, found, u) for u, name in enumerate(tree.su_names)},
         "gravity_up": calibration.estimate.state.up,
@@ -104,6 +94,22 @@ def _open(
     pairs = zip(calibration.open_directions, found.between_branches, strict=True)
     for direction, unknown in pairs:
         yield "branch", direction, unknown
+
+
+def tree_document(tree: KinematicTree) -> dict[str, Any]:
+    """Joints with parent and type, and the SUs with their joint, by name."""
+    return {
+        "joints": [
+            {"name": name, "parent": name_of(tree.joint_names, int(parent)), "type": kind}
+            for name, parent, kind in zip(
+                tree.joint_names, tree.parent, tree.joint_types, strict=True
+            )
+        ],
+        "sus": {
+            name: name_of(tree.joint_names, int(joint))
+            for name, joint in zip(tree.su_names, tree.su_joint, strict=True)
+        },
+    }
 
 
 def activity_document(activity: Activity) -> dict[str, Any]:

@@ -8,7 +8,14 @@ from typing import Any
 import numpy as np
 
 from skin2urdf.model.records import KinematicModel
-from skin2urdf.report.document import SCHEMA, fault_document, name_of, to_plain, versions
+from skin2urdf.report.document import (
+    SCHEMA,
+    fault_document,
+    name_of,
+    to_plain,
+    tree_document,
+    versions,
+)
 from skin2urdf.report.on_model import deviations, model_verdict
 from skin2urdf.report.words import unknowns
 from skin2urdf.vendor.records import ModelCalibration
@@ -53,18 +60,7 @@ def as_document(result: ModelCalibration) -> dict[str, Any]:
                 for u, name in enumerate(tree.su_names)
             },
         },
-        "tree": {
-            "joints": [
-                {"name": name, "parent": name_of(tree.joint_names, int(parent)), "type": kind}
-                for name, parent, kind in zip(
-                    tree.joint_names, tree.parent, tree.joint_types, strict=True
-                )
-            ],
-            "sus": {
-                name: name_of(tree.joint_names, int(joint))
-                for name, joint in zip(tree.su_names, tree.su_joint, strict=True)
-            },
-        },
+        "tree": tree_document(tree),
         "sus": {
             name: {
                 "joint": name_of(tree.joint_names, int(tree.su_joint[u])),

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -52,17 +53,12 @@ def placements(robot: Robot, moved: Sequence[str], joints: Sequence[str], positi
         joints: names of D joints.
         positions: (n, D) their positions [rad or m]; the others are neutral.
     """
-    import pinocchio as pin
-
-    data = robot.model.createData()
-    ids = [robot.model.getJointId(name) for name in moved]
+    model = robot.model
+    ids = [model.getJointId(name) for name in moved]
     T = np.empty((len(positions), len(moved), 4, 4))
-    for n, values in enumerate(positions):
-        q = configuration(robot, dict(zip(joints, map(float, values), strict=True)))
-        pin.forwardKinematics(robot.model, data, q)
+    for n, oMi in enumerate(_frames(robot, joints, positions)):
         for i, joint in enumerate(ids):
-            placed = data.oMi[robot.model.parents[joint]] * robot.model.jointPlacements[joint]
-            T[n, i] = placed.homogeneous
+            T[n, i] = (oMi[model.parents[joint]] * model.jointPlacements[joint]).homogeneous
     return T
 
 
@@ -75,14 +71,20 @@ def joint_poses(robot: Robot, wanted: Sequence[str], joints: Sequence[str], posi
         joints: names of D joints.
         positions: (n, D) their positions [rad or m]; the others are neutral.
     """
+    ids = [robot.model.getJointId(name) for name in wanted]
+    T = np.empty((len(positions), len(wanted), 4, 4))
+    for n, oMi in enumerate(_frames(robot, joints, positions)):
+        for i, joint in enumerate(ids):
+            T[n, i] = oMi[joint].homogeneous
+    return T
+
+
+def _frames(robot: Robot, joints: Sequence[str], positions: F64) -> Iterator[Any]:
+    """Pinocchio's frames of all joints in the base frame, configuration by configuration."""
     import pinocchio as pin
 
     data = robot.model.createData()
-    ids = [robot.model.getJointId(name) for name in wanted]
-    T = np.empty((len(positions), len(wanted), 4, 4))
-    for n, values in enumerate(positions):
+    for values in positions:
         q = configuration(robot, dict(zip(joints, map(float, values), strict=True)))
         pin.forwardKinematics(robot.model, data, q)
-        for i, joint in enumerate(ids):
-            T[n, i] = data.oMi[joint].homogeneous
-    return T
+        yield data.oMi

@@ -65,8 +65,8 @@ def without_shortening(problem: MotionProblem, fitted: Fitted) -> Fitted:
             for w, log in zip(fitted.weights, problem.logs, strict=True)
         ]
         louder = [w * n[d, 0] for w, n in zip(weights, noise, strict=True)]
-        with_push = still_equations(pushed, state, driven, tau, louder)
-        without = still_equations(still, state, at_rest, tau, louder)
+        with_push = _gradients(pushed, state, driven, tau, louder)
+        without = _gradients(still, state, at_rest, tau, louder)
         joint[shared] += (with_push[0] - without[0])[shared]
         joint[layout.further] += (with_push[0] - without[0])[still.layout.further]
         su[:, own] += (with_push[1] - without[1])[:, own]
@@ -79,7 +79,7 @@ def without_shortening(problem: MotionProblem, fitted: Fitted) -> Fitted:
     return held(problem, layout.moved(fitted.state, *newton_step(system, problem.free_joint)))
 
 
-def still_equations(
+def _gradients(
     problem: MotionProblem,
     state: MotionState,
     predicted: Sequence[Predicted],

@@ -238,7 +238,11 @@ def _robot(options: argparse.Namespace, earlier: Earlier | None) -> _Robot:
     mechanism = load_mechanism(spec, (float(r), float(p), float(y)))
     check_names(given, mechanism.joint_names, options.limits or "")
     beyond = acceleration_and_jerk(read_urdf(spec))
-    seen, ranges = _seen(spec.urdf, given)
+    bounded = [
+        n for n, low in zip(mechanism.joint_names, mechanism.lower, strict=True) if low > -np.inf
+    ]
+    ranged = {name for name, limits in given.items() if limits.lower is not None}
+    seen, ranges = _seen(spec.urdf, ranged.issuperset(bounded))
     limits_of = {}
     for d, name in enumerate(mechanism.joint_names):
         of_model = Given(
@@ -261,8 +265,12 @@ def _robot(options: argparse.Namespace, earlier: Earlier | None) -> _Robot:
     return _Robot(limits, model, checker, (*ranges, *notes))
 
 
-def _seen(urdf: Path, given: Mapping[str, Given]) -> tuple[Mapping[str, Given], tuple[str, ...]]:
+def _seen(urdf: Path, ranged: bool) -> tuple[Mapping[str, Given], tuple[str, ...]]:
     """Ranges of a calibrated robot, whose URDF has limits that are nobody's, and what to say of it.
+
+    Args:
+        urdf: its file.
+        ranged: whether a file of limits has the ranges of all joints.
 
     Raises:
         UsageError: neither its JSON nor a file of limits says how far its joints may go.
@@ -278,10 +286,11 @@ def _seen(urdf: Path, given: Mapping[str, Given]) -> tuple[Mapping[str, Given], 
             f"joints keep to the ranges that the log of {urdf.name} saw: its own limits are "
             "placeholders, and --limits says otherwise",
         )
-    if not given and NO_LIMITS in urdf.read_text(encoding="utf-8", errors="replace"):
+    if not ranged and NO_LIMITS in urdf.read_text(encoding="utf-8", errors="replace"):
         raise UsageError(
             f"the limits in {urdf} are placeholders, and its JSON is not beside it",
-            "put the JSON there, or give the joints' limits (--limits joint_limits.yaml)",
+            "put the JSON there, or give the ranges of all joints: min_position and max_position "
+            "in a file of limits (--limits)",
         )
     return {}, ()
 

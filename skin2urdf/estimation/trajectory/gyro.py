@@ -18,7 +18,7 @@ beyond what its encoder says adds ``R_su_k (w_k x z e + z e')``. Shifts change n
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -102,7 +102,7 @@ def without_gyros(logs: Sequence[Trajectory], sus: Bool) -> tuple[Trajectory, ..
 def predicted_turning(
     model: KinematicModel,
     log: Trajectory,
-    moved: Trajectory,
+    links: tuple[F64, F64],
     state: MotionState,
     g: int,
     lags: F64,
@@ -111,15 +111,15 @@ def predicted_turning(
 
     Args:
         model: the robot in that state.
-        log: the log, and
-        moved: the same with the links' motion.
+        log: the log.
+        links: (N, D) positions and velocities of the model's joints along it.
         state: the state.
         g: number of the log.
         lags: (K, U) by how much readings are late [s].
     """
     if log.rates is None or log.turning is None:
         return None
-    ideal = filtered(angular_velocities(model, moved.q, moved.qd), log.taps)
+    ideal = filtered(angular_velocities(model, *links), log.taps)
     read = (ideal.swapaxes(0, 1) @ np.swapaxes(gyro_matrix(state), 1, 2)).swapaxes(0, 1)
     late, droop = state.gyro[:, N_GYRO_MATRIX : N_GYRO_MATRIX + 2].T
     slope = first_derivative(read, log.rate)[log.kept]
@@ -139,7 +139,8 @@ def rate_columns(
     layout: Layout,
     g: int,
     u: int,
-    frames: tuple[Sequence[FrameMotion], FrameMotion],
+    frames: tuple[Mapping[int, FrameMotion], FrameMotion],
+    slides: Mapping[int, bool],
     unseen: tuple[Int, F64],
     slopes: tuple[F64, F64, F64],
 ) -> F64:
@@ -151,7 +152,9 @@ def rate_columns(
         layout: where coordinates stand.
         g: number of the log.
         u: the SU.
-        frames: motion of the frames in which the joints are placed, and of the SU's own.
+        frames: motion of the frames in which joints and hinges are placed, by their number, and of
+            the SU's own.
+        slides: which of these slide.
         unseen: (s,) joints that the numbers which make motion beyond encoders move, and (2, s, K)
             that motion and its derivative per unit.
         slopes: (K, 3) derivatives of the prediction in time, of first and second order, and (K,)
@@ -173,10 +176,10 @@ def rate_columns(
     rows.append(np.zeros((3 if g > 0 else 1, 3, K)))
     joints, motion = unseen
     for k, e, ed in zip(joints, *motion, strict=True):
-        if tree.prismatic[k]:
+        if slides[int(k)]:
             rows.append(np.zeros((1, 3, K)))
             continue
-        axis = np.einsum("ijk,jk->ik", here.R_frame_base, fixed[k].R_frame_base[2])
+        axis = np.einsum("ijk,jk->ik", here.R_frame_base, fixed[int(k)].R_frame_base[2])
         rows.append((turned(int(k), 2) * e + axis * ed)[None])
     if layout.n_further:
         # Neither how a robot is mounted nor shifts along axes; turns about axes, as those above.

@@ -37,6 +37,7 @@ from skin2urdf.estimation.trajectory.priors import (
     with_priors,
 )
 from skin2urdf.estimation.trajectory.records import Equations, Predicted, Spans, Turned
+from skin2urdf.estimation.trajectory.skeleton import N_HINGES, Skeleton
 from skin2urdf.estimation.trajectory.state import N_GYRO, Layout, MotionState
 from skin2urdf.estimation.trajectory.unseen import Unseen
 from skin2urdf.model.specific_force import specific_forces
@@ -68,6 +69,7 @@ class MotionProblem:
     ) -> None:
         self.tree, self.logs, self.priors = tree, tuple(logs), priors
         self.unseen = unseen
+        self.skeleton = Skeleton.of(tree, unseen.joint if unseen else ())
         self._motions = unseen.at_kept(self.logs) if unseen else ()
         self._seconds = tuple(float(log.time[-1] - log.time[0]) for log in self.logs)
         knots = tuple(n_knots or [0] * len(self.logs))
@@ -144,9 +146,10 @@ class MotionProblem:
 
     def predict(self, state: MotionState, g: int) -> Predicted:
         """Residuals of one log."""
-        log, model = self.moved(state, g), state.placements.model(self.tree)
-        up = state.placements.up[g] * state.gravity
-        ideal = specific_forces(model, log.q, log.qd, log.qdd, up)
+        log, places = self.moved(state, g), state.placements
+        model = self.skeleton.model(places.T_parent_joint, places.T_joint_su)
+        q, qd, qdd = (x[:, self.skeleton.numbers] for x in (log.q, log.qd, log.qdd))
+        ideal = specific_forces(model, q, qd, qdd, places.up[g] * state.gravity)
         ideal = filtered(ideal * sense(self.priors, state), log.taps)
         read = (ideal.swapaxes(0, 1) @ state.placements.sensor_matrix()).swapaxes(0, 1)
         read, by_front = front_end(read, state.front, log.rate, len(log.taps))
@@ -158,7 +161,7 @@ class MotionProblem:
         for u in range(self.tree.n_sus):
             residual[:, u] = taken_at(log.readings[:, u], at[:, u]) - predicted[:, u]
         measured = log.valid & np.isfinite(residual).all(axis=2)
-        turned = predicted_turning(model, self.logs[g], log, state, g, self.lags(state, g))
+        turned = predicted_turning(model, log, (q, qd), state, g, self.lags(state, g))
         return Predicted(residual, measured, ideal[log.kept], rates, turned)
 
     def moved(self, state: MotionState, g: int) -> Trajectory:
@@ -166,9 +169,28 @@ class MotionProblem:
         log = self.logs[g]
         return self.unseen.moved(log, g, state.unseen) if self.unseen else log
 
+    def bent(self, state: MotionState) -> tuple[F64, ...]:
+        """Per log (K, D + 6) what is beyond encoders of joints, and of the base [rad or m]."""
+        return tuple(
+            np.hstack(both)
+            for both in zip(self.deflections(state), self.base_motions(state), strict=True)
+        )
+
     def deflections(self, state: MotionState) -> tuple[F64, ...]:
         """Per log (K, D) by how much links are beyond what encoders say [rad or m]."""
-        return tuple((self.moved(state, g).q - log.q)[log.kept] for g, log in enumerate(self.logs))
+        n = self.tree.n_joints
+        return tuple(
+            (self.moved(state, g).q[:, :n] - log.q)[log.kept] for g, log in enumerate(self.logs)
+        )
+
+    def base_motions(self, state: MotionState) -> tuple[F64, ...]:
+        """Per log (K, 6) shifts along and turns about the axes of the base [m, rad]."""
+        n = self.tree.n_joints
+        still = self.skeleton.tree is self.tree
+        return tuple(
+            np.zeros((len(log.kept), N_HINGES)) if still else self.moved(state, g).q[log.kept, n:]
+            for g, log in enumerate(self.logs)
+        )
 
     def refit_sensors(
         self,
@@ -315,6 +337,7 @@ class MotionProblem:
         for g in range(len(self.logs)):
             motion, (fixed, _) = self._frames(state, g)
             K = motion[0].shape[1]
+            first = len(self.skeleton.hinges)
             G, H = np.zeros((self.tree.n_joints, 3, K)), np.zeros((self.tree.n_joints, 3, 3, K))
             for u in range(self.tree.n_sus):
                 root = np.sqrt(weights[g][:, u, :3].T)
@@ -323,8 +346,8 @@ class MotionProblem:
                 path = _fixed_path(T[u], K)
                 for k in reversed(self.tree.chain(int(self.tree.su_joint[u]))):
                     slides = bool(self.tree.prismatic[k])
-                    path = seen_before_joint(path, slides, *(x[k] for x in motion))
-                    c = joint_columns(fixed[k], path, slides)
+                    path = seen_before_joint(path, slides, *(x[first + k] for x in motion))
+                    c = joint_columns(fixed[first + k], path, slides)
                     c = np.einsum("ij,djk->dik", sensors[u], c) * root
                     G[k] += np.einsum("dik,ik->dk", c, r)
                     H[k] += np.einsum("dik,eik->dek", c, c)
@@ -335,12 +358,13 @@ class MotionProblem:
     def _frames(
         self, state: MotionState, g: int
     ) -> tuple[tuple[F64, F64, F64], tuple[list[FrameMotion], list[FrameMotion]]]:
-        """Motion (D, K) of the joints at the samples compared, and of their frames."""
-        log = self.moved(state, g)
-        q, qd, qdd = (np.ascontiguousarray(x[log.kept].T) for x in (log.q, log.qd, log.qdd))
+        """Motion (H + D, K) of hinges and joints at the samples compared, and of their frames."""
+        log, skeleton = self.moved(state, g), self.skeleton
+        at = np.ix_(log.kept, skeleton.numbers)
+        q, qd, qdd = (np.ascontiguousarray(x[at].T) for x in (log.q, log.qd, log.qdd))
         up = state.placements.up[g] * state.gravity
-        T = state.placements.T_parent_joint
-        return (q, qd, qdd), frame_motions(self.tree, T, up, q, qd, qdd)
+        T = skeleton.placements(state.placements.T_parent_joint)
+        return (q, qd, qdd), frame_motions(skeleton.tree, T, up, q, qd, qdd)
 
     def _rows(
         self, state: MotionState, predicted: Sequence[Predicted], weights: Sequence[F64]
@@ -377,8 +401,12 @@ class MotionProblem:
         """Which of the numbers that make unseen motion an SU feels."""
         if self.unseen is None:
             return np.zeros(0, dtype=np.int64)
-        chain = self.tree.chain(int(self.tree.su_joint[u]))
-        return np.flatnonzero(np.isin(self.unseen.joint, list(chain)))
+        carried_by = self.skeleton.numbers[list(self._chain(u))]
+        return np.flatnonzero(np.isin(self.unseen.joint, carried_by))
+
+    def _chain(self, u: int) -> tuple[int, ...]:
+        """What carries an SU, from the ground on: places in the tree with hinges."""
+        return self.skeleton.tree.chain(int(self.skeleton.tree.su_joint[u]))
 
     def _gyro_columns(
         self,
@@ -390,13 +418,17 @@ class MotionProblem:
     ) -> F64:
         """(C + n, 3, K) derivatives of what an SU's gyroscope is predicted to read."""
         fixed, carried = frames
-        here = placed(carried[int(self.tree.su_joint[u])], state.placements.T_joint_su[u])
+        tree, numbers = self.skeleton.tree, self.skeleton.numbers
+        T = self.skeleton.su_placements(state.placements.T_joint_su)[u]
+        here = placed(carried[int(tree.su_joint[u])], T)
         felt = self._moving(u)
         unseen = felt, np.zeros((2, 0, here.w.shape[1]))
         if self.unseen:
             unseen = self.unseen.joint[felt], self._motions[g][:2, felt]
+        slides = dict(zip(numbers.tolist(), tree.prismatic.tolist(), strict=True))
+        of_number = dict(zip(numbers.tolist(), fixed, strict=True)), here
         slopes = turned.slope[:, u], turned.bend[:, u], self._since_middle(g)
-        return rate_columns(self.tree, state, self.layout, g, u, (fixed, here), unseen, slopes)
+        return rate_columns(self.tree, state, self.layout, g, u, of_number, slides, unseen, slopes)
 
     def _columns(
         self,
@@ -408,12 +440,13 @@ class MotionProblem:
         rates: F64,
     ) -> F64:
         """(C + n, 3, K) derivatives of an SU's prediction, joint columns first."""
-        layout, tree, places = self.layout, self.tree, state.placements
+        layout, places = self.layout, state.placements
+        tree, numbers = self.skeleton.tree, self.skeleton.numbers
         q, qd, qdd = motion
         K = q.shape[1]
         fixed, carried = frames
         M, sensed = places.sensor_matrix()[u], sense(self.priors, state)
-        T = places.T_joint_su[u]
+        T = self.skeleton.su_placements(places.T_joint_su)[u]
         here = placed(carried[int(tree.su_joint[u])], T)
         rows: list[F64] = []
         by_joint: dict[int, F64] = {}
@@ -422,14 +455,17 @@ class MotionProblem:
         known = self.priors.blueprint is not None
         wanted = JOINT_COORDINATES + ALONG_AXIS if known else JOINT_COORDINATES
         along_axis: list[F64] = []
-        for k in reversed(tree.chain(int(tree.su_joint[u]))):
-            path = seen_before_joint(path, bool(tree.prismatic[k]), q[k], qd[k], qdd[k])
-            columns = placement_columns(fixed[k], path, wanted)
-            rows.append(columns[: len(JOINT_COORDINATES)])
-            along_axis.append(columns[len(JOINT_COORDINATES) :])
+        placements = self.skeleton.placements(places.T_parent_joint)
+        for j in reversed(self._chain(u)):
+            slides = bool(tree.prismatic[j])
+            path = seen_before_joint(path, slides, q[j], qd[j], qdd[j])
+            if numbers[j] < layout.n_joints:
+                columns = placement_columns(fixed[j], path, wanted)
+                rows.append(columns[: len(JOINT_COORDINATES)])
+                along_axis.append(columns[len(JOINT_COORDINATES) :])
             if self.unseen:
-                by_joint[k] = joint_columns(fixed[k], path, bool(tree.prismatic[k]))
-            path = seen_from_parent(path, places.T_parent_joint[k])
+                by_joint[int(numbers[j])] = joint_columns(fixed[j], path, slides)
+            path = seen_from_parent(path, placements[j])
         rows.reverse()
         R_su_base = here.R_frame_base
         if g > 0:

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from skin2urdf.arrays import F64, Bool, Int, frozen
+from skin2urdf.estimation.trajectory.skeleton import N_HINGES
 from skin2urdf.signals.filters import first_derivative, second_derivative
 from skin2urdf.signals.trajectory import Trajectory
 
@@ -22,7 +23,8 @@ class Unseen:
     """Motions of joints per unit of S numbers.
 
     Attributes:
-        joint: (S,) the joint that each number moves.
+        joint: (S,) the joint that each number moves; D and more are hinges of the base, numbered as
+            in :mod:`skeleton`.
         motions: per log (N, S) by how much its link is beyond its encoder [rad or m per unit],
             low-passed as the positions.
     """
@@ -54,17 +56,25 @@ class Unseen:
             log: as the encoders have it.
             g: its number.
             x: (S,) the numbers.
+
+        Returns:
+            The log, with six columns more, of the base's hinges, where any of these moves.
         """
         n_joints = log.q.shape[1]
-        of_joint = np.zeros((len(x), n_joints))
+        hinges = np.zeros((len(log.q), N_HINGES if self.moves_base(n_joints) else 0))
+        of_joint = np.zeros((len(x), n_joints + hinges.shape[1]))
         of_joint[np.arange(len(x)), self.joint] = x
         e = self.motions[g] @ of_joint
         return replace(
             log,
-            q=log.q + e,
-            qd=log.qd + first_derivative(e, log.rate),
-            qdd=log.qdd + second_derivative(e, log.rate),
+            q=np.hstack([log.q, hinges]) + e,
+            qd=np.hstack([log.qd, hinges]) + first_derivative(e, log.rate),
+            qdd=np.hstack([log.qdd, hinges]) + second_derivative(e, log.rate),
         )
+
+    def moves_base(self, n_joints: int) -> bool:
+        """Whether a base that carries so many joints moves."""
+        return bool((self.joint >= n_joints).any())
 
     def part(self, which: Bool) -> Unseen:
         """Some (S,) of the numbers."""

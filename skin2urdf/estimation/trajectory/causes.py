@@ -1,9 +1,8 @@
 """What real robots have and ideal ones have not, as far as the readings show it.
 
 A rigid robot with steady sensors is fitted first. Where it leaves more than noise, or where joints
-are off their encoders from place to place, causes are tried: uneven gears, joints that yield, a
-base that gives way, biases that drift, several of these; slack of a learnt size takes up what none
-of them explains.
+are off their encoders from place to place, causes are tried: uneven gears, joints that yield,
+biases that drift, both of these; slack of a learnt size takes up what none of them explains.
 """
 
 from __future__ import annotations
@@ -20,7 +19,6 @@ from skin2urdf.estimation.trajectory.fit import Fitted, fit
 from skin2urdf.estimation.trajectory.gears import find_ripples, harmonics, ripples
 from skin2urdf.estimation.trajectory.misfit import misfit, span_means
 from skin2urdf.estimation.trajectory.problem import MotionProblem
-from skin2urdf.estimation.trajectory.skeleton import N_HINGES
 from skin2urdf.estimation.trajectory.slack import Size, size_of, slack, with_unseen
 from skin2urdf.estimation.trajectory.unseen import Unseen
 
@@ -57,11 +55,6 @@ more."""
 _CERTAIN = 10.0
 """Logarithm of the likelihood that unseen motion has to gain, which chance does once in 100,000;
 sound recordings gain nothing (panda and five of ur5), a strain wave of 0.1 mrad 121."""
-_DEPTH = 0.5
-"""Standard deviation of the distance between the base's frame and the point about which the base
-turns [m]: that of a stand."""
-_BENDS, _DRIFT = ("elastic", "base"), "drift"
-"""Causes of deflections, and that of biases."""
 _KNOTS = 15.0
 """Time between the moments that a drifting bias is given at [s]; sensors warm up in minutes."""
 
@@ -97,8 +90,14 @@ def explained(problem: MotionProblem, fitted: Fitted, most: float = np.inf) -> E
     best = _with_uneven_gears(rigid)
     attempts = [best]
     if best.lacks:
-        other, more = _with_physics(rigid)
-        attempts += more
+        others = [rigid.with_elastic_joints()]
+        if rigid.misfit > _EXPLAINED and problem.priors.sensors.bias > 0:
+            others.append(rigid.with_drifting_biases())
+        attempts += others
+        other = min(others, key=lambda each: each.misfit)
+        if other.misfit > _EXPLAINED and len(others) > 1:
+            both = other.with_the_other()
+            other = both if _explains_most(both, other) else other
         if _explains_most(other, rigid) and not _explains_most(best, other):
             best = other
     if best.slack_size is not None and best.slack_size.gain > _CERTAIN:
@@ -106,25 +105,6 @@ def explained(problem: MotionProblem, fitted: Fitted, most: float = np.inf) -> E
         attempts.append(best)
     tried = {cause: each.misfit for each in attempts for cause in each.causes[-1:]}
     return Explained(best.problem, best.fitted, best.causes, tried)
-
-
-def _with_physics(rigid: _Attempt) -> tuple[_Attempt, list[_Attempt]]:
-    """The best of what bends and drifts, one cause after the other, and all that was tried."""
-    left = [*_BENDS, _DRIFT]
-    if rigid.misfit <= _EXPLAINED or rigid.problem.priors.sensors.bias == 0:
-        left.remove(_DRIFT)
-    best, tried = rigid, []
-    while left:
-        further = [best.adding(cause) for cause in left]
-        tried += further
-        other = min(further, key=lambda each: each.misfit)
-        if best is not rigid and not _explains_most(other, best):
-            break
-        best = other
-        left.remove(best.causes[-1])
-        if best.misfit <= _EXPLAINED:
-            break
-    return best, tried
 
 
 def _with_uneven_gears(rigid: _Attempt) -> _Attempt:
@@ -206,15 +186,21 @@ class _Attempt:
             return self
         return self.with_more("slack", self.places, self.slack_size.size)
 
-    def adding(self, cause: str) -> _Attempt:
-        """With joints or a base that yield, or with biases that walk."""
-        causes = (*self.causes, cause)
-        if cause == _DRIFT:
-            problem, fitted = _with_drifting_biases(self.problem, self.fitted)
-        else:
-            bends = {name: name in causes for name in _BENDS}
-            problem, fitted = _yielding(self.problem, self.fitted, **bends)
-        return replace(self, problem=problem, fitted=fitted, causes=causes)
+    def with_elastic_joints(self) -> _Attempt:
+        """With joints that yield."""
+        problem, fitted = _with_elastic_joints(self.problem, self.fitted)
+        return replace(self, problem=problem, fitted=fitted, causes=(*self.causes, "elastic"))
+
+    def with_drifting_biases(self) -> _Attempt:
+        """With biases that walk."""
+        problem, fitted = _with_drifting_biases(self.problem, self.fitted)
+        return replace(self, problem=problem, fitted=fitted, causes=(*self.causes, "drift"))
+
+    def with_the_other(self) -> _Attempt:
+        """With elastic joints and drifting biases, where it has one of them."""
+        if "elastic" in self.causes:
+            return self.with_drifting_biases()
+        return self.with_elastic_joints()
 
 
 def _explains_most(one: _Attempt, other: _Attempt) -> bool:
@@ -247,35 +233,32 @@ def _with_drifting_biases(problem: MotionProblem, fitted: Fitted) -> tuple[Motio
     return walking, fit(walking, state)
 
 
-def _yielding(
-    problem: MotionProblem, fitted: Fitted, *, elastic: bool, base: bool
-) -> tuple[MotionProblem, Fitted]:
-    """The fit with joints, a base or both that yield under the load of what they carry.
+def _with_elastic_joints(problem: MotionProblem, fitted: Fitted) -> tuple[MotionProblem, Fitted]:
+    """The fit with joints that yield under the load of what they carry.
 
     Torques go with the motion of the links, which is known once the deflections are: both are found
     in turns.
     """
     tree, logs, state = problem.tree, problem.logs, fitted.state
-    bends = elasticity(tree, logs, state.placements, state.gravity, joints=elastic, base=base)
-    spread = np.where(np.append(tree.prismatic, np.zeros(N_HINGES, bool)), *_YIELD)[bends.joint]
-    spread[bends.damping] = _LATE
-    spread[bends.lever] = _DEPTH
+    elastic = elasticity(tree, logs, state.placements, state.gravity)
+    spread = np.where(tree.prismatic, *_YIELD)[elastic.joint]
+    spread[elastic.damping] = _LATE
     priors = replace(problem.priors, unseen=spread)
     state = replace(state, unseen=np.zeros(len(spread)))
     n_knots = problem.layout.n_knots
-    bending = MotionProblem(tree, logs, priors, n_knots, bends)
+    bending = MotionProblem(tree, logs, priors, n_knots, elastic)
     rigid = misfit_of(problem, fitted, SPAN)
     for turn in range(_TURNS):
-        before = bending.bent(state)
+        before = bending.deflections(state)
         fitted = fit(bending, state, tolerance=_NEARLY)
         state = fitted.state
         if turn == 0 and misfit_of(bending, fitted, SPAN) > _PROMISING * rigid:
             return bending, fitted
-        change = _change(before, bending.bent(state))
+        change = _change(before, bending.deflections(state))
         for _ in range(2):
             x = state.unseen
-            bends = followed(bends, tree, logs, state.placements, state.gravity, x)
-        bending = MotionProblem(tree, logs, priors, n_knots, bends)
+            elastic = followed(elastic, tree, logs, state.placements, state.gravity, x)
+        bending = MotionProblem(tree, logs, priors, n_knots, elastic)
         if change < _SETTLED:
             break
     return bending, fit(bending, state)

@@ -9,11 +9,6 @@ that the joints' deflections can be.
 
 A gear's damping makes its deflection late: ``K e + d e' = -tau``, which to first order is one
 number more per joint, ``e = -tau / K - (d / K) e'``.
-
-A base that gives way turns about its three axes by the moments that the robot puts on it, which are
-linear in the same masses. Where it turns about a point that is off the base's frame by h, this
-shifts by ``e x h``, which is six numbers more: by how much the turn about one axis shifts along
-another.
 """
 
 from __future__ import annotations
@@ -25,7 +20,6 @@ import numpy as np
 
 from skin2urdf.arrays import F64, Bool, Int, frozen
 from skin2urdf.estimation.problem.state import State
-from skin2urdf.estimation.trajectory.skeleton import N_HINGES, Skeleton, shift, turn
 from skin2urdf.estimation.trajectory.unseen import Unseen
 from skin2urdf.model.kinematics import PinocchioTree
 from skin2urdf.signals.filters import filtered, first_derivative
@@ -45,42 +39,23 @@ class Elasticity(Unseen):
     """Deflections of the joints, as motions that encoders do not see, per unit of S numbers.
 
     Attributes:
-        driver: (S,) the joint or hinge whose deflection makes a number's motion: its own where the
-            number is the time by which it lags behind its torque [s], damping over stiffness;
-            another one's where it is the lever by which that one shifts it [m]; -1 where inertial
-            parameters make it.
-        basis: (S, M, 10 D) the inertial parameters over stiffness that it stands for, in the order
-            of Pinocchio's regressors, per torque about the joint's own axis (M = 1) or about the
-            three axes of the base (M = 3).
+        damping: (S,) True for the time by which a deflection lags behind its torque [s]: damping
+            over stiffness.
+        basis: (S, 10 D) the inertial parameters over stiffness that it stands for, in the order of
+            Pinocchio's regressors.
     """
 
-    driver: Int
+    damping: Bool
     basis: F64
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        object.__setattr__(self, "driver", frozen(self.driver, np.int64))
+        object.__setattr__(self, "damping", frozen(self.damping, np.bool_))
         object.__setattr__(self, "basis", frozen(self.basis))
-
-    @property
-    def damping(self) -> Bool:
-        """(S,) True for times by which deflections lag."""
-        return np.asarray(self.driver == self.joint)
-
-    @property
-    def lever(self) -> Bool:
-        """(S,) True for levers by which turns of the base shift it."""
-        return np.asarray((self.driver >= 0) & (self.driver != self.joint))
 
 
 def elasticity(
-    tree: KinematicTree,
-    logs: Sequence[Trajectory],
-    state: State,
-    gravity: float,
-    *,
-    joints: bool = True,
-    base: bool = False,
+    tree: KinematicTree, logs: Sequence[Trajectory], state: State, gravity: float
 ) -> Elasticity:
     """The deflections that the motion of the logs can make, as encoders have that motion.
 
@@ -89,46 +64,31 @@ def elasticity(
         logs: trajectories.
         state: placements, and gravity's direction per log.
         gravity: its magnitude [m/s^2].
-        joints: whether joints yield.
-        base: whether the base does.
     """
     D = tree.n_joints
-    turns = [turn(tree, axis) for axis in range(3)]
-    # A joint turns by the torque about its axis; a base about any axis by the torques about all.
-    groups = [[k] for k in range(D) if joints] + [turns] * base
-    width = _N_INERTIAL * D
     size = _inertial_sizes(state)
-    square = [np.zeros((len(rows) * width, len(rows) * width)) for rows in groups]
+    square = np.zeros((D, _N_INERTIAL * D, _N_INERTIAL * D))
     count = 0
     for g, log in enumerate(logs):
-        for Y, _ in _regressors(tree, state, g, gravity, log, base):
+        for Y, _ in _regressors(tree, state, g, gravity, log):
             scaled = Y * size
-            for total, rows in zip(square, groups, strict=True):
-                flat = scaled[:, rows].reshape(len(Y), -1)
-                total += flat.T @ flat
+            square += np.einsum("nki,nkj->kij", scaled, scaled, optimize=True)
             count += len(Y)
-    moved: list[int] = []
-    basis = []
-    for total, rows in zip(square, groups, strict=True):
-        lam, V = np.linalg.eigh(total / count)
+    joint, basis = [], []
+    for k in range(D):
+        lam, V = np.linalg.eigh(square[k] / count)
         if lam[-1] <= 0:
             continue
         shows = np.flatnonzero(lam > _SHOWS**2 * lam[-1])[::-1]
-        directions = np.zeros((len(shows), 3, width))
-        found = (V[:, shows] / np.sqrt(lam[-1])).T.reshape(len(shows), len(rows), width)
-        directions[:, : len(rows)] = found * size
-        for number in rows:
-            moved += [number] * len(shows)
-            basis.append(directions)
-    # Damping is one number more for each that yields; without a deflection it does nothing.
-    late = sorted(set(moved))
-    levers = [(shift(tree, i), turns[j]) for i in range(3) for j in range(3) if i != j and base]
-    driver = [*[-1] * len(moved), *late, *(j for _, j in levers)]
-    joint = [*moved, *late, *(i for i, _ in levers)]
-    of_all = np.zeros((len(joint), 3, width))
-    of_all[: len(moved)] = np.concatenate(basis) if basis else of_all[: len(moved)]
-    what = np.array(joint, dtype=np.int64), np.array(driver, dtype=np.int64), of_all
-    return _along(tree, logs, state, gravity, what, logs)
+        joint += [k] * len(shows)
+        basis += list((size[:, None] * V[:, shows] / np.sqrt(lam[-1])).T)
+    # Damping is one number more for each joint that yields; without a deflection it does nothing.
+    damped = np.unique(joint)
+    directions = np.zeros((len(joint) + len(damped), _N_INERTIAL * D))
+    directions[: len(joint)] = np.array(basis).reshape(-1, _N_INERTIAL * D)
+    damping = np.arange(len(directions)) >= len(joint)
+    joints = np.concatenate([joint, damped]).astype(np.int64)
+    return _along(tree, logs, state, gravity, (joints, damping, directions), logs)
 
 
 def followed(
@@ -150,7 +110,7 @@ def followed(
         x: (S,) what the joints yield.
     """
     moved = [found.moved(log, g, x) for g, log in enumerate(logs)]
-    what = (found.joint, found.driver, found.basis)
+    what = (found.joint, found.damping, found.basis)
     return _along(tree, logs, state, gravity, what, moved)
 
 
@@ -159,67 +119,43 @@ def _along(
     logs: Sequence[Trajectory],
     state: State,
     gravity: float,
-    what: tuple[Int, Int, F64],
+    what: tuple[Int, Bool, F64],
     moved: Sequence[Trajectory],
 ) -> Elasticity:
-    """Deflections (joints, drivers and basis given) along the motion of the links."""
-    joint, driver, basis = what
-    D = tree.n_joints
-    base = bool((joint >= D).any())
-    turns = [turn(tree, axis) for axis in range(3)]
+    """Deflections (joints, damping and basis given) along the motion of the links."""
+    joint, damping, basis = what
     out = []
     for g, (log, motion) in enumerate(zip(logs, moved, strict=True)):
-        deflections = np.zeros((len(log.q), len(joint)))
-        for Y, at in _regressors(tree, state, g, gravity, motion, base):
-            for k in np.unique(joint[driver < 0]):
-                which = (driver < 0) & (joint == k)
-                rows = [k] if k < D else turns
-                for m, row in enumerate(rows):
-                    deflections[at, which] -= Y[:, row] @ basis[which, m].T
+        deflections = np.empty((len(log.q), len(joint)))
+        for Y, at in _regressors(tree, state, g, gravity, motion):
+            for k in range(tree.n_joints):
+                deflections[at, joint == k] = -(Y[:, k] @ basis[joint == k].T)
         # Above the low-pass, accelerations are noise, and more so with every differentiation.
         deflections = filtered(deflections, log.taps)
-        found = np.zeros((len(log.q), D + N_HINGES))
-        found[:, : motion.q.shape[1]] = motion.q
-        found[:, :D] -= log.q
-        rates = first_derivative(found, log.rate)
-        for s in np.flatnonzero(driver >= 0):
-            k, by = int(joint[s]), int(driver[s])
-            if k == by:
-                deflections[:, s] = -rates[:, k]
-            else:
-                # The part of e x h along axis k that comes of the turn about axis `by`.
-                sign = 1.0 if (k - D + 1) % 3 == (by - D) % 3 else -1.0
-                deflections[:, s] = sign * found[:, by]
+        rates = first_derivative(motion.q - log.q, log.rate)
+        deflections[:, damping] = -rates[:, joint[damping]]
         out.append(deflections)
-    return Elasticity(joint, tuple(out), driver, basis)
+    return Elasticity(joint, tuple(out), damping, basis)
 
 
 def _regressors(
-    tree: KinematicTree, state: State, g: int, gravity: float, log: Trajectory, base: bool
+    tree: KinematicTree, state: State, g: int, gravity: float, log: Trajectory
 ) -> Iterator[tuple[F64, slice]]:
-    """Torques (n, R, 10 D) per inertial parameter of the joints, and of the base's hinges."""
+    """Torques (n, D, 10 D) of the joints per inertial parameter, some samples at a time."""
     import pinocchio as pin
 
-    D = tree.n_joints
-    skeleton = Skeleton(tree, D + np.arange(N_HINGES if base else 0))
-    numbers, first = skeleton.numbers, len(skeleton.hinges)
-    built = PinocchioTree(skeleton.tree)
-    built.write_joints(skeleton.placements(state.T_parent_joint))
+    built = PinocchioTree(tree)
+    built.write_joints(state.T_parent_joint)
     model = built.model
     model.gravity.linear = -gravity * state.up[g]
     data = model.createData()
-    still = np.zeros((len(log.q), D + first - log.q.shape[1]))
-    q, qd, qdd = (
-        np.ascontiguousarray(np.hstack([x, still])[:, numbers]) for x in (log.q, log.qd, log.qdd)
-    )
-    for begin in range(0, len(q), _AT_ONCE):
-        at = slice(begin, min(begin + _AT_ONCE, len(q)))
-        Y = np.empty((at.stop - begin, D + first, _N_INERTIAL * D))
+    q, qd, qdd = (np.ascontiguousarray(x) for x in (log.q, log.qd, log.qdd))
+    for first in range(0, len(q), _AT_ONCE):
+        at = slice(first, min(first + _AT_ONCE, len(q)))
+        Y = np.empty((at.stop - first, tree.n_joints, _N_INERTIAL * tree.n_joints))
         for i in range(len(Y)):
-            n = begin + i
-            all_of_it = pin.computeJointTorqueRegressor(model, data, q[n], qd[n], qdd[n])
-            # What hinges carry themselves stands still, so its parameters are left out.
-            Y[i, numbers] = all_of_it[:, _N_INERTIAL * first :]
+            n = first + i
+            Y[i] = pin.computeJointTorqueRegressor(model, data, q[n], qd[n], qdd[n])
         yield Y, at
 
 

@@ -44,6 +44,7 @@ def as_document(result: ModelCalibration) -> dict[str, Any]:
         "model": _model(result),
         "samples": {
             "misfit": result.misfit,
+            "causes": list(result.along.causes),
             "gravity": fitted.gravity,
             "gravity_deviation": result.settings.gravity_deviation,
             "joints": {
@@ -109,6 +110,7 @@ def _model(result: ModelCalibration) -> dict[str, Any]:
     """The given model: what was kept, and what deviates."""
     chassis, text = result.chassis, result.chassis.description.text
     correction = result.correction
+    compliance, compliance_sd = result.compliance
     return {
         "source": text.source,
         "kind": text.kind,
@@ -131,6 +133,8 @@ def _model(result: ModelCalibration) -> dict[str, Any]:
                 "correction_sd": result.correction_sd[j],
                 "significant": result.significant[j],
                 "other_zero": result.offsets.get(joint.name),
+                "compliance": compliance[j],
+                "compliance_sd": compliance_sd[j],
             }
             for j, joint in enumerate(chassis.joints)
         },

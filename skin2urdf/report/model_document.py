@@ -16,6 +16,7 @@ from skin2urdf.report.document import (
     tree_document,
     versions,
 )
+from skin2urdf.report.gyros import gyro_document
 from skin2urdf.report.on_model import deviations, model_verdict
 from skin2urdf.report.words import unknowns
 from skin2urdf.vendor.records import ModelCalibration
@@ -77,7 +78,8 @@ def as_document(result: ModelCalibration) -> dict[str, Any]:
                 "cross_yz_xz_xy": state.shape[u, 3:],
                 "latency": float(fitted.clock[:, u, 0].mean()),
                 "latency_sd": None,
-                "noise": _noise(result, u),
+                "gyro": gyro_document(result.along, u),
+                **_sensor(result, u),
             }
             for u, name in enumerate(tree.su_names)
         },
@@ -148,8 +150,23 @@ def _model(result: ModelCalibration) -> dict[str, Any]:
     }
 
 
-def _noise(result: ModelCalibration, u: int) -> Any:
-    """(3,) median standard deviation of an SU's low-passed samples [m/s^2]; None without any."""
-    values = np.concatenate([noise[:, u] for noise in result.along.fitted.noise])
+def _sensor(result: ModelCalibration, u: int) -> dict[str, Any]:
+    """Where an SU's readings come from, and its noise, low-passed [m/s^2] and as densities.
+
+    The noise is that of samples at rest, where encoders have no part in it.
+    """
+    name, found = result.tree.su_names[u], result.along.fitted.noise
+    values = np.concatenate([noise[:, u, :3] for noise in found])
     values = values[np.isfinite(values).all(axis=1)]
-    return np.median(values, axis=0) if len(values) else None
+    noise = values.min(axis=0) if len(values) else np.full(3, np.nan)
+    source, drift = result.su_sources[name], float(np.max(result.along.drifts[u]))
+    turning = (gyro_document(result.along, u) or {}).get("noise", np.nan)
+    width = np.sqrt(2 * source.twice_bandwidth)
+    return {
+        "noise": noise if len(values) else None,
+        "topic": source.topic,
+        "rate": source.rate,
+        "noise_density": noise / width if len(values) else None,
+        "bias_random_walk": drift / np.sqrt(source.duration) if drift > 0 else None,
+        "gyro_noise_density": turning / width,
+    }

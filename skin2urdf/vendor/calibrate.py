@@ -10,7 +10,7 @@ import numpy as np
 
 from skin2urdf.arrays import Int
 from skin2urdf.calibration.clock import Clock, Progress
-from skin2urdf.calibration.pipeline import recordings_of
+from skin2urdf.calibration.pipeline import recordings_of, su_sources
 from skin2urdf.calibration.result import Source
 from skin2urdf.calibration.rounds import Logs, sample_logs
 from skin2urdf.calibration.samples import clocks_in_all
@@ -93,6 +93,7 @@ def calibrate_with_model(
         notes=tuple(dict.fromkeys(note for s in sampled.sampled for note in s.notes)),
         seconds=clock.seconds,
         clocks=clocks_in_all([s.clocks for s in sampled.sampled], found.along),
+        su_sources=su_sources(recordings, sampled.sampled),
     )
     return replace(result, notes=(*model_notes(result, sampled.sampled), *result.notes))
 

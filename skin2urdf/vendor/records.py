@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 
 from skin2urdf.arrays import F64, Bool
-from skin2urdf.calibration.result import GOOD_FIT, Quality, Source
+from skin2urdf.calibration.result import GOOD_FIT, Quality, Source, SuSource
 from skin2urdf.calibration.settings import CalibrationSettings
 from skin2urdf.estimation.trajectory.blueprint import Blueprint
 from skin2urdf.estimation.trajectory.estimate import MotionEstimate
@@ -79,6 +80,7 @@ class ModelCalibration:
         notes: what else was found, in words.
         seconds: time each stage took [s].
         clocks: by log, the SUs whose clock ran differently from the joints'.
+        su_sources: where the SUs' readings come from, by name.
     """
 
     chassis: Chassis
@@ -97,6 +99,7 @@ class ModelCalibration:
     notes: tuple[str, ...]
     seconds: dict[str, float]
     clocks: tuple[tuple[SuClock, ...], ...]
+    su_sources: Mapping[str, SuSource]
 
     @property
     def tree(self) -> KinematicTree:

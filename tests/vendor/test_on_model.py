@@ -228,3 +228,11 @@ def test_xacro_without_its_packages_says_how_to_get_them(
     assert error.value.exit_status == 2
     with pytest.raises(UnreadableInputError):
         describe(model("<robot"))
+
+
+def test_the_noise_of_sensors_is_told_as_densities(calibrated: Calibrate) -> None:
+    document = as_document(calibrated(URDF, Correction()))
+    for su in document["sus"].values():
+        # 1 mg at 500 Hz is what the simulated sensors have.
+        assert su["noise_density"] == pytest.approx([9.81e-3 / 500**0.5] * 3, rel=0.25)
+        assert su["topic"]

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from skin2urdf.arrays import F64
 from skin2urdf.model.records import KinematicModel
 from skin2urdf.report.document import (
     SCHEMA,
@@ -17,7 +18,7 @@ from skin2urdf.report.document import (
     versions,
 )
 from skin2urdf.report.gyros import gyro_document
-from skin2urdf.report.on_model import deviations, model_verdict
+from skin2urdf.report.on_model import deviations, model_verdict, stiffness
 from skin2urdf.report.words import unknowns
 from skin2urdf.vendor.records import ModelCalibration
 
@@ -36,6 +37,7 @@ def as_document(result: ModelCalibration) -> dict[str, Any]:
     fitted, chassis = result.along.fitted.state, result.chassis
     model = KinematicModel(tree, state.T_parent_joint, state.T_joint_su)
     words = unknowns(model, seen.su_unobservable, state.up)
+    left = result.left.ratio if len(result.left.ratio) == tree.n_sus else np.full(tree.n_sus, None)
     document = {
         "schema": SCHEMA,
         "versions": versions(),
@@ -58,6 +60,7 @@ def as_document(result: ModelCalibration) -> dict[str, Any]:
                     "lag": fitted.clock[:, u, 0],
                     "clock_drift": fitted.clock[:, u, 1],
                     "bias_drift": result.along.drifts[u],
+                    "left": left[u],
                 }
                 for u, name in enumerate(tree.su_names)
             },
@@ -113,6 +116,7 @@ def _model(result: ModelCalibration) -> dict[str, Any]:
     chassis, text = result.chassis, result.chassis.description.text
     correction = result.correction
     compliance, compliance_sd = result.compliance
+    seen = _ranges(result)
     return {
         "source": text.source,
         "kind": text.kind,
@@ -128,9 +132,11 @@ def _model(result: ModelCalibration) -> dict[str, Any]:
         },
         "deviates": result.deviates,
         "words": deviations(result),
+        "stiffness": stiffness(result),
         "joints": {
             joint.name: {
                 "link": joint.child,
+                "range_seen": seen[j],
                 "correction": result.corrections[j],
                 "correction_sd": result.correction_sd[j],
                 "significant": result.significant[j],
@@ -148,6 +154,12 @@ def _model(result: ModelCalibration) -> dict[str, Any]:
         "joints_the_log_lacks": chassis.absent,
         "joints_the_model_lacks": chassis.extra,
     }
+
+
+def _ranges(result: ModelCalibration) -> F64:
+    """(D, 2) range of each joint in the logs [rad or m]."""
+    q = np.concatenate([log.q for log in result.along.problem.logs])
+    return np.stack([q.min(axis=0), q.max(axis=0)], axis=1)
 
 
 def _sensor(result: ModelCalibration, u: int) -> dict[str, Any]:

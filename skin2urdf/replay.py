@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 
 from skin2urdf.arrays import F64, frozen
-from skin2urdf.calibration.result import Calibration
 from skin2urdf.errors import UsageError
 from skin2urdf.estimation.problem.cost import Priors
 from skin2urdf.estimation.problem.state import State
+from skin2urdf.estimation.trajectory.estimate import MotionEstimate
 from skin2urdf.estimation.trajectory.priors import MotionPriors
 from skin2urdf.estimation.trajectory.problem import MotionProblem
 from skin2urdf.estimation.trajectory.records import Predicted
@@ -57,9 +57,8 @@ class Trace:
             object.__setattr__(self, name, frozen(getattr(self, name)))
 
 
-def traces_of(calibration: Calibration) -> tuple[Trace, ...]:
-    """Traces of a calibration that was just made; none where all samples were not fitted."""
-    along = calibration.along
+def traces_of(along: MotionEstimate | None) -> tuple[Trace, ...]:
+    """Traces of a fit of all samples that was just made; none where there is none."""
     if along is None:
         return ()
     problem, fitted = along.problem, along.fitted

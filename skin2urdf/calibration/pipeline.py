@@ -209,12 +209,17 @@ def _calibration(
         ),
         seconds=clock.seconds,
         clocks=clocks_in_all([s.clocks for s in sampled], along),
-        su_sources=_su_sources(recordings, sampled),
+        su_sources=su_sources(recordings, sampled),
     )
 
 
-def _su_sources(recordings: Sequence[Recording], sampled: Sequence[Sampled]) -> dict[str, SuSource]:
-    """Where the readings of every SU come from; of several logs the longest counts."""
+def su_sources(recordings: Sequence[Recording], sampled: Sequence[Sampled]) -> dict[str, SuSource]:
+    """Where the readings of every SU come from; of several logs the longest counts.
+
+    Args:
+        recordings: the logs.
+        sampled: what was taken from each.
+    """
     found: dict[str, SuSource] = {}
     for recording, s in zip(recordings, sampled, strict=True):
         rate = s.motion.grid.rate

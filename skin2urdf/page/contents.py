@@ -13,6 +13,7 @@ import numpy as np
 from skin2urdf.arrays import F64
 from skin2urdf.errors import UnreadableInputError, UsageError
 from skin2urdf.output import document_beside
+from skin2urdf.page.on_model import for_page, is_on_model
 from skin2urdf.replay import Trace, replay
 from skin2urdf.report.document import SCHEMA
 from skin2urdf.scene.overlay import Overlay, overlay
@@ -65,7 +66,12 @@ class Contents:
 
     @property
     def limbs(self) -> tuple[str, ...]:
-        """First joints of the limbs, which nothing but gravity connects."""
+        """First joints of the limbs, which nothing but gravity connects.
+
+        A given model says how they sit on their base.
+        """
+        if is_on_model(self.document):
+            return ()
         return tuple(part.joint for part in self.segments if part.parent == BASE != part.joint)
 
     def frames(self) -> dict[str, F64]:
@@ -79,6 +85,8 @@ class Contents:
         chain = chains(parts)
         if self.other is not None and self.other.comparison is not None:
             moved = {name: self.other.limb(path) for name, path in chain.items()}
+        elif is_on_model(self.document):
+            moved = {name: np.eye(4) for name in chain}
         else:
             beside = side_by_side(parts, joints)
             moved = {name: beside.get((*path, BASE)[0], np.eye(4)) for name, path in chain.items()}
@@ -109,6 +117,11 @@ def load_contents(
     """
     robot = load_robot(urdf)
     document = load_document(urdf)
+    if logs and is_on_model(document):
+        raise UsageError(
+            "readings are predicted once more of robots that were found without a model alone",
+            "leave out --log; `skin2urdf calibrate --model --report` shows them at once",
+        )
     traces: list[Trace] = []
     for log in logs:
         _, found = replay(log, document, lambda share: progress("reading", share))
@@ -148,4 +161,4 @@ def load_document(urdf: str | Path) -> Mapping[str, Any]:
         raise UnreadableInputError(
             str(beside), f"is not of the kind {SCHEMA}", "calibrate again with this version"
         )
-    return dict(document)
+    return for_page(document) if is_on_model(document) else dict(document)

@@ -29,10 +29,9 @@ def residual_figures(document: Mapping[str, Any]) -> dict[str, go.Figure]:
     goodness = document["goodness"]
     order = _in_tree_order(document)
     sus = {name: goodness["by_su"][name] for name in order}
-    figures = {
-        "by_su": _bars(sus, "SU"),
-        "by_pose": _poses(goodness["by_pose"], goodness["held_out"]),
-    }
+    figures = {"by_su": _bars(sus, "SU")}
+    if goodness["by_pose"]:
+        figures["by_pose"] = _poses(goodness["by_pose"], goodness["held_out"])
     # Logs without patterns show no joint's motion by itself.
     if any(part["per_dof"] is not None for part in goodness["by_joint"].values()):
         figures["by_joint"] = _bars(goodness["by_joint"], "joint")
@@ -121,7 +120,8 @@ def _bars(parts: Mapping[str, Mapping[str, Any]], what: str) -> go.Figure:
     names, left = list(parts), [_left(part) for part in parts.values()]
     odd = [bool(part.get("odd", False)) for part in parts.values()]
     words = [
-        f"{in_words(name)}: {value:.2f} times noise, {part['dof'] or 0:.0f} degrees of freedom"
+        f"{in_words(name)}: {value:.2f} times noise"
+        + (f", {part['dof']:.0f} degrees of freedom" if part["dof"] else "")
         + (", unlike the others" if strange else "")
         for (name, part), value, strange in zip(parts.items(), left, odd, strict=True)
     ]

@@ -16,6 +16,7 @@ import numpy as np
 from skin2urdf.arrays import F64
 from skin2urdf.errors import UnreadableInputError, UsageError
 from skin2urdf.page.contents import Contents
+from skin2urdf.page.on_model import is_on_model
 from skin2urdf.report.tables import number
 
 _NEEDED = ("plotly", "jinja2")
@@ -83,6 +84,7 @@ def _render(contents: Contents) -> str:
     laid = contents.other
     return environment.get_template("page.html").render(
         document=document,
+        on_model=is_on_model(document),
         name=contents.robot.model.name,
         urdf=contents.urdf.name,
         beside=contents.urdf.with_suffix(".json").name,

@@ -14,7 +14,7 @@ from skin2urdf.page.contents import Contents
 from skin2urdf.page.labels import in_space, in_words
 from skin2urdf.scene.certainty import Cloud, OpenLine, clouds, magnification, open_lines
 from skin2urdf.scene.overlay import alongside
-from skin2urdf.scene.robot import Segment, drum, plate, rods, thickness
+from skin2urdf.scene.robot import Segment, along_axes, drum, plate, rods, thickness
 from skin2urdf.scene.solids import Mesh, merged
 
 _LINE = 0.12
@@ -46,7 +46,7 @@ def robot_figure(contents: Contents) -> tuple[go.Figure, float]:
     radius = min(thickness(parts), _THICKEST * extent)
     figure = go.Figure(layout=_layout())
     figure.add_trace(_links(parts, frames, radius))
-    figure.add_trace(_drums(document["joints"], frames, radius))
+    figure.add_trace(_drums(along_axes(contents.robot, frames), document["joints"], radius))
     figure.add_traces(_sus(document["sus"], frames, radius))
     figure.add_trace(_joint_labels(document["joints"], frames))
     unplaced = document["observability"]["positions_open"] is not None
@@ -130,7 +130,7 @@ def _links(parts: Sequence[Segment], frames: Mapping[str, F64], radius: float) -
     return _surface(merged(meshes), "links", style.LINK)
 
 
-def _drums(joints: Mapping[str, Any], frames: Mapping[str, F64], radius: float) -> go.Mesh3d:
+def _drums(frames: Mapping[str, F64], joints: Mapping[str, Any], radius: float) -> go.Mesh3d:
     meshes = [drum(radius).moved(frames[name]) for name in joints]
     return _surface(merged(meshes), "joints", style.JOINT)
 

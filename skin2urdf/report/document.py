@@ -253,7 +253,7 @@ def _su(calibration: Calibration, found: Findings, u: int) -> dict[str, Any]:
         "bias": state.bias[u],
         "scale": state.shape[u, :3],
         "cross_yz_xz_xy": state.shape[u, 3:],
-        "gyro": gyro_document(calibration, u),
+        "gyro": gyro_document(calibration.along, u),
         **_stream(calibration.features, tree.su_names[u]),
         **_sensor(calibration, u),
     }
@@ -273,7 +273,7 @@ def _sensor(calibration: Calibration, u: int) -> dict[str, Any]:
         "rate": source.rate,
         "noise_density": None if noise is None else noise / np.sqrt(2 * source.bandwidth),
         "bias_random_walk": drift / np.sqrt(source.duration) if drift > 0 else None,
-        "gyro_noise_density": (gyro_document(calibration, u) or {}).get("noise", np.nan)
+        "gyro_noise_density": (gyro_document(calibration.along, u) or {}).get("noise", np.nan)
         / np.sqrt(2 * source.twice_bandwidth),
     }
 

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from skin2urdf.calibration.result import Calibration
+from skin2urdf.estimation.trajectory.estimate import MotionEstimate
 from skin2urdf.estimation.trajectory.records import Gyros
 from skin2urdf.recording.naming import shortened
 from skin2urdf.report.tables import number
@@ -18,7 +19,7 @@ _STILL = "no joint turns it"
 
 def gyro_notes(calibration: Calibration) -> list[str]:
     """Which gyroscopes counted, how good they are, and which did not count and why."""
-    gyros = _gyros(calibration)
+    gyros = calibration.along.gyros if calibration.along else None
     if gyros is None:
         return []
     names = calibration.estimate.tree.su_names
@@ -39,13 +40,13 @@ def gyro_notes(calibration: Calibration) -> list[str]:
     return notes
 
 
-def gyro_document(calibration: Calibration, u: int) -> dict[str, Any] | None:
+def gyro_document(along: MotionEstimate | None, u: int) -> dict[str, Any] | None:
     """What was found of the gyroscope of SU u; None where it has none, or where none counted.
 
     In rad, s and their quotients; misalignments are what axis x reads of a turn about y and z, y
     of x and z, z of x and y.
     """
-    gyros = _gyros(calibration)
+    gyros = along.gyros if along else None
     if gyros is None or not gyros.heard[u]:
         return None
     if not gyros.used[u]:
@@ -63,10 +64,6 @@ def gyro_document(calibration: Calibration, u: int) -> dict[str, Any] | None:
         "delay": gyros.delay[u],
         "delay_sd": gyros.delay_sd[u],
     }
-
-
-def _gyros(calibration: Calibration) -> Gyros | None:
-    return calibration.along.gyros if calibration.along else None
 
 
 def _why_not(gyros: Gyros, u: int) -> str | None:

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from skin2urdf.arrays import F64
 from skin2urdf.model.records import KinematicModel
 from skin2urdf.report.document import (
     SCHEMA,
@@ -16,7 +17,8 @@ from skin2urdf.report.document import (
     tree_document,
     versions,
 )
-from skin2urdf.report.on_model import deviations, model_verdict
+from skin2urdf.report.gyros import gyro_document
+from skin2urdf.report.on_model import deviations, model_verdict, stiffness
 from skin2urdf.report.words import unknowns
 from skin2urdf.vendor.records import ModelCalibration
 
@@ -35,6 +37,7 @@ def as_document(result: ModelCalibration) -> dict[str, Any]:
     fitted, chassis = result.along.fitted.state, result.chassis
     model = KinematicModel(tree, state.T_parent_joint, state.T_joint_su)
     words = unknowns(model, seen.su_unobservable, state.up)
+    left = result.left.ratio if len(result.left.ratio) == tree.n_sus else np.full(tree.n_sus, None)
     document = {
         "schema": SCHEMA,
         "versions": versions(),
@@ -44,6 +47,7 @@ def as_document(result: ModelCalibration) -> dict[str, Any]:
         "model": _model(result),
         "samples": {
             "misfit": result.misfit,
+            "causes": list(result.along.causes),
             "gravity": fitted.gravity,
             "gravity_deviation": result.settings.gravity_deviation,
             "joints": {
@@ -56,6 +60,7 @@ def as_document(result: ModelCalibration) -> dict[str, Any]:
                     "lag": fitted.clock[:, u, 0],
                     "clock_drift": fitted.clock[:, u, 1],
                     "bias_drift": result.along.drifts[u],
+                    "left": left[u],
                 }
                 for u, name in enumerate(tree.su_names)
             },
@@ -76,7 +81,8 @@ def as_document(result: ModelCalibration) -> dict[str, Any]:
                 "cross_yz_xz_xy": state.shape[u, 3:],
                 "latency": float(fitted.clock[:, u, 0].mean()),
                 "latency_sd": None,
-                "noise": _noise(result, u),
+                "gyro": gyro_document(result.along, u),
+                **_sensor(result, u),
             }
             for u, name in enumerate(tree.su_names)
         },
@@ -109,6 +115,8 @@ def _model(result: ModelCalibration) -> dict[str, Any]:
     """The given model: what was kept, and what deviates."""
     chassis, text = result.chassis, result.chassis.description.text
     correction = result.correction
+    compliance, compliance_sd = result.compliance
+    seen = _ranges(result)
     return {
         "source": text.source,
         "kind": text.kind,
@@ -124,13 +132,17 @@ def _model(result: ModelCalibration) -> dict[str, Any]:
         },
         "deviates": result.deviates,
         "words": deviations(result),
+        "stiffness": stiffness(result),
         "joints": {
             joint.name: {
                 "link": joint.child,
+                "range_seen": seen[j],
                 "correction": result.corrections[j],
                 "correction_sd": result.correction_sd[j],
                 "significant": result.significant[j],
                 "other_zero": result.offsets.get(joint.name),
+                "compliance": compliance[j],
+                "compliance_sd": compliance_sd[j],
             }
             for j, joint in enumerate(chassis.joints)
         },
@@ -144,8 +156,29 @@ def _model(result: ModelCalibration) -> dict[str, Any]:
     }
 
 
-def _noise(result: ModelCalibration, u: int) -> Any:
-    """(3,) median standard deviation of an SU's low-passed samples [m/s^2]; None without any."""
-    values = np.concatenate([noise[:, u] for noise in result.along.fitted.noise])
+def _ranges(result: ModelCalibration) -> F64:
+    """(D, 2) range of each joint in the logs [rad or m]."""
+    q = np.concatenate([log.q for log in result.along.problem.logs])
+    return np.stack([q.min(axis=0), q.max(axis=0)], axis=1)
+
+
+def _sensor(result: ModelCalibration, u: int) -> dict[str, Any]:
+    """Where an SU's readings come from, and its noise, low-passed [m/s^2] and as densities.
+
+    The noise is that of samples at rest, where encoders have no part in it.
+    """
+    name, found = result.tree.su_names[u], result.along.fitted.noise
+    values = np.concatenate([noise[:, u, :3] for noise in found])
     values = values[np.isfinite(values).all(axis=1)]
-    return np.median(values, axis=0) if len(values) else None
+    noise = values.min(axis=0) if len(values) else np.full(3, np.nan)
+    source, drift = result.su_sources[name], float(np.max(result.along.drifts[u]))
+    turning = (gyro_document(result.along, u) or {}).get("noise", np.nan)
+    width = np.sqrt(2 * source.twice_bandwidth)
+    return {
+        "noise": noise if len(values) else None,
+        "topic": source.topic,
+        "rate": source.rate,
+        "noise_density": noise / width if len(values) else None,
+        "bias_random_walk": drift / np.sqrt(source.duration) if drift > 0 else None,
+        "gyro_noise_density": turning / width,
+    }

@@ -8,6 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from skin2urdf.arrays import F64, frozen
+from skin2urdf.geometry.se3 import placement
+from skin2urdf.geometry.so3 import frame_with_z
 from skin2urdf.scene.solids import Mesh, prism
 from skin2urdf.urdf.loading import Robot, configuration
 
@@ -85,6 +87,29 @@ def placed(robot: Robot, positions: Mapping[str, float]) -> dict[str, F64]:
         name: np.array(T.homogeneous)
         for name, T in zip(names, list(data.oMi)[: len(names)], strict=True)
     }
+
+
+def along_axes(robot: Robot, frames: Mapping[str, F64]) -> dict[str, F64]:
+    """Frames of joints, turned about their origins so that z is along the joint's axis.
+
+    Args:
+        robot: the robot.
+        frames: (4, 4) of its joints, by name; what is no joint of it is left out.
+    """
+    import pinocchio as pin
+
+    model = robot.model
+    data = model.createData()
+    pin.computeJointJacobians(model, data, pin.neutral(model))
+    found = {}
+    for joint in range(1, model.njoints):
+        name, first = model.names[joint], model.idx_vs[joint]
+        if name not in frames or model.nvs[joint] != 1:
+            continue
+        twist = pin.getJointJacobian(model, data, joint, pin.LOCAL)[:, first]
+        axis = twist[3:] if np.linalg.norm(twist[3:]) > 0 else twist[:3]
+        found[name] = frames[name] @ placement(frame_with_z(axis), np.zeros(3))
+    return found
 
 
 def thickness(parts: Collection[Segment]) -> float:

@@ -10,7 +10,7 @@ import numpy as np
 
 from skin2urdf.arrays import Int
 from skin2urdf.calibration.clock import Clock, Progress
-from skin2urdf.calibration.pipeline import recordings_of
+from skin2urdf.calibration.pipeline import recordings_of, su_sources
 from skin2urdf.calibration.result import Source
 from skin2urdf.calibration.rounds import Logs, sample_logs
 from skin2urdf.calibration.samples import clocks_in_all
@@ -25,6 +25,7 @@ from skin2urdf.signals.trajectory import Trajectory, trajectory
 from skin2urdf.vendor.description import describe
 from skin2urdf.vendor.explaining import explain
 from skin2urdf.vendor.fitting import REACH, Bench
+from skin2urdf.vendor.inertials import inertials
 from skin2urdf.vendor.matching import Chassis, match
 from skin2urdf.vendor.placing import place_sus
 from skin2urdf.vendor.records import Correction, ModelCalibration
@@ -68,7 +69,8 @@ def calibrate_with_model(
     chassis = match(description, sampled.sampled[0].motion.dof_names)
     heard = _heard(sampled)
     trajectories = _trajectories(sampled, chassis, heard)
-    bench = Bench(chassis, trajectories, tuple(sampled.su_names[u] for u in heard), settings)
+    names = tuple(sampled.su_names[u] for u in heard)
+    bench = Bench(chassis, trajectories, names, settings, inertials(chassis))
     sensors = settings.estimation.priors
     placed = clock.run("segments", lambda tell: place_sus(chassis, trajectories, sensors, tell))
     found = clock.run("all samples", lambda tell: explain(bench, placed, correction, tell))
@@ -91,6 +93,7 @@ def calibrate_with_model(
         notes=tuple(dict.fromkeys(note for s in sampled.sampled for note in s.notes)),
         seconds=clock.seconds,
         clocks=clocks_in_all([s.clocks for s in sampled.sampled], found.along),
+        su_sources=su_sources(recordings, sampled.sampled),
     )
     return replace(result, notes=(*model_notes(result, sampled.sampled), *result.notes))
 

@@ -46,12 +46,14 @@ class Bench:
         logs: trajectories in its order, of U SUs.
         su_names: the SUs.
         settings: choices.
+        inertials: (10 D,) of what the joints carry; None where the model does not say.
     """
 
     chassis: Chassis
     logs: Sequence[Trajectory]
     su_names: tuple[str, ...]
     settings: CalibrationSettings
+    inertials: F64 | None = None
 
     def tree(self, placed: Placed) -> KinematicTree:
         """The joints with the SUs on their segments."""
@@ -71,6 +73,7 @@ class Bench:
             correction.deviations(self.chassis),
             level if upright else up,
             LEVEL if upright else ANY_TILT,
+            self.inertials,
         )
 
     def fit(
@@ -81,6 +84,7 @@ class Bench:
         start: State | None = None,
         *,
         look_further: bool = False,
+        only_known: bool = False,
         tell: Callable[[float], None] = lambda _: None,
     ) -> MotionEstimate:
         """Fit all samples.
@@ -90,7 +94,8 @@ class Bench:
             blueprint: what is known of the model.
             sensors: what is known of the sensors.
             start: placements to begin with; those that were found at first by default.
-            look_further: try what else may be in the readings.
+            look_further: try what else may be in the readings;
+            only_known: of that only joints that yield under the loads that the model knows.
             tell: told the share of the work that is done.
         """
         known = sample_priors(self.settings, sensors)
@@ -98,7 +103,7 @@ class Bench:
         begin = start or placed.state(blueprint.T_parent_joint)
         return estimate_along(
             self.logs, self.tree(placed), begin, priors, placed.lags, tell,
-            look_further=look_further,
+            look_further=look_further, only_known=only_known,
         )  # fmt: skip
 
     def judged(self, along: MotionEstimate, sensors: Priors) -> Observability:

@@ -7,7 +7,7 @@ which is kept, so that what is found goes back into the vendor's own frames.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -39,6 +39,8 @@ class Chassis:
         extra: joints of the logs that the model lacks.
         absent: movable joints of the model that no log has, and the position that they are taken
             to be at [rad or m].
+        carried: by link, the joint that carries it (-1 for the base), and (4, 4) the link's frame
+            in the estimation's frame of that joint [m].
     """
 
     description: Description
@@ -52,6 +54,7 @@ class Chassis:
     factor: F64
     extra: tuple[str, ...]
     absent: dict[str, float]
+    carried: Mapping[str, tuple[int, F64]]
 
     def __post_init__(self) -> None:
         for name in ("T_parent_joint", "T_before", "T_origin_joint", "R_link_joint", "factor"):
@@ -167,6 +170,7 @@ def match(description: Description, logged: Sequence[str]) -> Chassis:
         factor=np.array([factor for _, factor, _ in followed]),
         extra=tuple(name for name in logged if name not in by_name and name not in mimicked),
         absent={name: at for name, (column, _, at) in sources.items() if column < 0},
+        carried=carried,
     )
 
 

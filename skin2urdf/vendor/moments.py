@@ -80,6 +80,25 @@ def all_moments(tree: KinematicTree, T_parent_joint: F64, log: Trajectory) -> li
     ]
 
 
+def rough_moments(tree: KinematicTree, T_parent_joint: F64, log: Trajectory) -> list[Moments]:
+    """The same without a second low-pass on motion, which has one already.
+
+    What is lost by it are the highest of the frequencies that are compared, of which moves from
+    place to place have nothing.
+
+    Args:
+        tree: D joints.
+        T_parent_joint: (D, 4, 4) their placements.
+        log: with columns in the tree's order.
+    """
+    q, qd, qdd = (np.ascontiguousarray(x[log.kept].T) for x in (log.q, log.qd, log.qdd))
+    _, carried = frame_motions(tree, T_parent_joint, np.zeros(3), q, qd, qdd)
+    readings = np.nan_to_num(log.readings)[log.kept]
+    return [
+        _moments(_regressors(motion), readings, np.zeros_like(readings), log) for motion in carried
+    ]
+
+
 def _regressors(motion: FrameMotion) -> F64:
     """(N, 22) regressors of a segment."""
     w, a = motion.w, motion.a
@@ -107,8 +126,8 @@ def _moments(X: F64, readings: F64, slopes: F64, log: Trajectory) -> Moments:
         for i, (first, last) in enumerate(pairwise(edges)):
             part = (X * ok)[first:last]
             N[sus, i] = part.T @ part
-            c[sus, i] = np.einsum("kr,kux->urx", part, readings[first:last][:, sus])
-            s[sus, i] = np.einsum("kr,kux->urx", part, slopes[first:last][:, sus])
+            c[sus, i] = _products(part, readings[first:last, sus])
+            s[sus, i] = _products(part, slopes[first:last, sus])
     ok = log.valid[:, :, None]
     y, d = np.where(ok, readings, 0.0), np.where(ok, slopes, 0.0)
 
@@ -124,6 +143,12 @@ def _moments(X: F64, readings: F64, slopes: F64, log: Trajectory) -> Moments:
         summed((d * d).sum(axis=2)),
         summed(log.valid).astype(np.int64),
     )
+
+
+def _products(X: F64, y: F64) -> F64:
+    """(U, 22, 3) regressors (n, 22) times readings (n, U, 3)."""
+    product = X.T @ y.reshape(len(y), -1)
+    return product.reshape(X.shape[1], -1, 3).swapaxes(0, 1)
 
 
 def _alike(valid: Bool) -> Iterator[tuple[Int, Bool]]:

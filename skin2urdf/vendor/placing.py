@@ -22,7 +22,7 @@ from skin2urdf.geometry.so3 import rotation_exp
 from skin2urdf.signals.trajectory import Trajectory
 from skin2urdf.structure.records import KinematicTree
 from skin2urdf.vendor.matching import Chassis
-from skin2urdf.vendor.moments import Moments, all_moments
+from skin2urdf.vendor.moments import Moments, all_moments, rough_moments
 from skin2urdf.vendor.rigid import (
     NOISE,
     Fit,
@@ -166,7 +166,9 @@ def roughly_left(chassis: Chassis, T_parent_joint: F64, logs: Sequence[Trajector
         T_parent_joint: (D, 4, 4) a version of its placements.
         logs: trajectories in its order.
     """
-    moments = _of_segments(chassis.tree((), ()), T_parent_joint, logs)
+    tree = chassis.tree((), ())
+    by_log = [rough_moments(tree, T_parent_joint, log) for log in logs]
+    moments = [list(segment) for segment in zip(*by_log, strict=True)]
     nowhere = np.tile([0.0, 0.0, 1.0], (len(logs), 1))
     rss = [
         min(freely_linear(sums_of(segment, u, nowhere)) for segment in moments)

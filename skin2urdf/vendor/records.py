@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 
 from skin2urdf.arrays import F64, Bool
-from skin2urdf.calibration.result import GOOD_FIT, Quality, Source
+from skin2urdf.calibration.result import GOOD_FIT, Quality, Source, SuSource
 from skin2urdf.calibration.settings import CalibrationSettings
 from skin2urdf.estimation.trajectory.blueprint import Blueprint
 from skin2urdf.estimation.trajectory.estimate import MotionEstimate
+from skin2urdf.estimation.trajectory.known_torque import compliances
 from skin2urdf.estimation.uncertainty.observability import Observability
 from skin2urdf.faults import Fault
 from skin2urdf.signals.records import SuClock
@@ -78,6 +80,7 @@ class ModelCalibration:
         notes: what else was found, in words.
         seconds: time each stage took [s].
         clocks: by log, the SUs whose clock ran differently from the joints'.
+        su_sources: where the SUs' readings come from, by name.
     """
 
     chassis: Chassis
@@ -96,6 +99,7 @@ class ModelCalibration:
     notes: tuple[str, ...]
     seconds: dict[str, float]
     clocks: tuple[tuple[SuClock, ...], ...]
+    su_sources: Mapping[str, SuSource]
 
     @property
     def tree(self) -> KinematicTree:
@@ -145,6 +149,21 @@ class ModelCalibration:
         further = variance[layout.further.start : layout.further.stop]
         out[:, (2, 5)] = further[2:].reshape(D, 2)
         return np.where(self.blueprint.deviations > 0, np.sqrt(out), 0.0)
+
+    @property
+    def compliance(self) -> tuple[F64, F64]:
+        """(D,) what each joint yields per torque of its own load, and its standard deviation.
+
+        In rad/(N m) or m/N; NaN where the readings ask for none, or the model knows no loads.
+        """
+        elastic, loads = self.along.under_known, self.blueprint.inertials
+        if elastic is None or loads is None:
+            nothing = np.full(self.chassis.n_joints, np.nan)
+            return nothing, nothing
+        n, at = len(elastic.joint), self.along.problem.layout.unseen
+        own = slice(at.start, at.start + n)
+        x, P = self.along.fitted.state.unseen[:n], self.observability.covariance.joint[own, own]
+        return compliances(elastic, x, P, loads, self.chassis.n_joints)
 
     @property
     def significant(self) -> Bool:

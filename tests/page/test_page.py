@@ -42,7 +42,7 @@ def contents(urdf: Path) -> Contents:
     """What its page shows, with the truth laid over it and the readings of the fit."""
     truth = urdf.with_name("truth.urdf")
     truth.write_text(simulation().truth.urdf)
-    return replace(load_contents(urdf, other=truth), traces=traces_of(calibration()))
+    return replace(load_contents(urdf, other=truth), traces=traces_of(calibration().along))
 
 
 @pytest.fixture(scope="module")
@@ -67,7 +67,7 @@ def hostile(urdf: Path) -> str:
     document = renamed(json.loads(json.dumps(whole.document)), names)
     document["notes"] = [HOSTILE]
     document["inputs"][0]["path"] = HOSTILE
-    traces = tuple(replace(t, su=names.get(t.su, t.su)) for t in traces_of(calibration()))
+    traces = tuple(replace(t, su=names.get(t.su, t.su)) for t in traces_of(calibration().along))
     return as_page(replace(whole, document=document, traces=traces))
 
 
@@ -156,7 +156,7 @@ def test_a_log_read_again_is_predicted_as_in_the_fit(urdf: Path, tmp_path: Path)
     write(simulation().recording, log)
     document = json.loads(urdf.with_suffix(".json").read_text())
     document["inputs"][0]["digest"] = read(log).digest
-    fitted = {trace.su: trace for trace in traces_of(calibration())}
+    fitted = {trace.su: trace for trace in traces_of(calibration().along)}
     _, again = replay(log, document)
     assert {trace.su for trace in again} == set(fitted)
     for trace in again:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -17,6 +17,7 @@ from skin2urdf.arrays import F64, Bool
 from skin2urdf.cli.main import main
 from skin2urdf.errors import ModelMismatchError, UnreadableInputError
 from skin2urdf.geometry.se3 import inverse, log
+from skin2urdf.page.contents import load_contents
 from skin2urdf.recording.description import robot_descriptions
 from skin2urdf.recording.records import Recording
 from skin2urdf.recording.writing import write
@@ -24,6 +25,7 @@ from skin2urdf.report.model_document import as_document
 from skin2urdf.report.on_model import as_text
 from skin2urdf.signals.motion import joint_motion
 from skin2urdf.signals.poses import find_rests
+from skin2urdf.urdf.loading import Robot, configuration
 from skin2urdf.vendor.calibrate import calibrate_with_model
 from skin2urdf.vendor.description import describe
 from skin2urdf.vendor.matching import match
@@ -157,14 +159,45 @@ def test_the_command_writes_the_file_and_reads_the_description_in_a_bag(
     write(toy.recording, log_file)
     vendor.write_bytes(URDF.encode())
     out = tmp_path / "with_skin.urdf"
-    status = main(["calibrate", str(log_file), "--model", str(vendor), "-o", str(out), "--quiet"])
-    assert status == 0
+    page = tmp_path / "page.html"
+    command = ["calibrate", str(log_file), "--model", str(vendor), "-o", str(out), "--quiet"]
+    assert main([*command, "--report", str(page)]) == 0
+    _has_a_page_of_the_model(page.read_text(), out)
     assert out.read_bytes().startswith(URDF[: URDF.rindex("</robot>")].encode())
     assert json.loads(out.with_suffix(".json").read_text())["model"]["kind"] == "urdf"
     assert robot_descriptions(log_file) == {}
     assert main(["calibrate", str(log_file), "--model", "bag", "-o", str(out)]) == 2
     assert "robot_description" in capsys.readouterr().err
     assert main(["calibrate", str(log_file), "--correct", "zeros", "-o", str(out)]) == 2
+
+
+def _has_a_page_of_the_model(page: str, urdf: Path) -> None:
+    """What was kept is told as kept, readings are shown, and SUs stand where the URDF has them."""
+    (data,) = re.findall(r'<script type="application/json" id="data">(.*?)</script>', page)
+    shown = json.loads(data)
+    document = json.loads(urdf.with_suffix(".json").read_text())
+    assert {trace["su"] for trace in shown["traces"]} == document["sus"].keys()
+    assert shown["figures"].keys() == {"robot", "activity", "by_su"}
+    assert page.count('<td class="words ">kept</td>') == len(document["model"]["joints"])
+    contents = load_contents(urdf)
+    frames = contents.frames()
+    placed = forward(contents.robot, contents.positions)
+    assert not contents.limbs
+    for name in document["sus"]:
+        assert np.abs(frames[name] - placed[name]).max() < 1e-9
+
+
+def forward(robot: Robot, positions: Mapping[str, float]) -> dict[str, F64]:
+    """(4, 4) frames of all links that a URDF has, by name."""
+    import pinocchio as pin
+
+    data = robot.model.createData()
+    pin.framesForwardKinematics(robot.model, data, configuration(robot, positions))
+    return {
+        frame.name: np.array(data.oMf[i].homogeneous)
+        for i, frame in enumerate(robot.model.frames)
+        if frame.type == pin.FrameType.BODY
+    }
 
 
 def test_a_log_without_a_rest_does_and_what_it_leaves_open_is_named(toy: Recorded) -> None:
@@ -228,3 +261,11 @@ def test_xacro_without_its_packages_says_how_to_get_them(
     assert error.value.exit_status == 2
     with pytest.raises(UnreadableInputError):
         describe(model("<robot"))
+
+
+def test_the_noise_of_sensors_is_told_as_densities(calibrated: Calibrate) -> None:
+    document = as_document(calibrated(URDF, Correction()))
+    for su in document["sus"].values():
+        # 1 mg at 500 Hz is what the simulated sensors have.
+        assert su["noise_density"] == pytest.approx([9.81e-3 / 500**0.5] * 3, rel=0.25)
+        assert su["topic"]

@@ -24,8 +24,8 @@ from skin2urdf.errors import BadFitError, UsageError
 from skin2urdf.geometry.units import GRAVITY, MILLI_G
 
 if TYPE_CHECKING:
-    from skin2urdf.calibration.result import Calibration
     from skin2urdf.calibration.settings import CalibrationSettings
+    from skin2urdf.estimation.trajectory.estimate import MotionEstimate
     from skin2urdf.vendor.records import Correction
 
 HELP = "find the robot in one or several logs"
@@ -171,12 +171,8 @@ def run(options: argparse.Namespace) -> int:
         if options.limits not in CHOICES:
             read_limits(options.limits)
         if options.report:
-            from skin2urdf.page.html import check_libraries
-            from skin2urdf.page.writing import check_page
-
             refuse_to_overwrite(targets, options.report)
-            check_libraries()
-            check_page(options.report)
+            _check_report(options.report)
         from skin2urdf.calibration.pipeline import calibrate
         from skin2urdf.report.document import as_document
         from skin2urdf.report.findings import findings
@@ -198,7 +194,7 @@ def run(options: argparse.Namespace) -> int:
             )
             if options.report:
                 bar("drawing", 0.0)
-                written = (*written, _report(calibration, written[0], options.report))
+                written = (*written, _report(calibration.along, written[0], options.report))
     if options.json:
         print_json(as_document(calibration))
     elif not options.quiet:
@@ -216,14 +212,23 @@ def run(options: argparse.Namespace) -> int:
     return _TO_REPAIR if to_do else 0
 
 
-def _report(calibration: Calibration, urdf: Path, path: str) -> Path:
+def _check_report(path: str) -> None:
+    """Make sure that a page can be made and written, before the work that it shows."""
+    from skin2urdf.page.html import check_libraries
+    from skin2urdf.page.writing import check_page
+
+    check_libraries()
+    check_page(path)
+
+
+def _report(along: MotionEstimate | None, urdf: Path, path: str) -> Path:
     """Write the page of a calibration that was just written; where it is."""
     from skin2urdf.page.contents import load_contents
     from skin2urdf.page.html import as_page
     from skin2urdf.page.writing import write_page
     from skin2urdf.replay import traces_of
 
-    contents = replace(load_contents(urdf), traces=traces_of(calibration))
+    contents = replace(load_contents(urdf), traces=traces_of(along))
     return write_page(path, as_page(contents))
 
 
@@ -234,22 +239,23 @@ def _run_on_model(options: argparse.Namespace, begin: float) -> int:
             "--model takes all samples of the log, by one method",
             "leave out --method, --motion and --refine",
         )
-    if options.name is not None or options.report:
-        raise UsageError(
-            "a robot with a model has its name, and no report of its own",
-            "leave out --name and --report",
-        )
+    if options.name is not None:
+        raise UsageError("a robot with a model has its name", "leave out --name")
     if options.limits != "wide" or options.collision or options.no_visuals:
         raise UsageError(
             "a robot with a model has its limits and shapes",
             "leave out --limits, --collision and --no-visuals",
         )
-    beside = Path(options.output).with_suffix(".json")
-    refuse_to_overwrite([*options.logs, options.model], options.output, beside)
+    targets = [options.output, Path(options.output).with_suffix(".json")]
+    pages = [options.report] if options.report else []
+    refuse_to_overwrite([*options.logs, options.model], *targets, *pages)
+    if options.report:
+        refuse_to_overwrite(targets, options.report)
+        _check_report(options.report)
     settings = calibration_settings(options)
     from skin2urdf.output import output_paths, save_on_model
 
-    replaced = present(output_paths(options.output))
+    replaced = present([*output_paths(options.output), *pages])
     from skin2urdf.report.model_document import as_document
     from skin2urdf.report.on_model import as_text
     from skin2urdf.vendor.calibrate import calibrate_with_model
@@ -259,7 +265,10 @@ def _run_on_model(options: argparse.Namespace, begin: float) -> int:
             options.logs, options.model, settings, options.correct, progress=bar
         )
         bar("writing", 0.0)
-        written = save_on_model(result, options.output)
+        written: tuple[Path, ...] = save_on_model(result, options.output)
+        if options.report:
+            bar("drawing", 0.0)
+            written = (*written, _report(result.along, written[0], options.report))
     if options.json:
         print_json(as_document(result))
     elif not options.quiet:

@@ -34,16 +34,21 @@ class Blueprint:
             differ [m, rad]; 0 keeps a coordinate.
         up: (3,) expected direction opposite to gravity in the base frame in the first log.
         tilt: standard deviation of it [rad].
+        inertials: (10 D,) of what each joint carries, as in :mod:`known_torque`; None where it is
+            not known.
     """
 
     T_parent_joint: F64
     deviations: F64
     up: F64
     tilt: float
+    inertials: F64 | None = None
 
     def __post_init__(self) -> None:
         for name in ("T_parent_joint", "deviations", "up"):
             object.__setattr__(self, name, frozen(getattr(self, name)))
+        if self.inertials is not None:
+            object.__setattr__(self, "inertials", frozen(self.inertials))
 
     @property
     def n_coordinates(self) -> int:

@@ -14,9 +14,12 @@ from functools import cached_property
 import numpy as np
 
 from skin2urdf.arrays import F64
-from skin2urdf.estimation.trajectory.elastic import elasticity, followed
+from skin2urdf.estimation.trajectory.arrow import eliminated, joint_inverse
+from skin2urdf.estimation.trajectory.elastic import Elasticity, elasticity, followed
 from skin2urdf.estimation.trajectory.fit import Fitted, fit
+from skin2urdf.estimation.trajectory.front_end import begin_front
 from skin2urdf.estimation.trajectory.gears import find_ripples, harmonics, ripples
+from skin2urdf.estimation.trajectory.known_torque import known_elasticity
 from skin2urdf.estimation.trajectory.misfit import misfit, span_means
 from skin2urdf.estimation.trajectory.problem import MotionProblem
 from skin2urdf.estimation.trajectory.slack import Size, size_of, slack, with_unseen
@@ -55,6 +58,9 @@ more."""
 _CERTAIN = 10.0
 """Logarithm of the likelihood that unseen motion has to gain, which chance does once in 100,000;
 sound recordings gain nothing (panda and five of ur5), a strain wave of 0.1 mrad 121."""
+_NEGATIVE = 10.0
+"""Deviations below zero at which a compliance is none: what torques lack in truth, as those of
+cables and tools that a model leaves out, makes small ones wrong by several."""
 _KNOTS = 15.0
 """Time between the moments that a drifting bias is given at [s]; sensors warm up in minutes."""
 
@@ -68,30 +74,54 @@ class Explained:
         fitted: the fit.
         causes: names of what was added.
         tried: misfit with each cause that was tried, chosen or not.
+        under_known: what joints yield under torques that are known, the first of what encoders do
+            not see; None where none do, or torques are not known.
     """
 
     problem: MotionProblem
     fitted: Fitted
     causes: tuple[str, ...] = ()
     tried: Mapping[str, float] = field(default_factory=dict)
+    under_known: Elasticity | None = None
 
 
-def explained(problem: MotionProblem, fitted: Fitted, most: float = np.inf) -> Explained:
+def explained(
+    problem: MotionProblem, fitted: Fitted, most: float = np.inf, *, only_known: bool = False
+) -> Explained:
     """Try what a rigid robot with steady sensors has not, where it does not explain the readings.
 
     Args:
         problem: the rigid robot.
         fitted: its fit.
         most: misfit of the rigid robot beyond which nothing is tried.
+        only_known: try nothing but joints that yield under known torques.
     """
     rigid = _Attempt(problem, fitted, (), slack(problem.tree, problem.logs))
     if rigid.misfit > min(most, _BEYOND) or not rigid.lacks:
         return Explained(problem, fitted)
+    # Few numbers that say more than many would.
+    known = rigid.with_known_torque()
+    if known is not None and yields(known.problem, known.fitted) and _explains_most(known, rigid):
+        best, attempts = known, [known]
+    else:
+        known = None
+        best, attempts = (rigid, []) if only_known else _of_any_cause(rigid)
+    if best.slack_size is not None and best.slack_size.gain > _CERTAIN:
+        best = best.with_slack()
+        attempts.append(best)
+    tried = {cause: each.misfit for each in attempts for cause in each.causes[-1:]}
+    elastic = known.problem.unseen if known else None
+    under = elastic if isinstance(elastic, Elasticity) else None
+    return Explained(best.problem, best.fitted, best.causes, tried, under)
+
+
+def _of_any_cause(rigid: _Attempt) -> tuple[_Attempt, list[_Attempt]]:
+    """The attempt that explains most, and all that were made."""
     best = _with_uneven_gears(rigid)
     attempts = [best]
     if best.lacks:
         others = [rigid.with_elastic_joints()]
-        if rigid.misfit > _EXPLAINED and problem.priors.sensors.bias > 0:
+        if rigid.misfit > _EXPLAINED and rigid.problem.priors.sensors.bias > 0:
             others.append(rigid.with_drifting_biases())
         attempts += others
         other = min(others, key=lambda each: each.misfit)
@@ -100,11 +130,7 @@ def explained(problem: MotionProblem, fitted: Fitted, most: float = np.inf) -> E
             other = both if _explains_most(both, other) else other
         if _explains_most(other, rigid) and not _explains_most(best, other):
             best = other
-    if best.slack_size is not None and best.slack_size.gain > _CERTAIN:
-        best = best.with_slack()
-        attempts.append(best)
-    tried = {cause: each.misfit for each in attempts for cause in each.causes[-1:]}
-    return Explained(best.problem, best.fitted, best.causes, tried)
+    return best, attempts
 
 
 def _with_uneven_gears(rigid: _Attempt) -> _Attempt:
@@ -186,9 +212,19 @@ class _Attempt:
             return self
         return self.with_more("slack", self.places, self.slack_size.size)
 
+    def with_known_torque(self) -> _Attempt | None:
+        """With joints that yield under torques that are known; None where these are not."""
+        found = with_known_torque(self.problem, self.fitted)
+        if found is None:
+            return None
+        problem, fitted = found
+        return replace(self, problem=problem, fitted=fitted, causes=(*self.causes, "elastic"))
+
     def with_elastic_joints(self) -> _Attempt:
         """With joints that yield."""
-        problem, fitted = _with_elastic_joints(self.problem, self.fitted)
+        problem, fitted = _with_elastic_joints(
+            self.problem, self.fitted, _any_elasticity(self.problem, self.fitted)
+        )
         return replace(self, problem=problem, fitted=fitted, causes=(*self.causes, "elastic"))
 
     def with_drifting_biases(self) -> _Attempt:
@@ -233,14 +269,67 @@ def _with_drifting_biases(problem: MotionProblem, fitted: Fitted) -> tuple[Motio
     return walking, fit(walking, state)
 
 
-def _with_elastic_joints(problem: MotionProblem, fitted: Fitted) -> tuple[MotionProblem, Fitted]:
+def with_known_torque(
+    problem: MotionProblem, fitted: Fitted
+) -> tuple[MotionProblem, Fitted] | None:
+    """The fit with joints that yield under torques that are known; None where they are not.
+
+    Args:
+        problem: the rigid robot.
+        fitted: its fit.
+    """
+    blueprint, state = problem.priors.blueprint, fitted.state
+    if blueprint is None or blueprint.inertials is None:
+        return None
+    elastic = known_elasticity(
+        problem.tree, problem.logs, state.placements, state.gravity, blueprint.inertials
+    )
+    # Sensors have taken up of the deflections what they could, and would hold it back.
+    sensors = replace(
+        state.placements,
+        bias=np.zeros_like(state.placements.bias),
+        shape=np.zeros_like(state.placements.shape),
+    )
+    fresh = replace(
+        state,
+        placements=sensors,
+        front=np.tile(begin_front(problem.priors.front), (len(state.front), 1)),
+    )
+    return _with_elastic_joints(problem, replace(fitted, state=fresh), elastic, few=True)
+
+
+def yields(problem: MotionProblem, fitted: Fitted) -> bool:
+    """Whether all compliances under known torques are such as springs have: not below zero.
+
+    Args:
+        problem: with nothing but these in what encoders do not see.
+        fitted: its fit.
+    """
+    elastic, at = problem.unseen, problem.layout.unseen
+    if not isinstance(elastic, Elasticity):
+        return False
+    system = eliminated(fitted.equations, problem.free_joint, problem.free_su)
+    variance = np.diag(joint_inverse(system.schur, problem.free_joint))[at]
+    spring = ~elastic.damping
+    x = fitted.state.unseen[spring]
+    return bool((x > -_NEGATIVE * np.sqrt(variance[spring].clip(min=0.0))).all())
+
+
+def _any_elasticity(problem: MotionProblem, fitted: Fitted) -> Elasticity:
+    """Deflections under torques that nobody knows."""
+    places, gravity = fitted.state.placements, fitted.state.gravity
+    return elasticity(problem.tree, problem.logs, places, gravity)
+
+
+def _with_elastic_joints(
+    problem: MotionProblem, fitted: Fitted, elastic: Elasticity, *, few: bool = False
+) -> tuple[MotionProblem, Fitted]:
     """The fit with joints that yield under the load of what they carry.
 
     Torques go with the motion of the links, which is known once the deflections are: both are found
     in turns.
     """
     tree, logs, state = problem.tree, problem.logs, fitted.state
-    elastic = elasticity(tree, logs, state.placements, state.gravity)
     spread = np.where(tree.prismatic, *_YIELD)[elastic.joint]
     spread[elastic.damping] = _LATE
     priors = replace(problem.priors, unseen=spread)
@@ -250,7 +339,7 @@ def _with_elastic_joints(problem: MotionProblem, fitted: Fitted) -> tuple[Motion
     rigid = misfit_of(problem, fitted, SPAN)
     for turn in range(_TURNS):
         before = bending.deflections(state)
-        fitted = fit(bending, state, tolerance=_NEARLY)
+        fitted = fit(bending, state, tolerance=_NEARLY, unseen_first=few and turn == 0)
         state = fitted.state
         if turn == 0 and misfit_of(bending, fitted, SPAN) > _PROMISING * rigid:
             return bending, fitted

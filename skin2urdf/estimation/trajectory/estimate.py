@@ -13,9 +13,10 @@ from skin2urdf.estimation.problem.cost import Priors
 from skin2urdf.estimation.problem.state import State
 from skin2urdf.estimation.trajectory.causes import SPAN, Explained, explained, misfit_of
 from skin2urdf.estimation.trajectory.deviations import su_covariances
+from skin2urdf.estimation.trajectory.elastic import Elasticity
 from skin2urdf.estimation.trajectory.encoder_noise import without_shortening
 from skin2urdf.estimation.trajectory.fit import Fitted, fit
-from skin2urdf.estimation.trajectory.front_end import droop, droop_variance
+from skin2urdf.estimation.trajectory.front_end import begin_front, droop, droop_variance
 from skin2urdf.estimation.trajectory.gyro import gyro_deviations
 from skin2urdf.estimation.trajectory.listening import found_gyros, listened
 from skin2urdf.estimation.trajectory.priors import MotionPriors
@@ -46,6 +47,8 @@ class MotionEstimate:
         causes: what was added to a rigid robot with steady sensors: ``elastic`` joints, ``drift``
             of biases, ``harmonics`` and ``ripples`` of gears, ``slack`` from place to place.
         tried: misfit with each cause that was tried, chosen or not.
+        under_known: what joints yield under torques that are known, the first of what encoders do
+            not see; None where none do, or torques are not known.
     """
 
     problem: MotionProblem
@@ -55,6 +58,7 @@ class MotionEstimate:
     gyros: Gyros | None = None
     causes: tuple[str, ...] = ()
     tried: Mapping[str, float] = field(default_factory=dict)
+    under_known: Elasticity | None = None
 
     @property
     def state(self) -> State:
@@ -108,6 +112,7 @@ def estimate_along(
     tell: Callable[[float], None] = lambda _: None,
     *,
     look_further: bool = True,
+    only_known: bool = False,
     most: float = np.inf,
     iterations: int = 30,
 ) -> MotionEstimate:
@@ -122,6 +127,7 @@ def estimate_along(
         tell: told the share of the work that is done.
         look_further: whether elastic joints and drifting biases are tried where noise and
             placements do not explain the readings.
+        only_known: then nothing but joints that yield under known torques is.
         most: misfit beyond which they are not tried either.
         iterations: linearisations, at most, of a first fit and of the last.
     """
@@ -132,7 +138,7 @@ def estimate_along(
     begin = MotionState(
         placements=start,
         gravity=priors.sensors.gravity,
-        front=np.tile(_begin_front(priors.front), (U, 1)),
+        front=np.tile(begin_front(priors.front), (U, 1)),
         clock=clock,
         knots=tuple(np.zeros((n, U, 3)) for n in problem.layout.n_knots),
         unseen=np.zeros(problem.layout.n_unseen),
@@ -143,7 +149,7 @@ def estimate_along(
     logs = problem.logs
     found = Explained(problem, fitted)
     if look_further:
-        found = explained(problem, fitted, most)
+        found = explained(problem, fitted, most, only_known=only_known)
         problem, fitted = found.problem, found.fitted
     fitted = without_shortening(problem, fitted)
     left = misfit_of(problem, fitted, SPAN)
@@ -153,17 +159,8 @@ def estimate_along(
     spans = int(np.clip(seconds / SPAN, _FEWEST, _MOST))
     information = motion_information(problem, fitted, spans, lasting)
     gyros = found_gyros(problem, fitted, contradict)
-    return MotionEstimate(problem, fitted, information, left, gyros, found.causes, found.tried)
-
-
-def _begin_front(front: F64) -> F64:
-    """Front end (2,) to begin with: that of a filter of second order within what is common.
-
-    Without any filter the slope towards one of second order is zero, and where data ask for it the
-    way begins on either side.
-    """
-    mean, deviation = front
-    return np.asarray(mean if mean.any() else np.array([1.0, 0.5]) * deviation)
+    what = found.causes, found.tried, found.under_known
+    return MotionEstimate(problem, fitted, information, left, gyros, *what)
 
 
 def motion_priors(

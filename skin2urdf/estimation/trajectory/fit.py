@@ -55,6 +55,7 @@ def fit(
     iterations: int = 30,
     tolerance: float = 0.1,
     near: bool = False,
+    unseen_first: bool = False,
     tell: Callable[[float], None] = lambda _: None,
 ) -> Fitted:
     """Minimise chi-squared of all samples.
@@ -66,12 +67,15 @@ def fit(
         tolerance: length of the last step in standard deviations, all coordinates together.
         near: whether it begins at an optimum of nearly the same problem, where all coordinates may
             move at once.
+        unseen_first: whether what encoders do not see is so large, and so few numbers, that
+            placements can not be found without it.
         tell: told the share of the work that is done.
     """
     if not near:
-        start = _descend(problem, start, problem.coarse(), _ROUGHLY, iterations, tell).state
+        first = problem.coarse(unseen=unseen_first)
+        start = _descend(problem, start, first, _ROUGHLY, iterations, tell, unseen_first).state
     free = problem.free_joint, problem.free_su
-    return _descend(problem, start, free, tolerance, iterations, tell)
+    return _descend(problem, start, free, tolerance, iterations, tell, unseen_first)
 
 
 def _descend(
@@ -81,8 +85,9 @@ def _descend(
     tolerance: float,
     iterations: int,
     tell: Callable[[float], None],
+    far: bool = False,
 ) -> Fitted:
-    """Minimise chi-squared over some coordinates."""
+    """Minimise chi-squared over some coordinates; from far away steps may have to be held back."""
     free_joint, free_su = free
     state = start
     predicted = tuple(problem.predict(state, g) for g in range(len(problem.logs)))
@@ -104,6 +109,8 @@ def _descend(
             if damping > 1e6:
                 return Fitted(state, noise, weights, predicted, equations, cost)
         length = _length(equations, joint, sus)
+        if far and damping > _DAMPING:
+            length = np.inf  # a step that was held back says nothing of how far it still is
         gain = (cost - there) / max(cost, 1e-12)
         state, predicted = trial, ahead
         damping = max(damping / 10, 1e-12)

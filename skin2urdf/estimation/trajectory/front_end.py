@@ -85,3 +85,13 @@ def common_front_end(cutoff: float, order: int) -> tuple[F64, F64]:
     square = (2 * np.pi * cutoff) ** -2
     mean = np.array([square, 0.0]) if order == 1 else np.array([2 * square, square])
     return mean, 0.2 * mean
+
+
+def begin_front(front: F64) -> F64:
+    """Front end (2,) to begin with: that of a filter of second order within what is common.
+
+    Without any filter the slope towards one of second order is zero, and where data ask for it the
+    way begins on either side.
+    """
+    mean, deviation = front
+    return np.asarray(mean if mean.any() else np.array([1.0, 0.5]) * deviation)

@@ -96,14 +96,19 @@ class MotionProblem:
             self.unseen,
         )
 
-    def coarse(self) -> tuple[Bool, Bool]:
+    def coarse(self, *, unseen: bool = False) -> tuple[Bool, Bool]:
         """Coordinates (J,) and (U, n) to begin with: placements, biases and lags.
 
         From far away, a sensor's shape, droop and drift would rather explain what placements do.
+
+        Args:
+            unseen: whether what encoders do not see is to be found from the beginning as well.
         """
         layout, su = self.layout, np.zeros_like(self.free_su)
         joint = self.free_joint & (np.arange(layout.n_joint) < layout.gravity)
         joint[layout.further] = self.free_joint[layout.further]
+        if unseen:
+            joint[layout.unseen] = self.free_joint[layout.unseen]
         su[:, : N_PLACEMENT + 3] = True
         for g in range(layout.n_logs):
             su[:, layout.clock(g).start] = True

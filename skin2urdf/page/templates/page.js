@@ -35,7 +35,7 @@
         line({ y: left, name: `${axis} left`, yaxis: "y2", line: { color: colours[a], width: 1 }, showlegend: false }),
       );
     });
-    const font = data.figures.by_pose.layout.font;
+    const font = data.figures.by_su.layout.font;
     const grid = "#e4e7eb";
     const layout = {
       font, height: 560, paper_bgcolor: "#fff", plot_bgcolor: "#fff",

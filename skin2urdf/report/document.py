@@ -317,6 +317,7 @@ def _samples(calibration: Calibration) -> dict[str, Any] | None:
         "misfit": along.misfit,
         "causes": list(along.causes),
         "slack": along.slack,
+        "base_motion": along.base_motion,
         "gravity": state.gravity,
         "gravity_deviation": calibration.settings.gravity_deviation,
         "joints": {

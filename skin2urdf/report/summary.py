@@ -229,6 +229,12 @@ def sensor_notes(along: MotionEstimate | None, of: Sequence[str] | None = None) 
             "reads motor positions sees links off by these deflections (stiffness takes known "
             "torques)"
         )
+    if "base" in along.causes:
+        turned = number(along.base_motion[3:].max() * _MM)
+        notes.append(
+            f"the base gives way under the robot's load: it turns by up to {turned} mrad within a "
+            "log; it was followed: fix it more stiffly to know lengths along the first axis better"
+        )
     if uneven := [_GEARS[cause] for cause in along.causes if cause in _GEARS]:
         notes.append(
             f"gears are uneven ({', '.join(uneven)}): links are off what their encoders say, at "

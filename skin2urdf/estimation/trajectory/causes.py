@@ -1,8 +1,9 @@
 """What real robots have and ideal ones have not, as far as the readings show it.
 
 A rigid robot with steady sensors is fitted first. Where it leaves more than noise, or where joints
-are off their encoders from place to place, causes are tried: uneven gears, joints that yield,
-biases that drift, both of these; slack of a learnt size takes up what none of them explains.
+are off their encoders from place to place, causes are tried: uneven gears, joints that yield, a
+base that gives way, biases that drift, several of these; slack of a learnt size takes up what none
+of them explains.
 """
 
 from __future__ import annotations
@@ -15,14 +16,16 @@ import numpy as np
 
 from skin2urdf.arrays import F64
 from skin2urdf.estimation.trajectory.arrow import eliminated, joint_inverse
-from skin2urdf.estimation.trajectory.elastic import Elasticity, elasticity, followed
+from skin2urdf.estimation.trajectory.bending import bending, followed
+from skin2urdf.estimation.trajectory.elastic import Elasticity
+from skin2urdf.estimation.trajectory.elastic import followed as followed_by_known
 from skin2urdf.estimation.trajectory.fit import Fitted, fit
 from skin2urdf.estimation.trajectory.front_end import begin_front
 from skin2urdf.estimation.trajectory.gears import find_ripples, harmonics, ripples
 from skin2urdf.estimation.trajectory.known_torque import known_elasticity
 from skin2urdf.estimation.trajectory.misfit import misfit, span_means
 from skin2urdf.estimation.trajectory.problem import MotionProblem
-from skin2urdf.estimation.trajectory.slack import Size, size_of, slack, with_unseen
+from skin2urdf.estimation.trajectory.slack import Size, learnt_size, size_of, slack, with_unseen
 from skin2urdf.estimation.trajectory.unseen import Unseen
 
 SPAN = 2.0
@@ -61,6 +64,8 @@ sound recordings gain nothing (panda and five of ur5), a strain wave of 0.1 mrad
 _NEGATIVE = 10.0
 """Deviations below zero at which a compliance is none: what torques lack in truth, as those of
 cables and tools that a model leaves out, makes small ones wrong by several."""
+_BENDS, _DRIFT = ("elastic", "base"), "drift"
+"""Causes of deflections, and that of biases."""
 _KNOTS = 15.0
 """Time between the moments that a drifting bias is given at [s]; sensors warm up in minutes."""
 
@@ -120,17 +125,34 @@ def _of_any_cause(rigid: _Attempt) -> tuple[_Attempt, list[_Attempt]]:
     best = _with_uneven_gears(rigid)
     attempts = [best]
     if best.lacks:
-        others = [rigid.with_elastic_joints()]
-        if rigid.misfit > _EXPLAINED and rigid.problem.priors.sensors.bias > 0:
-            others.append(rigid.with_drifting_biases())
-        attempts += others
-        other = min(others, key=lambda each: each.misfit)
-        if other.misfit > _EXPLAINED and len(others) > 1:
-            both = other.with_the_other()
-            other = both if _explains_most(both, other) else other
+        other, more = _with_physics(rigid)
+        attempts += more
         if _explains_most(other, rigid) and not _explains_most(best, other):
             best = other
     return best, attempts
+
+
+def _with_physics(rigid: _Attempt) -> tuple[_Attempt, list[_Attempt]]:
+    """The best of what drifts and bends, one cause after the other, and all that was tried."""
+    left = [_DRIFT, *_BENDS]
+    if rigid.misfit <= _EXPLAINED or rigid.problem.priors.sensors.bias == 0:
+        left.remove(_DRIFT)
+    best, tried = rigid, []
+    while left:
+        further = []
+        for cause in left:
+            further.append(best.adding(cause))
+            tried.append(further[-1])
+            if not further[-1].lacks and _explains_most(further[-1], best):
+                return further[-1], tried
+        other = min(further, key=lambda each: each.misfit)
+        if best is not rigid and not _explains_most(other, best):
+            break
+        best = other
+        left.remove(best.causes[-1])
+        if best.misfit <= _EXPLAINED:
+            break
+    return best, tried
 
 
 def _with_uneven_gears(rigid: _Attempt) -> _Attempt:
@@ -199,7 +221,7 @@ class _Attempt:
     def with_more(self, name: str, more: Unseen, size: float) -> _Attempt:
         """With more unseen motion of a common size."""
         problem = with_unseen(self.problem, more, size)
-        zero = np.zeros(len(more.joint))
+        zero = np.zeros(more.n_numbers)
         state = self.fitted.state
         state = replace(state, unseen=np.concatenate([state.unseen, zero]))
         return replace(
@@ -220,23 +242,15 @@ class _Attempt:
         problem, fitted = found
         return replace(self, problem=problem, fitted=fitted, causes=(*self.causes, "elastic"))
 
-    def with_elastic_joints(self) -> _Attempt:
-        """With joints that yield."""
-        problem, fitted = _with_elastic_joints(
-            self.problem, self.fitted, _any_elasticity(self.problem, self.fitted)
-        )
-        return replace(self, problem=problem, fitted=fitted, causes=(*self.causes, "elastic"))
-
-    def with_drifting_biases(self) -> _Attempt:
-        """With biases that walk."""
-        problem, fitted = _with_drifting_biases(self.problem, self.fitted)
-        return replace(self, problem=problem, fitted=fitted, causes=(*self.causes, "drift"))
-
-    def with_the_other(self) -> _Attempt:
-        """With elastic joints and drifting biases, where it has one of them."""
-        if "elastic" in self.causes:
-            return self.with_drifting_biases()
-        return self.with_elastic_joints()
+    def adding(self, cause: str) -> _Attempt:
+        """With joints or a base that yield, or with biases that walk."""
+        causes = (*self.causes, cause)
+        if cause == _DRIFT:
+            problem, fitted = _with_drifting_biases(self.problem, self.fitted)
+        else:
+            bends = {name: name in causes for name in _BENDS}
+            problem, fitted = _yielding(self.problem, self.fitted, **bends)
+        return replace(self, problem=problem, fitted=fitted, causes=causes)
 
 
 def _explains_most(one: _Attempt, other: _Attempt) -> bool:
@@ -295,7 +309,7 @@ def with_known_torque(
         placements=sensors,
         front=np.tile(begin_front(problem.priors.front), (len(state.front), 1)),
     )
-    return _with_elastic_joints(problem, replace(fitted, state=fresh), elastic, few=True)
+    return _with_elastic_joints(problem, replace(fitted, state=fresh), elastic)
 
 
 def yields(problem: MotionProblem, fitted: Fitted) -> bool:
@@ -315,16 +329,48 @@ def yields(problem: MotionProblem, fitted: Fitted) -> bool:
     return bool((x > -_NEGATIVE * np.sqrt(variance[spring].clip(min=0.0))).all())
 
 
-def _any_elasticity(problem: MotionProblem, fitted: Fitted) -> Elasticity:
-    """Deflections under torques that nobody knows."""
-    places, gravity = fitted.state.placements, fitted.state.gravity
-    return elasticity(problem.tree, problem.logs, places, gravity)
+def _yielding(
+    problem: MotionProblem, fitted: Fitted, *, elastic: bool, base: bool
+) -> tuple[MotionProblem, Fitted]:
+    """The fit with joints, a base or both that yield under loads that nobody knows.
+
+    Torques go with the motion of the links, which is known once the deflections are, and with the
+    masses, which are known once the stiffness is: all are found in turns.
+    """
+    tree, logs, state = problem.tree, problem.logs, fitted.state
+    bends = bending(tree, logs, state.placements, state.gravity, joints=elastic, base=base)
+    priors = replace(problem.priors, unseen=bends.spread)
+    state = replace(state, unseen=np.zeros(bends.n_numbers))
+    n_knots = problem.layout.n_knots
+    rigid = misfit_of(problem, fitted, SPAN)
+    for turn in range(_TURNS):
+        yielding = MotionProblem(tree, logs, priors, n_knots, bends)
+        before = yielding.bent(state)
+        fitted = fit(yielding, state, tolerance=_NEARLY, near=turn > 0)
+        change = _change(before, yielding.bent(fitted.state))
+        # A first turn does not know which parts are softer, a second one about which point a base
+        # turns.
+        if turn == 1 + base and misfit_of(yielding, fitted, SPAN) > _PROMISING * rigid:
+            return yielding, fitted
+        x, places, gravity = fitted.state.unseen, fitted.state.placements, fitted.state.gravity
+        for _ in range(2):
+            bends, x = followed(bends, tree, logs, places, gravity, x)
+        state = replace(fitted.state, unseen=x)
+        if change < _SETTLED:
+            break
+    yielding = MotionProblem(tree, logs, priors, n_knots, bends)
+    fitted = fit(yielding, state, near=True)
+    loads = slice(0, len(bends.basis))
+    spread = np.array(bends.spread)
+    spread[loads] = learnt_size(yielding, fitted, loads).size
+    yielding = yielding.again(priors=replace(priors, unseen=spread))
+    return yielding, fit(yielding, fitted.state, near=True)
 
 
 def _with_elastic_joints(
-    problem: MotionProblem, fitted: Fitted, elastic: Elasticity, *, few: bool = False
+    problem: MotionProblem, fitted: Fitted, elastic: Elasticity
 ) -> tuple[MotionProblem, Fitted]:
-    """The fit with joints that yield under the load of what they carry.
+    """The fit with joints that yield under torques that are known.
 
     Torques go with the motion of the links, which is known once the deflections are: both are found
     in turns.
@@ -339,14 +385,14 @@ def _with_elastic_joints(
     rigid = misfit_of(problem, fitted, SPAN)
     for turn in range(_TURNS):
         before = bending.deflections(state)
-        fitted = fit(bending, state, tolerance=_NEARLY, unseen_first=few and turn == 0)
+        fitted = fit(bending, state, tolerance=_NEARLY, unseen_first=turn == 0)
         state = fitted.state
         if turn == 0 and misfit_of(bending, fitted, SPAN) > _PROMISING * rigid:
             return bending, fitted
         change = _change(before, bending.deflections(state))
         for _ in range(2):
             x = state.unseen
-            elastic = followed(elastic, tree, logs, state.placements, state.gravity, x)
+            elastic = followed_by_known(elastic, tree, logs, state.placements, state.gravity, x)
         bending = MotionProblem(tree, logs, priors, n_knots, elastic)
         if change < _SETTLED:
             break

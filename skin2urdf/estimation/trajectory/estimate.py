@@ -44,8 +44,9 @@ class MotionEstimate:
         misfit: squares of mean residuals over spans of time, over what noise makes of them; up to 1
             where the model explains the readings.
         gyros: what was found of gyroscopes; None where no SU has one.
-        causes: what was added to a rigid robot with steady sensors: ``elastic`` joints, ``drift``
-            of biases, ``harmonics`` and ``ripples`` of gears, ``slack`` from place to place.
+        causes: what was added to a rigid robot with steady sensors: ``elastic`` joints, a ``base``
+            that gives way, ``drift`` of biases, ``harmonics`` and ``ripples`` of gears, ``slack``
+            from place to place.
         tried: misfit with each cause that was tried, chosen or not.
         under_known: what joints yield under torques that are known, the first of what encoders do
             not see; None where none do, or torques are not known.
@@ -69,6 +70,15 @@ class MotionEstimate:
     def droops(self) -> F64:
         """(U,) what each SU's own low-pass takes away, per square of angular frequency [s^2]."""
         return droop(self.fitted.state.front)
+
+    @property
+    def base_motion(self) -> F64:
+        """(6,) by how much the base shifts along and turns about its axes, largest less smallest.
+
+        In metres and radians; 0 where it does not give way.
+        """
+        logs = self.problem.base_motions(self.fitted.state)
+        return np.asarray(np.max([np.ptp(x, axis=0) for x in logs], axis=0))
 
     @cached_property
     def su_covariances(self) -> F64:

@@ -141,7 +141,7 @@ def rate_columns(
     u: int,
     frames: tuple[Mapping[int, FrameMotion], FrameMotion],
     slides: Mapping[int, bool],
-    unseen: tuple[Int, F64],
+    unseen: tuple[Int, Int, F64],
     slopes: tuple[F64, F64, F64],
 ) -> F64:
     """(C + n, 3, K) derivatives of a gyroscope's prediction, joint columns first.
@@ -155,8 +155,8 @@ def rate_columns(
         frames: motion of the frames in which joints and hinges are placed, by their number, and of
             the SU's own.
         slides: which of these slide.
-        unseen: (s,) joints that the numbers which make motion beyond encoders move, and (2, s, K)
-            that motion and its derivative per unit.
+        unseen: (e,) joints that move beyond their encoders, (e,) which of the numbers that the SU
+            feels makes them, and (2, e, K) that motion and its derivative per unit.
         slopes: (K, 3) derivatives of the prediction in time, of first and second order, and (K,)
             times since the middle of the log [s].
     """
@@ -174,13 +174,13 @@ def rate_columns(
         rows += [np.zeros((2, 3, K)), np.stack([turned(k, 0), turned(k, 1)])]
     # Gravity's direction and size say nothing of how an SU turns.
     rows.append(np.zeros((3 if g > 0 else 1, 3, K)))
-    joints, motion = unseen
-    for k, e, ed in zip(joints, *motion, strict=True):
-        if slides[int(k)]:
-            rows.append(np.zeros((1, 3, K)))
-            continue
-        axis = np.einsum("ijk,jk->ik", here.R_frame_base, fixed[int(k)].R_frame_base[2])
-        rows.append((turned(int(k), 2) * e + axis * ed)[None])
+    joints, number, motion = unseen
+    beyond = np.zeros((int(number.max(initial=-1)) + 1, 3, K))
+    for k, n, e, ed in zip(joints.tolist(), number, *motion, strict=True):
+        if not slides[k]:
+            axis = np.einsum("ijk,jk->ik", here.R_frame_base, fixed[k].R_frame_base[2])
+            beyond[n] += turned(k, 2) * e + axis * ed
+    rows.append(beyond)
     if layout.n_further:
         # Neither how a robot is mounted nor shifts along axes; turns about axes, as those above.
         rows.append(np.zeros((2 if g == 0 else 0, 3, K)))

@@ -406,8 +406,12 @@ class MotionProblem:
         """Which of the numbers that make unseen motion an SU feels."""
         if self.unseen is None:
             return np.zeros(0, dtype=np.int64)
+        return np.unique(self.unseen.number[self._felt(self.unseen, u)])
+
+    def _felt(self, unseen: Unseen, u: int) -> Bool:
+        """(E,) entries of unseen motion that an SU feels."""
         carried_by = self.skeleton.numbers[list(self._chain(u))]
-        return np.flatnonzero(np.isin(self.unseen.joint, carried_by))
+        return np.asarray(np.isin(unseen.joint, carried_by))
 
     def _chain(self, u: int) -> tuple[int, ...]:
         """What carries an SU, from the ground on: places in the tree with hinges."""
@@ -426,10 +430,12 @@ class MotionProblem:
         tree, numbers = self.skeleton.tree, self.skeleton.numbers
         T = self.skeleton.su_placements(state.placements.T_joint_su)[u]
         here = placed(carried[int(tree.su_joint[u])], T)
-        felt = self._moving(u)
-        unseen = felt, np.zeros((2, 0, here.w.shape[1]))
+        none = np.zeros(0, dtype=np.int64)
+        unseen = none, none, np.zeros((2, 0, here.w.shape[1]))
         if self.unseen:
-            unseen = self.unseen.joint[felt], self._motions[g][:2, felt]
+            felt = self._felt(self.unseen, u)
+            number = np.searchsorted(self._moving(u), self.unseen.number[felt])
+            unseen = self.unseen.joint[felt], number, self._motions[g][:2, felt]
         slides = dict(zip(numbers.tolist(), tree.prismatic.tolist(), strict=True))
         of_number = dict(zip(numbers.tolist(), fixed, strict=True)), here
         slopes = turned.slope[:, u], turned.bend[:, u], self._since_middle(g)
@@ -481,11 +487,12 @@ class MotionProblem:
         rows.append((pull - here.f)[None])
         if self.unseen:
             felt = self._moving(u)
-            beyond = np.empty((len(felt), 3, K))
+            beyond = np.zeros((len(felt), 3, K))
             for k, columns in by_joint.items():
-                of_joint = self.unseen.joint[felt] == k
-                e = self._motions[g][:, felt[of_joint]]
-                beyond[of_joint] = np.einsum("dck,dsk->sck", columns, e)
+                of_joint = np.flatnonzero(self.unseen.joint == k)
+                number = np.searchsorted(felt, self.unseen.number[of_joint])
+                e = self._motions[g][:, of_joint]
+                np.add.at(beyond, number, np.einsum("dck,dsk->sck", columns, e))
             rows.append(beyond)
         if known:
             if g == 0:

@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 
@@ -72,8 +73,10 @@ class Skeleton:
         )
         return replace(
             robot,
-            joint_names=(*(f"base hinge {h - robot.n_joints}" for h in self.hinges),
-                         *robot.joint_names),
+            joint_names=(
+                *(f"base hinge {h - robot.n_joints}" for h in self.hinges),
+                *robot.joint_names,
+            ),
             # What stood on the ground stands on the last hinge.
             parent=np.concatenate([np.arange(H) - 1, robot.parent + H]),
             joint_types=(*kinds, *robot.joint_types),
@@ -88,7 +91,7 @@ class Skeleton:
         axes = (self.hinges - self.robot.n_joints) % 3
         # z of the frame in which a hinge is placed is the base's axis x, y or z.
         frames = [np.eye(4), *(_Z_TO[axis] for axis in axes)]
-        hinges = [before.T @ after for before, after in zip(frames[:-1], frames[1:], strict=True)]
+        hinges = [before.T @ after for before, after in pairwise(frames)]
         T = np.concatenate([hinges, T_parent_joint])
         roots = H + np.flatnonzero(self.robot.parent < 0)
         T[roots] = frames[-1].T @ T[roots]

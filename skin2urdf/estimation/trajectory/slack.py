@@ -18,6 +18,7 @@ from skin2urdf.arrays import F64, Int
 from skin2urdf.estimation.trajectory.arrow import eliminated, joint_inverse
 from skin2urdf.estimation.trajectory.fit import Fitted
 from skin2urdf.estimation.trajectory.problem import MotionProblem
+from skin2urdf.estimation.trajectory.records import Equations
 from skin2urdf.estimation.trajectory.unseen import Unseen, together
 from skin2urdf.signals.trajectory import Trajectory
 from skin2urdf.structure.records import KinematicTree
@@ -33,8 +34,8 @@ _MOST = 300
 """Numbers of slack at most, since time goes with their square; the places visited longest count."""
 _WIDE = 1e-2
 """Size that stands for any, where only information is wanted [rad]."""
-_SIZES = np.geomspace(1e-7, 1e-2, 101)
-"""Sizes that are compared [rad]: from what no encoder tells to half a degree, by 12 %."""
+_SIZES = np.geomspace(1e-7, 3e-2, 111)
+"""Sizes that are compared [rad]: from what no encoder tells to two degrees, by 12 %."""
 
 
 @dataclass(frozen=True)
@@ -86,9 +87,6 @@ def slack(tree: KinematicTree, logs: Sequence[Trajectory]) -> Unseen | None:
 def size_of(problem: MotionProblem, fitted: Fitted, more: Unseen) -> Size:
     """The size that the readings give to more unseen motion, by their likelihood.
 
-    All else follows it to first order, as the normal equations at the fit say (restricted maximum
-    likelihood: Patterson and Thompson 1971).
-
     Args:
         problem: what was fitted.
         fitted: the fit.
@@ -96,17 +94,50 @@ def size_of(problem: MotionProblem, fitted: Fitted, more: Unseen) -> Size:
     """
     wider = with_unseen(problem, more, _WIDE)
     state = replace(
-        fitted.state, unseen=np.concatenate([fitted.state.unseen, np.zeros(len(more.joint))])
+        fitted.state, unseen=np.concatenate([fitted.state.unseen, np.zeros(more.n_numbers)])
     )
     equations = wider.equations(state, fitted.predicted, fitted.weights)
-    system = eliminated(equations, wider.free_joint, wider.free_su)
-    at = slice(wider.layout.unseen.stop - len(more.joint), wider.layout.unseen.stop)
-    H, g = np.array(system.schur), system.gradient
-    H[range(at.start, at.stop), range(at.start, at.stop)] -= _WIDE**-2
-    others = wider.free_joint.copy()
+    end = wider.layout.unseen.stop
+    at = np.arange(end - more.n_numbers, end)
+    return _likeliest(wider, equations, at, np.full(len(at), _WIDE), np.zeros(len(at)))
+
+
+def learnt_size(problem: MotionProblem, fitted: Fitted, numbers: slice) -> Size:
+    """The common size that the readings give to some of the numbers that were fitted.
+
+    Args:
+        problem: what was fitted.
+        fitted: the fit.
+        numbers: which of the numbers that make unseen motion.
+    """
+    at = problem.layout.unseen.start + np.arange(problem.layout.n_unseen)[numbers]
+    spread, x = problem.priors.unseen[numbers], fitted.state.unseen[numbers]
+    return _likeliest(problem, fitted.equations, at, spread, x)
+
+
+def _likeliest(problem: MotionProblem, equations: Equations, at: Int, spread: F64, x: F64) -> Size:
+    """The size of some coordinates of the joint part that makes the readings most likely.
+
+    All else follows them to first order, as the normal equations say (restricted maximum
+    likelihood: Patterson and Thompson 1971).
+
+    Args:
+        problem: what the equations are of.
+        equations: at some state.
+        at: (S,) which coordinates.
+        spread: (S,) standard deviations that the equations have of them.
+        x: (S,) where they are.
+    """
+    system = eliminated(equations, problem.free_joint, problem.free_su)
+    H, g = np.array(system.schur), np.array(system.gradient)
+    # Without what was said of them before, and seen from zero, as all others are where they are.
+    H[at, at] -= spread**-2
+    g[at] += spread**-2 * x
+    g += H[:, at] @ x
+    others = problem.free_joint.copy()
     others[at] = False
     follow = joint_inverse(H, others) @ np.column_stack([H[:, at], g])
-    left = H[at, at] - H[at] @ follow[:, :-1]
+    left = H[np.ix_(at, at)] - H[at] @ follow[:, :-1]
     pull = g[at] - H[at] @ follow[:, -1]
     lam, V = np.linalg.eigh(0.5 * (left + left.T))
     lam, pull = np.maximum(lam, 0.0), V.T @ pull
@@ -127,7 +158,7 @@ def with_unseen(problem: MotionProblem, more: Unseen, size: float) -> MotionProb
         size: standard deviation of their numbers.
     """
     motion = more if problem.unseen is None else together([problem.unseen, more])
-    spread = np.concatenate([problem.priors.unseen, np.full(len(more.joint), size)])
+    spread = np.concatenate([problem.priors.unseen, np.full(more.n_numbers, size)])
     priors = replace(problem.priors, unseen=spread)
     return MotionProblem(problem.tree, problem.logs, priors, problem.layout.n_knots, motion)
 

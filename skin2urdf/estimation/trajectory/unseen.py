@@ -2,17 +2,17 @@
 
 Gears that twist, teeth that are not even, play: all leave a link by some e(t) beyond what its
 encoder says, ``q = theta + sum_s x_s d_s(t)``, with motions d_s that are known and numbers x_s that
-are found along with the placements.
+are found along with the placements. One number may move several joints, as a mass does.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from skin2urdf.arrays import F64, Bool, Int, frozen
+from skin2urdf.arrays import F64, Int, frozen
 from skin2urdf.estimation.trajectory.skeleton import N_HINGES
 from skin2urdf.signals.filters import first_derivative, second_derivative
 from skin2urdf.signals.trajectory import Trajectory
@@ -20,24 +20,33 @@ from skin2urdf.signals.trajectory import Trajectory
 
 @dataclass(frozen=True, eq=False)
 class Unseen:
-    """Motions of joints per unit of S numbers.
+    """Motions of joints per unit of S numbers, one entry for each joint that a number moves.
 
     Attributes:
-        joint: (S,) the joint that each number moves; D and more are hinges of the base, numbered as
+        joint: (E,) the joint that each entry moves; D and more are hinges of the base, numbered as
             in :mod:`skeleton`.
-        motions: per log (N, S) by how much its link is beyond its encoder [rad or m per unit],
+        motions: per log (N, E) by how much its link is beyond its encoder [rad or m per unit],
             low-passed as the positions.
+        number: (E,) the number that makes the motion; by default each entry has its own.
     """
 
     joint: Int
     motions: tuple[F64, ...]
+    number: Int = field(default_factory=lambda: np.zeros(0, dtype=np.int64), kw_only=True)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "joint", frozen(self.joint, np.int64))
         object.__setattr__(self, "motions", tuple(frozen(d) for d in self.motions))
+        number = self.number if len(self.number) else np.arange(len(self.joint))
+        object.__setattr__(self, "number", frozen(number, np.int64))
+
+    @property
+    def n_numbers(self) -> int:
+        """S."""
+        return int(self.number.max(initial=-1)) + 1
 
     def at_kept(self, logs: Sequence[Trajectory]) -> tuple[F64, ...]:
-        """Per log (3, S, K): motions and their derivatives at the samples compared."""
+        """Per log (3, E, K): motions and their derivatives at the samples compared."""
         return tuple(
             np.stack(
                 [
@@ -62,8 +71,8 @@ class Unseen:
         """
         n_joints = log.q.shape[1]
         hinges = np.zeros((len(log.q), N_HINGES if self.moves_base(n_joints) else 0))
-        of_joint = np.zeros((len(x), n_joints + hinges.shape[1]))
-        of_joint[np.arange(len(x)), self.joint] = x
+        of_joint = np.zeros((len(self.joint), n_joints + hinges.shape[1]))
+        of_joint[np.arange(len(self.joint)), self.joint] = x[self.number]
         e = self.motions[g] @ of_joint
         return replace(
             log,
@@ -76,17 +85,15 @@ class Unseen:
         """Whether a base that carries so many joints moves."""
         return bool((self.joint >= n_joints).any())
 
-    def part(self, which: Bool) -> Unseen:
-        """Some (S,) of the numbers."""
-        return Unseen(self.joint[which], tuple(d[:, which] for d in self.motions))
-
 
 def together(several: Sequence[Unseen]) -> Unseen:
     """The numbers of several, one after the other."""
+    first = np.cumsum([0, *(each.n_numbers for each in several)])
     return Unseen(
         np.concatenate([each.joint for each in several]),
         tuple(
             np.concatenate(parts, axis=1)
             for parts in zip(*(e.motions for e in several), strict=True)
         ),
+        number=np.concatenate([e.number + n for e, n in zip(several, first[:-1], strict=True)]),
     )

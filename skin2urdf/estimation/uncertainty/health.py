@@ -137,8 +137,12 @@ def why_bad(found: Estimate, limit: float) -> tuple[str, str]:
 _PHYSICS = {
     "elastic": (
         "joints that yield under load",
-        "a base or links that give way look alike: put an SU on the base, fix it more stiffly, and "
-        "log the positions of the links if the robot has encoders behind its gears",
+        "links that give way look alike: log the positions of the links if the robot has encoders "
+        "behind its gears",
+    ),
+    "base": (
+        "a base that gives way",
+        "put an SU on the base, and fix it more stiffly",
     ),
     "drift": (
         "biases that drift",

@@ -28,7 +28,7 @@ from skin2urdf.errors import InsufficientDataError
 from skin2urdf.estimation.solve.estimate import Estimate
 from skin2urdf.faults import Fault
 from skin2urdf.hypotheses.encoder import Corrected, errors_of
-from skin2urdf.hypotheses.names import columns_of, names_in
+from skin2urdf.hypotheses.names import columns_of, named_as_felt, names_in
 from skin2urdf.hypotheses.records import Amendment, Attempt, Candidate
 from skin2urdf.hypotheses.search import Search, excess, explains
 from skin2urdf.hypotheses.sense import TURNED, turned_by_pose
@@ -37,6 +37,7 @@ from skin2urdf.signals.mending import computed
 from skin2urdf.signals.poses import Neighbourhood
 from skin2urdf.signals.records import EncoderError, Features
 from skin2urdf.signals.sampling import Sampled
+from skin2urdf.structure.activity import activity
 from skin2urdf.structure.records import KinematicTree
 
 _ALLOWANCE = 3.0
@@ -217,6 +218,9 @@ def _sound_part(
     parts = [alone.of([_part(s, border, late)]) for late in (False, True)]
     if found:
         sound = [e for part in parts if (e := _explanation(part, found.tree, clock))]
+    if found and not sound:
+        moved = [(part, _felt(part, found.tree, clock)) for part in parts]
+        sound = [e for part, tree in moved if tree and (e := _explanation(part, tree, clock))]
     if not sound:
         shown = [(part, tree) for part in parts if (tree := _structure(part, clock))]
         new = [(part, tree) for part, tree in shown if not (found and alike(tree, found.tree))]
@@ -225,6 +229,16 @@ def _sound_part(
         return None
     best, latency = min(sound, key=lambda e: e[0].cost_per_dof)
     return best, take_features(alone, clock, latency=latency)
+
+
+def _felt(part: Logs, tree: KinematicTree, clock: Clock) -> KinematicTree | None:
+    """A tree with the names that a part of a log suggests for its SUs; None where it keeps them."""
+    try:
+        seen = activity(take_features(part, clock), part.settings.static_threshold)
+    except InsufficientDataError:
+        return None
+    again = named_as_felt(tree, seen)
+    return None if alike(again, tree) else again
 
 
 def _structure(part: Logs, clock: Clock) -> KinematicTree | None:

@@ -56,6 +56,17 @@ class Corrected(Amendment):
         """The recordings with the error taken off."""
         return corrected(recordings, [self.error])
 
+    def left_out(self, logs: Logs) -> Logs:
+        """The logs without the samples in which the error arises."""
+        e = self.error
+        if e.spread <= 0:
+            return logs
+        sampled = list(logs.sampled)
+        s = sampled[e.log]
+        whole = s.valid & (np.abs(s.motion.grid.time - e.begin) >= e.spread)[:, None]
+        sampled[e.log] = replace(s, valid=whole)
+        return logs.of(sampled)
+
 
 def evident_errors(recordings: Sequence[Recording]) -> tuple[Corrected, ...]:
     """The leaps that are seen in the tracks alone."""
@@ -142,7 +153,11 @@ def with_another(
         if error.kind == "scale":
             return Corrected(replace(old, size=old.size * error.size))
         if old.log == error.log and _same_change(old, error, features):
-            return Corrected(replace(old, size=old.size + error.size))
+            # A leap that is not the whole change leaves open when the rest of it came.
+            known = abs(error.size) < _SMALL
+            reach = 0.0 if known else error.spread + abs(error.begin - old.begin)
+            spread = max(old.spread, reach)
+            return Corrected(replace(old, size=old.size + error.size, spread=spread))
     return Corrected(error)
 
 

@@ -23,7 +23,12 @@ from skin2urdf.calibration.rounds import (
     take_features,
 )
 from skin2urdf.calibration.settings import CalibrationSettings
-from skin2urdf.hypotheses.encoder import Corrected, errors_of, sized_by_the_fit
+from skin2urdf.hypotheses.encoder import (
+    Corrected,
+    errors_of,
+    sized_by_the_fit,
+    with_another,
+)
 from skin2urdf.hypotheses.records import Attempt
 from skin2urdf.hypotheses.suspicions import suspicions
 from skin2urdf.recording.records import JointStream, Recording
@@ -200,7 +205,50 @@ def test_a_track_is_mirrored_where_it_turns_round() -> None:
     assert at == pytest.approx(t[n], abs=0.01)
     mended = corrected([Recording((joint,), ())], [EncoderError("sign", "j", -1.0, 0, at)])
     assert mended[0].joints[0].position == pytest.approx(x, abs=1e-3)
-    assert reversal(JointStream("j", t, x), (4.0, 16.0)) == pytest.approx(10.0)
+
+
+def test_a_slow_track_shows_where_it_turns_round() -> None:
+    """Three encoder steps a sample, beside patterns that turn round ten times as sharply."""
+    step, t = 5e-5, np.arange(0.0, 20.0, 0.004)
+    size = 0.1 * np.clip((t - 10.0) / 2, 0.0, 1.0) ** 3
+    x = 0.037 * t + size * np.sin(15.0 * t)
+    n = int(np.searchsorted(t, 4.0))
+    seen = np.round(x / step) * step
+    turned = JointStream("j", t, np.concatenate([seen[:n], 2 * seen[n - 1] - seen[n:]]))
+    assert reversal(turned, (1.0, 18.0)) == pytest.approx(t[n], abs=0.01)
+
+
+def test_a_track_that_shows_nothing_turned_round_while_it_kept_still() -> None:
+    t = np.arange(0.0, 20.0, 0.004)
+    still = np.clip(t, 6.0, 8.0) - 6.0
+    assert reversal(JointStream("j", t, t - still), (4.0, 16.0)) == pytest.approx(7.0, abs=0.02)
+
+
+def test_what_an_encoder_reports_while_it_slips_is_left_out() -> None:
+    logs = sample_logs([retimed(recording())], CalibrationSettings(), Clock())
+    slipping = EncoderError("offset", JOINT, 0.1, 0, 30.0, spread=1.0)
+    (sampled,), (left,) = logs.sampled, Corrected(slipping).left_out(logs).sampled
+    time = sampled.motion.grid.time
+    during = np.abs(time - 30.0) < 1.0
+    assert not left.valid[during].any()
+    np.testing.assert_array_equal(left.valid[~during], sampled.valid[~during])
+    leap = replace(slipping, spread=0.0)
+    assert Corrected(leap).left_out(logs) is logs
+
+
+def test_a_leap_that_is_not_the_whole_change_leaves_its_time_open() -> None:
+    features = features_of(recording())
+    end, begin = np.sort(features.span.ravel())[[1, 2]]
+    middle, half = (end + begin) / 2, (begin - end) / 2
+    leap = Corrected(EncoderError("offset", JOINT, 0.1, 0, middle + half / 2))
+    rest = EncoderError("offset", JOINT, 0.02, 0, middle, spread=half)
+    both = with_another([leap], rest, features).error
+    assert both.size == pytest.approx(0.12)
+    assert both.begin == leap.error.begin
+    assert both.begin - both.spread <= end
+    assert both.begin + both.spread >= begin
+    exact = with_another([leap], replace(rest, size=1e-5), features).error
+    assert exact.spread == 0
 
 
 def faulty(

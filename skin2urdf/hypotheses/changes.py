@@ -18,6 +18,7 @@ from skin2urdf.calibration.clock import Clock
 from skin2urdf.calibration.result import BAD_FIT, GOOD_FIT
 from skin2urdf.calibration.rounds import (
     Logs,
+    Structure,
     alike,
     find_structure,
     relinearise,
@@ -37,7 +38,7 @@ from skin2urdf.signals.mending import computed
 from skin2urdf.signals.poses import Neighbourhood
 from skin2urdf.signals.records import EncoderError, Features
 from skin2urdf.signals.sampling import Sampled
-from skin2urdf.structure.activity import activity
+from skin2urdf.structure.activity import Activity
 from skin2urdf.structure.records import KinematicTree
 
 _ALLOWANCE = 3.0
@@ -214,15 +215,16 @@ def _sound_part(
     length = np.ptp(features.span, axis=1)
     half = int(np.searchsorted(np.cumsum(length), length.sum() / 2))
     border = float(features.span[half, 1])
+    parts = [part for late in (False, True) if (part := _Part.of(alone, border, late, clock))]
     sound = []
-    parts = [alone.of([_part(s, border, late)]) for late in (False, True)]
     if found:
         sound = [e for part in parts if (e := _explanation(part, found.tree, clock))]
     if found and not sound:
-        moved = [(part, _felt(part, found.tree, clock)) for part in parts]
-        sound = [e for part, tree in moved if tree and (e := _explanation(part, tree, clock))]
+        moved = [(part, named_as_felt(found.tree, part.seen(clock))) for part in parts]
+        new = [(part, tree) for part, tree in moved if not alike(tree, found.tree)]
+        sound = [e for part, tree in new if (e := _explanation(part, tree, clock))]
     if not sound:
-        shown = [(part, tree) for part in parts if (tree := _structure(part, clock))]
+        shown = [(part, tree) for part in parts if (tree := part.structure(clock).tree)]
         new = [(part, tree) for part, tree in shown if not (found and alike(tree, found.tree))]
         sound = [e for part, tree in new if (e := _explanation(part, tree, clock, certain=False))]
     if not sound:
@@ -231,26 +233,38 @@ def _sound_part(
     return best, take_features(alone, clock, latency=latency)
 
 
-def _felt(part: Logs, tree: KinematicTree, clock: Clock) -> KinematicTree | None:
-    """A tree with the names that a part of a log suggests for its SUs; None where it keeps them."""
-    try:
-        seen = activity(take_features(part, clock), part.settings.static_threshold)
-    except InsufficientDataError:
-        return None
-    again = named_as_felt(tree, seen)
-    return None if alike(again, tree) else again
+@dataclass(frozen=True, eq=False)
+class _Part:
+    """A part of a log.
 
+    Attributes:
+        logs: the part.
+        features: its first features.
+    """
 
-def _structure(part: Logs, clock: Clock) -> KinematicTree | None:
-    """The structure that a part of a log shows."""
-    try:
-        return find_structure(part, take_features(part, clock), clock).tree
-    except InsufficientDataError:
-        return None
+    logs: Logs
+    features: Features
+
+    @classmethod
+    def of(cls, alone: Logs, border: float, late: bool, clock: Clock) -> _Part | None:
+        """What a log holds before a time [s], or after it; None where that is too little."""
+        logs = alone.of([_cut(alone.sampled[0], border, late)])
+        try:
+            return cls(logs, take_features(logs, clock))
+        except InsufficientDataError:
+            return None
+
+    def structure(self, clock: Clock) -> Structure:
+        """What it shows of the structure."""
+        return find_structure(self.logs, self.features, clock)
+
+    def seen(self, clock: Clock) -> Activity:
+        """What its SUs felt."""
+        return self.structure(clock).seen
 
 
 def _explanation(
-    part: Logs, tree: KinematicTree, clock: Clock, *, certain: bool = True
+    part: _Part, tree: KinematicTree, clock: Clock, *, certain: bool = True
 ) -> tuple[Estimate, F64] | None:
     """The estimate from a part of a log and the SUs' latencies, where it explains the part.
 
@@ -261,10 +275,9 @@ def _explanation(
         certain: False to look at the structure again where it does not explain the part.
     """
     try:
-        features = take_features(part, clock)
-        found, seen = relinearise(part, tree, features, clock, hopeless=_leads_nowhere)
+        found, seen = relinearise(part.logs, tree, part.features, clock, hopeless=_leads_nowhere)
         if not certain:
-            found, seen = settle(part, found, seen, clock)
+            found, seen = settle(part.logs, found, seen, clock)
     except InsufficientDataError:
         return None
     return (found, seen.latency) if found.cost_per_dof <= GOOD_FIT else None
@@ -281,7 +294,7 @@ def _visited(s: Sampled) -> Sampled:
     return replace(s, neighbourhoods=tuple(sorted(visits, key=lambda visit: visit.windows[0])))
 
 
-def _part(s: Sampled, border: float, late: bool) -> Sampled:
+def _cut(s: Sampled, border: float, late: bool) -> Sampled:
     """What a log holds before a time [s], or after it."""
     grid = s.motion.grid
     at = (border - grid.start) * grid.rate

@@ -27,6 +27,7 @@ from skin2urdf.calibration.rounds import (
     Solution,
     Structure,
     find_structure,
+    leads_nowhere,
     relinearise,
     sample_logs,
     settle,
@@ -125,8 +126,12 @@ class Search:
             self._known[key] = work()
         return self._known[key]  # type: ignore[return-value]
 
-    def attempt(self, amendments: tuple[Amendment, ...]) -> Attempt:
+    def attempt(self, amendments: tuple[Amendment, ...], before: float = np.inf) -> Attempt:
         """Explain the raw logs with some amendments.
+
+        Args:
+            amendments: what is allowed for.
+            before: misfit that the attempt has to fall below to be of use.
 
         Raises:
             InsufficientDataError: the logs lack what a calibration needs.
@@ -148,7 +153,10 @@ class Search:
             known = dict(zip(features.su_names, features.latency, strict=True))
             latency = np.array([known.get(name, 0.0) for name in calm.su_names])
             features = take_features(calm, clock, latency=latency)
-        found, refined = relinearise(calm, tree, features, clock)
+        found, refined = relinearise(
+            calm, tree, features, clock,
+            hopeless=lambda seen: leads_nowhere(seen) and seen.misfit > before,
+        )  # fmt: skip
         found, refined = _settled(calm, found, refined, clock)
         return Attempt(amendments, Solution(calm, structure.seen, found, refined), whole)
 
@@ -338,7 +346,7 @@ def _with(search: Search, now: Attempt | None, new: Sequence[Amendment]) -> Atte
     if now is not None and amendments == before:
         return None
     try:
-        return search.attempt(amendments)
+        return search.attempt(amendments, np.inf if now is None else now.solution.found.misfit)
     except (InsufficientDataError, StructureError):
         return None
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from types import SimpleNamespace
@@ -30,16 +31,16 @@ from skin2urdf.recording.records import Recording
 from skin2urdf.signals.records import EncoderError
 
 
-def searched(recording: Recording, kinds: Sequence[Kind]) -> tuple[Solution, int]:
-    """What a search finds in a recording, and how many attempts it took."""
-    attempts: list[float] = []
+def searched(recording: Recording, kinds: Sequence[Kind]) -> tuple[Solution, Counter[str]]:
+    """What a search finds in a recording, and how often it ran each stage; an attempt samples."""
+    runs = Counter[str]()
     logs = sample_logs([recording], CalibrationSettings(), Clock())
     features = take_features(logs, Clock())
     structure = find_structure(logs, features, Clock())
     first = estimate_robot(logs, features, structure, Clock())
-    clock = Clock(lambda stage, share: attempts.append(share) if stage == "sampling" else None)
+    clock = Clock(lambda stage, share: runs.update([stage] if share == 0.0 else []))
     found = explain([recording], (), (logs, structure, first), kinds, clock)
-    return found, attempts.count(0.0)
+    return found, runs
 
 
 @dataclass(frozen=True)
@@ -75,23 +76,24 @@ def with_su_negated(recording: Recording, name: str) -> Recording:
 
 
 def test_a_sound_log_costs_no_attempt() -> None:
-    found, attempts = searched(simulation().recording, KINDS)
-    assert attempts == 0
+    found, runs = searched(simulation().recording, KINDS)
+    assert runs["sampling"] == 0
     assert found.faults == ()
 
 
 def test_a_promise_that_does_not_come_true_is_tried_once_and_dropped() -> None:
+    """Of what explains less than before there is one estimate."""
     recording = simulation().recording
-    wrong = EncoderError("offset", recording.joints[2].name, 0.2, 0, 0.5 * recording.duration)
-    found, attempts = searched(recording, [Proposing((Corrected(wrong),))])
-    assert attempts == 1
+    wrong = EncoderError("scale", recording.joints[2].name, 3.0)
+    found, runs = searched(recording, [Proposing((Corrected(wrong),))])
+    assert (runs["sampling"], runs["estimation"]) == (1, 1)
     assert found.faults == ()
     assert found.found.misfit < 1.3
 
 
 def test_a_promise_below_its_price_is_not_tried() -> None:
-    found, attempts = searched(simulation().recording, [Proposing((Idle(),), drop=1.0)])
-    assert attempts == 0
+    found, runs = searched(simulation().recording, [Proposing((Idle(),), drop=1.0)])
+    assert runs["sampling"] == 0
     assert found.faults == ()
 
 

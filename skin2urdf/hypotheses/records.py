@@ -83,6 +83,7 @@ class Candidate:
         drop: of chi-squared, nothing weighed down, that a score test expects.
         among: number of hypotheses that the score test has compared it with, itself included.
         holds: what else the attempt must show for the hypothesis; None where nothing.
+        instead: amendments of the attempt that it takes the place of, since they may imitate it.
         sharpen: makes better amendments from the features of an attempt, at the cost of some
             estimates; none where it sees nothing of them. None where there is nothing to sharpen.
     """
@@ -93,6 +94,7 @@ class Candidate:
     drop: float
     among: int = 1
     holds: Callable[[Attempt], bool] | None = None
+    instead: tuple[Amendment, ...] = ()
     sharpen: Callable[[Attempt], Sequence[Amendment]] | None = None
 
     @property

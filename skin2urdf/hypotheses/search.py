@@ -311,7 +311,7 @@ def _tried(search: Search, now: Attempt | None, candidate: Candidate) -> Attempt
     new = candidate.amendments
     if candidate.sharpen is not None and now is not None:
         new = tuple(candidate.sharpen(now))
-    after = _with(search, now, new)
+    after = _with(search, now, new, candidate.instead)
     return after if after is None or candidate.holds is None or candidate.holds(after) else None
 
 
@@ -337,10 +337,15 @@ def _sharpened(
     return after
 
 
-def _with(search: Search, now: Attempt | None, new: Sequence[Amendment]) -> Attempt | None:
-    """The logs explained with more amendments; None where they can not be."""
+def _with(
+    search: Search,
+    now: Attempt | None,
+    new: Sequence[Amendment],
+    instead: Sequence[Amendment] = (),
+) -> Attempt | None:
+    """The logs explained with more amendments, instead of some; None where they can not be."""
     before = search.evident if now is None else now.amendments
-    known = {a.key: a for a in before}
+    known = {a.key: a for a in before if a not in instead}
     known.update({a.key: a for a in new})
     amendments = tuple(known.values())
     if now is not None and amendments == before:
@@ -363,7 +368,7 @@ def _pruned(search: Search, first: Attempt | None, last: Attempt | None) -> Atte
             without = first
         else:
             try:
-                without = search.attempt(rest)
+                without = search.attempt(rest, last.solution.found.misfit)
             except (InsufficientDataError, StructureError):
                 continue
         if without is None:

@@ -12,6 +12,7 @@ from dataclasses import replace
 from typing import Literal
 
 import numpy as np
+from scipy.optimize import minimize_scalar
 
 from skin2urdf.arrays import F64
 from skin2urdf.calibration.rounds import take_features
@@ -25,6 +26,7 @@ from skin2urdf.hypotheses.alone import alone, negated
 from skin2urdf.hypotheses.encoder import Corrected
 from skin2urdf.hypotheses.records import Attempt, Candidate
 from skin2urdf.hypotheses.search import Search, excess, explains
+from skin2urdf.model.specific_force import specific_forces
 from skin2urdf.signals.records import EncoderError, Features
 
 _TELLS = 100.0
@@ -33,6 +35,9 @@ _HALF = 0.5
 """Chi-squared with one more joint turned, over that without, from which it is followed."""
 TURNED = 0.1
 """Chi-squared with joints turned, over that with none, from which they are believed."""
+
+_ABOUT = 72
+"""Values that a joint may be mirrored about: 5 deg apart, from where gravity leads to the best."""
 
 
 class Senses:
@@ -125,6 +130,51 @@ def turned_by_pose(known: Estimate, features: Features) -> F64:
         same, turned = chi2[:, :, u[k], i[k]]
         tells = same + turned > _TELLS
         ratio[tells, blocks.chains.joint[u[k], i[k]]] = turned[tells] / same[tells]
+    return ratio
+
+
+def turned_at_rest(known: Estimate, features: Features) -> F64:
+    """(P, D) chi-squared of gravity if each joint counts the other way, over that as it is.
+
+    Mirrored about one value in all poses, namely that with which most poses follow from the one or
+    the other. NaN where a pose does not tell. A log may begin with moves of single joints, which
+    have no patterns, and a joint may turn before the first pattern.
+
+    Args:
+        known: an estimate from sound poses of the same robot.
+        features: of P poses of one log.
+    """
+    blocks = feature_blocks(features, known.tree)
+    model, M = known.state.model(known.tree), known.state.sensor_matrix()
+    up = known.state.up[0] * known.cost.priors.gravity
+    seen, weight = blocks.coefficients[:, :, 0], 1 / (blocks.variance[:, :, :1] * blocks.noise**2)
+    P, D = blocks.q.shape
+
+    def chi2(q: F64) -> F64:
+        still = np.zeros_like(q)
+        ideal = specific_forces(model, q, still, still, up).reshape(-1, P, known.tree.n_sus, 3)
+        left = seen - known.state.bias - np.einsum("uij,npuj->npui", M, ideal)
+        return np.asarray((weight * left**2).sum(axis=(-1, -2)))
+
+    def mirrored(joint: int, about: F64) -> F64:
+        q = np.tile(blocks.q, (len(about), 1, 1))
+        q[:, :, joint] = about[:, None] - q[:, :, joint]
+        return chi2(q.reshape(-1, D))
+
+    plain = chi2(blocks.q)[0]
+    ratio = np.full((P, D), np.nan)
+    grid = np.linspace(-np.pi, np.pi, _ABOUT, endpoint=False)
+    for j in np.flatnonzero(~known.tree.prismatic):
+
+        def left(about: float, j: int = j) -> float:
+            return float(np.minimum(mirrored(j, np.array([about]))[0], plain).sum())
+
+        first = grid[np.argmin(np.minimum(mirrored(j, grid), plain).sum(axis=1))]
+        step = 2 * np.pi / _ABOUT
+        about = minimize_scalar(left, bounds=(first - step, first + step), method="bounded").x
+        turned = mirrored(j, np.array([about]))[0]
+        tells = plain + turned > _TELLS
+        ratio[tells, j] = turned[tells] / plain[tells]
     return ratio
 
 

@@ -16,6 +16,7 @@ from skin2urdf.calibration.clock import Clock
 from skin2urdf.calibration.pipeline import calibrate
 from skin2urdf.calibration.result import Calibration
 from skin2urdf.calibration.rounds import (
+    Solution,
     estimate_once,
     estimate_robot,
     find_structure,
@@ -30,6 +31,7 @@ from skin2urdf.hypotheses.encoder import (
     with_another,
 )
 from skin2urdf.hypotheses.records import Attempt
+from skin2urdf.hypotheses.sense import TURNED, turned_at_rest
 from skin2urdf.hypotheses.suspicions import suspicions
 from skin2urdf.recording.records import JointStream, Recording
 from skin2urdf.recording.retiming import retimed
@@ -88,14 +90,38 @@ def test_a_jump_is_named_with_its_time_and_size(degrees: float, at: float, tmp_p
     assert position_error(found, tmp_path) < 1.1 * position_error(sound(), tmp_path)
 
 
+@cache
+def solved_panda() -> Solution:
+    """An arm whose joints turn about every direction, from its patterns."""
+    logs = sample_logs(
+        [retimed(simulation("panda", **OPTIONS).recording)], CalibrationSettings(), Clock()
+    )
+    first = take_features(logs, Clock())
+    solution = estimate_robot(logs, first, find_structure(logs, first, Clock()), Clock())
+    assert solution is not None
+    return solution
+
+
+def test_rests_tell_from_when_on_a_joint_counts_the_other_way() -> None:
+    """Also those before the first pattern, and no other joint is taken for it."""
+    found, features = solved_panda().found, solved_panda().features
+    j, later = 3, 16
+    d = features.dof_names.index(found.tree.joint_names[j])
+    order = np.argsort(features.span[:, 0])
+    q = np.array(features.q)
+    q[order[:later], d] = 0.7 - q[order[:later], d]
+    ratio = turned_at_rest(found, replace(features, q=q))[order]
+    assert (ratio[:later, j] < TURNED).all()
+    assert (ratio[later:, j] > 1 / TURNED).all()
+    others = np.delete(ratio, j, axis=1)
+    assert not (others[np.isfinite(others)] < TURNED).any()
+
+
 def test_a_wrong_encoder_is_corrected_by_as_much_as_the_fit_says() -> None:
     """Also by what chance could have brought about, once it is known to be wrong."""
-    r, joint, clock = retimed(simulation("panda", **OPTIONS).recording), "panda_joint4", Clock()
-    logs = sample_logs([r], CalibrationSettings(), clock)
-    first = take_features(logs, clock)
-    solution = estimate_robot(logs, first, find_structure(logs, first, clock), clock)
-    assert solution is not None
-    begin, size = 0.6 * r.duration, 8e-5
+    solution, joint, clock = solved_panda(), "panda_joint4", Clock()
+    logs = solution.logs
+    begin, size = 0.6 * logs.sampled[0].motion.grid.time[-1], 8e-5
     q = np.array(solution.features.q)
     later = solution.features.span.mean(axis=1) >= begin
     q[later, solution.features.dof_names.index(joint)] += size

@@ -22,6 +22,7 @@ from skin2urdf.calibration.rounds import (
 )
 from skin2urdf.calibration.settings import CalibrationSettings
 from skin2urdf.faults import Fault
+from skin2urdf.hypotheses.changes import Changes
 from skin2urdf.hypotheses.encoder import Corrected
 from skin2urdf.hypotheses.kinds import KINDS
 from skin2urdf.hypotheses.mirrored import Mirrored, Negated
@@ -112,7 +113,7 @@ def test_a_mirrored_su_is_found_and_one_that_only_looks_so_beside_it_is_not() ->
 
 
 def estimate(misfit: float) -> Any:
-    return SimpleNamespace(misfit=misfit, count=np.full((10, 5), 100))
+    return SimpleNamespace(misfit=misfit, cost_per_dof=misfit, count=np.full((10, 5), 100))
 
 
 @pytest.mark.parametrize(
@@ -138,3 +139,27 @@ def test_what_pays(before: float, after: float, pays: bool) -> None:
 def test_more_parameters_and_more_candidates_cost_more() -> None:
     found = estimate(1.0)
     assert price(found, 6, 20) > price(found, 1, 20) > price(found, 1, 2) > 0
+
+
+def test_what_changes_takes_the_place_of_what_imitates_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Two poses after a joint has turned look much as if its zero had changed as well."""
+    leap, imitation, other = (
+        Corrected(EncoderError("offset", name, 1.0, 0, begin))
+        for name, begin in (("j", 40.0), ("j", 60.0), ("k", 60.0))
+    )
+    turn = Corrected(EncoderError("sign", "j", -1.0, 0, 40.0))
+    attempts = []
+
+    def attempt(_: Search, amendments: tuple[Amendment, ...], *__: float) -> Attempt:
+        attempts.append(amendments)
+        misfit = {0: 1e4, 1: 500.0}.get(len(set(amendments) - {leap, imitation}), 5.0)
+        return Attempt(amendments, Solution(None, None, estimate(misfit), None), None)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(Search, "attempt", attempt)
+    monkeypatch.setattr(Search, "once", lambda *_: [("encoder turn", ["j"], (turn,))])
+    first = Solution(None, None, estimate(1e5), None)  # type: ignore[arg-type]
+    kinds = [Proposing((imitation, other)), Changes()]
+    explain([], (leap,), (SimpleNamespace(settings=None), None, first), kinds, Clock())  # type: ignore[arg-type]
+    assert attempts[:2] == [(leap, imitation, other), (leap, other, turn)]

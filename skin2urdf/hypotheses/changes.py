@@ -29,12 +29,10 @@ from skin2urdf.errors import InsufficientDataError
 from skin2urdf.estimation.solve.estimate import Estimate
 from skin2urdf.faults import Fault
 from skin2urdf.hypotheses.encoder import Corrected, errors_of
-from skin2urdf.hypotheses.mirrored import Negated
 from skin2urdf.hypotheses.names import columns_of, named_as_felt, names_in
 from skin2urdf.hypotheses.records import Amendment, Attempt, Candidate
-from skin2urdf.hypotheses.search import Search, excess, explains
+from skin2urdf.hypotheses.search import Search, excess, explains, imitations
 from skin2urdf.hypotheses.sense import TURNED, turned_at_rest, turned_by_pose
-from skin2urdf.hypotheses.slip import Slipped
 from skin2urdf.signals.encoders import reversal
 from skin2urdf.signals.mending import computed
 from skin2urdf.signals.poses import Neighbourhood
@@ -88,15 +86,10 @@ class Changes:
         drop = np.inf if found is None else excess(found)
         known = () if now is None else now.amendments
         return [
-            Candidate(
-                kind, tuple(subjects), new, drop,
-                instead=tuple(
-                    a for a in known if a not in search.evident and _is_about(a, subjects)
-                ),
-            )
+            Candidate(kind, tuple(subjects), new, drop, instead=imitations(search, now, subjects))
             for kind, subjects, new in search.once("changes", lambda: _changes(search, found))
             if new[0] not in known
-        ]  # fmt: skip
+        ]
 
     def findings(self, last: Attempt) -> Sequence[Fault]:
         """The names that were exchanged; senses are told with the other errors of encoders."""
@@ -105,21 +98,6 @@ class Changes:
             for a in last.amendments if isinstance(a, Exchanged)
             for name, called in zip(a.names, a.called, strict=True)
         ]  # fmt: skip
-
-
-def _is_about(known: Amendment, subjects: Sequence[str]) -> bool:
-    """Whether an amendment is about a joint or an SU of some: it may imitate what changes there.
-
-    A joint that turns late in a log leaves two poses that another zero explains well enough.
-    """
-    match known:
-        case Corrected():
-            return known.error.dof in subjects
-        case Slipped():
-            return known.name in subjects
-        case Negated():
-            return known.su in subjects
-    return False
 
 
 def _changes(

@@ -18,6 +18,7 @@ from skin2urdf.calibration.clock import Clock
 from skin2urdf.calibration.rounds import Logs, Solution, estimate_once, is_hopeless
 from skin2urdf.estimation.solve.estimate import Estimate
 from skin2urdf.faults import Fault
+from skin2urdf.hypotheses.arising import narrowed
 from skin2urdf.hypotheses.encoder_score import unweighted
 from skin2urdf.hypotheses.records import Amendment, Attempt, Candidate
 from skin2urdf.hypotheses.search import Search, excess
@@ -51,6 +52,11 @@ class Corrected(Amendment):
         """The encoder and the change, whatever its size."""
         e = self.error
         return ("scale", e.dof) if e.kind == "scale" else (e.kind, e.dof, e.log, e.begin)
+
+    @property
+    def subject(self) -> str:
+        """The joint."""
+        return self.error.dof
 
     def of_recordings(self, recordings: list[Recording]) -> list[Recording]:
         """The recordings with the error taken off."""
@@ -130,8 +136,8 @@ class Encoders:
         return _faults(errors_of(last.amendments), last.solution)
 
     def finish(self, last: Attempt, clock: Clock) -> Attempt:
-        """The errors as large as the fit says, once it is known which encoders are wrong."""
-        return sized_by_the_fit(last, clock)
+        """The errors as the fit says, once it is known which encoders are wrong."""
+        return timed_by_the_moves(sized_by_the_fit(last, clock))
 
 
 def with_another(
@@ -255,6 +261,17 @@ def sized_by_the_fit(last: Attempt, clock: Clock) -> Attempt:
         amendments=amendments,
         solution=replace(last.solution, found=found, features=features),
     )
+
+
+def timed_by_the_moves(last: Attempt) -> Attempt:
+    """An attempt whose offsets arise when the readings in the moves between poses say."""
+    found, features, logs = last.solution.found, last.solution.features, last.whole.sampled
+    amendments = tuple(
+        Corrected(narrowed(a.error, found, features, logs[a.error.log]))
+        if isinstance(a, Corrected) and a.error.spread > 0 else a
+        for a in last.amendments
+    )  # fmt: skip
+    return replace(last, amendments=amendments)
 
 
 def _small(error: EncoderError, logs: Logs) -> bool:

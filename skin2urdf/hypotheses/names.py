@@ -24,7 +24,7 @@ from skin2urdf.estimation.start.starts import felt_up
 from skin2urdf.faults import Fault
 from skin2urdf.hypotheses.alone import alone, negated
 from skin2urdf.hypotheses.records import Amendment, Attempt, Candidate
-from skin2urdf.hypotheses.search import Search, excess, explains
+from skin2urdf.hypotheses.search import Search, excess, explains, imitations
 from skin2urdf.signals.records import Features
 from skin2urdf.signals.sampling import Sampled
 from skin2urdf.structure.activity import CERTAIN, Activity
@@ -78,7 +78,8 @@ class Names:
             return []
         names = tuple(name for a in new for name in a.names)
         drop = np.inf if now is None else excess(now.solution.found)
-        return [Candidate("swapped", names, new, drop)]
+        instead = imitations(search, now, names)
+        return [Candidate("swapped", names, new, drop, instead=instead)]
 
     def _renamed(self, search: Search) -> tuple[Renamed, ...]:
         """Names in the logs that do not agree with those of the log with the most poses."""

@@ -27,6 +27,11 @@ class Amendment:
         return self
 
     @property
+    def subject(self) -> str:
+        """The one joint or SU that it is about; empty where there are several, or none."""
+        return ""
+
+    @property
     def parameters(self) -> int:
         """Number of parameters that it adds."""
         return 1

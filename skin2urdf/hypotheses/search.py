@@ -448,6 +448,17 @@ def excess(found: Estimate) -> float:
     return max(0.0, (found.misfit - 1) * _count(found))
 
 
+def imitations(
+    search: Search, now: Attempt | None, subjects: Sequence[str]
+) -> tuple[Amendment, ...]:
+    """Amendments of an attempt that may imitate what is wrong with the same joints or SUs.
+
+    Two poses after a joint has turned look as if its zero had changed as well.
+    """
+    known = () if now is None else now.amendments
+    return tuple(a for a in known if a.subject in subjects and a not in search.evident)
+
+
 def explains(found: Estimate) -> bool:
     """Whether an estimate leaves nothing to explain, nor weighs down what it does not explain."""
     fits = found.cost_per_dof <= GOOD_FIT and found.misfit <= BAD_FIT

@@ -25,7 +25,7 @@ from skin2urdf.geometry.so3 import cross
 from skin2urdf.hypotheses.alone import alone, negated
 from skin2urdf.hypotheses.encoder import Corrected
 from skin2urdf.hypotheses.records import Attempt, Candidate
-from skin2urdf.hypotheses.search import Search, excess, explains
+from skin2urdf.hypotheses.search import Search, excess, explains, imitations
 from skin2urdf.model.specific_force import specific_forces
 from skin2urdf.signals.records import EncoderError, Features
 
@@ -54,7 +54,8 @@ class Senses:
             return []
         joints = tuple(a.error.dof for a in new)
         drop = np.inf if now is None else excess(now.solution.found)
-        return [Candidate("encoder sign", joints, new, drop)]
+        instead = imitations(search, now, joints)
+        return [Candidate("encoder sign", joints, new, drop, instead=instead)]
 
     def _turned(self, search: Search) -> tuple[Corrected, ...]:
         first = alone(search, 0)
@@ -164,7 +165,7 @@ def turned_at_rest(known: Estimate, features: Features) -> F64:
     plain = chi2(blocks.q)[0]
     ratio = np.full((P, D), np.nan)
     grid = np.linspace(-np.pi, np.pi, _ABOUT, endpoint=False)
-    for j in np.flatnonzero(~known.tree.prismatic):
+    for j in map(int, np.flatnonzero(~known.tree.prismatic)):
 
         def left(about: float, j: int = j) -> float:
             return float(np.minimum(mirrored(j, np.array([about]))[0], plain).sum())

@@ -24,6 +24,7 @@ from skin2urdf.calibration.rounds import (
     take_features,
 )
 from skin2urdf.calibration.settings import CalibrationSettings
+from skin2urdf.hypotheses.arising import narrowed
 from skin2urdf.hypotheses.encoder import (
     Corrected,
     errors_of,
@@ -115,6 +116,28 @@ def test_rests_tell_from_when_on_a_joint_counts_the_other_way() -> None:
     assert (ratio[later:, j] > 1 / TURNED).all()
     others = np.delete(ratio, j, axis=1)
     assert not (others[np.isfinite(others)] < TURNED).any()
+
+
+@pytest.mark.parametrize("share", [0.3, 0.6])
+def test_the_moves_tell_when_an_encoder_slipped(share: float) -> None:
+    solution = solved_panda()
+    (sampled,), features = solution.logs.sampled, solution.features
+    time, joint, size = sampled.motion.grid.time, "panda_joint2", 0.1
+    spans = features.span[np.argsort(features.span[:, 0])]
+    gap = int(np.argmax(spans[1:, 0] - spans[:-1, 1]))
+    end, begin = spans[gap, 1], spans[gap + 1, 0]
+    known = EncoderError("offset", joint, size, 0, (end + begin) / 2, spread=(begin - end) / 2)
+    at = end + share * (begin - end)
+    q = np.array(sampled.motion.q)
+    slip = size * (1 + np.tanh((time - at) / 0.06)) / 2
+    q[:, sampled.motion.dof_names.index(joint)] += slip - size * (time >= known.begin)
+    slipped = replace(sampled, motion=replace(sampled.motion, q=q))
+    found = narrowed(known, solution.found, features, slipped)
+    assert found.begin == pytest.approx(at, abs=0.05)
+    assert 0.1 < found.spread < 0.5 * known.spread
+    # Where no encoder has slipped, nothing tells.
+    nothing = replace(known, size=1e-6)
+    assert narrowed(nothing, solution.found, features, sampled) == nothing
 
 
 def test_a_wrong_encoder_is_corrected_by_as_much_as_the_fit_says() -> None:

@@ -32,7 +32,7 @@ from skin2urdf.hypotheses.encoder import Corrected, errors_of
 from skin2urdf.hypotheses.names import columns_of, named_as_felt, names_in
 from skin2urdf.hypotheses.records import Amendment, Attempt, Candidate
 from skin2urdf.hypotheses.search import Search, excess, explains, imitations
-from skin2urdf.hypotheses.sense import TURNED, turned_at_rest, turned_by_pose
+from skin2urdf.hypotheses.sense import TURNED, felt_at_rest, felt_in_patterns
 from skin2urdf.signals.encoders import reversal
 from skin2urdf.signals.mending import computed
 from skin2urdf.signals.poses import Neighbourhood
@@ -116,11 +116,13 @@ def _changes(
         if sound is None:
             continue
         known, poses = sound
-        ratio = turned_by_pose(known, poses)
-        ratio = np.where(np.isfinite(ratio), ratio, turned_at_rest(known, poses))
+        patterns = felt_in_patterns(known, poses)
+        ratio = patterns.with_more(felt_at_rest(known, poses)).ratio
+        # Of two senses in one pose its patterns tell, where it has any.
+        share = _doubtful(np.where(np.isfinite(patterns.ratio), patterns.ratio, ratio))
         for d, name in enumerate(known.tree.joint_names):
             tells = np.isfinite(ratio[:, d])
-            turn = _Change.of(poses, ratio[:, d] < TURNED, tells, _doubtful(ratio[:, d]))
+            turn = _Change.of(poses, ratio[:, d] < TURNED, tells, share[:, d])
             if turn is not None:
                 turns.append(_turned(search, name, log, turn.between))
         exchange = _exchange(known, poses)
@@ -190,7 +192,7 @@ class _Change:
 
 
 def _doubtful(ratio: F64) -> F64:
-    """(P,) share of a pose in which a joint may have counted the other way than in the rest of it.
+    """(P, D) share of a pose in which a joint may have counted the other way than otherwise.
 
     Where it does so in a share x, its effects are measured as 1 - 2 x times themselves, and
     chi-squared of one sense over the other's is ``((1 - x) / x)^2``. Errors of the model make x

@@ -8,7 +8,7 @@ others, with the sense of every joint as it is, or turned.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -97,11 +97,34 @@ def reversed_encoders(first: Estimate, features: Features) -> Iterator[EncoderEr
             yield from (EncoderError("sign", name, -1.0, int(log)) for name in turned)
 
 
-def turned_by_pose(known: Estimate, features: Features) -> F64:
-    """(P, D) chi-squared of each joint's effects if it counts the other way, over that as it is.
+@dataclass(frozen=True, eq=False)
+class Evidence:
+    """What P poses say of the sense of D joints.
 
-    As felt by an SU near the joint; NaN where a pose does not tell. Below :data:`TURNED` the joint
-    counts the other way.
+    Attributes:
+        same: (P, D) chi-squared with each joint as it is, and
+        turned: (P, D) with it counting the other way; 0 where a pose says nothing.
+    """
+
+    same: F64
+    turned: F64
+
+    @property
+    def ratio(self) -> F64:
+        """(P, D) the latter over the former, NaN where a pose does not tell.
+
+        Below :data:`TURNED` the joint counts the other way.
+        """
+        tells = self.same + self.turned > _TELLS
+        return np.where(tells, self.turned / np.maximum(self.same, 1e-300), np.nan)
+
+    def with_more(self, other: Evidence) -> Evidence:
+        """This and other, independent evidence."""
+        return Evidence(self.same + other.same, self.turned + other.turned)
+
+
+def felt_in_patterns(known: Estimate, features: Features) -> Evidence:
+    """What poses say of the sense of joints by their patterns, as felt by an SU near the joint.
 
     The columns that a joint has in the Jacobian of an SU depend on the joints between the two
     alone; with gravity as the SU reads it, nothing that lies before the joint matters, the joint's
@@ -124,22 +147,22 @@ def turned_by_pose(known: Estimate, features: Features) -> F64:
         (weight * (seen[:, :, 1:] - sense * expected) ** 2).sum(axis=-1) for sense in (1.0, -1.0)
     ]
     chi2 = np.array([part[:, :, :L] + part[:, :, L:] for part in misfit])
-    ratio = np.full((features.n_poses, known.tree.n_joints), np.nan)
+    out = np.zeros((2, features.n_poses, known.tree.n_joints))
     u, i = np.nonzero(blocks.chains.present)
     # Of the SUs beyond a joint, those with the fewest joints in between know it best.
     for k in np.argsort(i - blocks.chains.length[u], kind="stable"):
-        same, turned = chi2[:, :, u[k], i[k]]
-        tells = same + turned > _TELLS
-        ratio[tells, blocks.chains.joint[u[k], i[k]]] = turned[tells] / same[tells]
-    return ratio
+        both = chi2[:, :, u[k], i[k]]
+        tells = both.sum(axis=0) > _TELLS
+        out[:, tells, blocks.chains.joint[u[k], i[k]]] = both[:, tells]
+    return Evidence(*out)
 
 
-def turned_at_rest(known: Estimate, features: Features) -> F64:
-    """(P, D) chi-squared of gravity if each joint counts the other way, over that as it is.
+def felt_at_rest(known: Estimate, features: Features) -> Evidence:
+    """What poses say of the sense of joints by gravity.
 
-    Mirrored about one value in all poses, namely that with which most poses follow from the one or
-    the other. NaN where a pose does not tell. A log may begin with moves of single joints, which
-    have no patterns, and a joint may turn before the first pattern.
+    A joint that counts the other way is mirrored about one value in all poses, namely that with
+    which most poses follow from the one sense or the other. A log may begin with moves of single
+    joints, which have no patterns, and a joint may turn before the first pattern.
 
     Args:
         known: an estimate from sound poses of the same robot.
@@ -163,7 +186,7 @@ def turned_at_rest(known: Estimate, features: Features) -> F64:
         return chi2(q.reshape(-1, D))
 
     plain = chi2(blocks.q)[0]
-    ratio = np.full((P, D), np.nan)
+    out = Evidence(np.zeros((P, D)), np.zeros((P, D)))
     grid = np.linspace(-np.pi, np.pi, _ABOUT, endpoint=False)
     for j in map(int, np.flatnonzero(~known.tree.prismatic)):
 
@@ -173,10 +196,8 @@ def turned_at_rest(known: Estimate, features: Features) -> F64:
         first = grid[np.argmin(np.minimum(mirrored(j, grid), plain).sum(axis=1))]
         step = 2 * np.pi / _ABOUT
         about = minimize_scalar(left, bounds=(first - step, first + step), method="bounded").x
-        turned = mirrored(j, np.array([about]))[0]
-        tells = plain + turned > _TELLS
-        ratio[tells, j] = turned[tells] / plain[tells]
-    return ratio
+        out.same[:, j], out.turned[:, j] = plain, mirrored(j, np.array([about]))[0]
+    return out
 
 
 def _turned(features: Features, names: list[str]) -> Features:

@@ -32,7 +32,7 @@ from skin2urdf.hypotheses.encoder import (
     with_another,
 )
 from skin2urdf.hypotheses.records import Attempt
-from skin2urdf.hypotheses.sense import TURNED, turned_at_rest
+from skin2urdf.hypotheses.sense import TURNED, felt_at_rest
 from skin2urdf.hypotheses.suspicions import suspicions
 from skin2urdf.recording.records import JointStream, Recording
 from skin2urdf.recording.retiming import retimed
@@ -111,7 +111,7 @@ def test_rests_tell_from_when_on_a_joint_counts_the_other_way() -> None:
     order = np.argsort(features.span[:, 0])
     q = np.array(features.q)
     q[order[:later], d] = 0.7 - q[order[:later], d]
-    ratio = turned_at_rest(found, replace(features, q=q))[order]
+    ratio = felt_at_rest(found, replace(features, q=q)).ratio[order]
     assert (ratio[:later, j] < TURNED).all()
     assert (ratio[later:, j] > 1 / TURNED).all()
     others = np.delete(ratio, j, axis=1)

@@ -228,7 +228,7 @@ def _with_an_su_elsewhere(
             again = replace(again, notes=(*again.notes, _elsewhere(su, joint, moved)))
             if alike(again, found.tree):
                 continue
-            latest, shown = relinearise(logs, again, features, clock, hopeless=_leads_nowhere)
+            latest, shown = relinearise(logs, again, features, clock, hopeless=leads_nowhere)
         except (StructureError, InsufficientDataError):
             continue
         if latest.misfit <= GOOD_FIT and not unlike_the_rest(latest):
@@ -241,7 +241,7 @@ def is_hopeless(found: Estimate) -> bool:
     return found.misfit > BAD_FIT
 
 
-def _leads_nowhere(found: Estimate) -> bool:
+def leads_nowhere(found: Estimate) -> bool:
     """Whether a structure is wrong beyond doubt, as seen in the first features."""
     return found.misfit > _NOWHERE
 
@@ -266,7 +266,7 @@ def relinearise(
         tree: the structure.
         features: the features to begin with.
         clock: runs the stages.
-        hopeless: where only an explanation is of use, tells of a first estimate that leads to none.
+        hopeless: where only an explanation is of use, tells of an estimate that leads to none.
     """
     found = estimate_once(logs, tree, features, None, clock)
     if len(logs.sampled) > 1 and is_hopeless(found):
@@ -283,7 +283,8 @@ def relinearise(
         gain = previous.cost_per_dof / max(found.cost_per_dof, 1e-12)
         settled = gain < 1.02 and found.cost_per_dof < GOOD_FIT
         led_astray = gain < 2.0 and found.cost_per_dof > BAD_FIT
-        if _moved(previous, found) < 1e-4 or settled or led_astray:
+        useless = hopeless is not None and hopeless(found)
+        if _moved(previous, found) < 1e-4 or settled or led_astray or useless:
             break
     return found, features
 

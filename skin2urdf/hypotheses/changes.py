@@ -18,6 +18,7 @@ from skin2urdf.calibration.clock import Clock
 from skin2urdf.calibration.result import BAD_FIT, GOOD_FIT
 from skin2urdf.calibration.rounds import (
     Logs,
+    Structure,
     alike,
     find_structure,
     relinearise,
@@ -28,15 +29,16 @@ from skin2urdf.errors import InsufficientDataError
 from skin2urdf.estimation.solve.estimate import Estimate
 from skin2urdf.faults import Fault
 from skin2urdf.hypotheses.encoder import Corrected, errors_of
-from skin2urdf.hypotheses.names import columns_of, names_in
+from skin2urdf.hypotheses.names import columns_of, named_as_felt, names_in
 from skin2urdf.hypotheses.records import Amendment, Attempt, Candidate
-from skin2urdf.hypotheses.search import Search, excess, explains
-from skin2urdf.hypotheses.sense import TURNED, turned_by_pose
+from skin2urdf.hypotheses.search import Search, excess, explains, imitations
+from skin2urdf.hypotheses.sense import TURNED, felt_at_rest, felt_in_patterns
 from skin2urdf.signals.encoders import reversal
 from skin2urdf.signals.mending import computed
 from skin2urdf.signals.poses import Neighbourhood
 from skin2urdf.signals.records import EncoderError, Features
 from skin2urdf.signals.sampling import Sampled
+from skin2urdf.structure.activity import Activity
 from skin2urdf.structure.records import KinematicTree
 
 _ALLOWANCE = 3.0
@@ -84,7 +86,7 @@ class Changes:
         drop = np.inf if found is None else excess(found)
         known = () if now is None else now.amendments
         return [
-            Candidate(kind, tuple(subjects), new, drop)
+            Candidate(kind, tuple(subjects), new, drop, instead=imitations(search, now, subjects))
             for kind, subjects, new in search.once("changes", lambda: _changes(search, found))
             if new[0] not in known
         ]
@@ -114,10 +116,13 @@ def _changes(
         if sound is None:
             continue
         known, poses = sound
-        ratio = turned_by_pose(known, poses)
+        patterns = felt_in_patterns(known, poses)
+        ratio = patterns.with_more(felt_at_rest(known, poses)).ratio
+        # Of two senses in one pose its patterns tell, where it has any.
+        share = _doubtful(np.where(np.isfinite(patterns.ratio), patterns.ratio, ratio))
         for d, name in enumerate(known.tree.joint_names):
             tells = np.isfinite(ratio[:, d])
-            turn = _Change.of(poses, ratio[:, d] < TURNED, tells, _doubtful(ratio[:, d]))
+            turn = _Change.of(poses, ratio[:, d] < TURNED, tells, share[:, d])
             if turn is not None:
                 turns.append(_turned(search, name, log, turn.between))
         exchange = _exchange(known, poses)
@@ -187,7 +192,7 @@ class _Change:
 
 
 def _doubtful(ratio: F64) -> F64:
-    """(P,) share of a pose in which a joint may have counted the other way than in the rest of it.
+    """(P, D) share of a pose in which a joint may have counted the other way than otherwise.
 
     Where it does so in a share x, its effects are measured as 1 - 2 x times themselves, and
     chi-squared of one sense over the other's is ``((1 - x) / x)^2``. Errors of the model make x
@@ -213,12 +218,16 @@ def _sound_part(
     length = np.ptp(features.span, axis=1)
     half = int(np.searchsorted(np.cumsum(length), length.sum() / 2))
     border = float(features.span[half, 1])
+    parts = [part for late in (False, True) if (part := _Part.of(alone, border, late, clock))]
     sound = []
-    parts = [alone.of([_part(s, border, late)]) for late in (False, True)]
     if found:
         sound = [e for part in parts if (e := _explanation(part, found.tree, clock))]
+    if found and not sound:
+        moved = [(part, named_as_felt(found.tree, part.seen(clock))) for part in parts]
+        new = [(part, tree) for part, tree in moved if not alike(tree, found.tree)]
+        sound = [e for part, tree in new if (e := _explanation(part, tree, clock))]
     if not sound:
-        shown = [(part, tree) for part in parts if (tree := _structure(part, clock))]
+        shown = [(part, tree) for part in parts if (tree := part.structure(clock).tree)]
         new = [(part, tree) for part, tree in shown if not (found and alike(tree, found.tree))]
         sound = [e for part, tree in new if (e := _explanation(part, tree, clock, certain=False))]
     if not sound:
@@ -227,16 +236,38 @@ def _sound_part(
     return best, take_features(alone, clock, latency=latency)
 
 
-def _structure(part: Logs, clock: Clock) -> KinematicTree | None:
-    """The structure that a part of a log shows."""
-    try:
-        return find_structure(part, take_features(part, clock), clock).tree
-    except InsufficientDataError:
-        return None
+@dataclass(frozen=True, eq=False)
+class _Part:
+    """A part of a log.
+
+    Attributes:
+        logs: the part.
+        features: its first features.
+    """
+
+    logs: Logs
+    features: Features
+
+    @classmethod
+    def of(cls, alone: Logs, border: float, late: bool, clock: Clock) -> _Part | None:
+        """What a log holds before a time [s], or after it; None where that is too little."""
+        logs = alone.of([_cut(alone.sampled[0], border, late)])
+        try:
+            return cls(logs, take_features(logs, clock))
+        except InsufficientDataError:
+            return None
+
+    def structure(self, clock: Clock) -> Structure:
+        """What it shows of the structure."""
+        return find_structure(self.logs, self.features, clock)
+
+    def seen(self, clock: Clock) -> Activity:
+        """What its SUs felt."""
+        return self.structure(clock).seen
 
 
 def _explanation(
-    part: Logs, tree: KinematicTree, clock: Clock, *, certain: bool = True
+    part: _Part, tree: KinematicTree, clock: Clock, *, certain: bool = True
 ) -> tuple[Estimate, F64] | None:
     """The estimate from a part of a log and the SUs' latencies, where it explains the part.
 
@@ -247,10 +278,9 @@ def _explanation(
         certain: False to look at the structure again where it does not explain the part.
     """
     try:
-        features = take_features(part, clock)
-        found, seen = relinearise(part, tree, features, clock, hopeless=_leads_nowhere)
+        found, seen = relinearise(part.logs, tree, part.features, clock, hopeless=_leads_nowhere)
         if not certain:
-            found, seen = settle(part, found, seen, clock)
+            found, seen = settle(part.logs, found, seen, clock)
     except InsufficientDataError:
         return None
     return (found, seen.latency) if found.cost_per_dof <= GOOD_FIT else None
@@ -267,7 +297,7 @@ def _visited(s: Sampled) -> Sampled:
     return replace(s, neighbourhoods=tuple(sorted(visits, key=lambda visit: visit.windows[0])))
 
 
-def _part(s: Sampled, border: float, late: bool) -> Sampled:
+def _cut(s: Sampled, border: float, late: bool) -> Sampled:
     """What a log holds before a time [s], or after it."""
     grid = s.motion.grid
     at = (border - grid.start) * grid.rate

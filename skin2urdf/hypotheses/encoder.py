@@ -18,6 +18,7 @@ from skin2urdf.calibration.clock import Clock
 from skin2urdf.calibration.rounds import Logs, Solution, estimate_once, is_hopeless
 from skin2urdf.estimation.solve.estimate import Estimate
 from skin2urdf.faults import Fault
+from skin2urdf.hypotheses.arising import narrowed
 from skin2urdf.hypotheses.encoder_score import unweighted
 from skin2urdf.hypotheses.records import Amendment, Attempt, Candidate
 from skin2urdf.hypotheses.search import Search, excess
@@ -52,9 +53,25 @@ class Corrected(Amendment):
         e = self.error
         return ("scale", e.dof) if e.kind == "scale" else (e.kind, e.dof, e.log, e.begin)
 
+    @property
+    def subject(self) -> str:
+        """The joint."""
+        return self.error.dof
+
     def of_recordings(self, recordings: list[Recording]) -> list[Recording]:
         """The recordings with the error taken off."""
         return corrected(recordings, [self.error])
+
+    def left_out(self, logs: Logs) -> Logs:
+        """The logs without the samples in which the error arises."""
+        e = self.error
+        if e.spread <= 0:
+            return logs
+        sampled = list(logs.sampled)
+        s = sampled[e.log]
+        whole = s.valid & (np.abs(s.motion.grid.time - e.begin) >= e.spread)[:, None]
+        sampled[e.log] = replace(s, valid=whole)
+        return logs.of(sampled)
 
 
 def evident_errors(recordings: Sequence[Recording]) -> tuple[Corrected, ...]:
@@ -119,8 +136,8 @@ class Encoders:
         return _faults(errors_of(last.amendments), last.solution)
 
     def finish(self, last: Attempt, clock: Clock) -> Attempt:
-        """The errors as large as the fit says, once it is known which encoders are wrong."""
-        return sized_by_the_fit(last, clock)
+        """The errors as the fit says, once it is known which encoders are wrong."""
+        return timed_by_the_moves(sized_by_the_fit(last, clock))
 
 
 def with_another(
@@ -142,7 +159,11 @@ def with_another(
         if error.kind == "scale":
             return Corrected(replace(old, size=old.size * error.size))
         if old.log == error.log and _same_change(old, error, features):
-            return Corrected(replace(old, size=old.size + error.size))
+            # A leap that is not the whole change leaves open when the rest of it came.
+            known = abs(error.size) < _SMALL
+            reach = 0.0 if known else error.spread + abs(error.begin - old.begin)
+            spread = max(old.spread, reach)
+            return Corrected(replace(old, size=old.size + error.size, spread=spread))
     return Corrected(error)
 
 
@@ -240,6 +261,17 @@ def sized_by_the_fit(last: Attempt, clock: Clock) -> Attempt:
         amendments=amendments,
         solution=replace(last.solution, found=found, features=features),
     )
+
+
+def timed_by_the_moves(last: Attempt) -> Attempt:
+    """An attempt whose offsets arise when the readings in the moves between poses say."""
+    found, features, logs = last.solution.found, last.solution.features, last.whole.sampled
+    amendments = tuple(
+        Corrected(narrowed(a.error, found, features, logs[a.error.log]))
+        if isinstance(a, Corrected) and a.error.spread > 0 else a
+        for a in last.amendments
+    )  # fmt: skip
+    return replace(last, amendments=amendments)
 
 
 def _small(error: EncoderError, logs: Logs) -> bool:

@@ -24,6 +24,11 @@ class Negated(Amendment):
 
     su: str
 
+    @property
+    def subject(self) -> str:
+        """The SU."""
+        return self.su
+
     def of_logs(self, logs: Logs) -> Logs:
         """The logs with its readings negated."""
         return negated(logs, [self.su])

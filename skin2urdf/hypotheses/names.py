@@ -24,9 +24,12 @@ from skin2urdf.estimation.start.starts import felt_up
 from skin2urdf.faults import Fault
 from skin2urdf.hypotheses.alone import alone, negated
 from skin2urdf.hypotheses.records import Amendment, Attempt, Candidate
-from skin2urdf.hypotheses.search import Search, excess, explains
+from skin2urdf.hypotheses.search import Search, excess, explains, imitations
 from skin2urdf.signals.records import Features
 from skin2urdf.signals.sampling import Sampled
+from skin2urdf.structure.activity import CERTAIN, Activity
+from skin2urdf.structure.ordering import places_of
+from skin2urdf.structure.records import KinematicTree
 
 _FAR_BETTER = 10.0
 """Factor by which every SU's chi-squared must fall with another name. By chance it falls by a few
@@ -75,7 +78,8 @@ class Names:
             return []
         names = tuple(name for a in new for name in a.names)
         drop = np.inf if now is None else excess(now.solution.found)
-        return [Candidate("swapped", names, new, drop)]
+        instead = imitations(search, now, names)
+        return [Candidate("swapped", names, new, drop, instead=instead)]
 
     def _renamed(self, search: Search) -> tuple[Renamed, ...]:
         """Names in the logs that do not agree with those of the log with the most poses."""
@@ -129,6 +133,28 @@ def names_in(found: Estimate, features: Features) -> Int:
         if (gain > np.log(_FAR_BETTER)).all():
             same[who[cycle]] = who[columns[cycle]]
     return same
+
+
+def named_as_felt(tree: KinematicTree, seen: Activity) -> KinematicTree:
+    """A tree whose SUs have the names of those that feel what it says of them.
+
+    Joints that move one at a time make a tree certain. Where few poses show all joints at once,
+    they do not tell the tree, but they do tell which of two SUs is where.
+
+    Args:
+        tree: the tree.
+        seen: what the SUs felt in other poses.
+    """
+    names = [name for name in tree.su_names if name in seen.su_names]
+    own, rows = places_of(names, tree.su_names), places_of(names, seen.su_names)
+    evidence = seen.evidence[np.ix_(rows, places_of(tree.joint_names, seen.dof_names))]
+    felt = np.where(tree.activity()[own], 1.0, -1.0)
+    fits = felt @ np.clip(evidence, -CERTAIN, CERTAIN).T
+    # Of places that suit alike, the same one is to be preferred.
+    _, called = linear_sum_assignment(-fits - 1e-6 * np.eye(len(names)))
+    joint = np.array(tree.su_joint)
+    joint[own[called]] = tree.su_joint[own]
+    return replace(tree, su_joint=joint)
 
 
 def misfit(found: Estimate, features: Features) -> F64:

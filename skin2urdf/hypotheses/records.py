@@ -27,6 +27,11 @@ class Amendment:
         return self
 
     @property
+    def subject(self) -> str:
+        """The one joint or SU that it is about; empty where there are several, or none."""
+        return ""
+
+    @property
     def parameters(self) -> int:
         """Number of parameters that it adds."""
         return 1
@@ -83,6 +88,7 @@ class Candidate:
         drop: of chi-squared, nothing weighed down, that a score test expects.
         among: number of hypotheses that the score test has compared it with, itself included.
         holds: what else the attempt must show for the hypothesis; None where nothing.
+        instead: amendments of the attempt that it takes the place of, since they may imitate it.
         sharpen: makes better amendments from the features of an attempt, at the cost of some
             estimates; none where it sees nothing of them. None where there is nothing to sharpen.
     """
@@ -93,6 +99,7 @@ class Candidate:
     drop: float
     among: int = 1
     holds: Callable[[Attempt], bool] | None = None
+    instead: tuple[Amendment, ...] = ()
     sharpen: Callable[[Attempt], Sequence[Amendment]] | None = None
 
     @property

@@ -27,6 +27,7 @@ from skin2urdf.calibration.rounds import (
     Solution,
     Structure,
     find_structure,
+    leads_nowhere,
     relinearise,
     sample_logs,
     settle,
@@ -125,8 +126,12 @@ class Search:
             self._known[key] = work()
         return self._known[key]  # type: ignore[return-value]
 
-    def attempt(self, amendments: tuple[Amendment, ...]) -> Attempt:
+    def attempt(self, amendments: tuple[Amendment, ...], before: float = np.inf) -> Attempt:
         """Explain the raw logs with some amendments.
+
+        Args:
+            amendments: what is allowed for.
+            before: misfit that the attempt has to fall below to be of use.
 
         Raises:
             InsufficientDataError: the logs lack what a calibration needs.
@@ -148,7 +153,10 @@ class Search:
             known = dict(zip(features.su_names, features.latency, strict=True))
             latency = np.array([known.get(name, 0.0) for name in calm.su_names])
             features = take_features(calm, clock, latency=latency)
-        found, refined = relinearise(calm, tree, features, clock)
+        found, refined = relinearise(
+            calm, tree, features, clock,
+            hopeless=lambda seen: leads_nowhere(seen) and seen.misfit > before,
+        )  # fmt: skip
         found, refined = _settled(calm, found, refined, clock)
         return Attempt(amendments, Solution(calm, structure.seen, found, refined), whole)
 
@@ -303,7 +311,7 @@ def _tried(search: Search, now: Attempt | None, candidate: Candidate) -> Attempt
     new = candidate.amendments
     if candidate.sharpen is not None and now is not None:
         new = tuple(candidate.sharpen(now))
-    after = _with(search, now, new)
+    after = _with(search, now, new, candidate.instead)
     return after if after is None or candidate.holds is None or candidate.holds(after) else None
 
 
@@ -329,16 +337,21 @@ def _sharpened(
     return after
 
 
-def _with(search: Search, now: Attempt | None, new: Sequence[Amendment]) -> Attempt | None:
-    """The logs explained with more amendments; None where they can not be."""
+def _with(
+    search: Search,
+    now: Attempt | None,
+    new: Sequence[Amendment],
+    instead: Sequence[Amendment] = (),
+) -> Attempt | None:
+    """The logs explained with more amendments, instead of some; None where they can not be."""
     before = search.evident if now is None else now.amendments
-    known = {a.key: a for a in before}
+    known = {a.key: a for a in before if a not in instead}
     known.update({a.key: a for a in new})
     amendments = tuple(known.values())
     if now is not None and amendments == before:
         return None
     try:
-        return search.attempt(amendments)
+        return search.attempt(amendments, np.inf if now is None else now.solution.found.misfit)
     except (InsufficientDataError, StructureError):
         return None
 
@@ -355,7 +368,7 @@ def _pruned(search: Search, first: Attempt | None, last: Attempt | None) -> Atte
             without = first
         else:
             try:
-                without = search.attempt(rest)
+                without = search.attempt(rest, last.solution.found.misfit)
             except (InsufficientDataError, StructureError):
                 continue
         if without is None:
@@ -433,6 +446,17 @@ def _looks(found: Estimate) -> int:
 def excess(found: Estimate) -> float:
     """Chi-squared beyond what noise makes of it: no hypothesis explains more."""
     return max(0.0, (found.misfit - 1) * _count(found))
+
+
+def imitations(
+    search: Search, now: Attempt | None, subjects: Sequence[str]
+) -> tuple[Amendment, ...]:
+    """Amendments of an attempt that may imitate what is wrong with the same joints or SUs.
+
+    Two poses after a joint has turned look as if its zero had changed as well.
+    """
+    known = () if now is None else now.amendments
+    return tuple(a for a in known if a.subject in subjects and a not in search.evident)
 
 
 def explains(found: Estimate) -> bool:

@@ -8,10 +8,11 @@ others, with the sense of every joint as it is, or turned.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
+from scipy.optimize import minimize_scalar
 
 from skin2urdf.arrays import F64
 from skin2urdf.calibration.rounds import take_features
@@ -24,7 +25,8 @@ from skin2urdf.geometry.so3 import cross
 from skin2urdf.hypotheses.alone import alone, negated
 from skin2urdf.hypotheses.encoder import Corrected
 from skin2urdf.hypotheses.records import Attempt, Candidate
-from skin2urdf.hypotheses.search import Search, excess, explains
+from skin2urdf.hypotheses.search import Search, excess, explains, imitations
+from skin2urdf.model.specific_force import specific_forces
 from skin2urdf.signals.records import EncoderError, Features
 
 _TELLS = 100.0
@@ -33,6 +35,9 @@ _HALF = 0.5
 """Chi-squared with one more joint turned, over that without, from which it is followed."""
 TURNED = 0.1
 """Chi-squared with joints turned, over that with none, from which they are believed."""
+
+_ABOUT = 72
+"""Values that a joint may be mirrored about: 5 deg apart, from where gravity leads to the best."""
 
 
 class Senses:
@@ -49,7 +54,8 @@ class Senses:
             return []
         joints = tuple(a.error.dof for a in new)
         drop = np.inf if now is None else excess(now.solution.found)
-        return [Candidate("encoder sign", joints, new, drop)]
+        instead = imitations(search, now, joints)
+        return [Candidate("encoder sign", joints, new, drop, instead=instead)]
 
     def _turned(self, search: Search) -> tuple[Corrected, ...]:
         first = alone(search, 0)
@@ -91,11 +97,34 @@ def reversed_encoders(first: Estimate, features: Features) -> Iterator[EncoderEr
             yield from (EncoderError("sign", name, -1.0, int(log)) for name in turned)
 
 
-def turned_by_pose(known: Estimate, features: Features) -> F64:
-    """(P, D) chi-squared of each joint's effects if it counts the other way, over that as it is.
+@dataclass(frozen=True, eq=False)
+class Evidence:
+    """What P poses say of the sense of D joints.
 
-    As felt by an SU near the joint; NaN where a pose does not tell. Below :data:`TURNED` the joint
-    counts the other way.
+    Attributes:
+        same: (P, D) chi-squared with each joint as it is, and
+        turned: (P, D) with it counting the other way; 0 where a pose says nothing.
+    """
+
+    same: F64
+    turned: F64
+
+    @property
+    def ratio(self) -> F64:
+        """(P, D) the latter over the former, NaN where a pose does not tell.
+
+        Below :data:`TURNED` the joint counts the other way.
+        """
+        tells = self.same + self.turned > _TELLS
+        return np.where(tells, self.turned / np.maximum(self.same, 1e-300), np.nan)
+
+    def with_more(self, other: Evidence) -> Evidence:
+        """This and other, independent evidence."""
+        return Evidence(self.same + other.same, self.turned + other.turned)
+
+
+def felt_in_patterns(known: Estimate, features: Features) -> Evidence:
+    """What poses say of the sense of joints by their patterns, as felt by an SU near the joint.
 
     The columns that a joint has in the Jacobian of an SU depend on the joints between the two
     alone; with gravity as the SU reads it, nothing that lies before the joint matters, the joint's
@@ -118,14 +147,57 @@ def turned_by_pose(known: Estimate, features: Features) -> F64:
         (weight * (seen[:, :, 1:] - sense * expected) ** 2).sum(axis=-1) for sense in (1.0, -1.0)
     ]
     chi2 = np.array([part[:, :, :L] + part[:, :, L:] for part in misfit])
-    ratio = np.full((features.n_poses, known.tree.n_joints), np.nan)
+    out = np.zeros((2, features.n_poses, known.tree.n_joints))
     u, i = np.nonzero(blocks.chains.present)
     # Of the SUs beyond a joint, those with the fewest joints in between know it best.
     for k in np.argsort(i - blocks.chains.length[u], kind="stable"):
-        same, turned = chi2[:, :, u[k], i[k]]
-        tells = same + turned > _TELLS
-        ratio[tells, blocks.chains.joint[u[k], i[k]]] = turned[tells] / same[tells]
-    return ratio
+        both = chi2[:, :, u[k], i[k]]
+        tells = both.sum(axis=0) > _TELLS
+        out[:, tells, blocks.chains.joint[u[k], i[k]]] = both[:, tells]
+    return Evidence(*out)
+
+
+def felt_at_rest(known: Estimate, features: Features) -> Evidence:
+    """What poses say of the sense of joints by gravity.
+
+    A joint that counts the other way is mirrored about one value in all poses, namely that with
+    which most poses follow from the one sense or the other. A log may begin with moves of single
+    joints, which have no patterns, and a joint may turn before the first pattern.
+
+    Args:
+        known: an estimate from sound poses of the same robot.
+        features: of P poses of one log.
+    """
+    blocks = feature_blocks(features, known.tree)
+    model, M = known.state.model(known.tree), known.state.sensor_matrix()
+    up = known.state.up[0] * known.cost.priors.gravity
+    seen, weight = blocks.coefficients[:, :, 0], 1 / (blocks.variance[:, :, :1] * blocks.noise**2)
+    P, D = blocks.q.shape
+
+    def chi2(q: F64) -> F64:
+        still = np.zeros_like(q)
+        ideal = specific_forces(model, q, still, still, up).reshape(-1, P, known.tree.n_sus, 3)
+        left = seen - known.state.bias - np.einsum("uij,npuj->npui", M, ideal)
+        return np.asarray((weight * left**2).sum(axis=(-1, -2)))
+
+    def mirrored(joint: int, about: F64) -> F64:
+        q = np.tile(blocks.q, (len(about), 1, 1))
+        q[:, :, joint] = about[:, None] - q[:, :, joint]
+        return chi2(q.reshape(-1, D))
+
+    plain = chi2(blocks.q)[0]
+    out = Evidence(np.zeros((P, D)), np.zeros((P, D)))
+    grid = np.linspace(-np.pi, np.pi, _ABOUT, endpoint=False)
+    for j in map(int, np.flatnonzero(~known.tree.prismatic)):
+
+        def left(about: float, j: int = j) -> float:
+            return float(np.minimum(mirrored(j, np.array([about]))[0], plain).sum())
+
+        first = grid[np.argmin(np.minimum(mirrored(j, grid), plain).sum(axis=1))]
+        step = 2 * np.pi / _ABOUT
+        about = minimize_scalar(left, bounds=(first - step, first + step), method="bounded").x
+        out.same[:, j], out.turned[:, j] = plain, mirrored(j, np.array([about]))[0]
+    return out
 
 
 def _turned(features: Features, names: list[str]) -> Features:

@@ -70,6 +70,11 @@ class Slipped(Amendment):
         return "slip", self.name, self.earlier
 
     @property
+    def subject(self) -> str:
+        """The SU."""
+        return self.name
+
+    @property
     def parameters(self) -> int:
         """Those of another placement."""
         return N_PLACEMENT

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -93,7 +93,7 @@ def gross_scales(found: Estimate) -> tuple[EncoderError, ...]:
 def _sized(error: EncoderError, size: float, deviation: float) -> EncoderError:
     if error.kind == "scale":
         size = float(np.clip(1 + size, 1 / _LARGEST_SCALE, _LARGEST_SCALE))
-    return EncoderError(error.kind, error.dof, size, error.log, error.begin, deviation)
+    return replace(error, size=size, deviation=deviation)
 
 
 def _hypotheses(
@@ -108,20 +108,21 @@ def _hypotheses(
     name, q = found.tree.joint_names[joint], found.cost.blocks.q[:, joint]
     yield EncoderError("scale", name, 1.0), np.append(-q, -1.0)
     for log in range(found.cost.n_logs):
-        for begin, later in _changes(features, log):
+        for begin, spread, later in _changes(features, log):
             offset = np.zeros(len(q) + 1)
             offset[later] = -1.0
-            yield EncoderError("offset", name, 0.0, log, begin), offset
+            yield EncoderError("offset", name, 0.0, log, begin, spread=spread), offset
 
 
-def _changes(features: Features, log: int) -> Iterator[tuple[float, Int]]:
-    """Times at which an offset may begin in a log, and the poses it then concerns."""
+def _changes(features: Features, log: int) -> Iterator[tuple[float, float, Int]]:
+    """Times at which an offset may begin in a log, how far off they may be, and later poses."""
     poses = np.flatnonzero(features.log == log)
     poses = poses[np.argsort(features.span[poses].mean(axis=1), kind="stable")]
     if log > 0:
-        yield -np.inf, poses
+        yield -np.inf, 0.0, poses
     for k in range(1, len(poses)):
         before, after = features.span[poses[k - 1]], features.span[poses[k]]
         apart = before[1] <= after[0]
         begin = (before[1] + after[0]) / 2 if apart else (before.mean() + after.mean()) / 2
-        yield float(begin), poses[k:]
+        # Where poses are visited in turns, the moves between them are many.
+        yield float(begin), float(max(0.0, after[0] - before[1]) / 2), poses[k:]

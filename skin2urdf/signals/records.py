@@ -179,6 +179,8 @@ class EncoderError:
         begin: time from which an offset or a sign holds, on the clock of its log [s]; -inf for the
             whole log. Positions go on smoothly where a sign changes inside of a log.
         deviation: standard deviation of ``size``; infinite where the readings do not show it.
+        spread: time before and after ``begin`` within which an offset arises [s]: what the encoder
+            reports there is neither the one nor the other. 0 where the sample is known.
     """
 
     kind: Literal["offset", "scale", "sign"]
@@ -187,6 +189,7 @@ class EncoderError:
     log: int = 0
     begin: float = -np.inf
     deviation: float = np.inf
+    spread: float = 0.0
 
 
 @dataclass(frozen=True)

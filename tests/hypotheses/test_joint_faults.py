@@ -16,6 +16,7 @@ from skin2urdf.calibration.clock import Clock
 from skin2urdf.calibration.pipeline import calibrate
 from skin2urdf.calibration.result import Calibration
 from skin2urdf.calibration.rounds import (
+    Solution,
     estimate_once,
     estimate_robot,
     find_structure,
@@ -23,8 +24,15 @@ from skin2urdf.calibration.rounds import (
     take_features,
 )
 from skin2urdf.calibration.settings import CalibrationSettings
-from skin2urdf.hypotheses.encoder import Corrected, errors_of, sized_by_the_fit
+from skin2urdf.hypotheses.arising import narrowed
+from skin2urdf.hypotheses.encoder import (
+    Corrected,
+    errors_of,
+    sized_by_the_fit,
+    with_another,
+)
 from skin2urdf.hypotheses.records import Attempt
+from skin2urdf.hypotheses.sense import TURNED, felt_at_rest
 from skin2urdf.hypotheses.suspicions import suspicions
 from skin2urdf.recording.records import JointStream, Recording
 from skin2urdf.recording.retiming import retimed
@@ -83,14 +91,60 @@ def test_a_jump_is_named_with_its_time_and_size(degrees: float, at: float, tmp_p
     assert position_error(found, tmp_path) < 1.1 * position_error(sound(), tmp_path)
 
 
+@cache
+def solved_panda() -> Solution:
+    """An arm whose joints turn about every direction, from its patterns."""
+    logs = sample_logs(
+        [retimed(simulation("panda", **OPTIONS).recording)], CalibrationSettings(), Clock()
+    )
+    first = take_features(logs, Clock())
+    solution = estimate_robot(logs, first, find_structure(logs, first, Clock()), Clock())
+    assert solution is not None
+    return solution
+
+
+def test_rests_tell_from_when_on_a_joint_counts_the_other_way() -> None:
+    """Also those before the first pattern, and no other joint is taken for it."""
+    found, features = solved_panda().found, solved_panda().features
+    j, later = 3, 16
+    d = features.dof_names.index(found.tree.joint_names[j])
+    order = np.argsort(features.span[:, 0])
+    q = np.array(features.q)
+    q[order[:later], d] = 0.7 - q[order[:later], d]
+    ratio = felt_at_rest(found, replace(features, q=q)).ratio[order]
+    assert (ratio[:later, j] < TURNED).all()
+    assert (ratio[later:, j] > 1 / TURNED).all()
+    others = np.delete(ratio, j, axis=1)
+    assert not (others[np.isfinite(others)] < TURNED).any()
+
+
+@pytest.mark.parametrize("share", [0.3, 0.6])
+def test_the_moves_tell_when_an_encoder_slipped(share: float) -> None:
+    solution = solved_panda()
+    (sampled,), features = solution.logs.sampled, solution.features
+    time, joint, size = sampled.motion.grid.time, "panda_joint2", 0.1
+    spans = features.span[np.argsort(features.span[:, 0])]
+    gap = int(np.argmax(spans[1:, 0] - spans[:-1, 1]))
+    end, begin = spans[gap, 1], spans[gap + 1, 0]
+    known = EncoderError("offset", joint, size, 0, (end + begin) / 2, spread=(begin - end) / 2)
+    at = end + share * (begin - end)
+    q = np.array(sampled.motion.q)
+    slip = size * (1 + np.tanh((time - at) / 0.06)) / 2
+    q[:, sampled.motion.dof_names.index(joint)] += slip - size * (time >= known.begin)
+    slipped = replace(sampled, motion=replace(sampled.motion, q=q))
+    found = narrowed(known, solution.found, features, slipped)
+    assert found.begin == pytest.approx(at, abs=0.05)
+    assert 0.1 < found.spread < 0.5 * known.spread
+    # Where no encoder has slipped, nothing tells.
+    nothing = replace(known, size=1e-6)
+    assert narrowed(nothing, solution.found, features, sampled) == nothing
+
+
 def test_a_wrong_encoder_is_corrected_by_as_much_as_the_fit_says() -> None:
     """Also by what chance could have brought about, once it is known to be wrong."""
-    r, joint, clock = retimed(simulation("panda", **OPTIONS).recording), "panda_joint4", Clock()
-    logs = sample_logs([r], CalibrationSettings(), clock)
-    first = take_features(logs, clock)
-    solution = estimate_robot(logs, first, find_structure(logs, first, clock), clock)
-    assert solution is not None
-    begin, size = 0.6 * r.duration, 8e-5
+    solution, joint, clock = solved_panda(), "panda_joint4", Clock()
+    logs = solution.logs
+    begin, size = 0.6 * logs.sampled[0].motion.grid.time[-1], 8e-5
     q = np.array(solution.features.q)
     later = solution.features.span.mean(axis=1) >= begin
     q[later, solution.features.dof_names.index(joint)] += size
@@ -200,7 +254,50 @@ def test_a_track_is_mirrored_where_it_turns_round() -> None:
     assert at == pytest.approx(t[n], abs=0.01)
     mended = corrected([Recording((joint,), ())], [EncoderError("sign", "j", -1.0, 0, at)])
     assert mended[0].joints[0].position == pytest.approx(x, abs=1e-3)
-    assert reversal(JointStream("j", t, x), (4.0, 16.0)) == pytest.approx(10.0)
+
+
+def test_a_slow_track_shows_where_it_turns_round() -> None:
+    """Three encoder steps a sample, beside patterns that turn round ten times as sharply."""
+    step, t = 5e-5, np.arange(0.0, 20.0, 0.004)
+    size = 0.1 * np.clip((t - 10.0) / 2, 0.0, 1.0) ** 3
+    x = 0.037 * t + size * np.sin(15.0 * t)
+    n = int(np.searchsorted(t, 4.0))
+    seen = np.round(x / step) * step
+    turned = JointStream("j", t, np.concatenate([seen[:n], 2 * seen[n - 1] - seen[n:]]))
+    assert reversal(turned, (1.0, 18.0)) == pytest.approx(t[n], abs=0.01)
+
+
+def test_a_track_that_shows_nothing_turned_round_while_it_kept_still() -> None:
+    t = np.arange(0.0, 20.0, 0.004)
+    still = np.clip(t, 6.0, 8.0) - 6.0
+    assert reversal(JointStream("j", t, t - still), (4.0, 16.0)) == pytest.approx(7.0, abs=0.02)
+
+
+def test_what_an_encoder_reports_while_it_slips_is_left_out() -> None:
+    logs = sample_logs([retimed(recording())], CalibrationSettings(), Clock())
+    slipping = EncoderError("offset", JOINT, 0.1, 0, 30.0, spread=1.0)
+    (sampled,), (left,) = logs.sampled, Corrected(slipping).left_out(logs).sampled
+    time = sampled.motion.grid.time
+    during = np.abs(time - 30.0) < 1.0
+    assert not left.valid[during].any()
+    np.testing.assert_array_equal(left.valid[~during], sampled.valid[~during])
+    leap = replace(slipping, spread=0.0)
+    assert Corrected(leap).left_out(logs) is logs
+
+
+def test_a_leap_that_is_not_the_whole_change_leaves_its_time_open() -> None:
+    features = features_of(recording())
+    end, begin = np.sort(features.span.ravel())[[1, 2]]
+    middle, half = (end + begin) / 2, (begin - end) / 2
+    leap = Corrected(EncoderError("offset", JOINT, 0.1, 0, middle + half / 2))
+    rest = EncoderError("offset", JOINT, 0.02, 0, middle, spread=half)
+    both = with_another([leap], rest, features).error
+    assert both.size == pytest.approx(0.12)
+    assert both.begin == leap.error.begin
+    assert both.begin - both.spread <= end
+    assert both.begin + both.spread >= begin
+    exact = with_another([leap], replace(rest, size=1e-5), features).error
+    assert exact.spread == 0
 
 
 def faulty(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from types import SimpleNamespace
@@ -21,6 +22,7 @@ from skin2urdf.calibration.rounds import (
 )
 from skin2urdf.calibration.settings import CalibrationSettings
 from skin2urdf.faults import Fault
+from skin2urdf.hypotheses.changes import Changes
 from skin2urdf.hypotheses.encoder import Corrected
 from skin2urdf.hypotheses.kinds import KINDS
 from skin2urdf.hypotheses.mirrored import Mirrored, Negated
@@ -30,16 +32,16 @@ from skin2urdf.recording.records import Recording
 from skin2urdf.signals.records import EncoderError
 
 
-def searched(recording: Recording, kinds: Sequence[Kind]) -> tuple[Solution, int]:
-    """What a search finds in a recording, and how many attempts it took."""
-    attempts: list[float] = []
+def searched(recording: Recording, kinds: Sequence[Kind]) -> tuple[Solution, Counter[str]]:
+    """What a search finds in a recording, and how often it ran each stage; an attempt samples."""
+    runs = Counter[str]()
     logs = sample_logs([recording], CalibrationSettings(), Clock())
     features = take_features(logs, Clock())
     structure = find_structure(logs, features, Clock())
     first = estimate_robot(logs, features, structure, Clock())
-    clock = Clock(lambda stage, share: attempts.append(share) if stage == "sampling" else None)
+    clock = Clock(lambda stage, share: runs.update([stage] if share == 0.0 else []))
     found = explain([recording], (), (logs, structure, first), kinds, clock)
-    return found, attempts.count(0.0)
+    return found, runs
 
 
 @dataclass(frozen=True)
@@ -75,23 +77,24 @@ def with_su_negated(recording: Recording, name: str) -> Recording:
 
 
 def test_a_sound_log_costs_no_attempt() -> None:
-    found, attempts = searched(simulation().recording, KINDS)
-    assert attempts == 0
+    found, runs = searched(simulation().recording, KINDS)
+    assert runs["sampling"] == 0
     assert found.faults == ()
 
 
 def test_a_promise_that_does_not_come_true_is_tried_once_and_dropped() -> None:
+    """Of what explains less than before there is one estimate."""
     recording = simulation().recording
-    wrong = EncoderError("offset", recording.joints[2].name, 0.2, 0, 0.5 * recording.duration)
-    found, attempts = searched(recording, [Proposing((Corrected(wrong),))])
-    assert attempts == 1
+    wrong = EncoderError("scale", recording.joints[2].name, 3.0)
+    found, runs = searched(recording, [Proposing((Corrected(wrong),))])
+    assert (runs["sampling"], runs["estimation"]) == (1, 1)
     assert found.faults == ()
     assert found.found.misfit < 1.3
 
 
 def test_a_promise_below_its_price_is_not_tried() -> None:
-    found, attempts = searched(simulation().recording, [Proposing((Idle(),), drop=1.0)])
-    assert attempts == 0
+    found, runs = searched(simulation().recording, [Proposing((Idle(),), drop=1.0)])
+    assert runs["sampling"] == 0
     assert found.faults == ()
 
 
@@ -110,7 +113,7 @@ def test_a_mirrored_su_is_found_and_one_that_only_looks_so_beside_it_is_not() ->
 
 
 def estimate(misfit: float) -> Any:
-    return SimpleNamespace(misfit=misfit, count=np.full((10, 5), 100))
+    return SimpleNamespace(misfit=misfit, cost_per_dof=misfit, count=np.full((10, 5), 100))
 
 
 @pytest.mark.parametrize(
@@ -136,3 +139,27 @@ def test_what_pays(before: float, after: float, pays: bool) -> None:
 def test_more_parameters_and_more_candidates_cost_more() -> None:
     found = estimate(1.0)
     assert price(found, 6, 20) > price(found, 1, 20) > price(found, 1, 2) > 0
+
+
+def test_what_changes_takes_the_place_of_what_imitates_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Two poses after a joint has turned look much as if its zero had changed as well."""
+    leap, imitation, other = (
+        Corrected(EncoderError("offset", name, 1.0, 0, begin))
+        for name, begin in (("j", 40.0), ("j", 60.0), ("k", 60.0))
+    )
+    turn = Corrected(EncoderError("sign", "j", -1.0, 0, 40.0))
+    attempts = []
+
+    def attempt(_: Search, amendments: tuple[Amendment, ...], *__: float) -> Attempt:
+        attempts.append(amendments)
+        misfit = {0: 1e4, 1: 500.0}.get(len(set(amendments) - {leap, imitation}), 5.0)
+        return Attempt(amendments, Solution(None, None, estimate(misfit), None), None)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(Search, "attempt", attempt)
+    monkeypatch.setattr(Search, "once", lambda *_: [("encoder turn", ["j"], (turn,))])
+    first = Solution(None, None, estimate(1e5), None)  # type: ignore[arg-type]
+    kinds = [Proposing((imitation, other)), Changes()]
+    explain([], (leap,), (SimpleNamespace(settings=None), None, first), kinds, Clock())  # type: ignore[arg-type]
+    assert attempts[:2] == [(leap, imitation, other), (leap, other, turn)]

@@ -17,12 +17,15 @@ from skin2urdf.calibration.pipeline import calibrate
 from skin2urdf.calibration.result import Calibration
 from skin2urdf.faults import Fault, distinct, without_slips
 from skin2urdf.hypotheses.loose import slips
+from skin2urdf.hypotheses.names import named_as_felt
 from skin2urdf.recording.records import JointStream, Recording, SuStream
 from skin2urdf.recording.retiming import retimed
 from skin2urdf.signals.health import checked, clipping, rest_noise
 from skin2urdf.simulation import Simulation, SimulationSettings, load_robot, simulate
 from skin2urdf.simulation.faults import FAULTS, Faulty, Sound, in_two
 from skin2urdf.simulation.robots import SkinLayout
+from skin2urdf.structure.activity import Activity
+from skin2urdf.structure.records import KinematicTree
 
 SETTINGS = SimulationSettings(n_poses=4, excite="all", seed=1, imu_rate=250.0, joint_rate=125.0)
 
@@ -312,6 +315,25 @@ def test_one_value_throughout_is_dead_unless_gravity_may_be_in_it(value: float, 
     whole = stream(noise())
     same = replace(whole, specific_force=np.full_like(whole.specific_force, value))
     assert kinds(same, whole, whole)[0] == [kind]
+
+
+def test_names_go_where_the_tree_says_what_their_sus_feel() -> None:
+    """Also beside a bit that is wrong, and only where it makes a difference."""
+    joints = ("a", "b", "c")
+    tree = KinematicTree(
+        joints, np.array([-1, 0, 1]), ("revolute",) * 3, ("s", "t", "u", "v"),
+        np.array([0, 1, 2, 2]),
+    )  # fmt: skip
+    felt = np.array([[1, 1, 0], [1, 0, 0], [1, 1, 1], [1, 1, 1]])
+    dynamic = np.where(felt, 20.0, 0.05)
+    dynamic[2, 2] = 0.9
+    seen = Activity(
+        tree.su_names, joints, np.full((4, 3), np.nan), dynamic, np.zeros(3),
+        np.ones(3, dtype=bool), np.ones(4, dtype=bool),
+    )  # fmt: skip
+    np.testing.assert_array_equal(named_as_felt(tree, seen).su_joint, [1, 0, 2, 2])
+    same = replace(seen, dynamic=dynamic[[1, 0, 2, 3]])
+    np.testing.assert_array_equal(named_as_felt(tree, same).su_joint, tree.su_joint)
 
 
 def test_each_fault_is_told_once() -> None:

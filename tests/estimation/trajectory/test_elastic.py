@@ -12,7 +12,7 @@ from functools import cache
 import numpy as np
 import pinocchio as pin
 import pytest
-from synthetic import random_state, serial_tree
+from synthetic import RATE, random_state, sampled_trajectory, serial_tree
 
 from skin2urdf.arrays import F64
 from skin2urdf.estimation.problem.cost import Priors
@@ -23,10 +23,9 @@ from skin2urdf.estimation.trajectory.problem import MotionProblem
 from skin2urdf.estimation.trajectory.state import MotionState
 from skin2urdf.model.kinematics import to_pinocchio
 from skin2urdf.model.specific_force import specific_forces
-from skin2urdf.signals.filters import filtered, first_derivative, low_pass, second_derivative
 from skin2urdf.signals.trajectory import Trajectory
 
-_RATE, _CUTOFF, _N = 125.0, 6.0, 5000
+_N = 5000
 _TREE = serial_tree(2)
 _UP = np.array([0.0, 0.0, 1.0])
 _SOFT = np.array([1 / 14_000, 1 / 7_000])
@@ -55,7 +54,7 @@ def _trajectory(rng: np.random.Generator, compliance: F64, lag: float = 0.0) -> 
         compliance: (2,) of the gears [rad/(N m)].
         lag: damping of the gears over their stiffness [s].
     """
-    t = np.arange(_N) / _RATE
+    t = np.arange(_N) / RATE
     rates = rng.uniform(0.2, 1.2, (6, 2)) * 2 * np.pi
     waves = rng.uniform(0.3, 0.5, (6, 2)) * 2 / rates
     phase = rates * t[:, None, None] + rng.uniform(0, 6, (6, 2))
@@ -68,22 +67,7 @@ def _trajectory(rng: np.random.Generator, compliance: F64, lag: float = 0.0) -> 
     ideal = specific_forces(truth.model(_TREE), q, qd, qdd, 9.81 * _UP)
     read = np.einsum("uij,kuj->kui", truth.sensor_matrix(), ideal) + truth.bias
     read = read + 7e-3 * rng.standard_normal(read.shape)
-    taps = low_pass(_CUTOFF, _RATE)
-    smooth = filtered(q + deflection, taps)
-    kept = np.arange(len(taps), _N - len(taps), 6)
-    return Trajectory(
-        log=0,
-        rate=_RATE,
-        taps=taps,
-        q=smooth,
-        qd=first_derivative(smooth, _RATE),
-        qdd=second_derivative(smooth, _RATE),
-        readings=filtered(filtered(read, taps), taps),
-        kept=kept,
-        valid=np.ones((len(kept), 2), dtype=bool),
-        moving=np.ones((len(kept), 2), dtype=bool),
-        independence=0.5,
-    )
+    return sampled_trajectory(q + deflection, read)
 
 
 def _fit(log: Trajectory) -> MotionEstimate:

@@ -77,7 +77,7 @@ def test_many_turns_wrapped_or_not(tmp_path: Path) -> None:
     joints = chain(4, turns=1.4)
     joints = tuple(replace(j, kind="continuous") if d % 2 else j for d, j in enumerate(joints))
     motion = MotionSettings(half_range=30.0, angular_speed=6.0)
-    sim = recorded(replace(robot_of(joints, tmp_path), motion=motion))
+    sim = recorded(replace(robot_of(joints, tmp_path), motion=motion), n_poses=4)
     assert max(np.abs(j.position).max() for j in sim.recording.joints) > 20.0
     wrapped = changed_joints(
         sim.recording,

@@ -16,6 +16,7 @@ from skin2urdf.report.document import (
     tree_document,
     versions,
 )
+from skin2urdf.report.notes import note_documents, note_words
 from skin2urdf.report.on_model import deviations, model_verdict
 from skin2urdf.report.words import unknowns
 from skin2urdf.vendor.records import ModelCalibration
@@ -97,7 +98,8 @@ def as_document(result: ModelCalibration) -> dict[str, Any]:
             "joints": list(chassis.extra),
         },
         "faults": [fault_document(fault, len(result.sources)) for fault in result.faults],
-        "notes": result.notes,
+        "notes": note_words(result.notes),
+        "noted": note_documents(result.notes),
         "clocks": [[asdict(clock) for clock in clocks] for clocks in result.clocks],
         "seconds": result.seconds,
     }

@@ -17,6 +17,7 @@ from skin2urdf.calibration.pipeline import calibrate
 from skin2urdf.calibration.result import Calibration
 from skin2urdf.faults import Fault, distinct, without_slips
 from skin2urdf.hypotheses.loose import slips
+from skin2urdf.notes import Note
 from skin2urdf.recording.records import JointStream, Recording, SuStream
 from skin2urdf.recording.retiming import retimed
 from skin2urdf.signals.health import checked, clipping, rest_noise
@@ -104,7 +105,7 @@ def test_an_su_whose_last_joint_was_missed_in_gaps_is_put_beyond_it() -> None:
     assert found.estimate.misfit < 1.3
     tree, (name,) = found.model.tree, injected.subjects
     assert tree.joint_names[tree.su_joint[tree.su_names.index(name)]] == "panda_joint5"
-    assert any(name in note and "panda_joint5" in note for note in found.notes)
+    assert Note("placed by fit", (name,), ("panda_joint5",), "active") in found.notes
 
 
 def test_a_fixed_su_does_not_slip() -> None:

@@ -10,6 +10,11 @@ Lack = Literal[
     "patterns", "starts", "measurements", "observable SUs", "",
 ]  # fmt: skip
 """What logs may not hold of all that a calibration needs."""
+Unreadable = Literal[
+    "empty", "no regular file", "no log", "another format", "shortened", "too large", "long line",
+    "no messages", "nothing usable", "",
+]  # fmt: skip
+"""Why an input is not what it should be."""
 
 
 class Skin2UrdfError(Exception):
@@ -39,13 +44,15 @@ class UnreadableInputError(Skin2UrdfError):
 
     Attributes:
         path: the file.
+        why: what is wrong with it; empty where that has no short name.
     """
 
     exit_status = 2
 
-    def __init__(self, path: str, what: str, remedy: str = "") -> None:
+    def __init__(self, path: str, what: str, remedy: str = "", why: Unreadable = "") -> None:
         super().__init__(f"{path}: {what}", remedy)
         self.path = path
+        self.why = why
 
 
 class PlanError(Skin2UrdfError):

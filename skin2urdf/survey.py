@@ -17,6 +17,7 @@ from skin2urdf.errors import (
     UnreadableInputError,
 )
 from skin2urdf.estimation.start.order import ordered
+from skin2urdf.notes import Note
 from skin2urdf.paper.exploration import Exploration
 from skin2urdf.paper.exploration import explore as run_algorithm_1
 from skin2urdf.recording.inventory import LogInventory
@@ -46,7 +47,7 @@ class Explored:
             the tree has it where that is grown from motion; with the constraints it violates.
         tree: the kinematic tree; None where the evidence contradicts every tree.
         contradiction: what contradicts; None where there is a tree.
-        notes: what was found and mended, in words.
+        notes: what was found and mended.
         from_motion: whether the tree is grown from rests and moves, since there are no patterns.
     """
 
@@ -54,7 +55,7 @@ class Explored:
     exploration: Exploration
     tree: KinematicTree | None
     contradiction: StructureError | None
-    notes: tuple[str, ...]
+    notes: tuple[Note | str, ...]
     from_motion: bool = False
 
 

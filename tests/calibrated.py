@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+from dataclasses import dataclass
 from functools import cache
 
 from skin2urdf.calibration.pipeline import calibrate
@@ -19,7 +21,33 @@ def simulation() -> Simulation:
     return simulate(load_robot("ur5"), settings)
 
 
+@dataclass(frozen=True)
+class Run:
+    """A calibration as its caller sees it.
+
+    Attributes:
+        result: what the recording says, without the truth.
+        told: stages and the share that was done of each, as they were told.
+        seconds: time that passed [s].
+    """
+
+    result: Calibration
+    told: tuple[tuple[str, float], ...]
+    seconds: float
+
+
 @cache
+def run() -> Run:
+    """The calibration of :func:`simulation`, watched."""
+    told: list[tuple[str, float]] = []
+    recording, settings = simulation().recording, CalibrationSettings(gravity_deviation=0.0)
+    begin = time.perf_counter()
+    found = calibrate(
+        recording, settings, progress=lambda stage, share: told.append((stage, share))
+    )
+    return Run(found, tuple(told), time.perf_counter() - begin)
+
+
 def calibration() -> Calibration:
     """What the recording says, without the truth."""
-    return calibrate(simulation().recording, CalibrationSettings(gravity_deviation=0.0))
+    return run().result

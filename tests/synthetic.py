@@ -1,4 +1,4 @@
-"""Random robots and their features, made by Pinocchio's own frame Jacobians.
+"""Random robots and their features, made by Pinocchio's own frame Jacobians; trajectories.
 
 Shared by the tests of the model and of the estimation. Features come from
 ``pin.computeFrameJacobian`` on a model that is built here, never from the package's prediction of
@@ -16,8 +16,10 @@ from skin2urdf.estimation.problem.blocks import feature_blocks
 from skin2urdf.estimation.problem.cost import Cost, Priors
 from skin2urdf.estimation.problem.state import State, Step
 from skin2urdf.geometry.units import GRAVITY
+from skin2urdf.signals.filters import filtered, first_derivative, low_pass, second_derivative
 from skin2urdf.signals.information import Information
 from skin2urdf.signals.records import Features, StaticMoves
+from skin2urdf.signals.trajectory import Trajectory
 from skin2urdf.structure.records import KinematicTree
 
 
@@ -193,3 +195,40 @@ def random_cost(
     features = random_features(rng, tree, state, n_poses, noise)
     priors = priors or Priors(gravity=GRAVITY, position=np.inf)
     return Cost(tree, feature_blocks(features, tree), priors)
+
+
+RATE, CUTOFF = 125.0, 6.0
+"""Samples per second of :func:`sampled_trajectory`, and the edge of its low-pass [Hz]."""
+
+
+def sampled_trajectory(
+    q: F64, readings: F64, rates: F64 | None = None, still_below: float = 0.0
+) -> Trajectory:
+    """The trajectory of a log of whole samples at ``RATE``.
+
+    Args:
+        q: (N, D) positions as encoders report them [rad or m].
+        readings: (N, U, 3) what accelerometers read [m/s^2].
+        rates: (N, U, 3) what gyroscopes read [rad/s]; None without any.
+        still_below: joints that move slower count as still [rad/s or m/s].
+    """
+    taps = low_pass(CUTOFF, RATE)
+    smooth = filtered(q, taps)
+    velocity = first_derivative(smooth, RATE)
+    kept = np.arange(len(taps), len(q) - len(taps), 6)
+    whole = np.ones((len(kept), readings.shape[1]), dtype=bool)
+    return Trajectory(
+        log=0,
+        rate=RATE,
+        taps=taps,
+        q=smooth,
+        qd=velocity,
+        qdd=second_derivative(smooth, RATE),
+        readings=filtered(filtered(readings, taps), taps),
+        kept=kept,
+        valid=whole,
+        moving=np.abs(velocity[kept]) >= still_below,
+        independence=0.5,
+        rates=None if rates is None else filtered(filtered(rates, taps), taps),
+        turning=None if rates is None else whole,
+    )

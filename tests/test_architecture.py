@@ -25,12 +25,13 @@ SOURCES = [*MODULES.values(), *sorted((ROOT / "scripts").rglob("*.py"))]
 
 # What the modules of a layer may import beside their own layer. A name covers what is below it;
 # "*.records" stands for the records of every folder. Data flows down this table.
-BASE = ("arrays", "errors", "files", "faults", "geometry")
+BASE = ("arrays", "errors", "files", "faults", "notes", "geometry")
 LAYERS: dict[str, tuple[str, ...]] = {
     "arrays": (),
     "errors": (),
     "files": ("errors",),
     "faults": (),
+    "notes": (),
     "geometry": ("arrays",),
     "recording": BASE,
     "signals": (*BASE, "recording"),

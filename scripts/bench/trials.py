@@ -21,6 +21,7 @@ from skin2urdf.calibration.settings import Motion
 from skin2urdf.errors import Skin2UrdfError
 from skin2urdf.estimation.uncertainty.observability import aligned_deviations
 from skin2urdf.recording.retiming import retimed
+from skin2urdf.report.notes import note_words
 from skin2urdf.simulation import RobotSpec, SimulationSettings, Truth, load_robot, simulate
 from skin2urdf.simulation.defects import LocalGravity
 from skin2urdf.simulation.robots import example_robot_data
@@ -182,7 +183,7 @@ def _compared(found: Calibration, truth: Truth, folder: Path, seconds: float) ->
         verdict=found.quality,
         exit_status=_exit_status(found),
         named=tuple((fault.kind, fault.subject) for fault in found.faults),
-        notes=found.notes,
+        notes=tuple(note_words(found.notes)),
         cost_per_dof=float(found.estimate.cost_per_dof),
         n_sus=len(truth.sus),
         n_undetermined=sum(verdict != "determined" for verdict in verdicts.values()),

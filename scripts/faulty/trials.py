@@ -24,6 +24,7 @@ from skin2urdf.errors import InsufficientDataError, Skin2UrdfError
 from skin2urdf.recording.records import Recording
 from skin2urdf.recording.retiming import retimed
 from skin2urdf.report.faults import fault_words
+from skin2urdf.report.notes import note_words
 from skin2urdf.simulation import SimulationSettings, Truth, load_robot, simulate
 from skin2urdf.simulation.faults import FAULTS, Sound, in_two
 from skin2urdf.simulation.joint_faults import JOINT_FAULTS
@@ -220,7 +221,7 @@ def _judged(blank: Figures, timed: Timed, truth: Truth, without: Sequence[str]) 
         tree_right=tree_right,
         position_mm=position,
         orientation_deg=orientation,
-        notes=found.notes,
+        notes=tuple(note_words(found.notes)),
         seconds=timed.seconds,
     )
 

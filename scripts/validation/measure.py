@@ -20,6 +20,7 @@ from skin2urdf.estimation.uncertainty.observability import aligned_deviations
 from skin2urdf.recording.records import Recording
 from skin2urdf.recording.retiming import retimed
 from skin2urdf.recording.writing import write
+from skin2urdf.report.notes import note_words
 from skin2urdf.simulation import SimulationSettings, Truth, load_robot, simulate
 from skin2urdf.urdf.compare import compare, random_positions
 from skin2urdf.urdf.emit import emit
@@ -110,7 +111,7 @@ def _compared(case: Case, found: Calibration, truth: Truth, folder: Path) -> Fig
         n_open=seen.n_open,
         joint_verdicts=dict(zip(tree.joint_names, seen.joint_verdict, strict=True)),
         seconds={},
-        notes=found.notes,
+        notes=tuple(note_words(found.notes)),
     )
 
 

@@ -22,6 +22,7 @@ from skin2urdf.estimation.uncertainty.outliers import (
 from skin2urdf.faults import Fault
 from skin2urdf.geometry.se3 import inverse
 from skin2urdf.model.records import KinematicModel, OpenDirection
+from skin2urdf.notes import Note
 from skin2urdf.signals.records import Features, SuClock
 from skin2urdf.structure.activity import Activity
 
@@ -99,7 +100,7 @@ class Calibration:
         sources: the input logs.
         settings: the choices made.
         faults: what is wrong with SUs, encoders or the recording, and was mended or left out.
-        notes: what else was found, in words.
+        notes: what else was found; what the reader says and what of the sensors is in words.
         seconds: time each stage took [s].
         clocks: for each log, the SUs whose clock ran differently from the joints'.
         su_sources: where the SUs' readings come from, by name.
@@ -118,7 +119,7 @@ class Calibration:
     sources: tuple[Source, ...]
     settings: CalibrationSettings
     faults: tuple[Fault, ...]
-    notes: tuple[str, ...]
+    notes: tuple[Note | str, ...]
     seconds: dict[str, float]
     clocks: tuple[tuple[SuClock, ...], ...] = ()
     su_sources: Mapping[str, SuSource] = field(default_factory=dict)

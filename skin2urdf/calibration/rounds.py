@@ -23,6 +23,7 @@ from skin2urdf.estimation.start.starts import felt_up
 from skin2urdf.estimation.uncertainty.health import unlike_the_rest
 from skin2urdf.faults import Fault
 from skin2urdf.model.specific_force import beyond_first_order, first_order
+from skin2urdf.notes import Note
 from skin2urdf.recording.records import Recording
 from skin2urdf.signals.features import Curvature, extract_features
 from skin2urdf.signals.records import Features
@@ -203,7 +204,7 @@ def settle(
             break
         if any(alike(again, other) for other in tried):
             break
-        again = replace(again, notes=(*again.notes, _SECOND_LOOK))
+        again = replace(again, notes=(*again.notes, Note("second look")))
         tried.append(again)
         latest, shown = relinearise(logs, again, features, clock)
         if latest.cost_per_dof < _CLEARLY_BETTER * best.cost_per_dof:
@@ -325,11 +326,6 @@ def estimate_once(
     )
 
 
-_SECOND_LOOK = (
-    "the first look at the structure did not explain the readings; the tree is the one that the "
-    "readings show once the joints' common motion is predicted: record structural moves of one "
-    "DoF at a time to make it certain"
-)
 _CLEARLY_BETTER = 0.8
 """Cost of another structure, over the first one's, from which it is preferred."""
 
@@ -356,13 +352,9 @@ def _next_to(tree: KinematicTree, sus: Sequence[int]) -> Iterator[tuple[str, str
             yield tree.su_names[u], tree.joint_names[own], False
 
 
-def _elsewhere(su: str, joint: str, moved: bool) -> str:
+def _elsewhere(su: str, joint: str, moved: bool) -> Note:
     """A note on an SU that is placed against the evidence of its activity."""
-    return (
-        f"{su} is taken {'to move' if moved else 'not to move'} with {joint}, for only then its "
-        f"readings fit, though their activity says otherwise: record {joint} moving by itself to "
-        "make it certain"
-    )
+    return Note("placed by fit", (su,), (joint,), "active" if moved else "inactive")
 
 
 def predicted_curvature(found: Estimate, features: Features) -> Curvature:

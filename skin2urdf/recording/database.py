@@ -87,6 +87,7 @@ class Database:
                     f"this is not a rosbag2 database: it has no table {table} with "
                     f"{', '.join(columns)}",
                     "give the .db3 file of a bag; `ros2 bag record` writes one",
+                    "another format",
                 )
         stored = _is_plain(database, "topics", ("serialization_format",))
         encoding = "serialization_format" if stored else "'cdr'"

@@ -78,7 +78,7 @@ def opened_log(
                 # The temporary file is gone, and says nothing to a user.
                 what = str(error).removeprefix(f"{plain}: ")
                 raise UnreadableInputError(
-                    str(path), f"once unpacked: {what}", error.remedy
+                    str(path), f"once unpacked: {what}", error.remedy, error.why
                 ) from error
 
 

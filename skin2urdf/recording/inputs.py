@@ -96,6 +96,7 @@ class LogFile:
                     str(self.path),
                     "the file was shortened while it was read",
                     "wait until nothing writes to it any more, then try again",
+                    "shortened",
                 )
             done += got
         return buffer
@@ -135,6 +136,7 @@ def bag_parts(path: Path) -> tuple[list[Part], list[str]]:
             str(path),
             "the directory holds no .mcap, .db3, .bag, .csv or .parquet file",
             f"give a log; {RECORD_REMEDY}",
+            "no log",
         )
     files, notes = _as_described(path, files)
     parts: list[Part] = []
@@ -252,6 +254,7 @@ def opened(path: Path) -> Iterator[LogFile]:
                 str(path),
                 "this is not a regular file",
                 "logs are read more than once: write it to a file first, and give that file",
+                "no regular file",
             )
         stream = FileIO(path)
     except (OSError, ValueError) as error:
@@ -260,7 +263,7 @@ def opened(path: Path) -> Iterator[LogFile]:
         file = LogFile(path, os.fstat(stream.fileno()).st_size, stream)
         if file.size == 0:
             raise UnreadableInputError(
-                str(path), "the file is empty", f"nothing was recorded; {RECORD_REMEDY}"
+                str(path), "the file is empty", f"nothing was recorded; {RECORD_REMEDY}", "empty"
             )
         yield replace(file, kind=_kind(path, file.read(0, 32).tobytes()))
 
@@ -283,6 +286,7 @@ def _kind(path: Path, head: bytes) -> Kind:
         str(path),
         "this is not an MCAP file, nor a log of another known format",
         f"give a .mcap, .db3, .bag, .csv or .parquet file, or a rosbag2 directory; {RECORD_REMEDY}",
+        "another format",
     )
 
 

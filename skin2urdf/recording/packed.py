@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from skin2urdf.errors import UnreadableInputError
+from skin2urdf.errors import Unreadable, UnreadableInputError
 from skin2urdf.recording.blocks import Block
 from skin2urdf.recording.chunks import LARGEST_JOINED
 from skin2urdf.recording.gather import gather
@@ -53,7 +53,9 @@ def unpacked(file: LogFile) -> Iterator[tuple[Path, str]]:
                 for piece in _pieces(file):
                     size += len(piece)
                     if size > limit:
-                        raise _refused(file, f"it unpacks to more than {limit >> 20} MiB")
+                        raise _refused(
+                            file, f"it unpacks to more than {limit >> 20} MiB", "too large"
+                        )
                     if shutil.disk_usage(folder).free < ROOM + len(piece):
                         raise _refused(file, f"there is no room in {folder} to unpack it")
                     out.write(piece)
@@ -80,10 +82,9 @@ def _pieces(file: LogFile) -> Iterator[bytes]:
         yield piece
 
 
-def _refused(file: LogFile, why: str) -> UnreadableInputError:
-    return UnreadableInputError(
-        str(file.path), why, f"unpack it with `zstd -d {printable(str(file.path))}`, and give that"
-    )
+def _refused(file: LogFile, what: str, why: Unreadable = "") -> UnreadableInputError:
+    remedy = f"unpack it with `zstd -d {printable(str(file.path))}`, and give that"
+    return UnreadableInputError(str(file.path), what, remedy, why)
 
 
 def plain_messages(block: Block, notes: list[str]) -> Iterator[Block]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from skin2urdf.errors import UnreadableInputError
+from skin2urdf.errors import Unreadable, UnreadableInputError
 from skin2urdf.recording.assemble import (
     recorded,
     timed_joints,
@@ -108,6 +108,7 @@ def _missing(source: Path, log: LogFiles, notes: list[str], what: str) -> Unread
     types = joint_types if what == "joints" else tuple(ACCELERATION_TAIL)
     topics = sorted({c.topic for c in log.channels.known if c.ros_type in types})
     names = " or ".join(name.rsplit("/", 1)[-1] for name in types)
+    why: Unreadable = "nothing usable" if log.channels.known else "no messages"
     if topics:
         problem = f"no usable {what}: {', '.join(topics)} held nothing that could be used"
         remedy = "see what the topic publishes with `ros2 topic echo`, then record again"
@@ -119,4 +120,4 @@ def _missing(source: Path, log: LogFiles, notes: list[str], what: str) -> Unread
         problem = "the log holds no messages"
         remedy = RECORD_REMEDY
     because = f" ({'; '.join(notes[:5])})" if notes else ""
-    return UnreadableInputError(str(source), problem + because, remedy)
+    return UnreadableInputError(str(source), problem + because, remedy, why)

@@ -133,6 +133,7 @@ class Table:
                         str(self.file.path),
                         f"as a table: a line is longer than {LONGEST_LINE >> 20} MiB",
                         REMEDY,
+                        "long line",
                     )
                 encoding = "utf-8-sig" if self.position == 0 else "utf-8"
                 self.position += len(line)

@@ -9,6 +9,7 @@ import numpy as np
 
 from skin2urdf.report.document import fault_document, to_plain, versions
 from skin2urdf.report.faults import fault_words
+from skin2urdf.report.notes import note_documents, note_words
 from skin2urdf.report.tables import bullets, number, table
 from skin2urdf.vendor.checking import Checked, SuCheck
 
@@ -24,7 +25,7 @@ def as_text(checked: Checked) -> str:
         *_table(checked),
         *bullets("What changed", [_words(su) for su in checked.sus if su.changed]),
         *bullets("Faults", [str(fault_words(f, len(checked.sources))) for f in checked.faults]),
-        *bullets("Notes", [*_in_common(checked), *_new(checked), *checked.notes]),
+        *bullets("Notes", [*_in_common(checked), *_new(checked), *note_words(checked.notes)]),
     ]
     return "\n".join(lines) + "\n"
 
@@ -109,7 +110,8 @@ def as_document(checked: Checked) -> dict[str, Any]:
             "joint_in_common": checked.in_common or None,
             "new_sus": checked.new,
             "faults": [fault_document(f, len(checked.sources)) for f in checked.faults],
-            "notes": checked.notes,
+            "notes": note_words(checked.notes),
+            "noted": note_documents(checked.notes),
             "seconds": checked.seconds,
         }
     )

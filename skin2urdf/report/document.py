@@ -20,6 +20,7 @@ from skin2urdf.model.records import OpenDirection
 from skin2urdf.report.faults import fault_words
 from skin2urdf.report.findings import Findings, findings
 from skin2urdf.report.gyros import gyro_document
+from skin2urdf.report.notes import note_documents, note_words
 from skin2urdf.report.words import NO_POSITIONS, Unknown
 from skin2urdf.signals.records import Features
 from skin2urdf.structure.activity import Activity
@@ -76,7 +77,8 @@ def as_document(calibration: Calibration) -> dict[str, Any]:
             "joints": [n for n in calibration.activity.dof_names if n not in tree.joint_names],
         },
         "faults": [fault_document(fault, len(calibration.sources)) for fault in calibration.faults],
-        "notes": calibration.notes,
+        "notes": note_words(calibration.notes),
+        "noted": note_documents(calibration.notes),
         "clocks": [[asdict(clock) for clock in clocks] for clocks in calibration.clocks],
         "seconds": calibration.seconds,
     }

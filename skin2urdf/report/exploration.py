@@ -9,6 +9,7 @@ import numpy as np
 
 from skin2urdf.arrays import Int
 from skin2urdf.report.document import activity_document, to_plain
+from skin2urdf.report.notes import note_documents, note_words
 from skin2urdf.report.tables import bullets, table
 from skin2urdf.structure.activity import Activity
 from skin2urdf.structure.ordering import Ordering
@@ -33,7 +34,7 @@ def as_text(explored: Explored) -> str:
         lines += ["kinematic tree", *_tree(tree), "", *_limbs(tree)]
     violated = [f"{v.words}; {v.remedy}" for v in explored.exploration.violations if told]
     lines += bullets("Not as the structural exploration expects it", violated)
-    lines += bullets("Notes", explored.notes)
+    lines += bullets("Notes", note_words(explored.notes))
     return "\n".join(lines) + "\n"
 
 
@@ -60,7 +61,8 @@ def as_document(explored: Explored) -> dict[str, Any]:
             "limbs": [[joints[j] for j in limb] for limb in limbs(tree)] if tree else [],
             "violations": [asdict(violation) for violation in explored.exploration.violations],
             "contradiction": str(explored.contradiction) if explored.contradiction else None,
-            "notes": explored.notes,
+            "notes": note_words(explored.notes),
+            "noted": note_documents(explored.notes),
         }
     )
     return document

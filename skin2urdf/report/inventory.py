@@ -11,6 +11,7 @@ from skin2urdf.recording.records import JointStream, Recording, SuStream
 from skin2urdf.report.clocks import clock_notes
 from skin2urdf.report.document import to_plain
 from skin2urdf.report.faults import fault_words
+from skin2urdf.report.notes import note_words
 from skin2urdf.report.tables import bullets, number, span, table
 from skin2urdf.survey import Surveyed
 
@@ -200,7 +201,7 @@ def _notes(surveyed: Surveyed) -> list[str]:
     """Notes of every stage, each once."""
     notes = list(surveyed.inventory.notes)
     for stage in (surveyed.recording, surveyed.sampled, surveyed.features):
-        notes += [note for note in (stage.notes if stage else ()) if note not in notes]
+        notes += [note for note in note_words(stage.notes if stage else ()) if note not in notes]
     if surveyed.sampled is not None:
         notes += clock_notes(surveyed.sampled.clocks)
     return notes

@@ -18,6 +18,7 @@ from skin2urdf.report.document import (
     versions,
 )
 from skin2urdf.report.gyros import gyro_document
+from skin2urdf.report.notes import note_documents, note_words
 from skin2urdf.report.on_model import deviations, model_verdict, stiffness
 from skin2urdf.report.words import unknowns
 from skin2urdf.vendor.records import ModelCalibration
@@ -103,7 +104,8 @@ def as_document(result: ModelCalibration) -> dict[str, Any]:
             "joints": list(chassis.extra),
         },
         "faults": [fault_document(fault, len(result.sources)) for fault in result.faults],
-        "notes": result.notes,
+        "notes": note_words(result.notes),
+        "noted": note_documents(result.notes),
         "clocks": [[asdict(clock) for clock in clocks] for clocks in result.clocks],
         "seconds": result.seconds,
     }

@@ -10,6 +10,7 @@ from skin2urdf.geometry.units import MILLI_G
 from skin2urdf.model.records import KinematicModel
 from skin2urdf.report.clocks import clock_notes
 from skin2urdf.report.faults import fault_words
+from skin2urdf.report.notes import note_words
 from skin2urdf.report.summary import sensor_notes
 from skin2urdf.report.tables import bullets, number, table
 from skin2urdf.report.words import unknowns
@@ -43,7 +44,11 @@ def as_text(result: ModelCalibration) -> str:
         *bullets("Faults", _faults(result)),
         *bullets(
             "Notes",
-            [*result.notes, *_clocks(result), *sensor_notes(result.along, _determined(result))],
+            [
+                *note_words(result.notes),
+                *_clocks(result),
+                *sensor_notes(result.along, _determined(result)),
+            ],
         ),
     ]
     return "\n".join(lines) + "\n"

@@ -16,6 +16,7 @@ from skin2urdf.report.clocks import clock_notes
 from skin2urdf.report.faults import fault_words
 from skin2urdf.report.findings import Findings, findings
 from skin2urdf.report.gyros import gyro_notes
+from skin2urdf.report.notes import note_words
 from skin2urdf.report.tables import bullets, number, span, table
 from skin2urdf.report.words import NO_POSITIONS, Unknown
 from skin2urdf.signals.records import Features
@@ -199,7 +200,7 @@ _NAME = "\0"
 def _notes(calibration: Calibration) -> list[str]:
     """What else was found: of the logs, of clocks, sensors and gyroscopes."""
     return [
-        *calibration.notes,
+        *note_words(calibration.notes),
         *_clocks(calibration),
         *sensor_notes(calibration.along),
         *gyro_notes(calibration),

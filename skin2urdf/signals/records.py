@@ -9,6 +9,7 @@ import numpy as np
 
 from skin2urdf.arrays import F64, Bool, Int, frozen
 from skin2urdf.faults import Fault
+from skin2urdf.notes import Note
 from skin2urdf.signals.encoder_noise import EncoderNoise
 from skin2urdf.signals.information import Information
 
@@ -88,7 +89,7 @@ class Features:
         latency: (U,) time by which each SU's stamps lag the joints' [s].
         latency_sd: (U,) its standard deviation [s]; infinite where nothing moved the SU.
         moves: static evidence from larger single-DoF moves.
-        notes: what was found and mended, in words for the user.
+        notes: what was found and mended; what the reader says is in words.
         faults: what is wrong with the streams.
         turns: which joints turn which SUs; None where no SU has a gyroscope.
     """
@@ -105,7 +106,7 @@ class Features:
     moves: StaticMoves
     encoders: EncoderNoise = field(default_factory=EncoderNoise)
     span: F64 = field(default_factory=lambda: np.zeros(()))
-    notes: tuple[str, ...] = field(default=())
+    notes: tuple[Note | str, ...] = field(default=())
     faults: tuple[Fault, ...] = field(default=())
     turns: Turns | None = None
 

@@ -11,6 +11,7 @@ from skin2urdf.arrays import F64, Bool
 from skin2urdf.errors import InsufficientDataError
 from skin2urdf.faults import Fault
 from skin2urdf.geometry.units import GRAVITY
+from skin2urdf.notes import Note
 from skin2urdf.recording.credibility import spikes
 from skin2urdf.recording.holding import as_measured
 from skin2urdf.recording.records import Recording, SuStream
@@ -53,7 +54,7 @@ class Sampled:
         readings: (N, U, 3) SU readings on the grid [m/s^2].
         valid: (N, U) where they are whole.
         cutoff: low-pass cutoff that suits the patterns [Hz].
-        notes: words for the user.
+        notes: what was found and mended; what the reader says is in words.
         computed: (N, U) where they were missing, and were computed from the rest of the window.
         faults: what is wrong with the SUs' streams.
         clocks: SUs whose clock runs differently from the joints'; their samples are set right.
@@ -66,7 +67,7 @@ class Sampled:
     readings: F64
     valid: Bool
     cutoff: float
-    notes: tuple[str, ...]
+    notes: tuple[Note | str, ...]
     computed: Bool
     faults: tuple[Fault, ...] = ()
     clocks: tuple[SuClock, ...] = ()
@@ -113,7 +114,7 @@ def sample_recording(
     streams = {c.stream.name: c for c in checked(sus, at_rest, span, _pauses(motion))}
     readings = np.zeros((grid.size, len(su_names), 3))
     valid = np.zeros((grid.size, len(su_names)), dtype=bool)
-    notes = [*recording.notes, *held]
+    notes: list[Note | str] = [*recording.notes, *held]
     faults: list[Fault] = []
     still = np.zeros(grid.size, dtype=bool)
     for r in rests:
@@ -128,7 +129,7 @@ def sample_recording(
         factor = _unit(readings[still & valid[:, u], u])
         if factor != 1.0:
             readings[:, u] *= factor
-            notes.append(f"{name} reports g instead of m/s^2; its readings were converted")
+            notes.append(Note("unit g", (name,)))
         fault = unusable(name, readings[:, u], still, valid[:, u], GRAVITY)
         faults += found.faults
         if fault is not None:

@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from skin2urdf.arrays import F64, Bool, Int, frozen
+from skin2urdf.notes import Note
 from skin2urdf.recording.credibility import spikes
 from skin2urdf.recording.holding import measurements
 from skin2urdf.recording.records import SuStream
@@ -65,7 +66,7 @@ class Turning:
 
 def sampled_turning(
     sus: Mapping[str, SuStream], su_names: Sequence[str], motion: Motion, still: Bool
-) -> tuple[Turning | None, tuple[str, ...]]:
+) -> tuple[Turning | None, tuple[Note, ...]]:
     """Put what gyroscopes read on the grid of a log.
 
     Args:
@@ -94,7 +95,7 @@ def sampled_turning(
         valid[:, u] = whole & motion.valid & ~clipped
         if _in_degrees(rates[valid[:, u], u], motion.qd[valid[:, u]]):
             rates[:, u] /= _DEGREES
-            notes.append(f"the gyroscope of {name} reports deg/s; its rates were converted")
+            notes.append(Note("unit deg/s", (name,)))
     return Turning(rates, valid), tuple(notes)
 
 

@@ -19,6 +19,7 @@ import numpy as np
 from skin2urdf.arrays import F64, Bool, frozen
 from skin2urdf.errors import StructureError
 from skin2urdf.geometry.so3 import frame_with_z
+from skin2urdf.notes import Note
 from skin2urdf.signals.sampling import Sampled
 from skin2urdf.structure.accelerations import Along, ChainJoint, along
 from skin2urdf.structure.draft import Draft, in_best_order, with_unseen_joints
@@ -145,24 +146,21 @@ def _triple(axis: F64) -> tuple[float, float, float]:
 def _motion_tree(
     draft: Draft, growth: Growth, samples: Along, sampled: Sequence[Sampled], moved: Bool
 ) -> MotionTree:
-    """A draft in the frame of the first log, with words on what is left out."""
+    """A draft in the frame of the first log, with notes on what is left out."""
     windows = growth.windows
     names = windows.dof_names
     heard = np.flatnonzero(draft.su_joint >= -1)
     notes = [
-        f"{windows.su_names[u]} is left out: "
-        + (
-            "no chain of joints explains what it feels; put SUs on the segments before it"
-            if growth.n[u] > 0
-            else "it has no usable readings"
+        Note(
+            "su left out",
+            (windows.su_names[u],),
+            detail="no chain" if growth.n[u] > 0 else "no readings",
         )
         for u in np.flatnonzero(draft.su_joint < -1)
     ]
     felt = {joint.dof for joint in draft.joints}
     notes += [
-        f"{name} is left out of the tree: {_why_left_out(sampled, d, bool(moved[d]))}"
-        for d, name in enumerate(names)
-        if d not in felt
+        _left_out(sampled, d, name, bool(moved[d])) for d, name in enumerate(names) if d not in felt
     ]
     tree = KinematicTree(
         tuple(names[j.dof] for j in draft.joints),
@@ -188,22 +186,16 @@ def _motion_tree(
     )
 
 
-def _doubt(tree: KinematicTree, other: KinematicTree) -> str:
-    """Words on a tree that the log does not tell from the one that was taken."""
+def _doubt(tree: KinematicTree, other: KinematicTree) -> Note:
+    """A note on a tree that the log does not tell from the one that was taken."""
     theirs = dict(_chains(other))
     taken, instead = next(
         ((chain, theirs[name]) for name, chain in _chains(tree) if chain != theirs[name]),
         (tree.joint_names, other.joint_names),
     )
     if taken == instead:
-        return (
-            "the log does not tell the sense of every axis: record quicker moves, and the base "
-            "tilted by 20 degrees or more"
-        )
-    return (
-        f"the log does not tell the order {' > '.join(taken)} from {' > '.join(instead)}: record "
-        "quicker moves of these joints, or put an SU on every segment"
-    )
+        return Note("sense unknown")
+    return Note("other order", joints=taken, instead=instead)
 
 
 def _chains(tree: KinematicTree) -> list[tuple[str, tuple[str, ...]]]:
@@ -214,12 +206,9 @@ def _chains(tree: KinematicTree) -> list[tuple[str, tuple[str, ...]]]:
     ]
 
 
-def _why_left_out(sampled: Sequence[Sampled], dof: int, moved: bool) -> str:
-    """Why a joint is no part of the tree."""
+def _left_out(sampled: Sequence[Sampled], dof: int, name: str, moved: bool) -> Note:
+    """A note on a joint that is no part of the tree."""
     if not moved:
-        return "it never moved"
+        return Note("joint left out", joints=(name,), detail="never moved")
     span = max(float(np.ptp(s.motion.q[:, dof])) for s in sampled)
-    return (
-        f"it moved by {span:.2g} rad (or m), but no SU shows it: none sits beyond it, or its axis "
-        "is vertical and it moved slowly"
-    )
+    return Note("joint left out", joints=(name,), detail="not shown", size=span)

@@ -8,6 +8,7 @@ from typing import Literal
 import numpy as np
 
 from skin2urdf.arrays import Bool, Int, frozen
+from skin2urdf.notes import Note
 
 JointType = Literal["revolute", "prismatic"]
 
@@ -24,7 +25,7 @@ class KinematicTree:
         joint_types: D joint types.
         su_names: U SU names.
         su_joint: (U,) index of the last joint before each SU; -1 for an SU on the RS.
-        notes: repairs and omissions, in words for the user.
+        notes: repairs and omissions.
     """
 
     joint_names: tuple[str, ...]
@@ -32,7 +33,7 @@ class KinematicTree:
     joint_types: tuple[JointType, ...]
     su_names: tuple[str, ...]
     su_joint: Int
-    notes: tuple[str, ...] = field(default=())
+    notes: tuple[Note, ...] = field(default=())
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "parent", frozen(self.parent, np.int64))

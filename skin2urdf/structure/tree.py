@@ -8,6 +8,7 @@ import numpy as np
 
 from skin2urdf.arrays import F64, Bool, Int
 from skin2urdf.errors import StructureError
+from skin2urdf.notes import Detail, Note
 from skin2urdf.signals.records import Features
 from skin2urdf.structure.activity import CERTAIN, Activity, own_information
 from skin2urdf.structure.joint_types import joint_type, pushed_alike
@@ -28,10 +29,9 @@ def kinematic_tree(activity: Activity, features: Features) -> KinematicTree:
     Raises:
         StructureError: no DoF moves any SU, or the evidence contradicts every tree.
     """
-    notes: list[str] = []
     heard: Int = np.flatnonzero(activity.heard).astype(np.int64)
-    notes += [
-        f"{activity.su_names[u]} has no usable readings and is left out"
+    notes = [
+        Note("su left out", (activity.su_names[u],), detail="no readings")
         for u in np.flatnonzero(~activity.heard)
     ]
     own = own_information(features)
@@ -40,9 +40,8 @@ def kinematic_tree(activity: Activity, features: Features) -> KinematicTree:
     notes += repairs
     felt = bits.any(axis=0)
     for d in np.flatnonzero(~felt):
-        notes.append(
-            f"{activity.dof_names[d]} is left out of the tree: {_why(activity, heard, int(d))}"
-        )
+        why = _why(activity, heard, int(d))
+        notes.append(Note("joint left out", joints=(activity.dof_names[d],), detail=why))
     if not felt.any():
         raise StructureError(
             "no SU is moved by any DoF: every row of the activity matrix is empty",
@@ -50,7 +49,7 @@ def kinematic_tree(activity: Activity, features: Features) -> KinematicTree:
         )
     notes += _never_together(activity, heard, bits)
     if bits.any(axis=1).all():
-        notes.append("no SU sits on the reference segment")
+        notes.append(Note("bare base"))
     dofs = sorted(np.flatnonzero(felt), key=lambda d: (-int(bits[:, d].sum()), int(d)))
     parent = _parents(bits[:, dofs])
     su_joint = _carriers(bits[:, dofs], parent)
@@ -67,37 +66,37 @@ def kinematic_tree(activity: Activity, features: Features) -> KinematicTree:
     )
 
 
-def _why(activity: Activity, heard: Int, dof: int) -> str:
+def _why(activity: Activity, heard: Int, dof: int) -> Detail:
     """Why a DoF is in no tree."""
     if not activity.excited[dof]:
-        return "it never moved in this log"
+        return "never moved"
     tested = activity.tested[heard, dof]
     if not tested.any():
-        return "it moved, but neither alone nor in a pattern, so what it moves is not known"
+        return "not alone"
     if not np.isfinite(activity.dynamic[heard, dof]).any():
-        return (
-            "it turns no gravity: its axis is vertical, it slides, or nothing beyond carries an SU"
-        )
-    return "no SU feels it" if tested.all() else "no SU that was recorded while it moved feels it"
+        return "turns no gravity"
+    return "felt by none" if tested.all() else "felt by none recorded"
 
 
-def _never_together(activity: Activity, heard: Int, bits: Bool) -> list[str]:
-    """Words about SUs that no log holds while some DoF moved, so that nothing ties them to it."""
+def _never_together(activity: Activity, heard: Int, bits: Bool) -> list[Note]:
+    """Notes on SUs that no log holds while some DoF moved, so that nothing ties them to it."""
     open_ = ~activity.tested[heard] & ~bits & bits.any(axis=0)
     groups: dict[bytes, list[int]] = {}
     for d in np.flatnonzero(open_.any(axis=0)):
         groups.setdefault(open_[:, d].tobytes(), []).append(int(d))
     return [
-        f"{', '.join(activity.su_names[u] for u in heard[open_[:, dofs[0]]])} were not recorded "
-        f"while {', '.join(activity.dof_names[d] for d in dofs)} moved and are taken not to move "
-        "with them; if they do, record both in one log"
+        Note(
+            "never together",
+            tuple(activity.su_names[u] for u in heard[open_[:, dofs[0]]]),
+            tuple(activity.dof_names[d] for d in dofs),
+        )
         for dofs in groups.values()
     ]
 
 
 def nested(
     evidence: F64, su_names: Sequence[str], dof_names: Sequence[str]
-) -> tuple[Bool, list[str]]:
+) -> tuple[Bool, list[Note]]:
     """Activity bits whose columns nest, with the least certain bits changed where needed.
 
     Args:
@@ -112,7 +111,7 @@ def nested(
         StructureError: a contradiction that rests on certain bits only.
     """
     bits, sure = evidence > 0, np.abs(evidence)
-    notes: list[str] = []
+    notes: list[Note] = []
     while True:
         conflict = _cheapest_conflict(bits, sure)
         if conflict is None:
@@ -134,11 +133,8 @@ def nested(
             bits[u, column] = ~bits[u, column]
             # Once changed for the sake of the rest it stays, or two repairs would undo each other.
             sure[u, column] = np.inf
-            state = "active" if bits[u, column] else "inactive"
-            notes.append(
-                f"{su_names[u]} under {dof_names[column]} was undecided and is taken as {state}, "
-                "which the rest of the activity matrix asks for"
-            )
+            taken: Detail = "active" if bits[u, column] else "inactive"
+            notes.append(Note("undecided", (su_names[u],), (dof_names[column],), taken))
 
 
 def _cheapest_conflict(bits: Bool, sure: F64) -> tuple[float, list[int], int, int, int] | None:

@@ -13,6 +13,7 @@ import numpy as np
 
 from skin2urdf.arrays import Bool
 from skin2urdf.errors import InsufficientDataError
+from skin2urdf.notes import Note
 from skin2urdf.signals.records import Features
 from skin2urdf.structure.ordering import Ordering
 from skin2urdf.structure.records import KinematicTree
@@ -66,8 +67,8 @@ def _check_left(heard: Bool, use: Bool, tree: KinematicTree) -> None:
         )
 
 
-def unknown_position_notes(features: Features, tree: KinematicTree) -> list[str]:
-    """Words about logs that lack positions, and about the SUs that are not used from them."""
+def unknown_position_notes(features: Features, tree: KinematicTree) -> list[Note]:
+    """Notes on logs that lack positions, and about the SUs that are not used from them."""
     use = usable(features, tree)
     groups: dict[tuple[int, ...], list[str]] = defaultdict(list)
     lost = features.valid[:, Ordering.of(tree, features).su] & ~use
@@ -75,11 +76,7 @@ def unknown_position_notes(features: Features, tree: KinematicTree) -> list[str]
         logs = tuple(int(log) for log in np.unique(features.log[lost[:, u]]))
         if logs:
             groups[logs].append(name)
-    return [
-        f"log {', '.join(str(log + 1) for log in logs)} lacks positions of joints before "
-        f"{', '.join(names)}, which were not used from it: record all joint states in every log"
-        for logs, names in groups.items()
-    ]
+    return [Note("positions lacking", tuple(names), numbers=logs) for logs, names in groups.items()]
 
 
 def _base(tree: KinematicTree, joint: int, named: Bool) -> tuple[int, ...] | None:

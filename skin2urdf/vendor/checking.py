@@ -25,6 +25,7 @@ from skin2urdf.errors import InsufficientDataError
 from skin2urdf.estimation.uncertainty.observability import ARM
 from skin2urdf.faults import Fault, distinct
 from skin2urdf.geometry.se3 import inverse, log
+from skin2urdf.notes import Note
 from skin2urdf.recording.records import Recording
 from skin2urdf.signals.trajectory import trajectory
 from skin2urdf.vendor.explaining import GROSS, Explained, another_robot
@@ -132,7 +133,7 @@ class Checked:
     new: tuple[str, ...]
     faults: tuple[Fault, ...]
     sources: tuple[Source, ...]
-    notes: tuple[str, ...]
+    notes: tuple[Note | str, ...]
     seconds: dict[str, float]
 
     @property

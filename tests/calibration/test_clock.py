@@ -6,10 +6,9 @@ import time
 from dataclasses import replace
 
 import pytest
-from calibrated import calibration, simulation
+from calibrated import calibration, run
 
 from skin2urdf.calibration.clock import Clock, Tell
-from skin2urdf.calibration.pipeline import calibrate
 from skin2urdf.report.document import as_document
 from skin2urdf.report.summary import as_text
 
@@ -44,14 +43,21 @@ def test_a_stage_that_fails_has_taken_its_time_all_the_same() -> None:
     assert clock.seconds["next"] >= 0.02
 
 
-def test_all_time_of_a_run_lies_in_stages_and_the_search_for_hits_tells_its_progress() -> None:
-    told: list[tuple[str, float]] = []
-    recording = simulation().recording
-    begin = time.perf_counter()
-    found = calibrate(recording, progress=lambda stage, share: told.append((stage, share)))
-    passed = time.perf_counter() - begin
-    assert sum(found.seconds.values()) == pytest.approx(passed, rel=0.05)
-    shares = [share for stage, share in told if stage == "hits"]
+def test_all_time_of_a_run_lies_in_stages() -> None:
+    assert sum(run().result.seconds.values()) == pytest.approx(run().seconds, rel=0.05)
+
+
+def test_progress_is_told_stage_by_stage() -> None:
+    told = run().told
+    assert all(0.0 <= share <= 1.0 for _, share in told)
+    stages = list(dict.fromkeys(stage for stage, _ in told))
+    assert stages[:4] == ["reading", "leaps", "sampling", "features"]
+    assert stages[-1] == "observability"
+    assert told[-1] == ("observability", 1.0)
+
+
+def test_the_search_for_hits_tells_its_progress() -> None:
+    shares = [share for stage, share in run().told if stage == "hits"]
     assert len(set(shares)) > 3
     assert shares[-1] == max(shares) == 1.0
 

@@ -176,12 +176,19 @@ def test_a_wrong_scale_is_named_with_its_size(factor: float, tmp_path: Path) -> 
 
 
 @pytest.mark.parametrize(
-    "options",
-    [{"grade": "bma150"}, {"encoder_bits": 12}, {"encoder_bits": 12, "excite": "one"}],
+    ("options", "settings"),
+    [
+        ({"grade": "bma150"}, PATTERNS),
+        # The last word about hits is that of all samples, also of coarse encoders.
+        ({"encoder_bits": 12}, None),
+        ({"encoder_bits": 12, "excite": "one"}, PATTERNS),
+    ],
 )
-def test_right_encoders_are_not_named(options: dict[str, object]) -> None:
+def test_right_encoders_are_not_named(
+    options: dict[str, object], settings: CalibrationSettings | None
+) -> None:
     assert not sound().faults
-    assert not calibrate(recording(**options)).faults
+    assert not calibrate(recording(**options), settings).faults
 
 
 def test_leaps_are_found_to_their_sample_and_size() -> None:

@@ -202,8 +202,9 @@ def test_a_ros1_chunk_is_unpacked_no_further_than_it_claims(tmp_path: Path) -> N
 def test_a_packed_file_is_unpacked_no_further_than_a_log_can_be(tmp_path: Path) -> None:
     path = tmp_path / "bomb.mcap.zstd"
     path.write_bytes(zstandard.ZstdCompressor().compress(b"\x89MCAP0\r\n" + bytes(300 << 20)))
-    with pytest.raises(UnreadableInputError, match="unpacks to more than"):
+    with pytest.raises(UnreadableInputError) as caught:
         read(path)
+    assert caught.value.why == "too large"
 
 
 def test_messages_that_unpack_to_far_too_much_are_left_out(tmp_path: Path) -> None:
@@ -232,8 +233,9 @@ def test_databases_that_compute_their_rows_are_refused(script: str, tmp_path: Pa
     (path,) = written("sqlite3", tmp_path).glob("*.db3")
     with sqlite3.connect(path) as database:
         database.executescript(script)
-    with pytest.raises(UnreadableInputError, match="not a rosbag2 database"):
+    with pytest.raises(UnreadableInputError) as caught:
         inventory(path)
+    assert caught.value.why == "another format"
 
 
 def test_odd_rows_of_a_database_are_left_out_and_names_escaped(tmp_path: Path) -> None:

@@ -152,8 +152,9 @@ def test_other_headers_are_refused_with_the_next_step(
 def test_endless_lines_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "log.csv"
     path.write_bytes(b"0" * (5 << 20))
-    with pytest.raises(UnreadableInputError, match="a line is longer"):
+    with pytest.raises(UnreadableInputError) as caught:
         read(path)
+    assert caught.value.why == "long line"
 
 
 @settings(max_examples=25, deadline=None, suppress_health_check=list(HealthCheck))

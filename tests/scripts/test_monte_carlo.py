@@ -14,7 +14,7 @@ from montecarlo.chart import TrueRobot, displacement, true_robot
 from montecarlo.normalised import normalised, summed, without_open
 from montecarlo.records import BLOCKS, Block, Case, Run
 from montecarlo.table import nees, report
-from simulated import simulation, true_features
+from simulated import PATTERNS, simulation, true_features
 
 from skin2urdf.calibration.pipeline import calibrate
 from skin2urdf.calibration.result import Calibration
@@ -28,7 +28,7 @@ def recorded() -> Simulation:
 
 @cache
 def calibration() -> Calibration:
-    return calibrate(recorded().recording)
+    return calibrate(recorded().recording, PATTERNS)
 
 
 def truth_of(found: Calibration) -> tuple[State, object]:

@@ -18,6 +18,7 @@ from simulated import (
     simulation,
 )
 
+from skin2urdf import notes
 from skin2urdf.arrays import F64
 from skin2urdf.calibration.pipeline import calibrate
 from skin2urdf.errors import InsufficientDataError
@@ -203,8 +204,9 @@ def test_readings_in_g_are_recognised() -> None:
     plain = first_features()
     np.testing.assert_allclose(features.f0, plain.f0, atol=1e-6)
     np.testing.assert_allclose(features.tau, plain.tau, atol=1e-6)
-    assert sum("reports g" in note for note in features.notes) == features.n_sus
-    assert not any("reports g" in note for note in plain.notes)
+    expected = [notes.Note("unit g", (name,)) for name in features.su_names]
+    assert notes.of_kind(features.notes, "unit g") == expected
+    assert not notes.of_kind(plain.notes, "unit g")
 
 
 def test_one_su_in_g_is_named_alone() -> None:
@@ -215,9 +217,7 @@ def test_one_su_in_g_is_named_alone() -> None:
         return replace(su, specific_force=su.specific_force / 9.81) if su.name == odd else su
 
     features = features_of(changed_sus(sim.recording, change))
-    notes = [note for note in features.notes if "reports g" in note]
-    assert len(notes) == 1
-    assert odd in notes[0]
+    assert notes.of_kind(features.notes, "unit g") == [notes.Note("unit g", (odd,))]
 
 
 def test_a_gap_costs_its_samples_and_nothing_else() -> None:

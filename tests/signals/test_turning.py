@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from skin2urdf.arrays import F64
+from skin2urdf.notes import Note, of_kind
 from skin2urdf.recording.records import Recording, SuStream
 from skin2urdf.signals.sampling import Sampled, sampled_together
 from skin2urdf.signals.turning import Turning
@@ -57,7 +58,7 @@ def test_degrees_are_converted_and_told(log: Recording) -> None:
     assert su.angular_velocity is not None
     sampled, odd = _turning(_changed(log, su.name, np.rad2deg(su.angular_velocity)))
     np.testing.assert_allclose(odd.rates, plain.rates, atol=1e-12)
-    assert len(sampled.notes) > 0
+    assert of_kind(sampled.notes, "unit deg/s") == [Note("unit deg/s", (su.name,))]
 
 
 def test_spikes_and_missing_rates_do_no_harm(log: Recording) -> None:

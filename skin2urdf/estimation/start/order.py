@@ -16,6 +16,7 @@ import numpy as np
 from skin2urdf.arrays import F64
 from skin2urdf.estimation.problem.blocks import FeatureBlocks, feature_blocks
 from skin2urdf.estimation.start.peeling import Candidate, Peeled, Readings, candidates
+from skin2urdf.notes import Detail, Note
 from skin2urdf.signals.records import Features
 from skin2urdf.structure.records import KinematicTree
 
@@ -35,14 +36,14 @@ def ordered(tree: KinematicTree, features: Features) -> KinematicTree:
         return tree
     blocks = feature_blocks(features, tree)
     order = list(range(tree.n_joints))
-    notes: list[str] = []
+    notes: list[Note] = []
     for group in sorted(groups, key=lambda g: -len(tree.chain(g[-1]))):
         found, margin = _order(tree, blocks, group, order)
-        names = " > ".join(tree.joint_names[j] for j in found)
+        names = tuple(tree.joint_names[j] for j in found)
         for place, joint in zip(group, found, strict=True):
             order[place] = joint
-        doubt = "" if margin > _MARGIN else "; the log shows the order weakly"
-        notes.append(f"no SU sits between {names}: their order follows from the motion{doubt}")
+        detail: Detail = "" if margin > _MARGIN else "weak"
+        notes.append(Note("order from motion", joints=names, detail=detail))
     return replace(
         tree,
         joint_names=tuple(tree.joint_names[j] for j in order),

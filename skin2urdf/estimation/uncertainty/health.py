@@ -1,4 +1,4 @@
-"""SUs and poses that the model explains worse than the rest, in words a user can act on."""
+"""SUs and poses that the model explains worse than the rest, and why a fit is bad."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from skin2urdf.estimation.start.inward import inward_starts
 from skin2urdf.estimation.uncertainty.goodness import Goodness, by_block
 from skin2urdf.estimation.uncertainty.narrow import narrow_priors
 from skin2urdf.estimation.uncertainty.outliers import poses_unlike_the_rest, sus_unlike_the_rest
+from skin2urdf.notes import Note
 
 _HANDED = 30.0
 """Chi-squared of one image over the other's from which readings tell an SU's handedness; errors of
@@ -51,39 +52,30 @@ def unlike_the_rest(estimate: Estimate) -> tuple[int, ...]:
     return tuple(int(u) for u in np.flatnonzero(odd))
 
 
-def health_notes(estimate: Estimate, goodness: Goodness) -> tuple[str, ...]:
+def health_notes(estimate: Estimate, goodness: Goodness) -> tuple[Note, ...]:
     """Notes on SUs and poses that do not fit, and on implausible sensors."""
-    notes: list[str] = []
     tree, state = estimate.tree, estimate.state
     sus = sus_unlike_the_rest(goodness.by_block)
-    notes += [
-        f"{tree.su_names[u]} fits {sus.times[u]:.0f} times worse than the other SUs and "
-        "should not be trusted: check that it is fixed rigidly and that its axes are right-handed"
+    notes = [
+        Note("misfit", (tree.su_names[u],), size=float(sus.times[u]))
         for u in np.flatnonzero(sus.odd)
     ]
     odd = np.flatnonzero(poses_unlike_the_rest(goodness.by_block, goodness.patterned).odd)
     if len(odd):
-        listed = ", ".join(str(p + 1) for p in odd[:6]) + (" and others" if len(odd) > 6 else "")
-        verb = "fits badly and counts" if len(odd) == 1 else "fit badly and count"
-        notes.append(
-            f"{len(odd)} of {len(goodness.by_pose.dof)} poses {verb} little (number {listed} in "
-            "the order of the log): something touched or moved the robot there, or its base moved"
-        )
+        poses = tuple(int(p) for p in odd)
+        notes.append(Note("poses misfit", numbers=poses, of=len(goodness.by_pose.dof)))
     notes += _on_a_vertical_axis(estimate)
     for i, name in enumerate(tree.su_names):
         scale = float(np.abs(state.shape[i]).max())
         if scale > _IMPLAUSIBLE_SHAPE:
-            notes.append(
-                f"{name} would need a scale or cross-axis error of {100 * scale:.0f} %: check its "
-                "unit and that its axes are right-handed"
-            )
+            notes.append(Note("implausible shape", (name,), size=scale))
         elif float(np.abs(state.bias[i]).max()) > _IMPLAUSIBLE_BIAS:
             bias = float(np.abs(state.bias[i]).max())
-            notes.append(f"{name} would need a bias of {bias:.1f} m/s^2: check that sensor")
+            notes.append(Note("implausible bias", (name,), size=bias))
     return tuple(notes)
 
 
-def _on_a_vertical_axis(estimate: Estimate) -> list[str]:
+def _on_a_vertical_axis(estimate: Estimate) -> list[Note]:
     """SUs that may sit on a vertical first axis instead of the base."""
     tree, state = estimate.tree, estimate.state
     on_base = [n for n, j in zip(tree.su_names, tree.su_joint, strict=True) if j < 0]
@@ -97,8 +89,7 @@ def _on_a_vertical_axis(estimate: Estimate) -> list[str]:
         if tree.parent[j] < 0 and not tree.prismatic[j]
     }
     return [
-        f"{' and '.join(on_base)} are taken to sit on the base, but {name} is vertical: an SU "
-        "within a millimetre of its axis would look the same; record a log with the base tilted"
+        Note("vertical axis", tuple(on_base), (name,), size=sine)
         for name, sine in sines.items()
         if sine < _VERTICAL
     ]

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from synthetic import RATE, sampled_trajectory
 
 from skin2urdf.estimation.problem.cost import Priors
 from skin2urdf.estimation.problem.state import State
@@ -15,11 +16,7 @@ from skin2urdf.estimation.trajectory.problem import MotionProblem
 from skin2urdf.estimation.trajectory.state import MotionState
 from skin2urdf.geometry.se3 import exp
 from skin2urdf.geometry.so3 import frame_with_z
-from skin2urdf.signals.filters import low_pass
-from skin2urdf.signals.trajectory import Trajectory
 from skin2urdf.structure.records import KinematicTree
-
-RATE = 125.0
 
 
 @pytest.fixture(scope="module")
@@ -42,19 +39,10 @@ def problem() -> tuple[MotionProblem, MotionState]:
         bias=np.zeros((2, 3)),
         shape=np.zeros((2, 6)),
     )
-    n, D = 400, 3
-    t = np.arange(n) / RATE
-    f = np.array([0.2, 0.15, 0.3])
-    q = 0.4 * np.sin(2 * np.pi * f * t[:, None] + np.arange(3))
-    w = 2 * np.pi * f
-    qd = 0.4 * w * np.cos(w * t[:, None] + np.arange(3))
-    taps = low_pass(10.0, RATE)
-    kept = np.arange(100, 300, 4)
-    log = Trajectory(
-        log=0, rate=RATE, taps=taps, q=q, qd=qd, qdd=-(w**2) * q, readings=np.zeros((n, 2, 3)),
-        kept=kept, valid=np.ones((len(kept), 2), bool), moving=np.ones((len(kept), D), bool),
-        independence=1.0, rates=np.zeros((n, 2, 3)), turning=np.ones((len(kept), 2), bool),
-    )  # fmt: skip
+    t = np.arange(600) / RATE
+    q = 0.4 * np.sin(2 * np.pi * np.array([0.2, 0.15, 0.3]) * t[:, None] + np.arange(3))
+    nothing = np.zeros((len(t), 2, 3))
+    log = sampled_trajectory(q, nothing, rates=nothing)
     deviations = np.full((3, 6), 1e-2)
     expected = Blueprint(T @ exp(rng.normal(0, 1e-3, (3, 6))), deviations, state.up[0], 0.05)
     priors = motion_priors(Priors(), gravity=0.02, front=(np.zeros(2), np.full(2, 6e-5)))

@@ -12,7 +12,7 @@ from functools import cache
 import numpy as np
 import pinocchio as pin
 import pytest
-from synthetic import random_state, serial_tree
+from synthetic import RATE, random_state, sampled_trajectory, serial_tree
 
 from skin2urdf.arrays import F64
 from skin2urdf.estimation.problem.cost import Priors
@@ -23,14 +23,12 @@ from skin2urdf.estimation.trajectory.problem import MotionProblem
 from skin2urdf.estimation.trajectory.state import MotionState
 from skin2urdf.model.kinematics import to_pinocchio
 from skin2urdf.model.specific_force import specific_forces
-from skin2urdf.signals.filters import filtered, first_derivative, low_pass, second_derivative
 from skin2urdf.signals.trajectory import Trajectory
 
-_RATE, _CUTOFF, _N = 125.0, 6.0, 5000
+_N = 5000
 _TREE = serial_tree(2)
 _UP = np.array([0.0, 0.0, 1.0])
 _SOFT = np.array([1 / 14_000, 1 / 7_000])
-_DEPTH = 0.3
 
 
 @cache
@@ -48,17 +46,6 @@ def _torques(q: F64, qd: F64, qdd: F64) -> F64:
     return np.array([pin.rnea(model, data, *x).copy() for x in zip(q, qd, qdd, strict=True)])
 
 
-def _waves(rng: np.random.Generator) -> tuple[F64, F64, F64]:
-    """(N, 2) forty seconds of smooth motion: positions, velocities and accelerations."""
-    t = np.arange(_N) / _RATE
-    rates = rng.uniform(0.2, 1.2, (6, 2)) * 2 * np.pi
-    waves = rng.uniform(0.3, 0.5, (6, 2)) * 2 / rates
-    phase = rates * t[:, None, None] + rng.uniform(0, 6, (6, 2))
-    q = (waves * np.sin(phase)).sum(axis=1)
-    qd = (waves * rates * np.cos(phase)).sum(axis=1)
-    return q, qd, -(waves * rates**2 * np.sin(phase)).sum(axis=1)
-
-
 def _trajectory(rng: np.random.Generator, compliance: F64, lag: float = 0.0) -> Trajectory:
     """Forty seconds of smooth motion of links, and the positions of the motors that make it.
 
@@ -67,77 +54,20 @@ def _trajectory(rng: np.random.Generator, compliance: F64, lag: float = 0.0) -> 
         compliance: (2,) of the gears [rad/(N m)].
         lag: damping of the gears over their stiffness [s].
     """
-    t = np.arange(_N) / _RATE
-    q, qd, qdd = _waves(rng)
+    t = np.arange(_N) / RATE
+    rates = rng.uniform(0.2, 1.2, (6, 2)) * 2 * np.pi
+    waves = rng.uniform(0.3, 0.5, (6, 2)) * 2 / rates
+    phase = rates * t[:, None, None] + rng.uniform(0, 6, (6, 2))
+    q = (waves * np.sin(phase)).sum(axis=1)
+    qd = (waves * rates * np.cos(phase)).sum(axis=1)
+    qdd = -(waves * rates**2 * np.sin(phase)).sum(axis=1)
     truth = _truth()
     torque = _torques(q, qd, qdd)
     deflection = compliance * np.stack([np.interp(t - lag, t, x) for x in torque.T], axis=1)
     ideal = specific_forces(truth.model(_TREE), q, qd, qdd, 9.81 * _UP)
-    return _recorded(rng, q + deflection, ideal)
-
-
-def _recorded(rng: np.random.Generator, encoders: F64, ideal: F64) -> Trajectory:
-    """The log of encoders (N, 2) and of what perfect sensors would feel (N, 2, 3)."""
-    truth = _truth()
     read = np.einsum("uij,kuj->kui", truth.sensor_matrix(), ideal) + truth.bias
     read = read + 7e-3 * rng.standard_normal(read.shape)
-    taps = low_pass(_CUTOFF, _RATE)
-    smooth = filtered(encoders, taps)
-    kept = np.arange(len(taps), _N - len(taps), 6)
-    return Trajectory(
-        log=0,
-        rate=_RATE,
-        taps=taps,
-        q=smooth,
-        qd=first_derivative(smooth, _RATE),
-        qdd=second_derivative(smooth, _RATE),
-        readings=filtered(filtered(read, taps), taps),
-        kept=kept,
-        valid=np.ones((len(kept), 2), dtype=bool),
-        moving=np.ones((len(kept), 2), dtype=bool),
-        independence=0.5,
-    )
-
-
-def _on_a_stand(rng: np.random.Generator) -> tuple[Trajectory, F64]:
-    """A log of stiff joints on a base that gives way, and how it turns (N, 2) about x and y [rad].
-
-    Motions of the SUs are Pinocchio's, of a robot with two more joints 0.3 m below its base.
-    """
-    truth = _truth()
-    plain = to_pinocchio(truth.model(_TREE))
-    model = pin.Model()
-    below = pin.SE3(np.eye(3), np.array([0.0, 0.0, -_DEPTH]))
-    model.addJoint(0, pin.JointModelRX(), below, "about x")
-    model.addJoint(1, pin.JointModelRY(), pin.SE3.Identity(), "about y")
-    for j in (1, 2):
-        parent = 2 if j == 1 else j + 1
-        T = below.inverse() * plain.jointPlacements[j] if j == 1 else plain.jointPlacements[j]
-        model.addJoint(parent, pin.JointModelRZ(), T, f"joint {j}")
-    for joint, mass, lever in ((3, 20.0, (0.2, 0.1, 0.1)), (4, 8.0, (0.3, 0.1, -0.1))):
-        model.inertias[joint] = pin.Inertia(mass, np.array(lever), 0.02 * mass * np.eye(3))
-    frames = [
-        model.addFrame(pin.Frame(f"su {u}", int(j) + 3, pin.SE3(T), pin.FrameType.OP_FRAME))
-        for u, (j, T) in enumerate(zip(_TREE.su_joint, truth.T_joint_su, strict=True))
-    ]
-    data = model.createData()
-    stiff = [np.hstack([np.zeros((_N, 2)), x]) for x in _waves(rng)]
-    tilt = np.zeros((_N, 2))
-    for _ in range(3):
-        motion = [np.array(x) for x in stiff]
-        motion[0][:, :2] = tilt
-        motion[1][:, :2] = first_derivative(tilt, _RATE)
-        motion[2][:, :2] = second_derivative(tilt, _RATE)
-        moments = [pin.rnea(model, data, *x)[:2].copy() for x in zip(*motion, strict=True)]
-        tilt = -np.array(moments) / 12_000
-    ideal = np.empty((_N, 2, 3))
-    for n, x in enumerate(zip(*motion, strict=True)):
-        pin.forwardKinematics(model, data, *x)
-        pin.updateFramePlacements(model, data)
-        for u, frame in enumerate(frames):
-            a = pin.getFrameClassicalAcceleration(model, data, frame, pin.ReferenceFrame.LOCAL)
-            ideal[n, u] = a.linear + data.oMf[frame].rotation.T @ (9.81 * _UP)
-    return _recorded(rng, stiff[0][:, 2:], ideal), motion[0][:, :2]
+    return sampled_trajectory(q + deflection, read)
 
 
 def _fit(log: Trajectory) -> MotionEstimate:
@@ -211,16 +141,3 @@ def test_equations_hold_the_gradient_in_what_yields(*, base: bool) -> None:
         # Columns are not low-passed once more, residuals are: what that changes is small.
         scale = np.sqrt(equations.joint[i, i] * chi2(state))
         assert slope == pytest.approx(-2 * equations.joint_gradient[i], rel=2e-2, abs=1e-3 * scale)
-
-
-def test_a_base_that_gives_way_is_followed() -> None:
-    log, tilt = _on_a_stand(np.random.default_rng(1))
-    found = _fit(log)
-    assert "base" in found.causes
-    assert found.misfit < 1.5
-    smooth = filtered(tilt, log.taps)[log.kept]
-    np.testing.assert_allclose(found.base_motion[3:5], np.ptp(smooth, axis=0), rtol=0.2)
-    assert not found.deflections.any()
-    stiff = _fit(_trajectory(np.random.default_rng(1), 0.0 * _SOFT))
-    assert not stiff.base_motion.any()
-    assert _reading_errors(found.state) < 10 * _reading_errors(stiff.state)

@@ -7,7 +7,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from synthetic import random_state, serial_tree
+from synthetic import RATE, random_state, sampled_trajectory, serial_tree
 
 from skin2urdf.arrays import F64
 from skin2urdf.estimation.problem.cost import Priors
@@ -18,10 +18,8 @@ from skin2urdf.estimation.trajectory.problem import MotionProblem
 from skin2urdf.estimation.trajectory.state import MotionState
 from skin2urdf.geometry.so3 import rotation_exp
 from skin2urdf.model.specific_force import specific_forces
-from skin2urdf.signals.filters import filtered, first_derivative, low_pass, second_derivative
 from skin2urdf.signals.trajectory import Trajectory
 
-_RATE, _CUTOFF = 125.0, 6.0
 _TREE = serial_tree(3)
 _NOISE = 2e-3
 
@@ -45,7 +43,7 @@ def _trajectory(
         late: lag of the sensors' clocks [s].
     """
     n = 7500
-    t = np.arange(n) / _RATE
+    t = np.arange(n) / RATE
     rates = rng.uniform(0.3, 2.5, (6, 3)) * 2 * np.pi
     size = rng.uniform(0.1, 0.5, (6, 3)) * 3 / rates
     phases = rng.uniform(0, 6, (6, 3))
@@ -53,9 +51,8 @@ def _trajectory(
     def positions(at: F64) -> F64:
         return (size * np.sin(rates * at[:, None, None] + phases)).sum(axis=1)
 
-    taps = low_pass(_CUTOFF, _RATE)
     truth = _truth()
-    fine = np.arange(-50, 4 * n + 50) / (4 * _RATE) - late
+    fine = np.arange(-50, 4 * n + 50) / (4 * RATE) - late
     q = positions(fine)
     qd = np.gradient(q, fine, axis=0)
     qdd = np.gradient(qd, fine, axis=0)
@@ -69,21 +66,7 @@ def _trajectory(
     read = np.einsum("uij,kuj->kui", truth.sensor_matrix(), ideal)[50:-50:4] + truth.bias
     read = read + drift * (t / t[-1])[:, None, None]
     read = read + _NOISE / 0.3 * rng.standard_normal(read.shape)
-    smooth = filtered(positions(t), taps)
-    kept = np.arange(len(taps), n - len(taps), 6)
-    return Trajectory(
-        log=0,
-        rate=_RATE,
-        taps=taps,
-        q=smooth,
-        qd=first_derivative(smooth, _RATE),
-        qdd=second_derivative(smooth, _RATE),
-        readings=filtered(filtered(read, taps), taps),
-        kept=kept,
-        valid=np.ones((len(kept), 3), dtype=bool),
-        moving=np.ones((len(kept), 3), dtype=bool),
-        independence=0.5,
-    )
+    return sampled_trajectory(positions(t), read)
 
 
 def _fit(log: Trajectory, start: State, droop: float = 6e-5) -> MotionEstimate:

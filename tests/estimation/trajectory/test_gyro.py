@@ -6,7 +6,7 @@ from dataclasses import replace
 from functools import cache
 
 import numpy as np
-from synthetic import random_state, serial_tree
+from synthetic import RATE, random_state, sampled_trajectory, serial_tree
 
 from skin2urdf.arrays import F64
 from skin2urdf.estimation.problem.cost import Priors
@@ -16,10 +16,8 @@ from skin2urdf.estimation.trajectory.problem import MotionProblem
 from skin2urdf.estimation.trajectory.state import MotionState
 from skin2urdf.estimation.trajectory.unseen import Unseen
 from skin2urdf.model.specific_force import angular_velocities, specific_forces
-from skin2urdf.signals.filters import filtered, first_derivative, low_pass, second_derivative
 from skin2urdf.signals.trajectory import Trajectory
 
-_RATE, _CUTOFF = 125.0, 6.0
 _TREE = serial_tree(3)
 _ACCELERATION, _TURN = 5e-3, 2e-3
 """Noise of a sample [m/s^2, rad/s]."""
@@ -44,8 +42,8 @@ def _motion(rng: np.random.Generator, t: F64, late: float = 0.0) -> tuple[F64, F
 def _log(late: float = 0.0, noise: float = _ACCELERATION) -> Trajectory:
     """Forty seconds of motion, felt by noisy accelerometers and gyroscopes on one clock."""
     n = 5000
-    t, rng = np.arange(n) / _RATE, np.random.default_rng(1)
-    truth, taps = _truth(), low_pass(_CUTOFF, _RATE)
+    t, rng = np.arange(n) / RATE, np.random.default_rng(1)
+    truth = _truth()
     q, qd, qdd = _motion(np.random.default_rng(0), t, late)
     model = truth.model(_TREE)
     force = specific_forces(model, q, qd, qdd, 9.81 * truth.up[0])
@@ -53,24 +51,7 @@ def _log(late: float = 0.0, noise: float = _ACCELERATION) -> Trajectory:
     read += noise * rng.standard_normal(read.shape)
     turn = angular_velocities(model, q, qd) @ _MATRIX.T + _BIAS
     turn += _TURN * rng.standard_normal(turn.shape)
-    smooth = filtered(_motion(np.random.default_rng(0), t)[0], taps)
-    kept = np.arange(len(taps), n - len(taps), 6)
-    whole = np.ones((len(kept), 3), dtype=bool)
-    return Trajectory(
-        log=0,
-        rate=_RATE,
-        taps=taps,
-        q=smooth,
-        qd=first_derivative(smooth, _RATE),
-        qdd=second_derivative(smooth, _RATE),
-        readings=filtered(filtered(read, taps), taps),
-        kept=kept,
-        valid=whole,
-        moving=whole,
-        independence=0.5,
-        rates=filtered(filtered(turn, taps), taps),
-        turning=whole,
-    )
+    return sampled_trajectory(_motion(np.random.default_rng(0), t)[0], read, turn)
 
 
 def _fit(log: Trajectory) -> MotionEstimate:
@@ -88,7 +69,7 @@ def test_gradients_of_rates_are_those_of_chi_squared() -> None:
     rng = np.random.default_rng(0)
     log = _log()
     priors = motion_priors(Priors(), gravity=0.02, front=(np.zeros(2), np.full(2, 6e-5)))
-    motions = 0.1 * _motion(rng, np.arange(len(log.q)) / _RATE)[0][:, :2]
+    motions = 0.1 * _motion(rng, np.arange(len(log.q)) / RATE)[0][:, :2]
     unseen = Unseen(np.array([1, 2]), (motions,))
     problem = MotionProblem(_TREE, [log], replace(priors, unseen=np.ones(2)), unseen=unseen)
     layout = problem.layout

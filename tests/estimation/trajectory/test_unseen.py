@@ -8,7 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from synthetic import random_state, serial_tree
+from synthetic import RATE, random_state, sampled_trajectory, serial_tree
 
 from skin2urdf.arrays import F64
 from skin2urdf.estimation.problem.cost import Priors
@@ -18,10 +18,9 @@ from skin2urdf.estimation.trajectory.gears import find_ripples, harmonics, rippl
 from skin2urdf.estimation.trajectory.problem import MotionProblem
 from skin2urdf.estimation.trajectory.slack import size_of, slack
 from skin2urdf.model.specific_force import specific_forces
-from skin2urdf.signals.filters import filtered, first_derivative, low_pass, second_derivative
+from skin2urdf.signals.filters import filtered, first_derivative, second_derivative
 from skin2urdf.signals.trajectory import Trajectory
 
-_RATE, _CUTOFF = 125.0, 6.0
 _TREE = serial_tree(2)
 _UP = np.array([0.0, 0.0, 1.0])
 _STAY, _MOVE, _PLACES = 130, 170, 10
@@ -62,29 +61,13 @@ def _log(unseen: str) -> Trajectory:
     rng = np.random.default_rng(2)
     theta, beyond = _moved(unseen)
     q = theta + beyond
-    qd = first_derivative(q, _RATE)
-    qdd = second_derivative(q, _RATE)
+    qd = first_derivative(q, RATE)
+    qdd = second_derivative(q, RATE)
     truth = _truth()
     ideal = specific_forces(truth.model(_TREE), q, qd, qdd, 9.81 * _UP)
     read = np.einsum("uij,kuj->kui", truth.sensor_matrix(), ideal) + truth.bias
     read = read + 7e-3 * rng.standard_normal(read.shape)
-    taps = low_pass(_CUTOFF, _RATE)
-    smooth = filtered(theta, taps)
-    kept = np.arange(len(taps), len(theta) - len(taps), 6)
-    velocity = first_derivative(smooth, _RATE)
-    return Trajectory(
-        log=0,
-        rate=_RATE,
-        taps=taps,
-        q=smooth,
-        qd=velocity,
-        qdd=second_derivative(smooth, _RATE),
-        readings=filtered(filtered(read, taps), taps),
-        kept=kept,
-        valid=np.ones((len(kept), 2), dtype=bool),
-        moving=np.abs(velocity[kept]) > 1e-3,
-        independence=0.5,
-    )
+    return sampled_trajectory(theta, read, still_below=1e-3)
 
 
 @cache

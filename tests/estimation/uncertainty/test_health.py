@@ -1,4 +1,4 @@
-"""Words about what does not fit, on a small calibration whose residuals are made worse."""
+"""Notes on what does not fit, on a small calibration whose residuals are made worse."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from calibrated import calibration
 from skin2urdf.arrays import F64
 from skin2urdf.estimation.uncertainty.goodness import Goodness, Share
 from skin2urdf.estimation.uncertainty.health import health_notes, unlike_the_rest
+from skin2urdf.notes import Note, of_kind
 
 
 def with_misfit(factors: F64) -> Goodness:
@@ -18,7 +19,7 @@ def with_misfit(factors: F64) -> Goodness:
     return replace(fit, by_block=Share(fit.by_block.chi2 * factors, fit.by_block.dof))
 
 
-def notes(su: int | None = None, pose: int | None = None) -> list[str]:
+def notes(su: int | None = None, pose: int | None = None) -> list[Note]:
     """Notes about misfits, with one SU and one pose a thousand times worse."""
     factors = np.ones(calibration().goodness.by_block.chi2.shape)
     if su is not None:
@@ -26,7 +27,7 @@ def notes(su: int | None = None, pose: int | None = None) -> list[str]:
     if pose is not None:
         factors[pose] *= 1e3
     found = health_notes(calibration().estimate, with_misfit(factors))
-    return [note for note in found if "fit" in note]
+    return [*of_kind(found, "misfit"), *of_kind(found, "poses misfit")]
 
 
 def test_a_clean_recording_has_no_notes_about_its_fit() -> None:
@@ -36,15 +37,13 @@ def test_a_clean_recording_has_no_notes_about_its_fit() -> None:
 
 def test_an_su_that_does_not_fit_is_named() -> None:
     (note,) = notes(su=3)
-    assert note.startswith(f"{calibration().model.tree.su_names[3]} fits ")
-    assert "fixed rigidly" in note
+    assert (note.kind, note.sus) == ("misfit", (calibration().model.tree.su_names[3],))
+    assert note.size > 30
 
 
-def test_a_pose_that_does_not_fit_is_numbered_from_one() -> None:
+def test_a_pose_that_does_not_fit_is_numbered() -> None:
     last = len(calibration().features.q) - 1
-    (note,) = notes(pose=last)
-    assert note.startswith(f"1 of {last + 1} poses fits badly and counts little")
-    assert f"(number {last + 1} in the order of the log)" in note
+    assert notes(pose=last) == [Note("poses misfit", numbers=(last,), of=last + 1)]
 
 
 def test_poses_with_patterns_are_told_from_rests() -> None:

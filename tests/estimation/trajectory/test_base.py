@@ -1,0 +1,120 @@
+"""A base that gives way is found from the readings of SUs on the robot alone.
+
+Motions are Pinocchio's, of a robot with inertias and with two more joints below its base.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+from itertools import pairwise
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from synthetic import RATE, random_state, sampled_trajectory, serial_tree
+
+from skin2urdf.arrays import F64
+from skin2urdf.estimation.problem.cost import Priors
+from skin2urdf.estimation.problem.state import State
+from skin2urdf.estimation.trajectory.estimate import MotionEstimate, estimate_along, motion_priors
+from skin2urdf.model.kinematics import to_pinocchio
+from skin2urdf.model.specific_force import specific_forces
+from skin2urdf.signals.filters import filtered, first_derivative, low_pass, second_derivative
+
+_TREE = serial_tree(2)
+_UP = np.array([0.0, 0.0, 1.0])
+_STAY, _MOVE, _PLACES, _DEPTH = 180, 120, 20, 0.3
+
+
+@cache
+def _truth() -> State:
+    state = random_state(np.random.default_rng(3), _TREE, 1, 0.3)
+    return replace(state, up=_UP[None])
+
+
+def _steps() -> F64:
+    """(N, 2) stays in places, and smooth moves between them."""
+    at = np.random.default_rng(1).uniform(-1.5, 1.5, (_PLACES, 2))
+    s = np.linspace(0, 1, _MOVE)[:, None]
+    s = s**4 * (35 - 84 * s + 70 * s**2 - 20 * s**3)
+    parts = [np.tile(at[0], (_STAY, 1))]
+    for a, b in pairwise(at):
+        parts += [a + s * (b - a), np.tile(b, (_STAY, 1))]
+    return np.concatenate(parts)
+
+
+@cache
+def _on_a_stand(compliance: float) -> tuple[MotionEstimate, F64]:
+    """What is found of stiff joints on a base, and how it turns (N, 2) about x and y [rad].
+
+    Args:
+        compliance: by how much it turns about a point below it [rad/(N m)].
+    """
+    truth = _truth()
+    plain = to_pinocchio(truth.model(_TREE))
+    model = pin.Model()
+    below = pin.SE3(np.eye(3), np.array([0.0, 0.0, -_DEPTH]))
+    model.addJoint(0, pin.JointModelRX(), below, "about x")
+    model.addJoint(1, pin.JointModelRY(), pin.SE3.Identity(), "about y")
+    for j in (1, 2):
+        parent = 2 if j == 1 else j + 1
+        T = below.inverse() * plain.jointPlacements[j] if j == 1 else plain.jointPlacements[j]
+        model.addJoint(parent, pin.JointModelRZ(), T, f"joint {j}")
+    for joint, mass, lever in ((3, 20.0, (0.2, 0.1, 0.1)), (4, 8.0, (0.3, 0.1, -0.1))):
+        model.inertias[joint] = pin.Inertia(mass, np.array(lever), 0.02 * mass * np.eye(3))
+    frames = [
+        model.addFrame(pin.Frame(f"su {u}", int(j) + 3, pin.SE3(T), pin.FrameType.OP_FRAME))
+        for u, (j, T) in enumerate(zip(_TREE.su_joint, truth.T_joint_su, strict=True))
+    ]
+    data = model.createData()
+    q = _steps()
+    still = np.zeros((len(q), 2))
+    stiff = [
+        np.hstack([still, x])
+        for x in (q, first_derivative(q, RATE), second_derivative(q, RATE))
+    ]
+    tilt = still
+    for _ in range(3):
+        motion = [np.array(x) for x in stiff]
+        motion[0][:, :2] = tilt
+        motion[1][:, :2] = first_derivative(tilt, RATE)
+        motion[2][:, :2] = second_derivative(tilt, RATE)
+        moments = [pin.rnea(model, data, *x)[:2].copy() for x in zip(*motion, strict=True)]
+        tilt = -compliance * np.array(moments)
+    ideal = np.empty((len(q), 2, 3))
+    for n, x in enumerate(zip(*motion, strict=True)):
+        pin.forwardKinematics(model, data, *x)
+        pin.updateFramePlacements(model, data)
+        for u, frame in enumerate(frames):
+            a = pin.getFrameClassicalAcceleration(model, data, frame, pin.ReferenceFrame.LOCAL)
+            ideal[n, u] = a.linear + data.oMf[frame].rotation.T @ (9.81 * _UP)
+    read = np.einsum("uij,kuj->kui", truth.sensor_matrix(), ideal) + truth.bias
+    read = read + 7e-3 * np.random.default_rng(2).standard_normal(read.shape)
+    priors = motion_priors(Priors(), gravity=0.0, front=(np.zeros(2), np.zeros(2)))
+    log = sampled_trajectory(q, read)
+    return estimate_along([log], _TREE, truth, priors, np.zeros(2)), tilt
+
+
+def _reading_errors(found: State) -> float:
+    """Root mean square error of what SUs read along another motion [m/s^2]."""
+    q = np.random.default_rng(9).uniform(-1, 1, (40, 2))
+    qd, qdd = 2 * q[::-1], 10 * q[:, ::-1]
+    ours, true = (
+        specific_forces(s.model(_TREE), q, qd, qdd, 9.81 * _UP) for s in (found, _truth())
+    )
+    return float(np.sqrt(((ours - true) ** 2).mean()))
+
+
+def test_a_base_that_gives_way_is_followed() -> None:
+    found, tilt = _on_a_stand(1 / 30_000)
+    assert found.causes == ("base",)
+    assert found.misfit < 1.5
+    taps = low_pass(6.0, RATE)
+    smooth = filtered(tilt, taps)[found.problem.logs[0].kept]
+    np.testing.assert_allclose(found.base_motion[3:5], np.ptp(smooth, axis=0), rtol=0.2)
+    assert not found.deflections.any()
+    stiff, _ = _on_a_stand(0.0)
+    assert stiff.causes == ()
+    assert not stiff.base_motion.any()
+    assert _reading_errors(found.state) < 10 * _reading_errors(stiff.state)

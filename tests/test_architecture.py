@@ -71,6 +71,11 @@ LAYERS: dict[str, tuple[str, ...]] = {
         "structure",
         "model",
         "estimation",
+        "urdf.beside",
+        "urdf.records",
+        "simulation.mechanism",
+        "simulation.robots",
+        "simulation.sensors",
     ),
     "survey": (*BASE, "recording", "signals", "structure", "estimation.start.order", "paper"),
     "report": (

@@ -18,7 +18,7 @@ from skin2urdf.simulation.motion_settings import MotionSettings
 from skin2urdf.simulation.planned import follow_plan
 from skin2urdf.simulation.plant import actual_motion
 from skin2urdf.simulation.robots import RobotSpec, SkinLayout, Vector3
-from skin2urdf.simulation.sensors import Gyroscope, draw_accelerometer, draw_gyroscope
+from skin2urdf.simulation.sensors import Sensor, draw_sensor
 from skin2urdf.simulation.settings import SimulationSettings
 from skin2urdf.simulation.skins import PlacedSu, place_skin
 from skin2urdf.simulation.streams import Draw, draw_for, record_joints, record_sus, shift_clock
@@ -59,7 +59,7 @@ class Truth:
     sensor_matrix: F64
     bias: F64
     lag: F64
-    gyros: tuple[Gyroscope, ...] = ()
+    gyros: tuple[Sensor, ...] = ()
 
     def __post_init__(self) -> None:
         for name in ("poses", "gravity_base", "sensor_matrix", "bias", "lag"):
@@ -107,9 +107,9 @@ def simulate(robot: RobotSpec, settings: SimulationSettings) -> Simulation:
         flexibility = defect.loosen(flexibility, mechanism, draw_for(draw, defect))
     moved = move_flexibly(mechanism, sus, motor, flexibility)
     rng = draw("sensors")
-    sensors = [draw_accelerometer(settings.sensor_grade, rng) for _ in sus]
+    sensors = [draw_sensor(settings.sensor_grade, rng) for _ in sus]
     gyro_grade, rng = settings.gyro_grade, draw("gyroscopes")
-    gyros = tuple(draw_gyroscope(gyro_grade, rng) for _ in sus) if gyro_grade else ()
+    gyros = tuple(draw_sensor(gyro_grade, rng) for _ in sus) if gyro_grade else ()
     lag = draw("lag").uniform(0.0, settings.lag, len(sus))
     joint_streams = record_joints(mechanism, motor, settings, draw, moved.torque)
     su_streams = record_sus(

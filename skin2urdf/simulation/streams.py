@@ -13,7 +13,7 @@ from skin2urdf.arrays import F64, frozen
 from skin2urdf.recording.records import JointStream, SuStream
 from skin2urdf.simulation.defects.records import Defect, Felt
 from skin2urdf.simulation.mechanism import Mechanism
-from skin2urdf.simulation.sensors import Accelerometer, Gyroscope, encode, stamp
+from skin2urdf.simulation.sensors import Sensor, encode, stamp
 from skin2urdf.simulation.settings import SimulationSettings
 from skin2urdf.simulation.skins import PlacedSu
 from skin2urdf.simulation.specific_force import felt_motions
@@ -79,11 +79,11 @@ def record_sus(
     mechanism: Mechanism,
     motion: JointMotion,
     sus: Sequence[PlacedSu],
-    sensors: Sequence[Accelerometer],
+    sensors: Sequence[Sensor],
     lag: F64,
     settings: SimulationSettings,
     draw: Draw,
-    gyros: Sequence[Gyroscope] = (),
+    gyros: Sequence[Sensor] = (),
 ) -> tuple[SuStream, ...]:
     """Sample the accelerometers and gyroscopes of all SUs, each SU on its own clock.
 

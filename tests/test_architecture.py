@@ -73,9 +73,6 @@ LAYERS: dict[str, tuple[str, ...]] = {
         "estimation",
         "urdf.beside",
         "urdf.records",
-        "simulation.mechanism",
-        "simulation.robots",
-        "simulation.sensors",
     ),
     "survey": (*BASE, "recording", "signals", "structure", "estimation.start.order", "paper"),
     "report": (

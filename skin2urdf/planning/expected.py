@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Protocol
 
 import numpy as np
 
@@ -32,7 +33,6 @@ from skin2urdf.planning.trajectory import JointTrajectory
 from skin2urdf.recording.records import JointStream, Recording, SuStream
 from skin2urdf.signals.sampling import sample_recording
 from skin2urdf.signals.trajectory import in_order, trajectory
-from skin2urdf.simulation.sensors import SensorGrade
 from skin2urdf.structure.ordering import places_of
 
 _CONFIGURATIONS = 200
@@ -76,7 +76,39 @@ class Sensors:
     jitter: float = 1e-4
 
 
-def sensors_of(grade: SensorGrade) -> Sensors:
+class Grade(Protocol):
+    """How good accelerometers of a production are: largest errors, as in a data sheet [unit]."""
+
+    @property
+    def name(self) -> str:
+        """Its name."""
+
+    @property
+    def noise_rms(self) -> float:
+        """White noise of every sample and axis [unit]."""
+
+    @property
+    def bias(self) -> float:
+        """Largest bias [unit]."""
+
+    @property
+    def scale(self) -> float:
+        """Largest relative scale error."""
+
+    @property
+    def cross(self) -> float:
+        """Largest cross-axis sensitivity."""
+
+    @property
+    def step(self) -> float:
+        """Size of one digit [m/s^2]."""
+
+    @property
+    def unit(self) -> float:
+        """Size of the unit [m/s^2]."""
+
+
+def sensors_of(grade: Grade) -> Sensors:
     """Accelerometers of a grade, drawn from a production as its data sheet says."""
     spread = 3**-0.5  # standard deviation of what is drawn evenly from -1 to 1
     return Sensors(

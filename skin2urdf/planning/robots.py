@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import xml.etree.ElementTree as ET
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from fnmatch import fnmatchcase
 from pathlib import Path
+from typing import Any, Protocol
 
 import numpy as np
 
-from skin2urdf.arrays import F64
+from skin2urdf.arrays import F64, Bool, Int
 from skin2urdf.errors import UsageError
 from skin2urdf.model.records import KinematicModel
 from skin2urdf.planning.collisions import CollisionChecker
@@ -23,10 +25,44 @@ from skin2urdf.planning.limits import (
     merged,
 )
 from skin2urdf.planning.records import Limits
-from skin2urdf.simulation.mechanism import Mechanism, load_mechanism, read_urdf
-from skin2urdf.simulation.robots import RobotSpec
 from skin2urdf.urdf.beside import document_beside
 from skin2urdf.urdf.records import NO_LIMITS
+
+
+class Joints(Protocol):
+    """The joints of a URDF that move, as whoever reads it has them; D of one DoF each."""
+
+    @property
+    def model(self) -> Any:
+        """``pinocchio.Model`` with all others locked."""
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        """Names in the URDF."""
+
+    @property
+    def parent(self) -> Int:
+        """(D,) joint before each joint, -1 for the base."""
+
+    @property
+    def prismatic(self) -> Bool:
+        """(D,) True where a joint slides."""
+
+    @property
+    def lower(self) -> F64:
+        """(D,) lower limits [rad or m], -inf where there is none."""
+
+    @property
+    def upper(self) -> F64:
+        """(D,) upper limits [rad or m], inf where there is none."""
+
+    @property
+    def speed_limit(self) -> F64:
+        """(D,) limits of speed [rad/s or m/s], inf where there is none."""
+
+    @property
+    def locked(self) -> Mapping[str, float]:
+        """Positions of all other joints [rad or m]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,43 +133,44 @@ def robot_found_before(earlier: Earlier, told: Told) -> PlannedRobot:
     return PlannedRobot(complete(names, known), _tilted(earlier.model, told), None, (_NO_SHAPES,))
 
 
-def robot_of_model(spec: RobotSpec, told: Told, earlier: Earlier | None = None) -> PlannedRobot:
+def robot_of_model(
+    urdf: Path, xml: ET.Element, joints: Joints, told: Told, earlier: Earlier | None = None
+) -> PlannedRobot:
     """A robot by its URDF.
 
     Args:
-        spec: the URDF, and what of it moves.
+        urdf: the file; meshes are looked for from there, and its JSON.
+        xml: what it says.
+        joints: what of it moves.
         told: what else is known.
         earlier: a calibration of the robot, whose placements and SUs count.
 
     Raises:
-        UnreadableInputError: the URDF can not be loaded.
         UsageError: names fit nothing, ranges are not known, or shapes can not be read.
         PlanError: limits contradict each other or leave no room.
     """
-    mechanism = load_mechanism(spec, told.base_rpy)
-    check_names(told.limits, mechanism.joint_names, told.source)
-    xml = read_urdf(spec)
+    check_names(told.limits, joints.joint_names, told.source)
     ranged = {name for name, limits in told.limits.items() if limits.lower is not None}
-    lower = zip(mechanism.joint_names, mechanism.lower, strict=True)
+    lower = zip(joints.joint_names, joints.lower, strict=True)
     bounded = [name for name, low in lower if low > -np.inf]
-    seen, ranges = _seen(spec.urdf, ranged.issuperset(bounded))
+    seen, ranges = _seen(urdf, ranged.issuperset(bounded))
     sources = (acceleration_and_jerk(xml), seen, told.limits)
     limits_of = {}
-    for d, name in enumerate(mechanism.joint_names):
+    for d, name in enumerate(joints.joint_names):
         known = Given(
-            prismatic=bool(mechanism.prismatic[d]),
-            lower=_finite(mechanism.lower[d]),
-            upper=_finite(mechanism.upper[d]),
-            velocity=_finite(mechanism.speed_limit[d]),
+            prismatic=bool(joints.prismatic[d]),
+            lower=_finite(joints.lower[d]),
+            upper=_finite(joints.upper[d]),
+            velocity=_finite(joints.speed_limit[d]),
         )
         for more in sources:
             known = merged(more.get(name, Given()), known)
         limits_of[name] = known
     if earlier is None:
-        names, model = mechanism.joint_names, _placements(mechanism, told)
+        names, model = joints.joint_names, _placements(joints, told)
     else:
         names = earlier.model.tree.joint_names
-        check_names(dict.fromkeys(names, Given()), mechanism.joint_names, earlier.path)
+        check_names(dict.fromkeys(names, Given()), joints.joint_names, earlier.path)
         model = _tilted(earlier.model, told)
     limits = complete(names, limits_of)
     notes: tuple[str, ...] = ()
@@ -145,12 +182,12 @@ def robot_of_model(spec: RobotSpec, told: Told, earlier: Earlier | None = None) 
     else:
         try:
             checker = CollisionChecker(
-                xml, Path(spec.urdf), limits.joint_names, mechanism.locked,
+                xml, urdf, limits.joint_names, joints.locked,
                 (limits.lower, limits.upper), told.floor,
             )  # fmt: skip
         except (ValueError, RuntimeError) as error:
             raise UsageError(
-                f"the shapes of {spec.urdf} can not be read: {' '.join(str(error).split())}",
+                f"the shapes of {urdf} can not be read: {' '.join(str(error).split())}",
                 "put its meshes where package:// leads from a folder above the URDF, or plan "
                 "without them (--no-collisions)",
             ) from error
@@ -194,22 +231,22 @@ def _seen(urdf: Path, ranged: bool) -> tuple[Mapping[str, Given], tuple[str, ...
     return {}, ()
 
 
-def _placements(mechanism: Mechanism, told: Told) -> KinematicModel:
+def _placements(joints: Joints, told: Told) -> KinematicModel:
     """Placements of the model, with the SUs that it has or that are assumed."""
     import pinocchio as pin
 
     if told.sus:
-        bodies = [f.name for f in mechanism.model.frames if f.type == pin.FrameType.BODY]
+        bodies = [f.name for f in joints.model.frames if f.type == pin.FrameType.BODY]
         links = [name for name in bodies if fnmatchcase(name, told.sus)]
         if not links:
             raise UsageError(
                 f'no link of the model fits "{told.sus}"',
                 f"its links are {', '.join(bodies[:8])}{' ..' if len(bodies) > 8 else ''}",
             )
-        sus = sus_on_links(mechanism.model, links)
+        sus = sus_on_links(joints.model, links)
     else:
-        sus = usual_sus(mechanism.model, [int(p) for p in mechanism.parent])
-    return kinematic_model(mechanism.model, list(mechanism.prismatic), told.R_world_base, sus)
+        sus = usual_sus(joints.model, [int(p) for p in joints.parent])
+    return kinematic_model(joints.model, list(joints.prismatic), told.R_world_base, sus)
 
 
 def _tilted(model: KinematicModel, told: Told) -> KinematicModel:

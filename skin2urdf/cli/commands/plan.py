@@ -209,8 +209,11 @@ def _robot(options: argparse.Namespace, earlier: Earlier | None) -> PlannedRobot
     )
     if options.model:
         from skin2urdf.simulation import load_robot
+        from skin2urdf.simulation.mechanism import load_mechanism, read_urdf
 
-        return robot_of_model(load_robot(options.model), told, earlier)
+        spec = load_robot(options.model)
+        joints = load_mechanism(spec, told.base_rpy)
+        return robot_of_model(spec.urdf, read_urdf(spec), joints, told, earlier)
     return robot_of_limits(told) if earlier is None else robot_found_before(earlier, told)
 
 

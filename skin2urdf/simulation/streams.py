@@ -84,6 +84,7 @@ def record_sus(
     settings: SimulationSettings,
     draw: Draw,
     gyros: Sequence[Sensor] = (),
+    tell: Callable[[float], None] = lambda _: None,
 ) -> tuple[SuStream, ...]:
     """Sample the accelerometers and gyroscopes of all SUs, each SU on its own clock.
 
@@ -96,6 +97,7 @@ def record_sus(
         settings: rate, jitter, stagger, defects.
         draw: source of phases, noise and jitter.
         gyros: their U gyroscopes; none for SUs without.
+        tell: told the share of the work that is done.
 
     Returns:
         U streams in the order of the SUs, on the motion's clock.
@@ -110,6 +112,7 @@ def record_sus(
     turns.reverse()
     turning = draw("gyroscope noise")
     for u, su in enumerate(sus):
+        tell(0.5 + 0.5 * u / len(sus))
         # Of a long recording there is no room for what the SUs feel and what they report.
         defects = [(defect, draw_for(draw, defect, su.name)) for defect in settings.defects]
         force = forces.pop()

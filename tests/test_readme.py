@@ -6,7 +6,6 @@ import os
 import re
 import shlex
 import subprocess
-import sys
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
@@ -74,13 +73,6 @@ def test_the_readme_shows_the_two_commands_and_the_calibration() -> None:
     programs = [words[0] for words in readme_commands("")]
     assert {"scripts/demo", "scripts/test"} <= set(programs)
     assert any(words[1:2] == ["calibrate"] for words in readme_commands("skin2urdf"))
-
-
-@pytest.mark.parametrize("words", readme_commands("skin2urdf"), ids=" ".join)
-def test_the_command_line_knows_what_the_readme_shows(words: list[str]) -> None:
-    subcommand = [word for word in words[1:2] if not word.startswith("-")]
-    shown = set(OPTION.findall(help_text(sys.executable, "-c", ENTRY, *subcommand)))
-    assert options_of(words[1:]) <= shown
 
 
 @pytest.mark.parametrize("words", readme_commands("scripts/", "./scripts/"), ids=" ".join)

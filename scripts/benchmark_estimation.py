@@ -31,7 +31,7 @@ from skin2urdf.signals.records import Features, StaticMoves
 from skin2urdf.simulation.mechanism import Mechanism, load_mechanism
 from skin2urdf.simulation.pattern import windowed_pattern
 from skin2urdf.simulation.robots import RobotSpec, SkinLayout, load_robot
-from skin2urdf.simulation.sensors import GRADES, draw_accelerometer
+from skin2urdf.simulation.sensors import GRADES, draw_sensor
 from skin2urdf.simulation.settings import MotionSettings
 from skin2urdf.simulation.skins import PlacedSu, place_skin
 from skin2urdf.structure.records import KinematicTree
@@ -105,7 +105,7 @@ def synthesised(
     reach = robot.motion.half_range
     low, high = np.maximum(mechanism.lower, -reach), np.minimum(mechanism.upper, reach)
     q = rng.uniform(low, high, (n_poses, D))
-    sensors = [draw_accelerometer(GRADES["mems"], rng) for _ in sus]
+    sensors = [draw_sensor(GRADES["mems"], rng) for _ in sus]
     products = regressor_products(D, robot.motion)
     root = np.linalg.cholesky(products)
     # SUs of a real log differ in their noise, by row and by pose.

@@ -56,9 +56,17 @@ class UnreadableInputError(Skin2UrdfError):
 
 
 class PlanError(Skin2UrdfError):
-    """A motion that can not be: limits, obstacles or the time leave no room for it."""
+    """A motion that can not be: limits, obstacles or the time leave no room for it.
+
+    Attributes:
+        minutes: how long it would have to take [min]; NaN where more time does not help.
+    """
 
     exit_status = 2
+
+    def __init__(self, what: str, remedy: str = "", minutes: float = float("nan")) -> None:
+        super().__init__(what, remedy)
+        self.minutes = minutes
 
 
 class InsufficientDataError(Skin2UrdfError):

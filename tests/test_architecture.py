@@ -72,6 +72,8 @@ LAYERS: dict[str, tuple[str, ...]] = {
         "structure",
         "model",
         "estimation",
+        "urdf.beside",
+        "urdf.records",
     ),
     "survey": (*BASE, "recording", "signals", "structure", "estimation.start.order", "paper"),
     "report": (

@@ -87,12 +87,6 @@ def test_the_readme_shows_the_two_commands_and_the_calibration() -> None:
     assert any(words[1:2] == ["calibrate"] for words in readme_commands("skin2urdf"))
 
 
-@pytest.mark.parametrize("words", readme_commands("skin2urdf"), ids=" ".join)
-def test_the_command_line_knows_what_the_readme_shows(words: list[str]) -> None:
-    subcommand = [word for word in words[1:2] if not word.startswith("-")]
-    assert options_of(words[1:]) <= options_in_help(*subcommand)
-
-
 @pytest.mark.parametrize("words", readme_commands("scripts/", "./scripts/"), ids=" ".join)
 def test_scripts_know_what_the_readme_shows(words: list[str]) -> None:
     script = ROOT / words[0]

@@ -27,6 +27,8 @@ def estimate_at_rest(logs: Logs, structure: Structure, clock: Clock) -> Solution
     settings = logs.settings.estimation
     found = clock.run(
         "estimation",
-        lambda _: estimate(features, best.tree, settings, state_of(best), search=False),
+        lambda tell: estimate(
+            features, best.tree, settings, state_of(best), search=False, tell=tell
+        ),
     )
     return Solution(logs, structure.seen, found, features)

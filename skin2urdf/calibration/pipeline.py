@@ -103,7 +103,9 @@ def calibrate(
         else:
             solution = clock.run(
                 "what is wrong",
-                lambda _: explain(recordings, leaps, (sampled, structure, first), KINDS, clock),
+                lambda tell: explain(
+                    recordings, leaps, (sampled, structure, first), KINDS, clock, tell
+                ),
             )
             _refuse_beyond(HOPELESS_FIT, solution.found.cost_per_dof, solution.found)
             looked = looked if first is not None and _untouched(first, solution) else None

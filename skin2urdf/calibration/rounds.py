@@ -117,7 +117,7 @@ def sample_logs(
         InsufficientDataError: the logs lack what a calibration needs.
     """
     sampled, su_names = clock.run(
-        "sampling", lambda _: sampled_together(recordings, must_rest=must_rest)
+        "sampling", lambda tell: sampled_together(recordings, must_rest=must_rest, tell=tell)
     )
     if not settings.gyro:
         sampled = [replace(s, turning=None) for s in sampled]
@@ -133,11 +133,11 @@ def take_features(
         InsufficientDataError: no pose has a pattern around it, and no rests have readings.
     """
     if curvature is None and latency is None:
-        return clock.run("features", lambda _: first_features(logs.sampled, logs.su_names))
+        return clock.run("features", lambda tell: first_features(logs.sampled, logs.su_names, tell))
     return clock.run(
         "features",
-        lambda _: extract_features(
-            logs.sampled, logs.su_names, curvature=curvature, latency=latency
+        lambda tell: extract_features(
+            logs.sampled, logs.su_names, curvature=curvature, latency=latency, tell=tell
         ),
     )
 
@@ -322,7 +322,9 @@ def estimate_once(
     """An estimate from features as they are, with an earlier state as a start if any."""
     return clock.run(
         "estimation",
-        lambda _: estimate(features, tree, logs.settings.estimation, start, search=search),
+        lambda tell: estimate(
+            features, tree, logs.settings.estimation, start, search=search, tell=tell
+        ),
     )
 
 

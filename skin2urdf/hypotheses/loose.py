@@ -15,7 +15,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import f as fisher
+from scipy.special import fdtrc
 
 from skin2urdf.arrays import F64, Bool, Int
 from skin2urdf.estimation.problem.cost import Cost
@@ -136,7 +136,8 @@ def _best(sums: _Sums, u: int, free: Bool, count: Int, order: Int) -> Slip | Non
     ]
     i, skip, one, two, dof, _ = tried[int(np.argmin(cost))]
     F = max(one - two, 0.0) / k / (two / dof)
-    log_p = float(fisher.logsf(F, k, dof))
+    with np.errstate(divide="ignore"):
+        log_p = float(np.log(fdtrc(k, dof, F)))
     return Slip(u, int(order[i - 1]), int(order[i + skip]), F, max(one - two, 0.0), log_p)
 
 

@@ -20,7 +20,7 @@ from typing import Literal, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 
-from skin2urdf.calibration.clock import Clock
+from skin2urdf.calibration.clock import Clock, Tell
 from skin2urdf.calibration.result import BAD_FIT, GOOD_FIT
 from skin2urdf.calibration.rounds import (
     Logs,
@@ -105,6 +105,7 @@ class Search:
         clock: runs the stages.
         evident: amendments that need no estimate, such as leaps that no joint can make.
         plain: the logs with those alone, on their grids.
+        tell: told how many of all ranks of kinds were looked at since the last finding.
         tried: number of hypotheses that were compared so far.
         attempts: number of attempts so far.
     """
@@ -114,6 +115,7 @@ class Search:
     clock: Clock
     evident: tuple[Amendment, ...]
     plain: Logs
+    tell: Tell = lambda _: None
     tried: int = 0
     attempts: int = 0
 
@@ -201,6 +203,7 @@ def explain(
     first: tuple[Logs, Structure, Solution | None],
     kinds: Sequence[Kind],
     clock: Clock,
+    tell: Tell = lambda _: None,
 ) -> Solution:
     """Search for what is wrong until nothing more pays.
 
@@ -210,6 +213,7 @@ def explain(
         first: the logs with these, their structure, and the estimate of it where there is one.
         kinds: the kinds of hypotheses.
         clock: runs the stages.
+        tell: told how many of all ranks of kinds were looked at since the last finding.
 
     Returns:
         The solution that explains the logs, with the findings as its faults.
@@ -218,7 +222,7 @@ def explain(
         StructureError: the SUs' activity contradicts every kinematic tree, whatever is amended.
     """
     logs, structure, solution = first
-    search = Search(recordings, logs.settings, clock, evident, logs)
+    search = Search(recordings, logs.settings, clock, evident, logs, tell)
     begin = None
     if solution is not None:
         found, features = _settled(logs, solution.found, solution.features, clock)
@@ -258,13 +262,11 @@ def _better(
     best, most = None, 0.0
     waiting = list[Candidate]()
     for rank in _RANKS:
-        proposed = [
-            candidate
-            for kind in kinds
-            if kind.rank == rank
-            for candidate in kind.propose(search, now)
-            if candidate.key not in failed
-        ]
+        proposed = []
+        for i, kind in enumerate(kinds):
+            if kind.rank == rank:
+                search.tell((rank - _RANKS[0] + i / len(kinds)) / len(_RANKS))
+                proposed += [c for c in kind.propose(search, now) if c.key not in failed]
         search.tried += sum(candidate.among for candidate in proposed)
         promised = {c: promise(now, c, search.tried) for c in (*waiting, *proposed)}
         waiting = []

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import warnings
 import xml.etree.ElementTree as ET
+from collections import deque
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -25,6 +26,7 @@ touching."""
 _POSES = 100
 _FINE_MESH = 5000
 """Triangles from which a mesh is replaced by its convex hull."""
+_FLOOR = "the floor"
 _FINE = 5e-3
 """Time between samples that the length of a path is measured at [s]."""
 
@@ -94,16 +96,44 @@ class CollisionChecker:
     def is_path_free(self, piece: JointTrajectory) -> bool:
         """Whether nothing touches along a piece of motion, between samples as well.
 
-        No point of a body moves further relative to another than the sum, over the joints, of
-        what each turns times its reach. Samples are so dense that this is twice the margin.
+        No point of a body moves further relative to another than the sum, over the joints between
+        them, of what each turns times its reach. So one look at a pair tells that it does not touch
+        as long as it moves less than it is apart. The middle is looked at first, and then halves,
+        with the pairs that it leaves open.
         """
+        import pinocchio as pin
+
+        if not self.n_pairs:
+            return True
         time = np.append(np.arange(0.0, piece.duration, _FINE), piece.duration)
-        q = piece.at(time)[0]
-        moved = np.abs(np.diff(q, axis=0)) @ self._reach
+        moved = np.abs(np.diff(piece.at(time)[0], axis=0)) @ self._reach.max(axis=0)
         length = np.concatenate([[0.0], np.cumsum(moved)])
         n = int(np.ceil(length[-1] / (2 * MARGIN))) + 1
         at = np.interp(np.linspace(0.0, length[-1], n + 1), length, time)
-        return all(self.is_free(x) for x in _from_middle(piece.at(at)[0]))
+        q = piece.at(at)[0]
+        turned = np.concatenate([np.zeros((1, q.shape[1])), np.abs(np.diff(q, axis=0))])
+        way = np.cumsum(turned, axis=0) @ self._reach.T
+        open_ = deque([(0, n, np.arange(self.n_pairs))])
+        while open_:
+            first, last, pairs = open_.popleft()
+            middle = (first + last) // 2
+            pin.updateGeometryPlacements(
+                self._model, self._data, self._geometry, self._shapes, self._placed(q[middle])
+            )
+            apart = np.empty(len(pairs))
+            for i, pair in enumerate(pairs.tolist()):
+                if pin.computeCollision(self._geometry, self._shapes, pair):
+                    return False
+                # Bounds are on what is left beyond the margin.
+                apart[i] = MARGIN + self._shapes.collisionResults[pair].distance_lower_bound
+            here = way[middle, pairs]
+            for a, b in ((first, middle - 1), (middle + 1, last)):
+                if a <= b:
+                    farthest = np.maximum(np.abs(way[a, pairs] - here), way[b, pairs] - here)
+                    left = pairs[farthest > apart]
+                    if len(left):
+                        open_.append((a, b, left))
+        return True
 
     def _configuration(self, positions: Mapping[str, float]) -> F64:
         import pinocchio as pin
@@ -138,7 +168,7 @@ class CollisionChecker:
 
         below = coal.Halfspace(np.array([0.0, 0.0, 1.0]), 0.0)
         at = pin.SE3(np.eye(3), np.array([0.0, 0.0, height]))
-        self._geometry.addGeometryObject(pin.GeometryObject("the floor", 0, 0, at, below))
+        self._geometry.addGeometryObject(pin.GeometryObject(_FLOOR, 0, 0, at, below))
 
     def _choose_pairs(self, limits: tuple[F64, F64]) -> int:
         import pinocchio as pin
@@ -199,26 +229,35 @@ class CollisionChecker:
         return [bool(result.isCollision()) for result in self._shapes.collisionResults]
 
     def _reaches(self) -> F64:
-        """(D,) farthest that a point of any body can be from each joint [m]; 1 for slides."""
+        """(pairs, D) farthest that what moves of a pair's two bodies can be from a joint [m].
+
+        It is 1 for slides, and 0 where a joint moves both bodies or none.
+        """
         model = self._model
-        beyond = np.zeros(model.njoints)
-        for shape in self._geometry.geometryObjects:
-            if shape.name != "the floor":
-                shape.geometry.computeLocalAABB()
-                center = shape.placement.act(np.array(shape.geometry.aabb_center))
-                far = float(np.linalg.norm(center)) + float(shape.geometry.aabb_radius)
-                beyond[shape.parentJoint] = max(beyond[shape.parentJoint], far)
-        for joint in range(model.njoints - 1, 0, -1):
-            slide = 0.0
-            if model.joints[joint].nv == 1 and _slides(model.joints[joint]):
-                at = model.joints[joint].idx_q
-                ends = np.array([model.lowerPositionLimit[at], model.upperPositionLimit[at]])
-                slide = float(np.abs(ends[np.isfinite(ends)]).max(initial=0.0))
-            far = float(np.linalg.norm(model.jointPlacements[joint].translation))
-            parent = int(model.parents[joint])
-            beyond[parent] = max(beyond[parent], far + slide + beyond[joint])
-        ids = [model.getJointId(name) for name in self._names]
-        return np.array([1.0 if _slides(model.joints[i]) else beyond[i] for i in ids])
+        objects = list(self._geometry.geometryObjects)
+        index = {int(model.getJointId(name)): d for d, name in enumerate(self._names)}
+        reach = np.zeros((len(objects), len(self._names)))
+        for shape, row in zip(objects, reach, strict=True):
+            if shape.name == _FLOOR:
+                continue
+            shape.geometry.computeLocalAABB()
+            center = shape.placement.act(np.array(shape.geometry.aabb_center))
+            far = float(np.linalg.norm(center)) + float(shape.geometry.aabb_radius)
+            joint = int(shape.parentJoint)
+            while joint:
+                slides = model.joints[joint].nv == 1 and _slides(model.joints[joint])
+                if joint in index:
+                    row[index[joint]] = 1.0 if slides else far
+                if slides:
+                    at = model.joints[joint].idx_q
+                    ends = np.array([model.lowerPositionLimit[at], model.upperPositionLimit[at]])
+                    far += float(np.abs(ends[np.isfinite(ends)]).max(initial=0.0))
+                far += float(np.linalg.norm(model.jointPlacements[joint].translation))
+                joint = int(model.parents[joint])
+        pairs = [(int(p.first), int(p.second)) for p in self._geometry.collisionPairs]
+        first, second = np.array(pairs, dtype=np.int64).reshape(-1, 2).T
+        a, b = reach[first], reach[second]
+        return np.where((a > 0) & (b > 0), 0.0, a + b)
 
 
 def _simplify(geometry: Any) -> None:
@@ -232,9 +271,3 @@ def _simplify(geometry: Any) -> None:
 
 def _slides(joint: Any) -> bool:
     return "Prismatic" in joint.shortname() or joint.shortname().startswith("JointModelP")
-
-
-def _from_middle(q: F64) -> F64:
-    """Rows in another order, which finds what touches in the middle of a way early."""
-    order = np.argsort(np.abs(np.arange(len(q)) - len(q) / 2), kind="stable")
-    return np.asarray(q[order])

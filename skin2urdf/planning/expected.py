@@ -8,7 +8,9 @@ calibration will state (Cramer-Rao, and what encoders add that all SUs feel).
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Protocol
 
 import numpy as np
 
@@ -39,6 +41,8 @@ _ELSEWHERE = 0.02
 """How well the size of gravity is known where nobody tells the place [m/s^2]."""
 _ITERATIONS = 2
 """Linearisations of a fit that starts at the truth."""
+_SAMPLED, _FITTED = 0.3, 0.9
+"""Share of the work that is done once the recording is sampled, and once it is fitted."""
 _SLOWEST_POLE = 8e-3
 """Time constant of a sensor's low-pass that is slow, but not rare [s]: that of 20 Hz."""
 
@@ -70,6 +74,52 @@ class Sensors:
     joint_rate: float = 250.0
     encoder_step: tuple[float, float] = (2 * np.pi / 2**17, 1e-6)
     jitter: float = 1e-4
+
+
+class Grade(Protocol):
+    """How good accelerometers of a production are: largest errors, as in a data sheet [unit]."""
+
+    @property
+    def name(self) -> str:
+        """Its name."""
+
+    @property
+    def noise_rms(self) -> float:
+        """White noise of every sample and axis [unit]."""
+
+    @property
+    def bias(self) -> float:
+        """Largest bias [unit]."""
+
+    @property
+    def scale(self) -> float:
+        """Largest relative scale error."""
+
+    @property
+    def cross(self) -> float:
+        """Largest cross-axis sensitivity."""
+
+    @property
+    def step(self) -> float:
+        """Size of one digit [m/s^2]."""
+
+    @property
+    def unit(self) -> float:
+        """Size of the unit [m/s^2]."""
+
+
+def sensors_of(grade: Grade) -> Sensors:
+    """Accelerometers of a grade, drawn from a production as its data sheet says."""
+    spread = 3**-0.5  # standard deviation of what is drawn evenly from -1 to 1
+    return Sensors(
+        name=grade.name,
+        noise=grade.noise_rms * grade.unit,
+        step=grade.step,
+        bias=spread * grade.bias * grade.unit,
+        scale=spread * grade.scale,
+        # Symmetric terms are means of two; what is left of these turns the sensor's frame.
+        cross=spread * grade.cross / 2**0.5,
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,6 +154,7 @@ def expected(
     *,
     ups: F64 | None = None,
     seed: int = 0,
+    tell: Callable[[float], None] = lambda _: None,
 ) -> Expected:
     """The accuracy of a calibration from recordings of motions.
 
@@ -113,6 +164,7 @@ def expected(
         sensors: what it carries.
         ups: (G, 3) unit vectors opposite to gravity in the base frame in each log.
         seed: noise is drawn from it.
+        tell: told the share of the work that is done.
     """
     motions = motions if isinstance(motions, tuple) else (motions,)
     ups = np.tile([0.0, 0.0, 1.0], (len(motions), 1)) if ups is None else ups
@@ -126,13 +178,17 @@ def expected(
         dofs, sus = places_of(tree.joint_names, order[1]), places_of(tree.su_names, order[0])
         logs.append(in_order(trajectory(sampled, g), dofs, sus))
         seen.append(logs[-1].q[logs[-1].kept])
+        tell(_SAMPLED * (g + 1) / len(motions))
     state = State(model.T_parent_joint, model.T_joint_su, ups, np.zeros((U, 3)), np.zeros((U, 6)))
     known = Priors(bias=sensors.bias, scale=sensors.scale, cross=sensors.cross)
     front = np.zeros(2), np.full(2, _SLOWEST_POLE**2)
     priors = motion_priors(known, gravity=_ELSEWHERE, front=front)
     along = estimate_along(
-        logs, tree, state, priors, np.zeros(U), look_further=False, iterations=_ITERATIONS
-    )
+        logs, tree, state, priors, np.zeros(U),
+        lambda share: tell(_SAMPLED + (_FITTED - _SAMPLED) * share),
+        look_further=False, iterations=_ITERATIONS,
+    )  # fmt: skip
+    tell(_FITTED)
     q = np.concatenate(seen)
     free = identifiable(tree, len(motions), True)
     moving = known.deviations > 0

@@ -200,6 +200,7 @@ class _Planner:
                 f"{least:.1f} of them for the pattern of {self.limits.n_joints} joints",
                 f"ask for --minutes {np.ceil(10 * needed + 1) / 10:.1f} or more, lock joints, or "
                 "allow more speed",
+                minutes=needed,
             )
         count = min(count, _MOST)
         return count, left / count - beside
@@ -289,10 +290,13 @@ class _Planner:
                 break
             ways = ways[:-1]
         if length < self.tones.apart:
+            needed = (taken + between + len(ways) * (least + beside)) / 60
             raise PlanError(
                 f"{self.settings.minutes:g} minutes are too short for {len(ways)} poses and the "
                 "transfers between them",
-                f"ask for --minutes {self.settings.minutes * 1.3 + 0.1:.1f}, or allow more speed",
+                f"ask for --minutes {np.ceil(10 * needed + 1) / 10:.1f} or more, or allow more "
+                "speed",
+                minutes=needed,
             )
         pieces = [piece for _, piece in moves]
         kinds: list[tuple[PhaseKind, int, int]] = [(kind, joint, -1) for (kind, joint), _ in moves]

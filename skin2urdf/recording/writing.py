@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, NamedTuple, TypeAlias
 
@@ -47,6 +47,7 @@ def write(
     chunk_size: int = 1024 * 1024,
     joint_topic: str = "/joint_states",
     joint_order: Sequence[str] | None = None,
+    tell: Callable[[float], None] = lambda _: None,
 ) -> None:
     """Write a recording as an MCAP file of profile "ros2".
 
@@ -63,6 +64,7 @@ def write(
         chunk_size: bytes of a chunk before compression.
         joint_topic: topic of the joint states.
         joint_order: all joint names in the order they have in messages; as recorded if None.
+        tell: told the share of the work that is done.
 
     Raises:
         UsageError: an argument does not fit the recording, or the file can not be written.
@@ -71,7 +73,7 @@ def write(
     with mcap_writer(
         Path(path), compression, chunked=chunked, indexed=indexed, chunk_size=chunk_size
     ) as writer:
-        _write_messages(writer, channels)
+        _write_messages(writer, channels, tell)
 
 
 @contextlib.contextmanager
@@ -130,7 +132,9 @@ def mcap_writer(
             unfinished.unlink()
 
 
-def _write_messages(writer: Writer, channels: Sequence[_Channel]) -> None:
+def _write_messages(
+    writer: Writer, channels: Sequence[_Channel], tell: Callable[[float], None]
+) -> None:
     """Register the channels and add all messages in the order of their stamps."""
     schemas: dict[str, int] = {}
     topics: dict[str, int] = {}
@@ -155,6 +159,7 @@ def _write_messages(writer: Writer, channels: Sequence[_Channel]) -> None:
     payloads = [channel.payload.reshape(-1).data for channel in channels]
     lengths = [channel.payload.shape[1] for channel in channels]
     for begin in range(0, order.size, SLICE):
+        tell(begin / order.size)
         part = order[begin : begin + SLICE]
         for time, k, n in zip(
             stamps[part].tolist(), source[part].tolist(), row[part].tolist(), strict=True

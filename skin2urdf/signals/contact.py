@@ -13,8 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.ndimage import maximum_filter1d, median_filter
-from scipy.stats import chi2 as chi_squared
-from scipy.stats import norm
+from scipy.special import chdtri, ndtri
 
 from skin2urdf.arrays import F64, Bool
 from skin2urdf.geometry.units import GRAVITY
@@ -144,7 +143,7 @@ def own_noise(residual: F64, tau: F64, variance: F64) -> F64:
     Returns:
         The noise, infinite for SUs that are not there.
     """
-    whole = np.median(np.linalg.norm(residual, axis=-1), axis=0) ** 2 / chi_squared.median(3)
+    whole = np.median(np.linalg.norm(residual, axis=-1), axis=0) ** 2 / chdtri(3, 0.5)
     shared = (tau**2).sum(axis=-1) @ variance / 3
     own = np.sqrt(np.maximum(whole - shared, _LEAST_OWN * whole))
     return np.where(whole > 0, np.maximum(own, _LEAST_NOISE), np.inf)
@@ -227,7 +226,7 @@ def _limit(sampled: Sequence[Sampled], D: int) -> float:
         independent += samples * sum(
             2 * noise_bandwidth(low_pass(cutoff, rate), rate) / rate for cutoff, _ in _bands(s)
         )
-    return float(norm.isf(_FALSE_ALARM / max(1.0, independent * D) / 2))
+    return float(-ndtri(_FALSE_ALARM / max(1.0, independent * D) / 2))
 
 
 def _residuals(
@@ -277,7 +276,7 @@ def moments(
         return
     size = np.abs(pushes)
     usual = _level(size, int(rate * _STEADY / _PARTS))
-    usual = np.maximum(usual, np.median(size, axis=0)) / norm.isf(0.25)
+    usual = np.maximum(usual, np.median(size, axis=0)) / -ndtri(0.25)
     highest = (size / np.hypot(_UNSTEADY * usual, _EXPECTED)).max(axis=1)
     # A swing goes through zero.
     reach = int(rate * max(_MARGIN, 0.5 / cutoff))

@@ -47,6 +47,7 @@ def extract_features(
     *,
     curvature: Curvature | None = None,
     latency: F64 | None = None,
+    tell: Callable[[float], None] = lambda _: None,
 ) -> Features:
     """Regress the readings around every pose of every log.
 
@@ -55,6 +56,7 @@ def extract_features(
         su_names: U names.
         curvature: predicts what is beyond first order; with it the regression has no nuisances.
         latency: (U,) where to start the search for each SU's latency [s].
+        tell: told the share of the work that is done.
 
     Raises:
         InsufficientDataError: no pose has a pattern around it.
@@ -62,8 +64,17 @@ def extract_features(
     U = len(su_names)
     lag = np.zeros(U) if latency is None else np.array(latency, dtype=np.float64)
     lag_sd = np.full(U, np.inf)
-    for _ in range(6):
-        parts = [_poses(s, lag, curvature, log) for log, s in enumerate(sampled)]
+    n_poses = max(1, sum(len(s.neighbourhoods) for s in sampled))
+    for again in range(6):
+        parts: list[list[_Pose]] = []
+        for log, s in enumerate(sampled):
+            before = sum(map(len, parts))
+
+            def told(pose: int, before: int = before, left: float = 0.5**again) -> None:
+                # How many looks there will be is not known: each takes half of what is left.
+                tell(1.0 - left * (1.0 - 0.5 * (before + pose) / n_poses))
+
+            parts.append(_poses(s, lag, curvature, log, told))
         change, lag_sd = _latency_step([p for part in parts for p in part])
         lag = np.clip(lag + change, -0.25, 0.25)
         if np.max(np.abs(change), initial=0.0) < 2e-5:
@@ -104,7 +115,9 @@ class _Pose:
     span: tuple[float, float]
 
 
-def _poses(s: Sampled, lag: F64, curvature: Curvature | None, log: int) -> list[_Pose]:
+def _poses(
+    s: Sampled, lag: F64, curvature: Curvature | None, log: int, told: Callable[[int], None]
+) -> list[_Pose]:
     """Regress around every pose of one log."""
     motion, rate = s.motion, s.motion.grid.rate
     taps = low_pass(s.cutoff, rate)
@@ -116,7 +129,8 @@ def _poses(s: Sampled, lag: F64, curvature: Curvature | None, log: int) -> list[
     every = max(1, int(rate / (_RATE_OVER_CUTOFF * s.cutoff)))
     independence = min(1.0, 2 * noise_bandwidth(taps, rate) * every / rate)
     out = []
-    for pose in s.neighbourhoods:
+    for done, pose in enumerate(s.neighbourhoods):
+        told(done)
         pieces = [_span(motion, a, b, half) for a, b in pose.windows]
         spans = np.concatenate([np.arange(lo, hi) for lo, hi in pieces])
         dq = motion.q[spans] - pose.q

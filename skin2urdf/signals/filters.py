@@ -9,9 +9,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.interpolate import CubicSpline
+from scipy.fft import irfft, next_fast_len, rfft
 from scipy.ndimage import convolve1d, map_coordinates, minimum_filter1d
-from scipy.signal import firwin, oaconvolve, upfirdn
 
 from skin2urdf.arrays import F64, Bool
 
@@ -50,7 +49,9 @@ def low_pass(cutoff: float, rate: float) -> F64:
     width = 0.8 * min(cutoff, rate / 2 - cutoff)
     taps = int(np.ceil((_STOPBAND - 7.95) / (2.285 * 2 * np.pi * width / rate))) | 1
     beta = 0.1102 * (_STOPBAND - 8.7)
-    return np.asarray(firwin(taps, cutoff, window=("kaiser", beta), fs=rate))
+    x = np.arange(taps) - taps // 2
+    sinc = np.sinc(2 * cutoff / rate * x) * np.kaiser(taps, beta)
+    return np.asarray(sinc / sinc.sum())
 
 
 def noise_bandwidth(taps: F64, rate: float) -> float:
@@ -102,7 +103,7 @@ def _sample_regular(
     padded = np.pad(values, ((lead, half), (0, 0)), mode="edge")
     kept = time[::factor]
     first = (lead + half) // factor
-    coarse = upfirdn(taps, padded, down=factor, axis=0)[first : first + len(kept)]
+    coarse = _decimated(padded, taps, factor, first, len(kept))
     index = np.interp(grid.time, kept, np.arange(len(kept)))
     return _interpolated(coarse, index), half * period
 
@@ -118,13 +119,34 @@ def _sample_irregular(
     if 1 / typical > _LINEAR_RATE:
         dense = np.stack([np.interp(fine, time, column) for column in values.T], axis=1)
     else:
+        from scipy.interpolate import CubicSpline
+
         inside = np.clip(fine, time[0], time[-1])
         dense = CubicSpline(time, values)(inside)
     # Full convolution, of which the first complete output belongs to the grid's first time.
     lead = np.zeros(((-2 * half) % factor, values.shape[1]))
-    out = upfirdn(taps, np.concatenate([lead, dense]), up=1, down=factor, axis=0)
     first = (len(lead) + 2 * half) // factor
-    return np.ascontiguousarray(out[first : first + grid.size]), half / fine_rate
+    out = _decimated(np.concatenate([lead, dense]), taps, factor, first, grid.size)
+    return out, half / fine_rate
+
+
+def _decimated(values: F64, taps: F64, factor: int, first: int, size: int) -> F64:
+    """Some of every ``factor``-th samples of the full convolution along the first axis.
+
+    Args:
+        values: (M, C) samples.
+        taps: (T,) odd number of taps.
+        factor: of the decimation.
+        first: of the samples that are left, the first that is wanted, and
+        size: how many.
+    """
+    half = len(taps) // 2
+    # Sample i of the full convolution has its middle at i - half.
+    middle = np.arange(first, first + size) * factor - half
+    ends = max(0, half - int(middle[0])), max(0, int(middle[-1]) + half + 1 - len(values))
+    padded = np.pad(values, (ends, (0, 0)))
+    windows = np.lib.stride_tricks.sliding_window_view(padded, len(taps), axis=0)
+    return np.ascontiguousarray(windows[middle - half + ends[0]] @ taps[::-1])
 
 
 def _interpolated(values: F64, index: F64) -> F64:
@@ -158,10 +180,28 @@ def filtered(values: F64, taps: F64) -> F64:
     if len(values) >= len(taps):
         half = len(taps) // 2
         pad = [(half, half)] + [(0, 0)] * (values.ndim - 1)
-        shaped = taps.reshape((-1,) + (1,) * (values.ndim - 1))
         padded = np.pad(values, pad, mode="edge")
-        return np.asarray(oaconvolve(padded, shaped, mode="valid", axes=0))
+        return _convolved(padded, taps)
     return np.asarray(convolve1d(values, taps, axis=0, mode="nearest"))
+
+
+_BLOCK = 8
+"""Blocks of a long convolution over the taps, as few transforms of lengths as caches hold."""
+
+
+def _convolved(values: F64, taps: F64) -> F64:
+    """Complete outputs of a convolution along the first axis, block by block (overlap and save)."""
+    T, N = len(taps), len(values)
+    size = next_fast_len(min(_BLOCK * T, N), real=True)
+    step = size - T + 1
+    spectrum = rfft(taps, size).reshape((-1,) + (1,) * (values.ndim - 1))
+    out = np.empty((N - T + 1, *values.shape[1:]))
+    for begin in range(0, len(out), step):
+        block = values[begin : begin + size]
+        done = irfft(rfft(block, size, axis=0) * spectrum, size, axis=0)
+        end = min(begin + step, len(out))
+        out[begin:end] = done[T - 1 : T - 1 + end - begin]
+    return out
 
 
 def first_derivative(values: F64, rate: float) -> F64:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -30,6 +30,8 @@ from skin2urdf.signals.poses import (
 from skin2urdf.signals.records import StaticMoves, SuClock
 from skin2urdf.signals.turning import Turning, sampled_turning
 
+_POSED = 0.5
+"""Share of the work that is done once poses are found and streams checked."""
 _G_UNITS = (0.5, 2.0)
 _FEWEST = 5
 """Grid samples of a rest that tell a change of gravity from noise."""
@@ -80,6 +82,7 @@ def sample_recording(
     su_names: Sequence[str],
     *,
     must_rest: bool = True,
+    tell: Callable[[float], None] = lambda _: None,
 ) -> Sampled:
     """Put a recording on one grid and find its poses.
 
@@ -88,6 +91,7 @@ def sample_recording(
         dof_names: D joints, and
         su_names: U SUs, in the order that is wanted.
         must_rest: False where its slowest moments may stand for rests that it lacks.
+        tell: told the share of the work that is done.
 
     Raises:
         InsufficientDataError: too few samples, or the robot never rests and has to.
@@ -105,6 +109,7 @@ def sample_recording(
             lacks="rests",
         )
     neighbourhoods = find_neighbourhoods(motion, rests)
+    tell(0.5 * _POSED)
     grid = motion.grid
     at_rest = [(grid.start + r.begin / grid.rate, grid.start + r.end / grid.rate) for r in rests]
     span = (grid.start, grid.start + grid.size / grid.rate)
@@ -120,6 +125,7 @@ def sample_recording(
     for r in rests:
         still[r.begin : r.end] = True
     for u, name in enumerate(su_names):
+        tell(_POSED + (1 - _POSED) * u / len(su_names))
         if name not in streams:
             continue
         found = streams[name]
@@ -230,12 +236,14 @@ def sampled_together(
     recordings: Sequence[Recording],
     *,
     must_rest: bool = True,
+    tell: Callable[[float], None] = lambda _: None,
 ) -> tuple[list[Sampled], tuple[str, ...]]:
     """All logs of one robot on their grids, and the names of the SUs that occur in any of them.
 
     Args:
         recordings: the logs.
         must_rest: False where slowest moments may stand for rests.
+        tell: told the share of the work that is done.
 
     Raises:
         InsufficientDataError: there are no joints or no SUs at all, or a log can not be used.
@@ -249,7 +257,14 @@ def sampled_together(
             "record the joint states and the SUs' topics together in one log",
             lacks="SUs" if dofs else "joints",
         )
-    return [sample_recording(r, dofs, sus, must_rest=must_rest) for r in recordings], sus
+    out = []
+    for i, recording in enumerate(recordings):
+
+        def part(share: float, i: int = i) -> None:
+            tell((i + share) / len(recordings))
+
+        out.append(sample_recording(recording, dofs, sus, must_rest=must_rest, tell=part))
+    return out, sus
 
 
 def static_moves(sampled: Sequence[Sampled]) -> StaticMoves:

@@ -10,7 +10,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.signal import freqz
 
 from skin2urdf.arrays import F64, Bool, Int, frozen
 from skin2urdf.signals.filters import (
@@ -131,7 +130,8 @@ def trajectory(sampled: Sampled, log: int, reach: float = 0.0) -> Trajectory:
 
 def _noise(motion: Motion, taps: F64) -> F64:
     """(D, 2) variances of accelerations and of their derivatives, of white noise of positions."""
-    w, H = freqz(taps, worN=1024, fs=2 * np.pi * motion.grid.rate)
+    H = np.fft.rfft(taps, 2048)[:-1]
+    w = np.arange(len(H)) * 2 * np.pi * motion.grid.rate / 2048
     density = 2 * motion.noise**2 / motion.raw_rate / (2 * np.pi)
     gain = np.abs(H) ** 4
     return np.stack([density * float(np.trapezoid(gain * w**power, w)) for power in (4, 6)], axis=1)

@@ -16,7 +16,7 @@ from skin2urdf.arrays import F64
 from skin2urdf.geometry.units import GRAVITY
 from skin2urdf.recording.records import JointStream, Recording, SuStream
 from skin2urdf.simulation.robots import RobotSpec
-from skin2urdf.simulation.sensors import Accelerometer
+from skin2urdf.simulation.sensors import Sensor
 from skin2urdf.simulation.settings import SimulationSettings
 from skin2urdf.simulation.simulate import Simulation
 from skin2urdf.simulation.streams import Draw, record_sus, shift_clock
@@ -297,7 +297,7 @@ def _recorded_after(sound: Sound, name: str, slip: F64) -> SuStream:
         for su in moved.sus
     )
     sensors = [
-        Accelerometer(settings.sensor_grade, matrix, bias)
+        Sensor(settings.sensor_grade, matrix, bias)
         for matrix, bias in zip(truth.sensor_matrix, truth.bias, strict=True)
     ]
     streams = record_sus(

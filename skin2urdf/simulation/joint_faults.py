@@ -16,7 +16,7 @@ from skin2urdf.arrays import F64
 from skin2urdf.recording.records import JointStream, Recording
 from skin2urdf.simulation.faults import Faulty, Injection, Sound, in_two
 from skin2urdf.simulation.mechanism import load_mechanism
-from skin2urdf.simulation.sensors import Accelerometer
+from skin2urdf.simulation.sensors import Sensor
 from skin2urdf.simulation.simulate import base_rpy
 from skin2urdf.simulation.streams import Draw, record_joints, record_sus, shift_clock
 from skin2urdf.simulation.trajectory import JointMotion
@@ -116,7 +116,7 @@ def contact(sound: Sound, rng: np.random.Generator) -> Faulty:
 
     moved = sound.simulation.moved
     sensors = [
-        Accelerometer(settings.sensor_grade, matrix, bias)
+        Sensor(settings.sensor_grade, matrix, bias)
         for matrix, bias in zip(truth.sensor_matrix, truth.bias, strict=True)
     ]
     true = hit(moved.motion, int(moved.rows[d]), 1.0)

@@ -15,18 +15,22 @@ MIN_STAMP_STEP = 1e-6
 """Smallest step between two stamps of a stream [s]; jitter can not turn the order round."""
 
 
+_DEG = np.pi / 180
+
+
 @dataclass(frozen=True)
 class SensorGrade:
-    """How good an accelerometer is, as in a data sheet.
+    """How good an accelerometer or a gyroscope is, as in a data sheet.
 
     Attributes:
         name: name of the grade.
-        noise_rms: white noise of every sample and axis [g].
-        bias: the constant offset of each axis is drawn from +-bias [g].
+        noise_rms: white noise of every sample and axis [unit].
+        bias: the constant offset of each axis is drawn from +-bias [unit].
         scale: the relative scale error of each axis is drawn from +-scale.
         cross: each of the six cross-axis sensitivities is drawn from +-cross.
-        full_scale: the reading is clipped to +-full_scale [g]; None for no limit.
+        full_scale: the reading is clipped to +-full_scale [unit]; None for no limit.
         bits: the reading is rounded to 2**bits steps over +-full_scale; None for no rounding.
+        unit: that of the data sheet: g [m/s^2], or a degree per second [rad/s].
     """
 
     name: str
@@ -36,53 +40,29 @@ class SensorGrade:
     cross: float = 0.0
     full_scale: float | None = None
     bits: int | None = None
+    unit: float = GRAVITY
 
     @property
     def step(self) -> float:
-        """Size of one digit [m/s^2]; 0 where readings are not rounded."""
+        """Size of one digit [m/s^2 or rad/s]; 0 where readings are not rounded."""
         if self.full_scale is None or self.bits is None:
             return 0.0
-        return float(2 * self.full_scale * GRAVITY / 2**self.bits)
+        return float(2 * self.full_scale * self.unit / 2**self.bits)
 
 
-@dataclass(frozen=True)
-class GyroGrade:
-    """How good a gyroscope is, as in a data sheet.
-
-    Attributes:
-        name: name of the grade.
-        noise_rms: white noise of every sample and axis [deg/s].
-        bias: the constant offset of each axis is drawn from +-bias [deg/s].
-        scale: the relative scale error of each axis is drawn from +-scale.
-        cross: each of the six cross-axis sensitivities is drawn from +-cross.
-        full_scale: the reading is clipped to +-full_scale [deg/s]; None for no limit.
-        bits: the reading is rounded to 2**bits steps over +-full_scale; None for no rounding.
-    """
-
-    name: str
-    noise_rms: float = 0.0
-    bias: float = 0.0
-    scale: float = 0.0
-    cross: float = 0.0
-    full_scale: float | None = None
-    bits: int | None = None
-
-    @property
-    def step(self) -> float:
-        """Size of one digit [rad/s]; 0 where readings are not rounded."""
-        if self.full_scale is None or self.bits is None:
-            return 0.0
-        return float(2 * self.full_scale * _RAD / 2**self.bits)
-
-
-_RAD = np.pi / 180
-
-GYROS: Mapping[str, GyroGrade] = MappingProxyType(
+GYROS: Mapping[str, SensorGrade] = MappingProxyType(
     {
-        "ideal": GyroGrade("ideal"),
-        "mems": GyroGrade("mems", noise_rms=0.1, bias=1.0, full_scale=500.0, bits=16),
-        "cheap": GyroGrade(
-            "cheap", noise_rms=0.4, bias=5.0, scale=0.03, cross=0.02, full_scale=2000.0, bits=16
+        "ideal": SensorGrade("ideal", unit=_DEG),
+        "mems": SensorGrade("mems", noise_rms=0.1, bias=1.0, full_scale=500.0, bits=16, unit=_DEG),
+        "cheap": SensorGrade(
+            "cheap",
+            noise_rms=0.4,
+            bias=5.0,
+            scale=0.03,
+            cross=0.02,
+            full_scale=2000.0,
+            bits=16,
+            unit=_DEG,
         ),
     }
 )
@@ -106,13 +86,13 @@ GRADES: Mapping[str, SensorGrade] = MappingProxyType(
 
 
 @dataclass(frozen=True, eq=False)
-class Accelerometer:
-    """One accelerometer out of the production of a grade.
+class Sensor:
+    """One accelerometer or gyroscope out of the production of a grade.
 
     Attributes:
         grade: its grade.
         matrix: (3, 3) sensitivity I + E, 1 where the sensor is perfect.
-        bias: (3,) constant offset [m/s^2].
+        bias: (3,) constant offset [m/s^2 or rad/s].
     """
 
     grade: SensorGrade
@@ -123,21 +103,22 @@ class Accelerometer:
         object.__setattr__(self, "matrix", frozen(self.matrix))
         object.__setattr__(self, "bias", frozen(self.bias))
 
-    def read(self, specific_force: F64, rng: np.random.Generator) -> F64:
-        """Readings quantise(clip((I + E) f + bias + noise)).
+    def read(self, true: F64, rng: np.random.Generator) -> F64:
+        """Readings quantise(clip((I + E) x + bias + noise)).
 
         Args:
-            specific_force: (N, 3) true specific force f in the SU's frame [m/s^2].
+            true: (N, 3) true specific force or angular velocity x in the SU's frame
+                [m/s^2 or rad/s].
             rng: source of the noise.
 
         Returns:
-            (N, 3) readings [m/s^2].
+            (N, 3) readings [m/s^2 or rad/s].
         """
-        reading = specific_force @ self.matrix.T + self.bias
-        reading += self.grade.noise_rms * GRAVITY * rng.standard_normal(reading.shape)
+        reading = true @ self.matrix.T + self.bias
+        reading += self.grade.noise_rms * self.grade.unit * rng.standard_normal(reading.shape)
         if self.grade.full_scale is None:
             return np.asarray(reading)
-        limit = self.grade.full_scale * GRAVITY
+        limit = self.grade.full_scale * self.grade.unit
         step = self.grade.step
         if not step:
             return np.clip(reading, -limit, limit)
@@ -145,58 +126,12 @@ class Accelerometer:
         return np.asarray(np.round(np.clip(reading, -limit, limit - step) / step) * step)
 
 
-@dataclass(frozen=True, eq=False)
-class Gyroscope:
-    """One gyroscope out of the production of a grade.
-
-    Attributes:
-        grade: its grade.
-        matrix: (3, 3) sensitivity I + E, 1 where the sensor is perfect.
-        bias: (3,) constant offset [rad/s].
-    """
-
-    grade: GyroGrade
-    matrix: F64
-    bias: F64
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "matrix", frozen(self.matrix))
-        object.__setattr__(self, "bias", frozen(self.bias))
-
-    def read(self, rate: F64, rng: np.random.Generator) -> F64:
-        """Readings quantise(clip((I + E) w + bias + noise)).
-
-        Args:
-            rate: (N, 3) true angular velocity w in the SU's frame [rad/s].
-            rng: source of the noise.
-
-        Returns:
-            (N, 3) readings [rad/s].
-        """
-        reading = rate @ self.matrix.T + self.bias
-        reading += self.grade.noise_rms * _RAD * rng.standard_normal(reading.shape)
-        if self.grade.full_scale is None:
-            return np.asarray(reading)
-        limit = self.grade.full_scale * _RAD
-        step = self.grade.step
-        if not step:
-            return np.clip(reading, -limit, limit)
-        return np.asarray(np.round(np.clip(reading, -limit, limit - step) / step) * step)
-
-
-def draw_gyroscope(grade: GyroGrade, rng: np.random.Generator) -> Gyroscope:
-    """Draw one gyroscope of a grade."""
+def draw_sensor(grade: SensorGrade, rng: np.random.Generator) -> Sensor:
+    """Draw one sensor of a grade."""
     errors = rng.uniform(-grade.cross, grade.cross, (3, 3))
     np.fill_diagonal(errors, rng.uniform(-grade.scale, grade.scale, 3))
-    return Gyroscope(grade, np.eye(3) + errors, rng.uniform(-grade.bias, grade.bias, 3) * _RAD)
-
-
-def draw_accelerometer(grade: SensorGrade, rng: np.random.Generator) -> Accelerometer:
-    """Draw one accelerometer of a grade."""
-    errors = rng.uniform(-grade.cross, grade.cross, (3, 3))
-    np.fill_diagonal(errors, rng.uniform(-grade.scale, grade.scale, 3))
-    bias = rng.uniform(-grade.bias, grade.bias, 3) * GRAVITY
-    return Accelerometer(grade, np.eye(3) + errors, bias)
+    bias = rng.uniform(-grade.bias, grade.bias, 3) * grade.unit
+    return Sensor(grade, np.eye(3) + errors, bias)
 
 
 def encode(position: F64, resolution: F64) -> F64:

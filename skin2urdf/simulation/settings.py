@@ -11,7 +11,7 @@ from skin2urdf.errors import UsageError
 from skin2urdf.planning.trajectory import JointTrajectory
 from skin2urdf.simulation.defects.records import Defect
 from skin2urdf.simulation.motion_settings import MotionSettings
-from skin2urdf.simulation.sensors import GRADES, GYROS, GyroGrade, SensorGrade
+from skin2urdf.simulation.sensors import GRADES, GYROS, SensorGrade
 
 Excitation = Literal["one", "all", "none"]
 """Patterns of one DoF after the other, of all at once, or ordinary moves without any pattern."""
@@ -95,7 +95,7 @@ class SimulationSettings:
     base_rpy: tuple[float, float, float] | None = None
     seed: int = 0
     grade: str | SensorGrade = "mems"
-    gyro: str | float | GyroGrade | None = None
+    gyro: str | float | SensorGrade | None = None
     tracking: str | PlantSettings = "servo"
     imu_rate: float = 500.0
     joint_rate: float = 250.0
@@ -156,13 +156,13 @@ class SimulationSettings:
         return _named(self.grade, GRADES, "sensor grade")
 
     @property
-    def gyro_grade(self) -> GyroGrade | None:
+    def gyro_grade(self) -> SensorGrade | None:
         """The gyroscopes' grade in full; None for SUs without.
 
         Raises:
             UsageError: no grade of that name, or noise that is negative.
         """
-        if self.gyro is None or isinstance(self.gyro, GyroGrade):
+        if self.gyro is None or isinstance(self.gyro, SensorGrade):
             return self.gyro
         if isinstance(self.gyro, str):
             return _named(self.gyro, GYROS, "grade of gyroscopes")

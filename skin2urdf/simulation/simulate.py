@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,7 +18,7 @@ from skin2urdf.simulation.motion_settings import MotionSettings
 from skin2urdf.simulation.planned import follow_plan
 from skin2urdf.simulation.plant import actual_motion
 from skin2urdf.simulation.robots import RobotSpec, SkinLayout, Vector3
-from skin2urdf.simulation.sensors import Gyroscope, draw_accelerometer, draw_gyroscope
+from skin2urdf.simulation.sensors import Sensor, draw_sensor
 from skin2urdf.simulation.settings import SimulationSettings
 from skin2urdf.simulation.skins import PlacedSu, place_skin
 from skin2urdf.simulation.streams import Draw, draw_for, record_joints, record_sus, shift_clock
@@ -27,6 +27,9 @@ from skin2urdf.simulation.truth_urdf import truth_urdf
 
 EPOCH = 1_750_000_000.0
 """When simulated recordings start [s since the Unix epoch]."""
+
+_MOVED = 0.3
+"""Share of the work that is done once it is known how everything moves."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,7 +62,7 @@ class Truth:
     sensor_matrix: F64
     bias: F64
     lag: F64
-    gyros: tuple[Gyroscope, ...] = ()
+    gyros: tuple[Sensor, ...] = ()
 
     def __post_init__(self) -> None:
         for name in ("poses", "gravity_base", "sensor_matrix", "bias", "lag"):
@@ -83,12 +86,17 @@ class Simulation:
     joint_order: tuple[str, ...]
 
 
-def simulate(robot: RobotSpec, settings: SimulationSettings) -> Simulation:
+def simulate(
+    robot: RobotSpec,
+    settings: SimulationSettings,
+    tell: Callable[[float], None] = lambda _: None,
+) -> Simulation:
     """Record a robot that moves its joints while SUs report what they feel.
 
     Args:
         robot: the robot.
         settings: everything else.
+        tell: told the share of the work that is done.
 
     Returns:
         The recording and its truth; the same for the same arguments.
@@ -105,16 +113,19 @@ def simulate(robot: RobotSpec, settings: SimulationSettings) -> Simulation:
     flexibility = Flexibility.none(mechanism.n_joints)
     for defect in settings.defects:
         flexibility = defect.loosen(flexibility, mechanism, draw_for(draw, defect))
+    tell(0.5 * _MOVED)
     moved = move_flexibly(mechanism, sus, motor, flexibility)
+    tell(_MOVED)
     rng = draw("sensors")
-    sensors = [draw_accelerometer(settings.sensor_grade, rng) for _ in sus]
+    sensors = [draw_sensor(settings.sensor_grade, rng) for _ in sus]
     gyro_grade, rng = settings.gyro_grade, draw("gyroscopes")
-    gyros = tuple(draw_gyroscope(gyro_grade, rng) for _ in sus) if gyro_grade else ()
+    gyros = tuple(draw_sensor(gyro_grade, rng) for _ in sus) if gyro_grade else ()
     lag = draw("lag").uniform(0.0, settings.lag, len(sus))
     joint_streams = record_joints(mechanism, motor, settings, draw, moved.torque)
     su_streams = record_sus(
-        moved.mechanism, moved.motion, moved.sus, sensors, lag, settings, draw, gyros
-    )
+        moved.mechanism, moved.motion, moved.sus, sensors, lag, settings, draw, gyros,
+        lambda share: tell(_MOVED + (1 - _MOVED) * share),
+    )  # fmt: skip
     start = min(float(time[0]) for time in [joint_streams[0].time, *(s.time for s in su_streams)])
     recording = Recording(
         joints=shift_clock(joint_streams, -start),

@@ -13,7 +13,7 @@ from skin2urdf.arrays import F64, frozen
 from skin2urdf.recording.records import JointStream, SuStream
 from skin2urdf.simulation.defects.records import Defect, Felt
 from skin2urdf.simulation.mechanism import Mechanism
-from skin2urdf.simulation.sensors import Accelerometer, Gyroscope, encode, stamp
+from skin2urdf.simulation.sensors import Sensor, encode, stamp
 from skin2urdf.simulation.settings import SimulationSettings
 from skin2urdf.simulation.skins import PlacedSu
 from skin2urdf.simulation.specific_force import felt_motions
@@ -79,11 +79,12 @@ def record_sus(
     mechanism: Mechanism,
     motion: JointMotion,
     sus: Sequence[PlacedSu],
-    sensors: Sequence[Accelerometer],
+    sensors: Sequence[Sensor],
     lag: F64,
     settings: SimulationSettings,
     draw: Draw,
-    gyros: Sequence[Gyroscope] = (),
+    gyros: Sequence[Sensor] = (),
+    tell: Callable[[float], None] = lambda _: None,
 ) -> tuple[SuStream, ...]:
     """Sample the accelerometers and gyroscopes of all SUs, each SU on its own clock.
 
@@ -96,6 +97,7 @@ def record_sus(
         settings: rate, jitter, stagger, defects.
         draw: source of phases, noise and jitter.
         gyros: their U gyroscopes; none for SUs without.
+        tell: told the share of the work that is done.
 
     Returns:
         U streams in the order of the SUs, on the motion's clock.
@@ -110,6 +112,7 @@ def record_sus(
     turns.reverse()
     turning = draw("gyroscope noise")
     for u, su in enumerate(sus):
+        tell(0.5 + 0.5 * u / len(sus))
         # Of a long recording there is no room for what the SUs feel and what they report.
         defects = [(defect, draw_for(draw, defect, su.name)) for defect in settings.defects]
         force = forces.pop()

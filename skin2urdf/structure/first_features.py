@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 from skin2urdf.errors import InsufficientDataError
 from skin2urdf.signals.features import extract_features
@@ -11,7 +11,11 @@ from skin2urdf.signals.sampling import Sampled
 from skin2urdf.structure.gravity import gravity_features, gravity_windows
 
 
-def first_features(sampled: Sequence[Sampled], su_names: Sequence[str]) -> Features:
+def first_features(
+    sampled: Sequence[Sampled],
+    su_names: Sequence[str],
+    tell: Callable[[float], None] = lambda _: None,
+) -> Features:
     """Features of logs of which nothing is known yet.
 
     Rests that were recorded one by one may be shorter than the filters that patterns are looked for
@@ -20,12 +24,13 @@ def first_features(sampled: Sequence[Sampled], su_names: Sequence[str]) -> Featu
     Args:
         sampled: the logs, all with the same DoF and SU names.
         su_names: U names.
+        tell: told the share of the work that is done.
 
     Raises:
         InsufficientDataError: there are neither patterns nor two rests with readings.
     """
     try:
-        return extract_features(sampled, su_names)
+        return extract_features(sampled, su_names, tell=tell)
     except InsufficientDataError:
         windows = gravity_windows(sampled, su_names)
         if len(windows.q) < _FEWEST:

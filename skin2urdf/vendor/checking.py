@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from scipy.stats import chi2 as chi_squared
+from scipy.special import chdtrc, chdtri
 
 from skin2urdf.arrays import F64, Bool, frozen
 from skin2urdf.calibration.clock import Clock, Progress
@@ -286,7 +286,6 @@ def _compared(found: Explained, before: Sequence[KnownSu], skin: KnownSkin) -> t
     seen = found.bench.judged(found.along, sensors)
     tree = found.along.problem.tree
     links = _links(chassis, skin)
-    alarm = chi_squared.isf  # the bound of each number of directions
     odd = _odd(found)
     out: dict[str, SuCheck] = {}
     for u, su in enumerate(before):
@@ -299,7 +298,7 @@ def _compared(found: Explained, before: Sequence[KnownSu], skin: KnownSkin) -> t
         what: What = "open" if dof == 0 else "as it was"
         if link != links[su.name]:
             what, chi2, dof = "elsewhere", np.inf, 6
-        elif dof and chi2 > alarm(FALSE_ALARM / len(before), dof):
+        elif dof and chi2 > chdtri(dof, FALSE_ALARM / len(before)):
             what = "moved"
         if odd[u]:
             what = "does not fit"
@@ -308,7 +307,7 @@ def _compared(found: Explained, before: Sequence[KnownSu], skin: KnownSkin) -> t
             what = "exchanged"
         out[su.name] = SuCheck(
             su.name, what, link, twist, both, float(chi2), dof,
-            float(chi_squared.sf(chi2, dof)) if dof else 1.0, place_of, T,
+            float(chdtrc(dof, chi2)) if dof else 1.0, place_of, T,
             seen.su_covariance[u], seen.su_unobservable[u],
         )  # fmt: skip
     return tuple(out.get(su.name) or _gone(su, links[su.name]) for su in skin.sus)

@@ -60,6 +60,11 @@ def test_the_search_for_hits_tells_its_progress() -> None:
     shares = [share for stage, share in run().told if stage == "hits"]
     assert len(set(shares)) > 3
     assert shares[-1] == max(shares) == 1.0
+    # Of a log of a million messages, these are the stages that take a second.
+    long = [stage for stage, seconds in found.seconds.items() if seconds > 0.1 * passed]
+    assert len(long) > 1
+    for stage in {"sampling", "features", "estimation", *long}:
+        assert {share for of, share in told if of == stage} - {0.0, 1.0}, stage
 
 
 def test_a_calibration_without_regressions_around_poses_can_be_told() -> None:

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 import pytest
+from folding_arm import folding_arm
 
 from skin2urdf.model.records import KinematicModel
 from skin2urdf.planning.collisions import CollisionChecker
@@ -17,35 +17,12 @@ from skin2urdf.planning.records import Limits, Plan, PlanSettings
 from skin2urdf.simulation.mechanism import Mechanism, load_mechanism, read_urdf
 from skin2urdf.simulation.robots import load_robot
 
-_LINK = """
-<link name="{name}">
-  <inertial><origin xyz="0 0 0.15"/><mass value="1"/>
-    <inertia ixx="0.01" iyy="0.01" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial>
-  <collision><origin xyz="0 0 {middle}"/><geometry><box size="0.06 0.06 {length}"/></geometry>
-  </collision>
-</link>"""
-_JOINT = """
-<joint name="{name}" type="revolute">
-  <parent link="{parent}"/><child link="{child}"/><origin xyz="{xyz}" rpy="{rpy}"/>
-  <axis xyz="0 1 0"/>
-  <limit lower="-2.9" upper="2.9" velocity="2" effort="50"/>
-</joint>"""
-
 
 @pytest.fixture(scope="session")
 def arm(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """URDF of an arm that can fold onto its own base."""
-    lengths = {"base": 0.3, "upper": 0.3, "fore": 0.3, "hand": 0.2}
-    text = "<robot name='folding'>"
-    for name, length in lengths.items():
-        text += _LINK.format(name=name, middle=length / 2, length=length - 0.1)
-    names = list(lengths)
-    for i, (parent, child) in enumerate(pairwise(names)):
-        rpy = "0 0 0" if i != 1 else "0 0 0.4"
-        xyz = f"0 0 {lengths[parent]}"
-        text += _JOINT.format(name=f"j{i}", parent=parent, child=child, xyz=xyz, rpy=rpy)
     path = tmp_path_factory.mktemp("arm") / "arm.urdf"
-    path.write_text(text + "</robot>", encoding="utf-8")
+    path.write_text(folding_arm(), encoding="utf-8")
     return path
 
 

@@ -11,8 +11,8 @@ from skin2urdf.geometry.units import GRAVITY
 from skin2urdf.simulation import GRADES
 from skin2urdf.simulation.sensors import (
     MIN_STAMP_STEP,
-    Accelerometer,
-    draw_accelerometer,
+    Sensor,
+    draw_sensor,
     encode,
     stamp,
 )
@@ -23,7 +23,7 @@ def rng(seed: int = 0) -> np.random.Generator:
 
 
 def test_ideal_sensor_reads_the_truth() -> None:
-    sensor = draw_accelerometer(GRADES["ideal"], rng())
+    sensor = draw_sensor(GRADES["ideal"], rng())
     force = rng().uniform(-100, 100, (50, 3))
     np.testing.assert_array_equal(sensor.read(force, rng()), force)
 
@@ -31,7 +31,7 @@ def test_ideal_sensor_reads_the_truth() -> None:
 @pytest.mark.parametrize(("name", "rms", "bits"), [("mems", 1e-3, 16), ("bma150", 8e-3, 10)])
 def test_noise_and_resolution(name: str, rms: float, bits: int) -> None:
     grade = GRADES[name]
-    sensor = Accelerometer(grade, np.eye(3), np.zeros(3))
+    sensor = Sensor(grade, np.eye(3), np.zeros(3))
     readings = sensor.read(np.tile([0.3, -5.0, 9.0], (40_000, 1)), rng())
     # Rounding adds the variance of a uniform distribution of one digit.
     expected = np.hypot(rms * GRAVITY, grade.step / np.sqrt(12))
@@ -44,7 +44,7 @@ def test_noise_and_resolution(name: str, rms: float, bits: int) -> None:
 
 
 def test_saturation_uses_every_count_and_no_more() -> None:
-    sensor = Accelerometer(GRADES["bma150"], np.eye(3), np.zeros(3))
+    sensor = Sensor(GRADES["bma150"], np.eye(3), np.zeros(3))
     readings = sensor.read(np.array([[-1e3, 1e3, 0.0]]), rng())
     step = GRADES["bma150"].step
     np.testing.assert_allclose(readings[0, :2], [-512 * step, 511 * step])
@@ -52,15 +52,13 @@ def test_saturation_uses_every_count_and_no_more() -> None:
 
 def test_clipping_without_rounding() -> None:
     grade = replace(GRADES["ideal"], full_scale=1.0)
-    readings = Accelerometer(grade, np.eye(3), np.zeros(3)).read(
-        np.array([[-20.0, 3.0, 20.0]]), rng()
-    )
+    readings = Sensor(grade, np.eye(3), np.zeros(3)).read(np.array([[-20.0, 3.0, 20.0]]), rng())
     np.testing.assert_allclose(readings, [[-GRAVITY, 3.0, GRAVITY]])
 
 
 def test_sensor_matrix_and_bias_are_what_is_read() -> None:
     grade = replace(GRADES["bma150"], noise_rms=0.0, bits=None, full_scale=None)
-    sensor = draw_accelerometer(grade, rng(5))
+    sensor = draw_sensor(grade, rng(5))
     readings = sensor.read(np.vstack([np.zeros(3), np.eye(3)]), rng())
     np.testing.assert_allclose(readings[0], sensor.bias)
     np.testing.assert_allclose((readings[1:] - readings[0]).T, sensor.matrix, atol=1e-12)
@@ -68,7 +66,7 @@ def test_sensor_matrix_and_bias_are_what_is_read() -> None:
 
 def test_production_spread() -> None:
     grade = GRADES["bma150"]
-    sensors = [draw_accelerometer(grade, r) for r in rng().spawn(400)]
+    sensors = [draw_sensor(grade, r) for r in rng().spawn(400)]
     errors = np.array([s.matrix for s in sensors]) - np.eye(3)
     diagonal = np.einsum("nii->ni", errors)
     off = errors[:, ~np.eye(3, dtype=bool)]

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from pathlib import Path
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 from skin2urdf.cli.arguments import (
@@ -22,12 +20,10 @@ from skin2urdf.files import check_target, write_atomically
 
 if TYPE_CHECKING:
     from skin2urdf.model.records import KinematicModel
-    from skin2urdf.planning.collisions import CollisionChecker
     from skin2urdf.planning.earlier import Earlier, Shrinking
     from skin2urdf.planning.expected import Expected
-    from skin2urdf.planning.limits import Given
-    from skin2urdf.planning.records import Limits, Plan
-    from skin2urdf.simulation.mechanism import Mechanism
+    from skin2urdf.planning.records import Plan
+    from skin2urdf.planning.robots import PlannedRobot
 
 HELP = "make the motion to record"
 EPILOG = """\
@@ -111,23 +107,6 @@ def declare(command: Parser) -> None:
     )
 
 
-@dataclass(frozen=True, eq=False)
-class _Robot:
-    """What is planned for.
-
-    Attributes:
-        limits: of its joints.
-        model: its placements and SUs, None where only limits are known.
-        checker: keeps its bodies apart; None where nothing is known of them.
-        notes: what is to be said of that.
-    """
-
-    limits: Limits
-    model: KinematicModel | None
-    checker: CollisionChecker | None
-    notes: tuple[str, ...]
-
-
 def run(options: argparse.Namespace) -> int:
     """Do it; the exit status."""
     targets = [check_target(p) for p in (options.output, options.csv) if p]
@@ -191,7 +170,7 @@ def run(options: argparse.Namespace) -> int:
 
 def _tell(
     options: argparse.Namespace,
-    robot: _Robot,
+    robot: PlannedRobot,
     plan: Plan,
     accuracy: Sequence[Expected],
     shrinks: Sequence[Shrinking],
@@ -207,204 +186,55 @@ def _tell(
         print(as_text(plan, names, accuracy, shrinks, advice), end="")
 
 
-def _robot(options: argparse.Namespace, earlier: Earlier | None) -> _Robot:
+def _robot(options: argparse.Namespace, earlier: Earlier | None) -> PlannedRobot:
     """The robot as the options describe it."""
-    import numpy as np
+    from math import radians
 
-    from skin2urdf.planning.limits import (
-        Given,
-        acceleration_and_jerk,
-        check_names,
-        complete,
-        merged,
-        read_limits,
+    from skin2urdf.planning.limits import read_limits
+    from skin2urdf.planning.robots import (
+        Told,
+        robot_found_before,
+        robot_of_limits,
+        robot_of_model,
     )
 
-    given = read_limits(options.limits) if options.limits else {}
-    if not options.model:
-        if earlier is None:
-            limits = complete(tuple(given), given)
-            return _Robot(limits, None, None, (_NO_MODEL,))
-        names = earlier.model.tree.joint_names
-        check_names(given, names, options.limits or "")
-        known = {n: merged(given.get(n, Given()), earlier.limits[n]) for n in names}
-        return _Robot(complete(names, known), _tilted(options, earlier.model), None, (_NO_SHAPES,))
-
-    from skin2urdf.simulation import load_robot
-    from skin2urdf.simulation.mechanism import load_mechanism, read_urdf
-
-    spec = load_robot(options.model)
-    r, p, y = np.deg2rad(options.base_rpy)
-    mechanism = load_mechanism(spec, (float(r), float(p), float(y)))
-    check_names(given, mechanism.joint_names, options.limits or "")
-    beyond = acceleration_and_jerk(read_urdf(spec))
-    bounded = [
-        n for n, low in zip(mechanism.joint_names, mechanism.lower, strict=True) if low > -np.inf
-    ]
-    ranged = {name for name, limits in given.items() if limits.lower is not None}
-    seen, ranges = _seen(spec.urdf, ranged.issuperset(bounded))
-    limits_of = {}
-    for d, name in enumerate(mechanism.joint_names):
-        of_model = Given(
-            prismatic=bool(mechanism.prismatic[d]),
-            lower=_finite(mechanism.lower[d]),
-            upper=_finite(mechanism.upper[d]),
-            velocity=_finite(mechanism.speed_limit[d]),
-        )
-        for more in (beyond, seen, given):
-            of_model = merged(more.get(name, Given()), of_model)
-        limits_of[name] = of_model
-    names = mechanism.joint_names
-    model = _placements(options, mechanism)
-    if earlier is not None:
-        names = earlier.model.tree.joint_names
-        check_names(dict.fromkeys(names, Given()), mechanism.joint_names, options.after)
-        model = _tilted(options, earlier.model)
-    limits = complete(names, limits_of)
-    checker, notes = _checker(options, mechanism, limits)
-    return _Robot(limits, model, checker, (*ranges, *notes))
-
-
-def _seen(urdf: Path, ranged: bool) -> tuple[Mapping[str, Given], tuple[str, ...]]:
-    """Ranges of a calibrated robot, whose URDF has limits that are nobody's, and what to say of it.
-
-    Args:
-        urdf: its file.
-        ranged: whether a file of limits has the ranges of all joints.
-
-    Raises:
-        UsageError: neither its JSON nor a file of limits says how far its joints may go.
-    """
-    from skin2urdf.planning.earlier import seen_ranges
-    from skin2urdf.urdf.beside import document_beside
-    from skin2urdf.urdf.records import NO_LIMITS
-
-    beside = document_beside(urdf)
-    ranges = seen_ranges(beside) if beside else {}
-    if ranges:
-        return ranges, (
-            f"joints keep to the ranges that the log of {urdf.name} saw: its own limits are "
-            "placeholders, and --limits says otherwise",
-        )
-    if not ranged and NO_LIMITS in urdf.read_text(encoding="utf-8", errors="replace"):
-        raise UsageError(
-            f"the limits in {urdf} are placeholders, and its JSON is not beside it",
-            "put the JSON there, or give the ranges of all joints: min_position and max_position "
-            "in a file of limits (--limits)",
-        )
-    return {}, ()
-
-
-_NO_MODEL = (
-    "without a model, poses fill the joints' ranges, nothing is known of what the robot may touch, "
-    "and no accuracy can be told"
-)
-_NO_SHAPES = "nothing is known of what the robot may touch: give --model as well"
-
-
-def _finite(value: float) -> float | None:
-    return float(value) if abs(value) < float("inf") else None
-
-
-def _placements(options: argparse.Namespace, mechanism: Mechanism) -> KinematicModel:
-    """Placements of the model, with the SUs that it has or that are assumed."""
-    from fnmatch import fnmatchcase
-
-    import numpy as np
-    import pinocchio as pin
-
-    from skin2urdf.planning.kinematics import kinematic_model, sus_on_links, usual_sus
-
-    if options.sus:
-        bodies = [f.name for f in mechanism.model.frames if f.type == pin.FrameType.BODY]
-        links = [name for name in bodies if fnmatchcase(name, options.sus)]
-        if not links:
-            raise UsageError(
-                f'no link of the model fits "{options.sus}"',
-                f"its links are {', '.join(bodies[:8])}{' ..' if len(bodies) > 8 else ''}",
-            )
-        sus = sus_on_links(mechanism.model, links)
-    else:
-        sus = usual_sus(mechanism.model, [int(p) for p in mechanism.parent])
-    R = pin.rpy.rpyToMatrix(*np.deg2rad(options.base_rpy))
-    return kinematic_model(mechanism.model, list(mechanism.prismatic), R, sus)
-
-
-def _tilted(options: argparse.Namespace, model: KinematicModel) -> KinematicModel:
-    """A calibrated robot with its base tilted as the options say."""
-    from dataclasses import replace
-
-    import numpy as np
-    import pinocchio as pin
-
-    T = np.eye(4)
-    T[:3, :3] = pin.rpy.rpyToMatrix(*np.deg2rad(options.base_rpy))
-    on_base = model.tree.parent < 0
-    sus_on_base = model.tree.su_joint < 0
-    return replace(
-        model,
-        T_parent_joint=np.where(
-            on_base[:, None, None], T @ model.T_parent_joint, model.T_parent_joint
-        ),
-        T_joint_su=np.where(sus_on_base[:, None, None], T @ model.T_joint_su, model.T_joint_su),
+    r, p, y = map(radians, options.base_rpy)
+    told = Told(
+        limits=read_limits(options.limits) if options.limits else {},
+        source=options.limits or "",
+        base_rpy=(r, p, y),
+        sus=options.sus,
+        floor=options.floor,
+        collisions=not options.no_collisions,
     )
+    if options.model:
+        from skin2urdf.simulation import load_robot
+        from skin2urdf.simulation.mechanism import load_mechanism, read_urdf
 
-
-def _checker(
-    options: argparse.Namespace, mechanism: Mechanism, limits: Limits
-) -> tuple[CollisionChecker | None, tuple[str, ...]]:
-    """What keeps the robot's bodies apart, and what is to be said of it."""
-    from skin2urdf.planning.collisions import CollisionChecker
-    from skin2urdf.simulation import load_robot
-    from skin2urdf.simulation.mechanism import read_urdf
-
-    if options.no_collisions:
-        return None, ("collisions are not looked at (--no-collisions)",)
-    spec = load_robot(options.model)
-    xml = read_urdf(spec)
-    if xml.find("link/collision") is None:
-        return None, ("the URDF has no <collision> shapes: the robot may touch itself",)
-    try:
-        checker = CollisionChecker(
-            xml, Path(spec.urdf), limits.joint_names, mechanism.locked,
-            (limits.lower, limits.upper), options.floor,
-        )  # fmt: skip
-    except (ValueError, RuntimeError) as error:
-        raise UsageError(
-            f"the shapes of {spec.urdf} can not be read: {' '.join(str(error).split())}",
-            "put its meshes where package:// leads from a folder above the URDF, or plan without "
-            "them (--no-collisions)",
-        ) from error
-    return checker, ()
+        spec = load_robot(options.model)
+        joints = load_mechanism(spec, told.base_rpy)
+        return robot_of_model(spec.urdf, read_urdf(spec), joints, told, earlier)
+    return robot_of_limits(told) if earlier is None else robot_found_before(earlier, told)
 
 
 def _accuracy(
     plan: Plan, model: KinematicModel, grades: Sequence[str], tell: Callable[[float], None]
 ) -> list[Expected]:
     """The accuracy to expect with each grade of accelerometers."""
-    from skin2urdf.geometry.units import GRAVITY
-    from skin2urdf.planning.expected import Sensors, expected
+    from skin2urdf.planning.expected import expected, sensors_of
     from skin2urdf.simulation import GRADES
 
     out = []
     for i, name in enumerate(grades):
-        grade = GRADES[name]
-        spread = 3**-0.5  # standard deviation of what is drawn evenly from -1 to 1
-        sensors = Sensors(
-            name,
-            grade.noise_rms * GRAVITY,
-            grade.step,
-            spread * grade.bias * GRAVITY,
-            spread * grade.scale,
-            # Symmetric terms are means of two; what is left of these turns the sensor's frame.
-            spread * grade.cross / 2**0.5,
-        )
-        tell(i / len(grades))
-        out.append(expected(plan.trajectory, model, sensors))
+
+        def part(share: float, i: int = i) -> None:
+            tell((i + share) / len(grades))
+
+        out.append(expected(plan.trajectory, model, sensors_of(GRADES[name]), tell=part))
     return out
 
 
-def _advice(options: argparse.Namespace, robot: _Robot, lead: float) -> tuple[str, ...]:
+def _advice(options: argparse.Namespace, robot: PlannedRobot, lead: float) -> tuple[str, ...]:
     """What to do with the plan, and with the base."""
     import numpy as np
 

@@ -122,7 +122,7 @@ def run(options: argparse.Namespace) -> int:
     replaced = present(targets)
     with progress_bar(options.quiet) as bar:
         bar("moving the robot", 0.0)
-        simulation = simulate(robot, settings)
+        simulation = simulate(robot, settings, lambda share: bar("moving the robot", share))
         bar("moving the robot", 1.0)
         bar("writing the log", 0.0)
         write(
@@ -132,6 +132,7 @@ def run(options: argparse.Namespace) -> int:
             chunked=not options.no_chunks,
             indexed=not options.no_index,
             joint_order=simulation.joint_order,
+            tell=lambda share: bar("writing the log", share),
         )
     if options.truth:
         write_atomically(options.truth, simulation.truth.urdf)

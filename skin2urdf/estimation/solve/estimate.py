@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -102,6 +103,7 @@ def estimate(
     start: State | None = None,
     *,
     search: bool = True,
+    tell: Callable[[float], None] = lambda _: None,
 ) -> Estimate:
     """Estimate all placements of a tree from features.
 
@@ -111,6 +113,7 @@ def estimate(
         settings: how to.
         start: an earlier estimate of the same tree, followed besides the closed-form starts.
         search: False to follow nothing but that earlier estimate.
+        tell: told the share of the work that is done.
 
     Raises:
         InsufficientDataError: no start can be computed from these features, or they are too few.
@@ -125,11 +128,13 @@ def estimate(
     else:
         _check_gravity(cost)
     state, hypotheses = followed_starts(cost, free, start, search)
+    tell(_STARTED)
     weight = np.ones(blocks.count.shape)
     state, chi2 = minimise(cost, state, free)
     plain = cost
     if settings.robust:
-        for _ in range(3):
+        for done in range(_REWEIGHTED):
+            tell(_STARTED + (_WEIGHED - _STARTED) * done / _REWEIGHTED)
             by_block = plain.at(state).chi2_by_block()
             fresh = robust_weights(by_block, blocks.count)
             if np.allclose(fresh, weight, atol=0.02):
@@ -137,6 +142,7 @@ def estimate(
             weight = fresh
             cost = Cost(tree, blocks.reweighted(weight), settings.priors)
             state, chi2 = minimise(cost, state, free)
+    tell(_WEIGHED)
     if settings.intrinsics:
         priors = learnt_priors(cost, state, free)
         plain, cost = (Cost(tree, c.blocks, priors) for c in (plain, cost))
@@ -162,6 +168,10 @@ def estimate(
     )
 
 
+_REWEIGHTED = 3
+"""Times that weights are taken anew, at most; they settle after two."""
+_STARTED, _WEIGHED = 0.5, 0.8
+"""Share of the work that is done once a start is found, and once all are weighed."""
 _WORST_SU = 8.0
 """Misfit of an SU, over the median SU's, up to which its noise may just have been misjudged."""
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from skin2urdf.arrays import F64, Bool
 from skin2urdf.estimation.problem.cost import Cost, Priors
-from skin2urdf.estimation.problem.state import N_PLACEMENT, Free, State
+from skin2urdf.estimation.problem.state import N_PLACEMENT, N_SU, Free, State
 from skin2urdf.estimation.solve.arrow import factor
 
 ENOUGH = 6
@@ -71,6 +71,29 @@ def narrowed(priors: Priors, error: F64, variance: F64, estimated: Bool) -> Prio
         widest = max(size, BEYOND_NOISE * float(np.sqrt(np.median(noise))))
         found[name], found["hidden"] = min(given, widest), min(given, size)
     return replace(priors, **found)
+
+
+def learnt_hidden(priors: Priors, state: State, variance: F64, free: Free) -> float:
+    """Standard deviation of the rotations that cross-axis errors hide, by those that show [rad].
+
+    Features take what all SUs feel of the encoders' noise for noise of their own, so that
+    cross-axis terms stand out from variances of theirs where sensors have none. They do not from
+    those that are stated.
+
+    Args:
+        priors: those that the estimate was made with.
+        state: the estimate.
+        variance: (U, 15) of the SUs' coordinates, as they are stated.
+        free: which coordinates were estimated.
+    """
+    columns = slice(N_PLACEMENT + 6, N_SU)
+    share = variance[:, columns] / priors.cross**2 if priors.cross > 0 else np.ones((1, 3))
+    use = free.sus[:, columns] & (share < DETERMINED)
+    if use.sum() < ENOUGH:
+        return priors.hidden_rotation
+    data = 1 / (1 - share[use])
+    size = spread(state.shape[:, 3:][use] * data, variance[:, columns][use] * data)
+    return min(priors.cross, size)
 
 
 def spread(x: F64, variance: F64) -> float:

@@ -17,6 +17,7 @@ from skin2urdf.arrays import F64, Bool, frozen
 from skin2urdf.estimation.problem.cost import NormalEquations, Priors
 from skin2urdf.estimation.problem.state import N_JOINT, N_PLACEMENT, N_SU, Free, State
 from skin2urdf.estimation.solve.estimate import Estimate
+from skin2urdf.estimation.solve.spread import learnt_hidden
 from skin2urdf.estimation.trajectory.uncertainty import MotionInformation, disturbed
 from skin2urdf.estimation.uncertainty.bounds import Align, expected_errors
 from skin2urdf.estimation.uncertainty.covariance import ArrowCovariance
@@ -93,14 +94,19 @@ def observability(estimate: Estimate, along: MotionInformation | None = None) ->
         priors=estimate.cost.priors,
         given=estimate.given,
     )
+
+    def hidden(stated: ArrowCovariance) -> float:
+        variance = np.einsum("uii->ui", stated.su())
+        return learnt_hidden(subject.priors, subject.state, variance, subject.free)
+
     if along:
-        return observability_along(subject, along)
+        return _judged(subject, along.equations, lambda w: disturbed(w, along), 1.0, hidden)
     scale = max(1.0, estimate.cost_per_dof)
 
     def widened(weights: ArrowCovariance) -> ArrowCovariance:
         return with_shared_errors(weights, estimate.cost, estimate.state).scaled(scale)
 
-    return _judged(subject, _of_the_data(estimate), widened, scale)
+    return _judged(subject, _of_the_data(estimate), widened, scale, hidden)
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,13 +131,16 @@ class Subject:
 
 
 def observability_along(subject: Subject, along: MotionInformation) -> Observability:
-    """Covariances and verdicts of a fit of all samples.
+    """Covariances and verdicts of a fit of all samples, of sensors that are as the priors say.
 
     Args:
         subject: the estimate.
         along: what the samples tell.
     """
-    return _judged(subject, along.equations, lambda weights: disturbed(weights, along), 1.0)
+    hidden = subject.priors.hidden_rotation
+    return _judged(
+        subject, along.equations, lambda weights: disturbed(weights, along), 1.0, lambda _: hidden
+    )
 
 
 def _judged(
@@ -139,6 +148,7 @@ def _judged(
     equations: NormalEquations,
     widened: Callable[[ArrowCovariance], ArrowCovariance],
     scale: float,
+    hidden_by: Callable[[ArrowCovariance], float],
 ) -> Observability:
     """Covariances and verdicts from information.
 
@@ -147,6 +157,7 @@ def _judged(
         equations: information of the data.
         widened: makes the covariance out of that of the weights.
         scale: variances over those of the weights, for what counts as open.
+        hidden_by: tells the rotation that cross-axis errors hide [rad] from the covariance.
     """
     tree, free = subject.tree, subject.free
     D, U = tree.n_joints, tree.n_sus
@@ -175,11 +186,11 @@ def _judged(
 
     # The antisymmetric part of a cross-axis error is a rotation of the sensor's frame: it can not
     # be seen, and is as large as the symmetric part.
-    hidden = subject.priors.hidden_rotation
-    turns = np.zeros(N_SU)
-    turns[3:N_PLACEMENT] = hidden**2
     weights = ArrowCovariance(joint_inverse, columns, lean, inverse)
     full = widened(weights)
+    hidden = hidden_by(full)
+    turns = np.zeros(N_SU)
+    turns[3:N_PLACEMENT] = hidden**2
     own = known @ full.own @ known + np.diag(turns)
     covariance = replace(full, lean=known @ full.lean, own=own)
     su_covariance = covariance.su()[:, :N_PLACEMENT, :N_PLACEMENT]

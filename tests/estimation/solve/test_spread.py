@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from calibrated import calibration
 
 from skin2urdf.estimation.problem.cost import Priors
-from skin2urdf.estimation.solve.spread import learnt_priors, spread
+from skin2urdf.estimation.solve.spread import learnt_hidden, learnt_priors, spread
 
 
 def test_the_next_member_is_as_far_out_as_said() -> None:
@@ -41,3 +43,17 @@ def test_priors_are_narrowed_to_the_sensors_and_never_widened() -> None:
     again = learnt_priors(found.cost, found.state, found.free)
     assert again.bias <= learnt.bias
     assert again.scale <= learnt.scale
+
+
+def test_hidden_rotations_are_learnt_with_the_variances_that_are_stated() -> None:
+    """Cross-axis terms that are as large as what is stated of their errors are none."""
+    found = calibration().estimate
+    rng = np.random.default_rng(2)
+    features, stated = np.full((found.tree.n_sus, 15), 1e-10), np.full((found.tree.n_sus, 15), 1e-8)
+    shape = rng.normal(0.0, 1e-4, found.state.shape.shape)
+    state = replace(found.state, shape=shape)
+    priors = replace(found.cost.priors, cross=1e-2, hidden=None)
+    assert learnt_hidden(priors, state, features, found.free) > 5e-5
+    assert learnt_hidden(priors, state, stated, found.free) == 0.0
+    # Where data determine too few, what is known before speaks.
+    assert learnt_hidden(priors, state, np.ones_like(stated), found.free) == 1e-2

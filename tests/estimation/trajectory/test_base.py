@@ -11,7 +11,6 @@ from itertools import pairwise
 
 import numpy as np
 import pinocchio as pin
-import pytest
 from synthetic import RATE, random_state, sampled_trajectory, serial_tree
 
 from skin2urdf.arrays import F64
@@ -19,7 +18,6 @@ from skin2urdf.estimation.problem.cost import Priors
 from skin2urdf.estimation.problem.state import State
 from skin2urdf.estimation.trajectory.estimate import MotionEstimate, estimate_along, motion_priors
 from skin2urdf.model.kinematics import to_pinocchio
-from skin2urdf.model.specific_force import specific_forces
 from skin2urdf.signals.filters import filtered, first_derivative, low_pass, second_derivative
 
 _TREE = serial_tree(2)
@@ -96,16 +94,6 @@ def _on_a_stand(compliance: float) -> tuple[MotionEstimate, F64]:
     return estimate_along([log], _TREE, truth, priors, np.zeros(2)), tilt
 
 
-def _reading_errors(found: State) -> float:
-    """Root mean square error of what SUs read along another motion [m/s^2]."""
-    q = np.random.default_rng(9).uniform(-1, 1, (40, 2))
-    qd, qdd = 2 * q[::-1], 10 * q[:, ::-1]
-    ours, true = (
-        specific_forces(s.model(_TREE), q, qd, qdd, 9.81 * _UP) for s in (found, _truth())
-    )
-    return float(np.sqrt(((ours - true) ** 2).mean()))
-
-
 def test_a_base_that_gives_way_is_followed() -> None:
     found, tilt = _on_a_stand(1 / 30_000)
     assert found.causes == ("base",)
@@ -117,4 +105,5 @@ def test_a_base_that_gives_way_is_followed() -> None:
     stiff, _ = _on_a_stand(0.0)
     assert stiff.causes == ()
     assert not stiff.base_motion.any()
-    assert _reading_errors(found.state) < 10 * _reading_errors(stiff.state)
+    # Loads that no encoder sees bend joints as well, and explain less.
+    assert found.tried["elastic"] > 2 * found.tried["base"]

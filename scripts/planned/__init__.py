@@ -1,0 +1,1 @@
+"""Plans by the batch: cases, figures and tables."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 from skin2urdf.arrays import Int
@@ -48,6 +48,16 @@ class Block:
     start: Int
     end: Int
     log_time: Int
+
+    def at(self, rows: Int) -> Block:
+        """The block with some of its messages."""
+        return replace(
+            self,
+            channel=self.channel[rows],
+            start=self.start[rows],
+            end=self.end[rows],
+            log_time=self.log_time[rows],
+        )
 
 
 @dataclass(eq=False)

@@ -8,19 +8,13 @@ from collections.abc import Iterable, Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from mcap.opcode import Opcode
 
 from skin2urdf.arrays import Int
 from skin2urdf.recording.framing import (
     BATCH,
-    MESSAGE_FIELDS,
-    MESSAGE_HEADER,
-    RECORD_HEADER,
-    Record,
     text,
-    walk,
 )
-from skin2urdf.recording.gather import U8, gather
+from skin2urdf.recording.gather import U8
 
 # An entry of a message index: log time and offset, 8 bytes each.
 INDEX_ENTRY = 16
@@ -51,41 +45,6 @@ class PackedChunk(NamedTuple):
     data: U8
 
 
-class MessageIndex:
-    """The message index records of a chunk (https://mcap.dev/spec#message-index-op0x07).
-
-    Each has the channel (2 bytes), the length of its entries (4 bytes), and the entries.
-    """
-
-    def __init__(self, window: U8, starts: Int) -> None:
-        """Take the records, the content of which starts at ``starts`` in ``window``, unread."""
-        self._window = window
-        self._start = starts
-        # The length of a record stands before its content; all of it lies in the window.
-        self._size = gather(window, starts - 8, "<u8").astype(np.int64)
-
-    def __bool__(self) -> bool:
-        """Tell whether there is any."""
-        return bool(self._start.size)
-
-    def channels(self) -> Int:
-        """Return the channels of all records that are long enough to hold one."""
-        start = self._start[self._size >= 6]
-        return gather(self._window, start, "<u2").astype(np.int64)
-
-    def offsets(self) -> Int | None:
-        """Return where all messages start in the chunk, or None if a record is malformed."""
-        if ((self._size < 6) | ((self._size - 6) % INDEX_ENTRY != 0)).any():
-            return None
-        count = (self._size - 6) // INDEX_ENTRY
-        before = np.cumsum(count) - count
-        first = np.repeat(self._start + 6 + 8 - INDEX_ENTRY * before, count)
-        entry = first + INDEX_ENTRY * np.arange(first.size)
-        offsets = gather(self._window, entry, "<u8")
-        # As signed numbers what lies beyond any chunk is negative.
-        return None if (offsets >> 63).any() else offsets.astype(np.int64)
-
-
 def packed_chunk(content: U8) -> PackedChunk:
     """Read the fields of a chunk record.
 
@@ -110,47 +69,70 @@ def packed_chunk(content: U8) -> PackedChunk:
     return PackedChunk(compression, size, crc, data)
 
 
-class ChunkContent(NamedTuple):
-    """Records inside a chunk.
-
-    Attributes:
-        buffer: the unpacked bytes.
-        messages: (N,) first byte of each message record, in the order of the chunk.
-        others: schemas, channels and whatever else lies in the chunk.
-        note: what was mended, empty if nothing.
-    """
-
-    buffer: U8
-    messages: Int
-    others: tuple[Record, ...]
-    note: str
-
-
-def unpack_chunk(chunk: PackedChunk, index: MessageIndex) -> ChunkContent:
-    """Decompress a chunk, check it, and find its records.
+def unpack(chunk: PackedChunk, target: U8 | None = None) -> U8:
+    """Decompress a chunk and check it.
 
     Args:
         chunk: the chunk record.
-        index: the message index records that follow it in the file, if any.
+        target: where its bytes are wanted, as many as it claims to have; anywhere if None.
 
     Returns:
-        Where the chunk's records lie.
+        The bytes: the target, where there is one, but those of a plain chunk are its own.
 
     Raises:
         DamagedChunkError: decompression fails, or size or checksum differ from the record's.
     """
-    buffer = _decompress(chunk)
-    if buffer.size != chunk.size:
-        raise DamagedChunkError(f"{buffer.size} bytes instead of {chunk.size}")
-    if chunk.crc and zlib.crc32(buffer.data) != chunk.crc:
+    plain = _decompressed(chunk, target)
+    if plain.size != chunk.size:
+        raise DamagedChunkError(f"{plain.size} bytes instead of {chunk.size}")
+    if chunk.crc and zlib.crc32(plain.data) != chunk.crc:
         raise DamagedChunkError("its checksum (CRC) does not match")
-    note = ""
-    if index:
-        indexed = _by_index(buffer, index)
-        if indexed is not None:
-            return indexed
-        note = "the message index of a chunk contradicts its content; the content was walked"
-    return _by_walk(buffer, note)
+    if target is None or chunk.compression == "" or plain.base is target:
+        return plain
+    target[:] = plain
+    return target
+
+
+def _decompressed(chunk: PackedChunk, target: U8 | None) -> U8:
+    """The content of a chunk, no more than it claims and one; in the target where that is easy."""
+    if chunk.compression == "":
+        return chunk.data
+    if chunk.compression == "lz4":
+        return unpack_lz4(chunk.data, chunk.size)
+    if chunk.compression != "zstd":
+        raise DamagedChunkError(f"unknown compression {chunk.compression!r}")
+    import zstandard
+
+    try:
+        declared = zstandard.frame_content_size(chunk.data.data)
+        # A damaged frame header can declare any size; allocate only what the record says.
+        if declared not in (-1, chunk.size):
+            raise DamagedChunkError("the zstd frame and the chunk disagree about its size")
+        unpacker = zstandard.ZstdDecompressor()
+        if target is None or declared == -1:
+            plain: bytes = unpacker.decompress(chunk.data.data, max_output_size=chunk.size)
+            return np.frombuffer(plain, np.uint8)
+        # In one go, straight to where it is wanted: without a window or a copy.
+        size = unpacker.stream_reader(chunk.data.data).readinto(target.data)
+        return target[:size]
+    except (zstandard.ZstdError, MemoryError, OverflowError) as error:
+        raise DamagedChunkError(f"zstd: {error}") from error
+
+
+def unpack_lz4(packed: U8, size: int) -> U8:
+    """Return the content of an lz4 frame as plain bytes, no more than ``size`` and one.
+
+    Raises:
+        DamagedChunkError: this is no such frame, or it is damaged.
+    """
+    import lz4.frame
+
+    try:
+        with lz4.frame.LZ4FrameDecompressor() as decompressor:
+            plain: bytes = decompressor.decompress(packed.data, max_length=size + 1)
+    except (RuntimeError, MemoryError, OverflowError, ValueError, EOFError) as error:
+        raise DamagedChunkError(f"lz4: {error}") from error
+    return np.frombuffer(plain, np.uint8)
 
 
 def joined(contents: Iterable[tuple[U8, Int]]) -> Iterator[tuple[U8, Int]]:
@@ -180,90 +162,3 @@ def joined(contents: Iterable[tuple[U8, Int]]) -> Iterator[tuple[U8, Int]]:
 def _concatenated(buffers: Sequence[U8]) -> U8:
     """Concatenate, without a copy where there is nothing to join."""
     return buffers[0] if len(buffers) == 1 else np.concatenate(buffers)
-
-
-def _decompress(chunk: PackedChunk) -> U8:
-    """Return the content of a chunk as plain bytes, no more than it claims and one."""
-    if chunk.compression == "":
-        return chunk.data
-    if chunk.compression == "zstd":
-        import zstandard
-
-        try:
-            declared = zstandard.frame_content_size(chunk.data.data)
-            # A damaged frame header can declare any size; allocate only what the record says.
-            if declared not in (-1, chunk.size):
-                raise DamagedChunkError("the zstd frame and the chunk disagree about its size")
-            unpacked: bytes = zstandard.ZstdDecompressor().decompress(
-                chunk.data.data, max_output_size=chunk.size
-            )
-        except (zstandard.ZstdError, MemoryError, OverflowError) as error:
-            raise DamagedChunkError(f"zstd: {error}") from error
-        return np.frombuffer(unpacked, np.uint8)
-    if chunk.compression == "lz4":
-        return unpack_lz4(chunk.data, chunk.size)
-    raise DamagedChunkError(f"unknown compression {chunk.compression!r}")
-
-
-def unpack_lz4(packed: U8, size: int) -> U8:
-    """Return the content of an lz4 frame as plain bytes, no more than ``size`` and one.
-
-    Raises:
-        DamagedChunkError: this is no such frame, or it is damaged.
-    """
-    import lz4.frame
-
-    try:
-        with lz4.frame.LZ4FrameDecompressor() as decompressor:
-            plain: bytes = decompressor.decompress(packed.data, max_length=size + 1)
-    except (RuntimeError, MemoryError, OverflowError, ValueError, EOFError) as error:
-        raise DamagedChunkError(f"lz4: {error}") from error
-    return np.frombuffer(plain, np.uint8)
-
-
-def _by_walk(buffer: U8, note: str) -> ChunkContent:
-    """Find the records of a chunk by their headers."""
-    batch = next(walk(buffer.data, 0, buffer.size, size=buffer.size + 1))
-    if batch.stop != buffer.size:
-        note = "a chunk ends in damaged records; those before them were read"
-    return ChunkContent(buffer, batch.messages, batch.others, note)
-
-
-def _by_index(buffer: U8, index: MessageIndex) -> ChunkContent | None:
-    """Find the records of a chunk by its message indexes.
-
-    Returns:
-        The records, those between indexed messages included; None if an index is wrong.
-    """
-    offsets = index.offsets()
-    if offsets is None:
-        return None
-    if offsets.size and int(offsets.max()) > buffer.size - MESSAGE_HEADER.itemsize:
-        return None
-    messages = np.sort(offsets)
-    header = gather(buffer, messages, RECORD_HEADER)
-    length = header["length"]
-    sound = (
-        (header["opcode"] == int(Opcode.MESSAGE))
-        & (length >= MESSAGE_FIELDS)
-        & (length <= buffer.size)
-    )
-    if not sound.all():
-        return None
-    gap_start = np.concatenate([[0], messages + 9 + length.astype(np.int64)])
-    gap_stop = np.concatenate([messages, [buffer.size]])
-    if (gap_start > gap_stop).any():
-        return None
-    # Whatever the indexes do not cover (definitions, unindexed messages) is walked.
-    others: list[Record] = []
-    missed: list[Int] = []
-    for k in np.flatnonzero(gap_start < gap_stop):
-        start, stop = int(gap_start[k]), int(gap_stop[k])
-        batch = next(walk(buffer.data, start, stop, size=buffer.size + 1))
-        if batch.stop != stop:
-            return None
-        others.extend(batch.others)
-        missed.append(batch.messages)
-    if any(extra.size for extra in missed):
-        messages = np.sort(np.concatenate([messages, *missed]))
-    return ChunkContent(buffer, messages, tuple(others), "")

@@ -9,23 +9,21 @@ import os
 import struct
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 from mcap.opcode import Opcode
+from numpy.typing import NDArray
 
 from skin2urdf.arrays import Int
 from skin2urdf.recording.blocks import UNWANTED, Block, Channel, Channels
 from skin2urdf.recording.chunks import (
     LARGEST_UNPACKED,
-    ChunkContent,
     DamagedChunkError,
-    MessageIndex,
     PackedChunk,
-    joined,
     packed_chunk,
-    unpack_chunk,
 )
 from skin2urdf.recording.framing import (
     MAGIC,
@@ -39,20 +37,27 @@ from skin2urdf.recording.framing import (
 from skin2urdf.recording.gather import U8, gather
 from skin2urdf.recording.inputs import LogFile
 from skin2urdf.recording.messages import canonical_type
+from skin2urdf.recording.regions import UNPARSABLE, Region, find_records, index_channels, regions
 
-# What parsing a damaged record can end in: too short, not text, an absurd length.
-UNPARSABLE = (UnicodeDecodeError, struct.error, MemoryError)
-# Bytes of a file that are in memory at a time: some ten chunks of rosbag2's 4 MB.
-WINDOW = 1 << 25
+# Bytes of a file that are in memory at a time: some chunks of rosbag2's 4 MB.
+WINDOW = 1 << 24
 # Channel ids of MCAP have 16 bits.
 CHANNEL_IDS = 1 << 16
 UNDEFINED = -1
 # Decompression and checksums leave Python's lock, so that they run beside all that is done with the
 # messages of the chunk before.
 WORKERS = min(4, len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else 2)
-# Chunks that are unpacked ahead, and what they may claim together [byte].
-AHEAD = 2 * WORKERS
+# Regions that are unpacked ahead, and what they may claim together [byte].
+AHEAD = 1
 LARGEST_AHEAD = 1 << 26
+
+
+class Found(NamedTuple):
+    """Message records in one buffer: (N,) where they start, and their headers."""
+
+    buffer: U8
+    messages: Int
+    header: NDArray[np.void]
 
 
 @dataclass(eq=False)
@@ -110,11 +115,12 @@ class McapFile:
                 if not (closed or last):
                     records, stop = _without_open_chunk(records, stop)
                 self._define(window, records, begin)
-                for buffer, messages in joined(self._chunks(window, records, begin)):
-                    yield from self._split(buffer, messages)
+                for found in self._chunks(window, records, begin):
+                    yield from self._split(found)
                 if batch.messages.size:
                     self.compressions.add("none")
-                    yield from self._split(window, batch.messages)
+                    header = gather(window, batch.messages, MESSAGE_HEADER)
+                    yield from self._split(Found(window, batch.messages, header))
                 self.position = begin + stop
             size = WINDOW
             if not stop:
@@ -167,48 +173,51 @@ class McapFile:
         short = opcode == Opcode.MESSAGE and length < MESSAGE_FIELDS
         return bool(opcode == 0 or short or self.position + 9 + int(length) > self.file.size)
 
-    def _chunks(
+    def _chunks(self, window: U8, records: Sequence[Record], begin: int) -> Iterator[Found]:
+        """Unpack the chunks among some records, those of the next region meanwhile."""
+        waiting: deque[Region] = deque()
+        for region in regions(window, self._wanted(window, records, begin)):
+            while waiting and sum(each.size for each in waiting) + region.size > LARGEST_AHEAD:
+                yield from self._found(window, waiting.popleft(), begin)
+            region.unpack(self._pool)
+            waiting.append(region)
+            if len(waiting) > AHEAD:
+                yield from self._found(window, waiting.popleft(), begin)
+        while waiting:
+            yield from self._found(window, waiting.popleft(), begin)
+
+    def _wanted(
         self, window: U8, records: Sequence[Record], begin: int
-    ) -> Iterator[tuple[U8, Int]]:
-        """Unpack the chunks among some records: bytes, and where messages start."""
-        waiting: deque[tuple[Record, PackedChunk, Future[ChunkContent]]] = deque()
+    ) -> Iterator[tuple[Record, PackedChunk]]:
+        """The chunks among some records that may hold something wanted."""
         for record in records:
             if record.opcode != Opcode.CHUNK:
                 continue
-            index = MessageIndex(window, record.indexes)
             try:
                 chunk = packed_chunk(window[record.start : record.stop])
             except (*UNPARSABLE, DamagedChunkError) as error:
                 self._left_out(begin + record.start, error)
                 continue
-            numbers = self._numbers[index.channels()]
-            if not chunk.size or (numbers.size and (numbers == UNWANTED).all()):
-                continue
-            while waiting and (
-                len(waiting) >= AHEAD
-                or sum(each[1].size for each in waiting) + chunk.size > LARGEST_AHEAD
-            ):
-                yield from self._unpacked(*waiting.popleft(), begin)
-            waiting.append((record, chunk, self._pool.submit(unpack_chunk, chunk, index)))
-        while waiting:
-            yield from self._unpacked(*waiting.popleft(), begin)
+            numbers = self._numbers[index_channels(window, record.indexes)]
+            if chunk.size and not (numbers.size and (numbers == UNWANTED).all()):
+                yield record, chunk
 
-    def _unpacked(
-        self, record: Record, chunk: PackedChunk, content: Future[ChunkContent], begin: int
-    ) -> Iterator[tuple[U8, Int]]:
-        """Take in what a chunk defines, and hand on its messages."""
-        self.position = begin + record.stop
-        try:
-            found = content.result()
-        except (*UNPARSABLE, DamagedChunkError) as error:
-            self._left_out(begin + record.start, error)
+    def _found(self, window: U8, region: Region, begin: int) -> Iterator[Found]:
+        """Take in what the chunks of a region define, and hand on their messages."""
+        self.position = begin + region.chunks[-1].record.stop
+        sound = []
+        for placed, error in zip(region.chunks, region.errors(), strict=True):
+            if error is not None:
+                self._left_out(begin + placed.record.start, error)
+                continue
+            self.compressions.add(placed.chunk.compression or "none")
+            sound.append(placed)
+        if not sound or region.buffer is None:
             return
-        self.compressions.add(chunk.compression or "none")
-        if found.note and found.note not in self.notes:
-            self.notes.append(found.note)
-        self._define(found.buffer, found.others, 0)
-        if found.messages.size:
-            yield found.buffer, found.messages
+        found = find_records(window, region.buffer, sound)
+        self.notes += [note for note in found.notes if note not in self.notes]
+        self._define(region.buffer, found.others, 0)
+        yield Found(region.buffer, found.messages, found.header)
 
     def _left_out(self, position: int, error: Exception) -> None:
         self.notes.append(
@@ -234,30 +243,30 @@ class McapFile:
             except UNPARSABLE:
                 self.notes.append(f"the definition at byte {begin + record.start} is damaged")
 
-    def _split(self, buffer: U8, messages: Int) -> Iterator[Block]:
+    def _split(self, found: Found) -> Iterator[Block]:
         """Sort message records by what they hold."""
-        header = gather(buffer, messages, MESSAGE_HEADER)
+        header, messages = found.header, found.messages
+        if not messages.size:
+            return
         numbers = self._numbers[header["channel"]]
-        if (numbers == UNDEFINED).any():
+        lowest = int(numbers.min())
+        if lowest <= UNDEFINED and (numbers == UNDEFINED).any():
             note = "some messages belong to a channel the file does not define; left out"
             if note not in self.notes:
                 self.notes.append(note)
-        if (numbers < 0).all():
-            return
-        start = messages + MESSAGE_HEADER.itemsize
-        end = messages + 9 + header["length"].astype(np.int64)
+        kinds = np.array([*self.channels.kind, -1, -1])[numbers]
         log_time = header["log_time"].astype(np.int64)
-        kinds = np.where(numbers < 0, -1, np.array(self.channels.kind)[numbers])
-        present = np.flatnonzero(np.bincount(kinds + 1)[1:])
-        for kind in present:
-            some = kinds == kind
+        length = header["length"].astype(np.int64)
+        for k in np.flatnonzero(np.bincount(kinds + 1)[1:]):
+            some = kinds == k
             rows: slice | Int = slice(None) if some.all() else np.flatnonzero(some)
+            start = messages[rows]
             yield Block(
-                *self.channels.kinds[kind],
+                *self.channels.kinds[k],
                 channel=numbers[rows],
-                buffer=buffer,
-                start=start[rows],
-                end=end[rows],
+                buffer=found.buffer,
+                start=start + MESSAGE_HEADER.itemsize,
+                end=start + 9 + length[rows],
                 log_time=log_time[rows],
             )
 

@@ -37,7 +37,8 @@ def median_of(values: F64 | Int) -> float:
         return float(np.median(some))
     # `np.median` without its overhead, which is a third of the time of reading a thousand topics.
     low, high = (half - 1, half) if some.size % 2 == 0 else (half, half)
-    ordered = np.partition(some, [low, high, some.size - 1])
+    ordered = some.copy()
+    ordered.partition([low, high, some.size - 1])
     if np.isnan(ordered[-1]):
         return float("nan")
     return 0.5 * (float(ordered[low]) + float(ordered[high]))

@@ -20,6 +20,7 @@ from skin2urdf.recording.messages import (
     ENCODINGS,
     role_of,
 )
+from skin2urdf.recording.repeated import Layouts
 from skin2urdf.recording.sorting import Part, SortedSamples
 
 
@@ -69,6 +70,7 @@ class Collector:
     channels: Channels
     passed: defaultdict[str, Counter[str]] = field(default_factory=lambda: defaultdict(Counter))
     _sources: dict[tuple[str, str], int] = field(default_factory=dict)
+    _layouts: Layouts = field(default_factory=Layouts)
     _sorted: SortedSamples = field(default_factory=SortedSamples)
     _joints: dict[tuple[str, tuple[str, ...]], list[Arrived]] = field(default_factory=dict)
     _arrived: int = 0
@@ -107,6 +109,17 @@ class Collector:
 
     def _add_accelerations(self, block: Block) -> Passed:
         """Take in messages that carry an acceleration."""
+        parts: list[Part] = []
+        rows_of: list[Int] = []
+        again = self._layouts.repeated(block)
+        if again is not None:
+            source = again.source.astype(np.uint32)
+            parts.append(Part(source, again.stamp, again.log_time, again.vector, again.rates))
+            if again.rows is None:
+                self._sorted.add(parts[0])
+                return []
+            rows_of.append(again.rows)
+            block = block.at(again.others)
         ros_type = block.ros_type
         found, passed = accelerations(
             block,
@@ -114,19 +127,21 @@ class Collector:
             ACCELERATION_TAIL[ros_type],
             ANGULAR_VELOCITY_LEAD.get(ros_type),
         )
-        parts, rows_of = [], []
         for part in found:
             # Channels of one topic and frame_id, of several files say, are one source.
             keys = [(self._topic(number), frame) for number, frame in part.sources]
-            numbers = [self._sources.setdefault(key, len(self._sources)) for key in keys]
-            source = np.array(numbers, np.uint32)[part.source]
+            numbers = np.array(
+                [self._sources.setdefault(key, len(self._sources)) for key in keys], np.int64
+            )
+            self._layouts.learn(block, part, numbers)
+            source = numbers.astype(np.uint32)[part.source]
             parts.append(Part(source, part.stamp, part.log_time, part.vector, part.rates))
-            rows_of.append(part.row)
+            rows_of.append(part.row if again is None else again.others[part.row])
         if len(parts) > 1:
             parts = [_in_order(parts, rows_of)]
         for each in parts:
             self._sorted.add(each)
-        return passed
+        return passed if again is None else [(why, again.others[rows]) for why, rows in passed]
 
     def accelerations(self) -> dict[tuple[str, str], Samples]:
         """Return the samples of every SU, by topic and frame_id; the collector keeps none."""

@@ -7,7 +7,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from fuzz import MUTATIONS, PATIENCE, STATUSES, formats, mutated_bytes, mutated_messages, perform
+from fuzzing.mutations import MUTATIONS, mutated_bytes, mutated_messages
+from fuzzing.performing import PATIENCE, STATUSES, perform
+from fuzzing.sound import formats
 
 from skin2urdf.cli.main import main
 

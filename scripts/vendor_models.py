@@ -2,8 +2,9 @@ r"""Find SUs on given models by the batch, and hold every result against the tru
 
 A minute of ordinary moves, without any pattern, is simulated on the URDFs of example-robot-data,
 and SUs are found with that URDF as the model; or with one that differs as a specimen does, has a
-joint of the other sense or with another zero, or is of another robot; or with the robot mounted
-turned. What has to be named must be, and nothing else.
+joint of the other sense, another zero or an axis elsewhere, or is of another robot; or with the
+robot mounted turned; or with one SU alone, at the tip, in two recordings. What has to be named
+must be, and nothing else.
 
     python scripts/vendor_models.py --robots panda ur5 kinova xarm7 z1 --seeds 2
     python scripts/vendor_models.py --robots urdfs --kinds sound specimen --output urdfs.jsonl

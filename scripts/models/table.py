@@ -13,6 +13,9 @@ RATIO = 1.5
 """True error over the stated one that must not be passed."""
 WITHIN = 0.95
 """Share of a specimen's deviations that must be within two standard deviations."""
+BEYOND = 22.46 / 6
+"""Squared difference of six numbers over its covariance, over 6, that chance exceeds in one of a
+thousand."""
 TILT = 1.0
 """By how much a mount may be told wrong [deg]."""
 
@@ -29,11 +32,15 @@ def shortfalls(run: Run) -> list[str]:
     if isinstance(found, Failure):
         return [str(found)]
     out = []
-    if kind in ("sound", "specimen", "mount"):
+    if kind in ("sound", "specimen", "mount", "flange"):
         if found.named:
             out.append(f"names {', '.join(found.joints) or found.error}")
         if found.right_link is not None and found.right_link < 1:
             out.append(f"{found.right_link:.0%} of the SUs on their links")
+        if found.turned is not (kind == "mount"):
+            out.append("a mount named as turned" if found.turned else "a turned mount not named")
+        if kind == "flange" and found.nees is not None and found.nees > BEYOND:
+            out.append("two recordings contradict each other")
         if found.tilt_deg is not None and abs(found.tilt_deg - found.true_tilt_deg) > TILT:
             out.append(f"a mount off by {found.tilt_deg:.0f} deg, not {found.true_tilt_deg:.0f}")
     elif kind == "robot":

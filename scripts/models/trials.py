@@ -11,10 +11,11 @@ import numpy as np
 from batch.records import Record
 
 from skin2urdf.arrays import F64
-from skin2urdf.errors import ModelMismatchError
+from skin2urdf.errors import InsufficientDataError, ModelMismatchError
 from skin2urdf.geometry.se3 import exp, inverse, log
 from skin2urdf.recording.retiming import retimed
-from skin2urdf.simulation import SimulationSettings, load_robot, simulate
+from skin2urdf.simulation import RobotSpec, SimulationSettings, load_robot, simulate
+from skin2urdf.simulation.robots import GivenSu, SkinLayout
 from skin2urdf.vendor.calibrate import calibrate_with_model
 from skin2urdf.vendor.description import Description, ModelJoint, describe, origin_transform
 from skin2urdf.vendor.editing import with_additions
@@ -22,9 +23,10 @@ from skin2urdf.vendor.matching import match
 from skin2urdf.vendor.records import Correction, ModelCalibration
 from skin2urdf.vendor.source import ModelText, read_model
 
-Kind = Literal["sound", "specimen", "sense", "zero", "mount", "robot"]
+Kind = Literal["sound", "specimen", "sense", "zero", "placement", "mount", "robot", "flange"]
 """The model is the robot's; differs by 1 mm, 0.1 deg and 5 mrad; has a joint of the other sense;
-another zero; is mounted upside down or on a wall; is another robot's."""
+another zero; a joint elsewhere; is mounted turned; is another robot's; is the robot's, which has
+one SU alone, at its tip, in two recordings."""
 KINDS: tuple[Kind, ...] = get_args(Kind)
 LIMBS = (0.3, 1.5)
 """Zeros that are off, smallest and largest [rad]."""
@@ -63,6 +65,7 @@ class Found:
         joints: joints that it named, or whose zero was corrected.
         expected: joints that it should name; empty where none.
         tilt_deg: how far from upright the mount was found to be.
+        turned: whether the mount was named as turned.
         true_tilt_deg: how far it is.
         left: what is left of the readings over what noise leaves.
         right_link: share of the SUs that are on the link they sit on.
@@ -71,7 +74,8 @@ class Found:
         position_stated_mm: as stated, and
         orientation_deg: that of their orientations, and
         orientation_stated_deg: as stated.
-        nees: mean over these SUs of the squared error over its covariance, over 6.
+        nees: mean over these SUs of the squared error over its covariance, over 6; of an SU in two
+            recordings that of the difference.
         n_corrections: coordinates of joints that were estimated, and
         n_within: those within two standard deviations of the truth.
         seconds: time of the calibration [s].
@@ -81,6 +85,7 @@ class Found:
     joints: tuple[str, ...]
     expected: tuple[str, ...]
     tilt_deg: float | None
+    turned: bool
     true_tilt_deg: float
     left: float | None
     right_link: float | None
@@ -108,9 +113,11 @@ def perform(trial: Trial) -> Found:
     """
     rng = np.random.default_rng([trial.seed, KINDS.index(trial.kind)])
     spec = load_robot(trial.robot)
+    if trial.kind == "flange":
+        return _twice(trial, spec, rng)
     mount = (0.0, 0.0, 0.0)
     if trial.kind == "mount":
-        mount = (np.pi, 0.0, 0.0) if trial.seed % 2 else (0.0, -np.pi / 2, 0.0)
+        mount = _mount(rng)
     settings = SimulationSettings(
         seed=trial.seed, excite="none", minutes=trial.minutes, grade=trial.grade, base_rpy=mount
     )
@@ -135,6 +142,10 @@ def perform(trial: Trial) -> Found:
         expected = (str(rng.choice(inner)),)
         off = float(rng.uniform(*LIMBS) * rng.choice([-1, 1]))
         text = _with_zero(description, expected[0], off)
+    elif trial.kind == "placement":
+        # That of a first joint is the mount's, but for what its own axis and gravity show.
+        expected = (str(rng.choice(moving[1:] or moving)),)
+        text = _elsewhere(description, expected[0], rng)
     elif trial.kind == "robot":
         text = _another(description, moving, rng)
     begin = time.perf_counter()
@@ -143,11 +154,47 @@ def perform(trial: Trial) -> Found:
         found = calibrate_with_model(recording, text, correction=correction)
     except ModelMismatchError as error:
         return Found(
-            type(error).__name__, error.joints, expected, None, float(upright), None, None, 0, None,
-            None, None, None, None, 0, 0, time.perf_counter() - begin,
+            type(error).__name__, error.joints, expected, None, False, float(upright), None, None,
+            0, None, None, None, None, None, 0, 0, time.perf_counter() - begin,
         )  # fmt: skip
     seconds = time.perf_counter() - begin
     return _compared(found, truth.urdf, expected, float(upright), xi, moving, seconds)
+
+
+def _twice(trial: Trial, spec: RobotSpec, rng: np.random.Generator) -> Found:
+    """One SU at the tip, found in two recordings; errors are the differences of both results."""
+    model = read_model(spec.urdf)
+    chassis = match(describe(model), simulate(spec, _flange(trial, 0)).truth.joint_names)
+    place, way = 0.05 * rng.standard_normal(3), rng.uniform(-np.pi, np.pi, 3)
+    given = GivenSu(chassis.link(chassis.n_joints - 1), tuple(place), tuple(way))
+    alone = replace(spec, skin=SkinLayout(0, 0, given=(given,)))
+    begin = time.perf_counter()
+    found = [
+        calibrate_with_model(retimed(simulate(alone, _flange(trial, n)).recording), model)
+        for n in (0, 1)
+    ]
+    seconds = 0.5 * (time.perf_counter() - begin)
+    if any(f.observability.su_verdict == ("not observable",) for f in found):
+        raise InsufficientDataError("the place of an SU at the tip is open", "look into it")
+    P = found[0].observability.su_covariance[0] + found[1].observability.su_covariance[0]
+    off = log(inverse(found[0].T_link_su[0]) @ found[1].T_link_su[0])
+    mm, deg = 1e3, float(np.rad2deg(1.0))
+    return Found(
+        "", tuple(name for f in found for name in (*f.offsets, *f.odd)), (),
+        float(np.rad2deg(found[0].tilt)), found[0].turned, 0.0,
+        found[0].left.mean, float(np.mean([f.links == (given.link,) for f in found])), 1,
+        mm * float(np.linalg.norm(off[:3])), mm * float(np.sqrt(np.trace(P[:3, :3]))),
+        deg * float(np.linalg.norm(off[3:])), deg * float(np.sqrt(np.trace(P[3:, 3:]))),
+        float(off @ np.linalg.solve(P, off)) / 6, 0, 0, seconds,
+    )  # fmt: skip
+
+
+def _flange(trial: Trial, n: int) -> SimulationSettings:
+    """The settings of one of the two recordings; seeds of other kinds of trials are not used."""
+    return SimulationSettings(
+        seed=1_000_000 + 2 * trial.seed + n, excite="none", minutes=trial.minutes,
+        grade=trial.grade, base_rpy=(0.0, 0.0, 0.0),
+    )  # fmt: skip
 
 
 def _compared(
@@ -169,8 +216,9 @@ def _compared(
     right, errors, covariances = [], [], []
     for u, name in enumerate(found.tree.su_names):
         link, T = places[name]
-        right.append(found.links[u] == link)
-        if right[-1] and found.observability.su_verdict[u] == "determined":
+        # Where it may sit on several, all of these are told.
+        right.append(link in (found.links[u], *map(found.chassis.link, found.instead[u])))
+        if found.links[u] == link and found.observability.su_verdict[u] == "determined":
             errors.append(log(inverse(T) @ found.T_link_su[u]))
             covariances.append(found.observability.su_covariance[u])
     e, P = np.reshape(errors, (-1, 6)), np.reshape(covariances, (-1, 6, 6))
@@ -192,8 +240,8 @@ def _compared(
         rms(e[:, 3:] ** 2 * deg**2), rms(variance[:, 3:] * deg**2),
     ]  # fmt: skip
     return Found(
-        "", (*found.offsets, *found.odd), expected, float(np.rad2deg(found.tilt)), upright,
-        found.left.mean, float(np.mean(right)), len(e), *sizes,
+        "", (*found.offsets, *found.odd), expected, float(np.rad2deg(found.tilt)), found.turned,
+        upright, found.left.mean, float(np.mean(right)), len(e), *sizes,
         float(np.mean(nees)) if nees else None, n, within, seconds,
     )  # fmt: skip
 
@@ -223,6 +271,28 @@ def _with_zero(description: Description, joint: str, offset: float) -> ModelText
     j = [each.name for each in chassis.joints].index(joint)
     T = np.array(chassis.T_parent_joint)
     T[j] = T[j] @ exp(np.array([0, 0, 0, 0, 0, offset]))
+    text = description.text
+    origins = {joint: chassis.origins(T)[j]}
+    return replace(text, text=with_additions(text.text, text.source, [], origins))
+
+
+def _mount(rng: np.random.Generator) -> tuple[float, float, float]:
+    """Upside down, on a wall, or by any angle from 10 degrees on."""
+    some = [(np.pi, 0.0, 0.0), (0.0, -np.pi / 2, 0.0), (np.pi / 2, 0.0, 0.0)]
+    if rng.random() < 0.5:
+        return some[int(rng.integers(len(some)))]
+    return float(rng.uniform(np.deg2rad(10), np.pi) * rng.choice([-1, 1])), 0.0, 0.0
+
+
+def _elsewhere(description: Description, joint: str, rng: np.random.Generator) -> ModelText:
+    """The model with one joint's axis shifted by centimetres and tilted by some degrees."""
+    chassis = match(description, [j.name for j in description.movable])
+    j = [each.name for each in chassis.joints].index(joint)
+    way, turn = rng.uniform(0, 2 * np.pi, 2)
+    shift, tilt = rng.uniform(0.02, 0.06), np.deg2rad(rng.uniform(3, 10))
+    xi = [shift * np.cos(way), shift * np.sin(way), 0, tilt * np.cos(turn), tilt * np.sin(turn), 0]
+    T = np.array(chassis.T_parent_joint)
+    T[j] = T[j] @ exp(np.array(xi))
     text = description.text
     origins = {joint: chassis.origins(T)[j]}
     return replace(text, text=with_additions(text.text, text.source, [], origins))

@@ -151,6 +151,7 @@ def _model(result: ModelCalibration) -> dict[str, Any]:
         "mount": {
             "up": result.along.state.up[0],
             "tilt_deg": float(np.rad2deg(result.tilt)),
+            "turned": result.turned,
         },
         "sus_that_fit_nowhere": result.odd,
         "joints_the_log_lacks": chassis.absent,

@@ -63,6 +63,8 @@ def model_verdict(result: ModelCalibration) -> str:
         f"model's links; the vendor's model {how} (what is left of them is {result.misfit:.2g} "
         "times noise)"
     ]
+    if result.turned:
+        parts.append(f"the robot is mounted turned by {np.rad2deg(result.tilt):.0f} deg")
     but = []
     if result.deviates or result.offsets:
         where = "; they are corrected" if not result.kept else ""

@@ -49,6 +49,8 @@ _ZEROS = np.deg2rad([-150, -120, -90, -60, -30, 30, 60, 90, 120, 150, 180])
 """Zeros that are tried [rad]; from a sixth of a turn away the fit finds the right one."""
 _FLOOR = 0.005**2
 """Mean square below which it does not matter how little a rough fit leaves [m^2/s^4]."""
+_TIMES = 3
+"""Fits, one from the other, by which a placement is followed that is far off."""
 _LOOKED_AT = 3
 """Changes that are followed by a whole fit: rough fits may leave less on a wrong one."""
 _GAIN = 0.3
@@ -166,6 +168,8 @@ def _cause(kept: Explained, correction: Correction) -> Explained:
     zeros = _other_zeros(specimen)
     if zeros.offsets and zeros.settles(least):
         return _allowed(zeros, kept, correction)
+    if specimen.fits and (elsewhere := _placed_otherwise(specimen)) is not None:
+        return _allowed_elsewhere(*elsewhere, kept, correction)
     changed = _changed(kept, common)
     if changed is not None:
         senses, there = changed
@@ -173,6 +177,10 @@ def _cause(kept: Explained, correction: Correction) -> Explained:
             if senses:
                 raise _another_sense(senses, there, kept)
             return _allowed(there, kept, correction)
+    if not specimen.fits and (elsewhere := _placed_otherwise(specimen)) is not None:
+        return _allowed_elsewhere(*elsewhere, kept, correction)
+    if specimen.fits:
+        return specimen  # many joints are off by more than is common
     tried += [found for found in map(_without_odd_sus, tried) if found is not None]
     best = min(tried, key=lambda each: each.left.mean)
     if np.nanmax(best.left.rms) > GROSS:
@@ -231,6 +239,19 @@ def _with_doubts(found: Explained) -> Explained:
     return replace(found, placed=replace(found.placed, instead=instead))
 
 
+def _allowed_elsewhere(
+    joint: int, there: Explained, kept: Explained, correction: Correction
+) -> Explained:
+    """A joint that sits elsewhere, where placements may be corrected.
+
+    Raises:
+        ModelMismatchError: they may not.
+    """
+    if correction.what != "all":
+        raise _another_placement(joint, there, kept)
+    return there
+
+
 def _allowed(zeros: Explained, kept: Explained, correction: Correction) -> Explained:
     """Other zeros, where zeros may be corrected.
 
@@ -250,14 +271,18 @@ def _at(found: Explained) -> tuple[Int, Int]:
 
 def _pulls(found: Explained) -> F64:
     """(D,) deviations of the joints' zeros in standard deviations of what is common."""
-    at = _at(found)
-    xi, sd = found.blueprint.corrections(found.along.state)[at], found.blueprint.deviations[at]
-    return np.divide(np.abs(xi), sd, out=np.zeros(len(xi)), where=sd > 0)
+    return np.asarray(_all_pulls(found)[_at(found)])
+
+
+def _all_pulls(found: Explained) -> F64:
+    """(D, 6) deviations of the joints' placements in standard deviations of what is common."""
+    xi, sd = found.blueprint.corrections(found.along.state), found.blueprint.deviations
+    return np.divide(np.abs(xi), sd, out=np.zeros_like(xi), where=sd > 0)
 
 
 def _strange(specimen: Explained) -> bool:
-    """Whether a zero is off by more than is common."""
-    return bool(_pulls(specimen).max(initial=0.0) > _USUAL)
+    """Whether a zero or a placement is off by more than is common."""
+    return bool(_all_pulls(specimen).max(initial=0.0) > _USUAL)
 
 
 def _other_zeros(specimen: Explained) -> Explained:
@@ -277,6 +302,35 @@ def _other_zeros(specimen: Explained) -> Explained:
         if found.fits:
             break
     return found
+
+
+def _placed_otherwise(specimen: Explained) -> tuple[int, Explained] | None:
+    """The joint whose placement explains the readings where it may be any; None where none does.
+
+    Joints whose placements are pulled farthest from what is common are tried.
+    """
+    pulls = _all_pulls(specimen).max(axis=1)
+    sensors = specimen.bench.settings.estimation.priors
+    for j in np.argsort(-pulls)[:_LOOKED_AT]:
+        if not pulls[j] > _USUAL:
+            break
+        deviations = np.array(specimen.blueprint.deviations)
+        deviations[j] = _ANY_ZERO
+        blueprint = replace(specimen.blueprint, deviations=deviations)
+        found = replace(specimen, blueprint=blueprint)
+        for _ in range(_TIMES):
+            # Sensors take up what placements have to on the way, and hold them back.
+            begin = found.along.state
+            fresh = np.zeros_like(begin.bias), np.zeros_like(begin.shape)
+            begin = replace(begin, bias=fresh[0], shape=fresh[1])
+            along = found.bench.fit(found.placed, blueprint, sensors, begin)
+            found = _placed_again(replace(found, along=along))
+            if found.fits:
+                break
+        others = np.delete(_all_pulls(found), j, axis=0)
+        if found.fits and not others.max(initial=0.0) > _USUAL:
+            return int(j), found
+    return None
 
 
 def _with_zeros(specimen: Explained, joints: Sequence[int], start: Explained) -> Explained:
@@ -418,6 +472,22 @@ def _another_zero(zeros: Explained, kept: Explained) -> ModelMismatchError:
         f"{kept.left.mean:.3g} to {zeros.left.mean:.2g} times noise",
         "let them be corrected with --correct zeros, or set them in the driver",
         joints=tuple(zeros.offsets),
+        cost_per_dof=kept.left.mean,
+    )
+
+
+def _another_placement(joint: int, there: Explained, kept: Explained) -> ModelMismatchError:
+    """Why the model does not fit: one joint sits elsewhere."""
+    name = kept.bench.chassis.joints[joint].name
+    xi = there.blueprint.corrections(there.along.state)[joint]
+    shift, tilt = 1e3 * np.hypot(xi[0], xi[1]), np.rad2deg(np.hypot(xi[3], xi[4]))
+    return ModelMismatchError(
+        f"{_source(kept)}: the axis of {name} is not where the model has it: it is {shift:.1f} mm "
+        f"and {tilt:.2f} deg off; with that, what is left of the readings falls from "
+        f"{kept.left.mean:.3g} to {there.left.mean:.2g} times noise",
+        "give the model of this very robot, or let placements be corrected with --correct all:"
+        f"{max(1.0, np.ceil(shift)):.0f},{max(0.1, np.ceil(tilt)):.1f}",
+        joints=(name,),
         cost_per_dof=kept.left.mean,
     )
 

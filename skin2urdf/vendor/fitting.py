@@ -24,7 +24,7 @@ from skin2urdf.signals.trajectory import Trajectory
 from skin2urdf.structure.records import KinematicTree
 from skin2urdf.vendor.matching import Chassis
 from skin2urdf.vendor.placing import Placed
-from skin2urdf.vendor.records import Correction
+from skin2urdf.vendor.records import TURNED, Correction
 
 LEVEL = 0.02
 """By how much a mount that is meant to be upright is off [rad]: tables and floors are level to a
@@ -67,7 +67,7 @@ class Bench:
             up: (3,) direction opposite to gravity as it was found at first.
         """
         level = np.array([0.0, 0.0, 1.0])
-        upright = float(up @ level) > np.cos(5 * LEVEL)
+        upright = float(up @ level) > np.cos(TURNED)
         return Blueprint(
             self.chassis.T_parent_joint,
             correction.deviations(self.chassis),

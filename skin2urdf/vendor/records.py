@@ -29,6 +29,11 @@ SIGNIFICANT = 4.0
 robot, chance exceeds it in one of a hundred robots."""
 
 
+TURNED = 0.1
+"""Angle between the base's z axis and the vertical from which a mount is no level one [rad]: five
+times what tables and floors are off."""
+
+
 @dataclass(frozen=True)
 class Correction:
     """What of a model may deviate from the robot, as standard deviations.
@@ -191,6 +196,11 @@ class ModelCalibration:
     def tilt(self) -> float:
         """Angle between the base frame's z axis and the vertical in the first log [rad]."""
         return float(np.arccos(np.clip(self.along.state.up[0, 2], -1.0, 1.0)))
+
+    @property
+    def turned(self) -> bool:
+        """Whether the robot is mounted otherwise than upright."""
+        return self.tilt > TURNED
 
     @property
     def to_repair(self) -> bool:

@@ -26,6 +26,9 @@ _N = 16
 """Turn, place, bias, shape and lag."""
 _FREE_RIDGE = NOISE**2 / np.array([100.0] * 9 + [1.0] * 12 + [0.25])
 _STEPS = 30
+_FIRST, _FOLLOWED = 6, 2
+"""Steps from each turn to begin with, and how many of these are then followed to the end: steps
+that go anywhere halve what is left at least, and six tell the best."""
 _FLAT = 0.5
 """Singular value of a linear fit's Q below which its turn is as good as unknown."""
 _TURNS = 8
@@ -153,8 +156,9 @@ def fitted(sums: Sums, logs: list[Moments], u: int, priors: Priors) -> Fit:
                 axis_rotation(axis, np.array(2 * np.pi * k / _TURNS)) @ Rt.T
                 for k in range(1, _TURNS)
             ]
-    found = [_descended(_Point(R, np.zeros(_N - 3), np.inf), sums, priors) for R in starts]
-    best = min(found, key=lambda point: point.cost)
+    found = [_descended(_Point(R, np.zeros(_N - 3), np.inf), sums, priors, _FIRST) for R in starts]
+    found = sorted(found, key=lambda point: point.cost)[:_FOLLOWED]
+    best = min((_descended(point, sums, priors) for point in found), key=lambda point: point.cost)
     r, b, shape, lag = best.parts
     return Fit(best.R, r, b, shape, lag, _by_span(best, sums.up, logs, u), best.cost)
 
@@ -174,6 +178,21 @@ def again(fit: Fit, sums: Sums, logs: list[Moments], u: int, priors: Priors) -> 
         rss=_by_span(found, sums.up, logs, u),
         cost=found.cost,
     )
+
+
+def place_deviations(fit: Fit, sums: Sums, priors: Priors, noise: float) -> F64:
+    """(3,) standard deviations of an SU's place along its principal directions, least first [m].
+
+    Args:
+        fit: the SU.
+        sums: its moments.
+        priors: of the sensor.
+        noise: of a sample [m/s^2].
+    """
+    point = _Point(fit.R, np.concatenate([fit.r, fit.bias, fit.shape, [fit.lag]]), np.inf)
+    H, _, _ = _equations(point, sums, priors)
+    covariance = noise**2 * np.linalg.inv(H + 1e-12 * np.eye(_N))
+    return np.asarray(np.sqrt(np.linalg.eigvalsh(covariance[3:6, 3:6]).clip(min=0.0)))
 
 
 def up_equations(fit: Fit, sums: Sums, axes: F64, priors: Priors) -> tuple[F64, F64]:
@@ -294,12 +313,12 @@ def _equations(point: _Point, sums: Sums, priors: Priors) -> tuple[F64, F64, flo
     return H, g, cost
 
 
-def _descended(point: _Point, sums: Sums, priors: Priors) -> _Point:
+def _descended(point: _Point, sums: Sums, priors: Priors, steps: int = _STEPS) -> _Point:
     """Levenberg-Marquardt."""
     H, g, cost = _equations(point, sums, priors)
     point = replace(point, cost=cost)
     damping = 1e-4
-    for _ in range(_STEPS):
+    for _ in range(steps):
         damped = H + damping * np.diag(np.diag(H)) + 1e-12 * np.eye(_N)
         step = np.asarray(np.linalg.solve(damped, g))
         trial = _Point(point.R @ rotation_exp(step[:3]), point.x + step[3:], np.inf)

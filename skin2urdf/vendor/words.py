@@ -7,7 +7,6 @@ from collections.abc import Sequence
 import numpy as np
 
 from skin2urdf.signals.sampling import Sampled
-from skin2urdf.vendor.fitting import LEVEL
 from skin2urdf.vendor.records import ModelCalibration
 
 
@@ -23,7 +22,7 @@ def model_notes(result: ModelCalibration, sampled: Sequence[Sampled]) -> list[st
 
 def _mount(result: ModelCalibration) -> list[str]:
     up, tilt = result.along.state.up[0], np.rad2deg(result.tilt)
-    if tilt <= np.rad2deg(5 * LEVEL):
+    if not result.turned:
         return []
     x, y, z = up
     return [

@@ -60,8 +60,12 @@ def test_the_search_for_hits_tells_its_progress() -> None:
     shares = [share for stage, share in run().told if stage == "hits"]
     assert len(set(shares)) > 3
     assert shares[-1] == max(shares) == 1.0
+
+
+def test_all_that_takes_long_tells_how_far_it_is() -> None:
+    seconds, told = run().result.seconds, run().told
     # Of a log of a million messages, these are the stages that take a second.
-    long = [stage for stage, seconds in found.seconds.items() if seconds > 0.1 * passed]
+    long = [stage for stage, each in seconds.items() if each > 0.1 * run().seconds]
     assert len(long) > 1
     for stage in {"sampling", "features", "estimation", *long}:
         assert {share for of, share in told if of == stage} - {0.0, 1.0}, stage

@@ -13,8 +13,8 @@ from models.table import report, shortfalls
 from models.trials import Found, Kind, Trial
 
 SOUND = Found(
-    error="", joints=(), expected=(), tilt_deg=0.1, true_tilt_deg=0.0, left=0.8, right_link=1.0,
-    n_sus=5, position_mm=0.1, position_stated_mm=0.1, orientation_deg=0.01,
+    error="", joints=(), expected=(), tilt_deg=0.1, turned=False, true_tilt_deg=0.0, left=0.8,
+    right_link=1.0, n_sus=5, position_mm=0.1, position_stated_mm=0.1, orientation_deg=0.01,
     orientation_stated_deg=0.01, nees=1.0, n_corrections=0, n_within=0, seconds=1.0,
 )  # fmt: skip
 REFUSED = replace(SOUND, error="ModelMismatchError", joints=("a",), expected=("a",))
@@ -25,11 +25,16 @@ REFUSED = replace(SOUND, error="ModelMismatchError", joints=("a",), expected=("a
     [
         ("sound", SOUND, True),
         ("sound", REFUSED, False),
-        ("mount", replace(SOUND, tilt_deg=180.0, true_tilt_deg=180.0), True),
-        ("mount", replace(SOUND, true_tilt_deg=90.0), False),
+        ("mount", replace(SOUND, tilt_deg=180.0, true_tilt_deg=180.0, turned=True), True),
+        ("mount", replace(SOUND, tilt_deg=180.0, true_tilt_deg=180.0), False),
+        ("mount", replace(SOUND, true_tilt_deg=90.0, turned=True), False),
+        ("sound", replace(SOUND, turned=True), False),
+        ("placement", REFUSED, True),
         ("sense", REFUSED, True),
         ("sense", replace(REFUSED, expected=("b",)), False),
         ("zero", replace(SOUND, expected=("a",)), False),
+        ("flange", replace(SOUND, nees=3.0), True),
+        ("flange", replace(SOUND, nees=5.0), False),
         ("robot", REFUSED, True),
         ("robot", SOUND, False),
     ],

@@ -269,3 +269,22 @@ def test_the_noise_of_sensors_is_told_as_densities(calibrated: Calibrate) -> Non
         # 1 mg at 500 Hz is what the simulated sensors have.
         assert su["noise_density"] == pytest.approx([9.81e-3 / 500**0.5] * 3, rel=0.25)
         assert su["topic"]
+
+
+def test_a_joint_that_sits_elsewhere_is_named(calibrated: Calibrate) -> None:
+    text = URDF.replace('<origin xyz="0.02 0 0.2"/>', '<origin xyz="0.02 0 0.24" rpy="0.1 0 0"/>')
+    with pytest.raises(ModelMismatchError) as error:
+        calibrated(text, Correction())
+    assert error.value.joints == ("lift",)
+
+
+def test_a_mount_that_was_turned_is_told(
+    calibrated: Calibrate, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    upright = calibrated(URDF, Correction())
+    assert as_document(upright)["model"]["mount"]["turned"] is False
+    hung = recorded(tmp_path_factory.mktemp("hung"), minutes=0.25, base_rpy=(np.pi, 0.0, 0.0))
+    found = calibrate_with_model(hung.recording, model())
+    assert as_document(found)["model"]["mount"]["turned"] is True
+    assert found.quality == "good"
+    assert np.rad2deg(found.tilt) == pytest.approx(180.0, abs=0.5)

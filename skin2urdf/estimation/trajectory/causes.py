@@ -385,7 +385,7 @@ def _with_elastic_joints(
     rigid = misfit_of(problem, fitted, SPAN)
     for turn in range(_TURNS):
         before = bending.deflections(state)
-        fitted = fit(bending, state, tolerance=_NEARLY, unseen_first=turn == 0)
+        fitted = fit(bending, state, tolerance=_NEARLY, far=turn == 0)
         state = fitted.state
         if turn == 0 and misfit_of(bending, fitted, SPAN) > _PROMISING * rigid:
             return bending, fitted

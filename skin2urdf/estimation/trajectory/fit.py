@@ -55,7 +55,7 @@ def fit(
     iterations: int = 30,
     tolerance: float = 0.1,
     near: bool = False,
-    unseen_first: bool = False,
+    far: bool = False,
     tell: Callable[[float], None] = lambda _: None,
 ) -> Fitted:
     """Minimise chi-squared of all samples.
@@ -67,15 +67,15 @@ def fit(
         tolerance: length of the last step in standard deviations, all coordinates together.
         near: whether it begins at an optimum of nearly the same problem, where all coordinates may
             move at once.
-        unseen_first: whether what encoders do not see is so large, and so few numbers, that
-            placements can not be found without it.
+        far: whether it begins so far away that steps have to be held back on the way, and that
+            placements can not be found without what encoders do not see.
         tell: told the share of the work that is done.
     """
     if not near:
-        first = problem.coarse(unseen=unseen_first)
-        start = _descend(problem, start, first, _ROUGHLY, iterations, tell, unseen_first).state
+        first = problem.coarse(unseen=far)
+        start = _descend(problem, start, first, _ROUGHLY, iterations, tell, far).state
     free = problem.free_joint, problem.free_su
-    return _descend(problem, start, free, tolerance, iterations, tell, unseen_first)
+    return _descend(problem, start, free, tolerance, iterations, tell, far)
 
 
 def _descend(

@@ -69,8 +69,7 @@ def _on_a_stand(compliance: float) -> tuple[MotionEstimate, F64]:
     q = _steps()
     still = np.zeros((len(q), 2))
     stiff = [
-        np.hstack([still, x])
-        for x in (q, first_derivative(q, RATE), second_derivative(q, RATE))
+        np.hstack([still, x]) for x in (q, first_derivative(q, RATE), second_derivative(q, RATE))
     ]
     tilt = still
     for _ in range(3):

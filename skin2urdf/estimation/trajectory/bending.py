@@ -36,17 +36,17 @@ _SHOWS = 1e-3
 milliradians, microradians, less than encoders and sensors tell."""
 _NOTHING = 1e-9
 """Share of a load's largest parameter below which others are zero but for rounding."""
-_YIELD = 2e-2
+YIELD = 2e-2
 """Standard deviation of deflections [rad]; robots whose gears twist by more than a degree are not
 built to be calibrated."""
-_SPINDLE = 0.1
+SPINDLE = 0.1
 """Lever at which what slides is as stiff as what turns [m/rad]."""
 _UNLIKE = 1.0
 """Standard deviation of the logarithm of how much a part yields more than the others."""
 _CROSS = 0.3
 """Standard deviation of a base's turn about one axis by a moment about another, over that by one
 about its own."""
-_LATE = 1e-2
+LATE = 1e-2
 """Standard deviation of the time by which deflections lag behind torques [s]: that of a resonance
 at 8 Hz, damped to a quarter of the critical."""
 _DEPTH = 0.5
@@ -89,10 +89,10 @@ class Bending(Unseen):
     def spread(self) -> F64:
         """(S,) what is known of the numbers before: standard deviations about zero."""
         P, R = len(self.basis), len(self.parts)
-        known = [np.full(P, _YIELD), np.full(R, _UNLIKE)]
+        known = [np.full(P, YIELD), np.full(R, _UNLIKE)]
         if self.base:
             known += [np.full(3, _CROSS)]
-        known += [np.full(R, _LATE)]
+        known += [np.full(R, LATE)]
         if self.base:
             known += [np.full(3, _DEPTH)]
         return np.concatenate(known)
@@ -130,7 +130,7 @@ def bending(
     turns = [turn(tree, axis) for axis in range(3)]
     parts = np.array([*(range(D) if joints else ()), *(turns if base else ())], dtype=np.int64)
     unit = np.ones(len(parts))
-    unit[: D * joints] = np.where(tree.prismatic, _SPINDLE**2, 1.0)[: D * joints]
+    unit[: D * joints] = np.where(tree.prismatic, SPINDLE**2, 1.0)[: D * joints]
     size = inertial_sizes(state)
     square = np.zeros((len(parts), len(size), len(size)))
     count = 0
@@ -141,7 +141,7 @@ def bending(
             count += len(Y)
     # What slides moves by a tenth of what turns.
     weight = np.ones(len(parts))
-    weight[: D * joints] = np.where(tree.prismatic, _SPINDLE, 1.0)[: D * joints] ** -2
+    weight[: D * joints] = np.where(tree.prismatic, SPINDLE, 1.0)[: D * joints] ** -2
     lam, V = np.linalg.eigh(np.einsum("r,rij->ij", weight, square) / count)
     shows = np.flatnonzero(lam > _SHOWS**2 * max(float(lam[-1]), 1e-300))[::-1]
     basis = (size[:, None] * V[:, shows] / np.sqrt(max(float(lam[-1]), 1e-300))).T

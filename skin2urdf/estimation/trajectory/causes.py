@@ -16,7 +16,7 @@ import numpy as np
 
 from skin2urdf.arrays import F64
 from skin2urdf.estimation.trajectory.arrow import eliminated, joint_inverse
-from skin2urdf.estimation.trajectory.bending import bending, followed
+from skin2urdf.estimation.trajectory.bending import LATE, SPINDLE, YIELD, bending, followed
 from skin2urdf.estimation.trajectory.elastic import Elasticity
 from skin2urdf.estimation.trajectory.elastic import followed as followed_by_known
 from skin2urdf.estimation.trajectory.fit import Fitted, fit
@@ -41,12 +41,6 @@ causes that are none take 100 s to try."""
 _MOST_OF_IT = 0.2
 """Part of a misfit, above the 1 of noise, that may stay where a drift of biases or elastic joints
 are its cause: what bends otherwise looks like one only in part."""
-_YIELD = (2e-3, 2e-2)
-"""Standard deviation of deflections [m of prismatic, rad of revolute joints]; robots whose gears
-twist by more than a degree are not built to be calibrated."""
-_LATE = 1e-2
-"""Standard deviation of the time by which deflections lag behind torques [s]: that of a resonance
-at 8 Hz, damped to a quarter of the critical."""
 _TURNS = 6
 """Turns of deflections and motion, at most; each leaves a fifth to a tenth of the error."""
 _SETTLED = 1e-2
@@ -376,8 +370,8 @@ def _with_elastic_joints(
     in turns.
     """
     tree, logs, state = problem.tree, problem.logs, fitted.state
-    spread = np.where(tree.prismatic, *_YIELD)[elastic.joint]
-    spread[elastic.damping] = _LATE
+    spread = YIELD * np.where(tree.prismatic, SPINDLE, 1.0)[elastic.joint]
+    spread[elastic.damping] = LATE
     priors = replace(problem.priors, unseen=spread)
     state = replace(state, unseen=np.zeros(len(spread)))
     n_knots = problem.layout.n_knots

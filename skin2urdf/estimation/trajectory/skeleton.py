@@ -90,7 +90,7 @@ class Skeleton:
             return T_parent_joint
         axes = (self.hinges - self.robot.n_joints) % 3
         # z of the frame in which a hinge is placed is the base's axis x, y or z.
-        frames = [np.eye(4), *(_Z_TO[axis] for axis in axes)]
+        frames = [np.eye(4), *(_placed_along(int(axis)) for axis in axes)]
         hinges = [before.T @ after for before, after in pairwise(frames)]
         T = np.concatenate([hinges, T_parent_joint])
         roots = H + np.flatnonzero(self.robot.parent < 0)
@@ -109,7 +109,7 @@ class Skeleton:
         if not len(self.hinges) or not resting.any():
             return T_joint_su
         T = np.array(T_joint_su)
-        last = _Z_TO[int(self.hinges[-1] - self.robot.n_joints) % 3]
+        last = _placed_along(int(self.hinges[-1] - self.robot.n_joints) % 3)
         T[resting] = last.T @ T[resting]
         return T
 
@@ -119,6 +119,3 @@ def _placed_along(axis: int) -> F64:
     T = np.eye(4)
     T[:3, :3] = np.roll(np.eye(3), 2 - axis, axis=1)
     return frozen(T)
-
-
-_Z_TO = tuple(_placed_along(axis) for axis in range(3))

@@ -7,7 +7,7 @@ other way, or if an SU has another name, does so up to some pose or from some po
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -43,6 +43,8 @@ from skin2urdf.structure.records import KinematicTree
 
 _ALLOWANCE = 3.0
 """Time of a change into a pose, over what the pose's misfit says: patterns begin gently."""
+_MIXED = 0.5
+"""Share of a pose that may be of the other kind, from which it tells neither."""
 _BLUR = 2
 """Grid samples on either side of an exchange that may be of both SUs."""
 
@@ -116,15 +118,10 @@ def _changes(
         if sound is None:
             continue
         known, poses = sound
-        patterns = felt_in_patterns(known, poses)
-        ratio = patterns.with_more(felt_at_rest(known, poses)).ratio
-        # Of two senses in one pose its patterns tell, where it has any.
-        share = _doubtful(np.where(np.isfinite(patterns.ratio), patterns.ratio, ratio))
-        for d, name in enumerate(known.tree.joint_names):
-            tells = np.isfinite(ratio[:, d])
-            turn = _Change.of(poses, ratio[:, d] < TURNED, tells, share[:, d])
-            if turn is not None:
-                turns.append(_turned(search, name, log, turn.between))
+        turns += [
+            _turned(search, known.tree.joint_names[d], log, between)
+            for d, between in turns_within(known, poses)
+        ]
         exchange = _exchange(known, poses)
         if exchange is not None:
             names, called, between = exchange
@@ -136,6 +133,32 @@ def _changes(
     if exchanges:
         out.append(("swapped in a log", [n for e in exchanges for n in e.names], tuple(exchanges)))
     return out
+
+
+def turns_within(known: Estimate, poses: Features) -> Iterator[tuple[int, tuple[float, float]]]:
+    """Joints of a tree that change their sense, and the times between which they do.
+
+    Args:
+        known: an estimate from sound poses of the same robot.
+        poses: features of one log, each visit to a pose for itself.
+    """
+    patterns = felt_in_patterns(known, poses)
+    both = patterns.with_more(felt_at_rest(known, poses))
+    # Of two senses in one pose its patterns tell, where it has any.
+    share = _doubtful(np.where(np.isfinite(patterns.ratio), patterns.ratio, both.ratio))
+    for d in range(known.tree.n_joints):
+        ratio = both.ratio[:, d]
+        # Another zero is as good as a value to be mirrored about, but for the patterns.
+        differs = (ratio < TURNED) & ~(patterns.ratio[:, d] > 1.0)
+        turn = _Change.of(poses, differs, np.isfinite(ratio), share[:, d])
+        if turn is None:
+            continue
+        # One value to be mirrored about may suit a single pose in which something else is wrong.
+        pure = ~(share[:, d] >= _MIXED)
+        later = poses.span.mean(axis=1) > sum(turn.between) / 2
+        left = np.where(later != turn.late, both.turned[:, d], both.same[:, d])
+        if left[pure].sum() < TURNED * both.same[pure, d].sum():
+            yield d, turn.between
 
 
 def _turned(search: Search, dof: str, log: int, between: tuple[float, float]) -> Corrected:

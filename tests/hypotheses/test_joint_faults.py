@@ -25,6 +25,7 @@ from skin2urdf.calibration.rounds import (
 )
 from skin2urdf.calibration.settings import CalibrationSettings
 from skin2urdf.hypotheses.arising import narrowed
+from skin2urdf.hypotheses.changes import turns_within
 from skin2urdf.hypotheses.encoder import (
     Corrected,
     errors_of,
@@ -116,6 +117,26 @@ def test_rests_tell_from_when_on_a_joint_counts_the_other_way() -> None:
     assert (ratio[later:, j] > 1 / TURNED).all()
     others = np.delete(ratio, j, axis=1)
     assert not (others[np.isfinite(others)] < TURNED).any()
+
+
+def test_a_joint_has_turned_where_that_leaves_nothing_to_explain() -> None:
+    """What one value to be mirrored about does for a single pose is no evidence."""
+    found, features = solved_panda().found, solved_panda().features
+    order = np.argsort(features.span[:, 0])
+    turned = features.dof_names.index(found.tree.joint_names[3])
+    assert not list(turns_within(found, features))
+    exchanged, late = np.array(features.coefficients), order[16:]
+    exchanged[np.ix_(late, [2, 5])] = exchanged[np.ix_(late, [5, 2])]
+    q = np.array(features.q)
+    q[order[-1], turned] += 0.5
+    assert not list(turns_within(found, replace(features, q=q, coefficients=exchanged)))
+    # Rests before the first pattern have no more to say than gravity.
+    early = features.span[:, 0] < 25.0
+    q = np.array(features.q)
+    q[early, turned] = 0.7 - q[early, turned]
+    ((joint, between),) = turns_within(found, replace(features, q=q))
+    assert joint == 3
+    assert features.span[early, 0].max() < sum(between) / 2 < features.span[~early, 1].min()
 
 
 @pytest.mark.parametrize("share", [0.3, 0.6])

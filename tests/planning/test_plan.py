@@ -70,6 +70,26 @@ def test_a_way_through_the_robot_is_seen(checker: CollisionChecker, limits: Limi
     assert all(checker.is_path_free(piece) for piece in way)
 
 
+def test_ways_are_free_where_all_poses_along_them_are(
+    checker: CollisionChecker, limits: Limits
+) -> None:
+    rng = np.random.default_rng(4)
+    # The hand swings by the base, or through it.
+    ends = np.array([[0.0, -2.3, -2.8], [0.0, -2.8, -0.05]])
+    verdicts = []
+    for start, goal in ends + rng.uniform(-0.3, 0.3, (40, 2, 3)).clip(-2.9 - ends, 2.9 - ends):
+        if not (checker.is_free(start) and checker.is_free(goal)):
+            continue
+        piece = transfer(start, goal, limits)
+        along = piece.at(np.linspace(0.0, piece.duration, 200))[0]
+        verdicts.append(checker.is_path_free(piece))
+        if verdicts[-1]:
+            assert not any(checker.touches(q) for q in along)
+        else:
+            assert not all(checker.is_free(q) for q in along)
+    assert 3 < sum(verdicts) < len(verdicts) - 3
+
+
 def test_a_floor_keeps_the_arm_above_it(arm: Path, mechanism: Mechanism, limits: Limits) -> None:
     from skin2urdf.simulation.mechanism import read_urdf
     from skin2urdf.simulation.robots import load_robot

@@ -227,6 +227,10 @@ def recorded(
         key = id(stream.time)
         if key not in seconds:
             seconds[key] = frozen((stream.time + (shifts[key] - start)) / 1e9)
+        # Nothing else holds the values: as records have them they need not be copied.
+        for values in (stream.values, stream.rates):
+            if values is not None and values.base is None:
+                values.flags.writeable = False
     extra = (
         [f"the clock of {', '.join(sorted(moved))} is not the joints'; matched by log times"]
         if moved

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from skin2urdf.arrays import F64, Int
 
-# Samples that are sorted at once: some 20 MB, and hundreds of each of a thousand sources.
-GROUP = 1 << 19
+# Samples that are sorted at once: some 10 MB, and hundreds of each of a thousand sources.
+GROUP = 1 << 18
 
 
 class Part(NamedTuple):
@@ -48,7 +48,7 @@ class SortedSamples:
     _waiting: list[Part] = field(default_factory=list)
     _count: int = 0
     _bounds: list[Int] = field(default_factory=list)
-    _groups: list[list[NDArray[np.generic] | None]] = field(default_factory=list)
+    _groups: list[Columns] = field(default_factory=list)
 
     def add(self, part: Part) -> None:
         """Take in some samples."""
@@ -64,10 +64,27 @@ class SortedSamples:
             sources: how many sources there are.
         """
         self._sort()
-        # One kind of numbers after the other, so that no more than the largest is there twice.
-        kinds = [self._of_each_source(kind, sources) for kind in range(4)]
-        self._bounds, self._groups = [], []
-        return [Columns(*columns) for columns in zip(*kinds, strict=True)]
+        counts = np.zeros(sources, np.int64)
+        for bounds in self._bounds:
+            counts[: bounds.size - 1] += np.diff(bounds)
+        constant = _constant([group.rates for group in self._groups])
+        # Pages that nothing was written to take no memory: these fill as the groups are given up.
+        found = [_empty(int(count), constant) for count in counts]
+        done = np.zeros(sources, np.int64)
+        for bounds in self._bounds:
+            group = self._groups.pop(0)
+            for k in np.flatnonzero(np.diff(bounds)):
+                rows = slice(bounds[k], bounds[k + 1])
+                here = slice(done[k], done[k] + bounds[k + 1] - bounds[k])
+                whole = found[k]
+                whole.stamp[here] = group.stamp[rows]
+                whole.log_time[here] = group.log_time[rows]
+                whole.vector[here] = group.vector[rows]
+                if constant is None and whole.rates is not None:
+                    whole.rates[here] = np.nan if group.rates is None else group.rates[rows]
+                done[k] = here.stop
+        self._bounds = []
+        return found
 
     def _sort(self) -> None:
         """Sort what is waiting by source."""
@@ -80,36 +97,36 @@ class SortedSamples:
         order = np.argsort(source, kind="stable")
         self._bounds.append(np.concatenate([[0], np.cumsum(np.bincount(source))]))
         self._groups.append(
-            [
+            Columns(
                 np.concatenate([part.stamp for part in parts])[order],
                 np.concatenate([part.log_time for part in parts])[order],
                 np.concatenate([part.vector for part in parts])[order],
                 _sorted_rates(parts, order),
-            ]
+            )
         )
 
-    def _of_each_source(self, kind: int, sources: int) -> list[NDArray[np.generic] | None]:
-        """One kind of numbers of each source, taken out of the groups."""
-        columns = [group[kind] for group in self._groups]
-        for group in self._groups:
-            group[kind] = None
-        if all(column is None for column in columns):
-            return [None] * sources
-        found: list[NDArray[np.generic] | None] = []
-        for k in range(sources):
-            pieces: list[NDArray[np.generic]] = []
-            for column, bounds in zip(columns, self._bounds, strict=True):
-                if k + 1 >= bounds.size or bounds[k] == bounds[k + 1]:
-                    continue
-                rows = slice(bounds[k], bounds[k + 1])
-                pieces.append(_none(rows) if column is None else column[rows])
-            found.append(pieces[0].copy() if len(pieces) == 1 else np.concatenate(pieces))
-        return found
+
+def _empty(count: int, constant: F64 | None) -> Columns:
+    """Room for so many samples; rates that never change (none if NaN) take none."""
+    if constant is None:
+        rates = np.empty((count, 3))
+    elif np.isnan(constant).all():
+        rates = None
+    else:
+        rates = np.broadcast_to(constant, (count, 3))
+    stamp, log_time = np.empty(count, np.int64), np.empty(count, np.int64)
+    return Columns(stamp, log_time, np.empty((count, 3)), rates)
 
 
-def _none(rows: slice) -> F64:
-    """Angular velocities that are not there."""
-    return np.full((rows.stop - rows.start, 3), np.nan)
+def _constant(rates: list[F64 | None]) -> F64 | None:
+    """The (3,) angular velocities that all groups have, NaN for none; None where they differ."""
+    rows = [np.full(3, np.nan) if some is None else some[0] for some in rates]
+    constant = all(some is None or some.strides[0] == 0 for some in rates)
+    if not rows:
+        return np.full(3, np.nan)
+    if constant and all(np.array_equal(row, rows[0], equal_nan=True) for row in rows):
+        return rows[0]
+    return None
 
 
 def _sorted_rates(parts: list[Part], order: Int) -> F64 | None:

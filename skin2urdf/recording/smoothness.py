@@ -9,11 +9,12 @@ comparison of the two leave-one-out residuals, written as its difference.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
 
-from skin2urdf.arrays import F64
+from skin2urdf.arrays import F64, Int
 from skin2urdf.recording.numbering import median_of
 
 # First derivative per sample of a cubic fitted to 9 samples (Savitzky and Golay, 1964).
@@ -22,7 +23,12 @@ SLOPE = np.array([86.0, -142.0, -193.0, -126.0, 0.0, 126.0, 193.0, 142.0, -86.0]
 MISSED = np.array([1.0, -4.0, 6.0, -4.0, 1.0]) / 6.0
 HALO = 4
 WINDOW = 128
-MAX_WINDOWS = 64
+# Windows that are looked at: those that move most, and more where these leave a doubt, which is
+# where the share is nearer to the middle than so many standard deviations.
+WINDOWS = (16, 64)
+CLEAR = 4.0
+# Channels that are looked at together; more of them would take more memory than they save time.
+TOGETHER = 8
 
 
 class StampEvidence(NamedTuple):
@@ -48,15 +54,21 @@ def weigh_stamps(stamp: F64, regular: F64, signal: F64) -> StampEvidence:
     Returns:
         The evidence.
     """
-    if stamp.size < WINDOW + 2 * HALO:
-        start = np.zeros(1, np.int64)
-        length = stamp.size
-    else:
-        start = _moving_windows(signal)
-        length = WINDOW + 2 * HALO
-    if length <= 2 * HALO:
+    if stamp.size <= 2 * HALO:
         return StampEvidence(0.0, np.inf)
-    index = start[:, None] + np.arange(length)
+    if stamp.size < WINDOW + 2 * HALO:
+        return _weighed(stamp, regular, signal, np.arange(stamp.size)[None])
+    evidence = StampEvidence(0.0, np.inf)
+    length = np.arange(WINDOW + 2 * HALO)
+    for start in _moving_windows(signal):
+        evidence = _weighed(stamp, regular, signal, start[:, None] + length)
+        if abs(evidence.share - 0.5) > CLEAR * evidence.uncertainty:
+            break
+    return evidence
+
+
+def _weighed(stamp: F64, regular: F64, signal: F64, index: Int) -> StampEvidence:
+    """The evidence of windows of samples with (W, L) numbers; see :func:`weigh_stamps`."""
     time = regular[index]
     span = time[:, 2 * HALO :] - time[:, : -2 * HALO]
     # Not across lost messages and pauses: there the rules for regular samples do not hold.
@@ -66,34 +78,38 @@ def weigh_stamps(stamp: F64, regular: F64, signal: F64) -> StampEvidence:
     believable = even & (np.abs(delta) < 3.0 * period) & (np.abs(delta) > 1e-4 * period)
     share_sum = weight_sum = spread_sum = 0.0
     terms = []
-    for channel in signal.T:
-        values = channel[index]
-        whole = believable & np.isfinite(values).all(axis=1, keepdims=True)
-        if not whole.any():
-            continue
-        values = np.where(np.isfinite(values), values, 0.0)
+    for first in range(0, signal.shape[1], TOGETHER):
+        values = np.moveaxis(signal[:, first : first + TOGETHER][index], -1, 0)
+        finite = np.isfinite(values)
+        whole = np.broadcast_to(believable, (len(values), *believable.shape))
+        if not finite.all():
+            whole = whole & finite.all(axis=2, keepdims=True)
+            values = np.where(finite, values, 0.0)
         missed = _correlate(values, MISSED)
         slope = _correlate(values, SLOPE) / period
-        noise = max(1.4826 * median_of(np.abs(missed[whole])), 1e-12)
+        noise = np.full((len(values), 1, 1), np.inf)
+        for k in np.flatnonzero(whole.any(axis=(1, 2))):
+            noise[k] = max(1.4826 * median_of(np.abs(missed[k][whole[k]])), 1e-12)
         # Noise of one sample is about noise / 1.4, that of the slope a third of it per period.
         moving = whole & (np.abs(slope) > 0.75 * noise / period)
-        predicted = slope[moving] * delta[moving]
+        left = missed[moving]
+        predicted = (slope * delta)[moving]
         # Weights bound what a single wild stamp can say.
-        weight = 1.0 / (noise**2 + predicted**2)
-        terms.append((weight * predicted, missed[moving], predicted))
-        share_sum += float(np.sum(weight * predicted * missed[moving]))
+        weight = 1.0 / (np.broadcast_to(noise, moving.shape)[moving] ** 2 + predicted**2)
+        terms.append((weight * predicted, left, predicted))
+        share_sum += float(np.sum(weight * predicted * left))
         weight_sum += float(np.sum(weight * predicted**2))
     if weight_sum == 0.0:
         return StampEvidence(0.0, np.inf)
     share = share_sum / weight_sum
-    for score, missed, predicted in terms:
-        spread_sum += float(np.sum(np.square(score * (missed - share * predicted))))
+    for score, left, predicted in terms:
+        spread_sum += float(np.sum(np.square(score * (left - share * predicted))))
     # Neighbouring residuals share samples; twice the naive deviation covers that.
     return StampEvidence(share, 2.0 * float(np.sqrt(spread_sum)) / weight_sum)
 
 
-def _moving_windows(signal: F64) -> np.ndarray:
-    """Starts of the windows (halo included) in which the signal ranges widest."""
+def _moving_windows(signal: F64) -> Iterator[Int]:
+    """Starts of the windows (halo included) in which the signal ranges widest: some, then more."""
     usable = (signal.shape[0] - 2 * HALO) // WINDOW
     # Every fourth sample is enough to see where a window moves.
     cut = signal[HALO : HALO + usable * WINDOW : 4].reshape(usable, WINDOW // 4, -1)
@@ -101,16 +117,20 @@ def _moving_windows(signal: F64) -> np.ndarray:
     extent = np.where(np.isfinite(extent), extent, 0.0)
     scale = extent.mean(axis=0)
     relative = (extent / np.where(scale > 0.0, scale, 1.0)).sum(axis=1)
-    return np.sort(np.argsort(relative)[-MAX_WINDOWS:]) * WINDOW
+    order = np.argsort(relative)
+    for most in WINDOWS:
+        yield np.sort(order[-most:]) * WINDOW
+        if order.size <= most:
+            return
 
 
 def _correlate(rows: F64, kernel: F64) -> F64:
-    """Correlate each row with ``kernel`` at its samples inside the halo."""
+    """Correlate each row, along the last axis, with ``kernel`` at its samples inside the halo."""
     half = kernel.size // 2
-    length = rows.shape[1] - 2 * HALO
-    out = np.zeros((rows.shape[0], length))
+    length = rows.shape[-1] - 2 * HALO
+    out = np.zeros((*rows.shape[:-1], length))
     for k, factor in enumerate(kernel):
         if factor:
             begin = HALO - half + k
-            out += factor * rows[:, begin : begin + length]
+            out += factor * rows[..., begin : begin + length]
     return out

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import tempfile
 import time
 import xml.etree.ElementTree as ET
@@ -119,8 +120,8 @@ def perform(trial: Slip) -> Noticed:
     """
     urdf, beside, places = _calibrated(trial.robot, trial.grade)
     rng = np.random.default_rng([trial.seed, 7])
-    moving = [name for name, link, _ in places if not _on_base(name, beside)]
-    slipped = str(rng.choice(moving)) if trial.shift_mm or trial.turn_deg else ""
+    known = [name for name, _, _ in places if _is_known(name, beside)]
+    slipped = str(rng.choice(known)) if trial.shift_mm or trial.turn_deg else ""
     directions = rng.standard_normal((2, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     sizes = np.array([[1e-3 * trial.shift_mm], [np.deg2rad(trial.turn_deg)]])
@@ -151,10 +152,9 @@ def perform(trial: Slip) -> Noticed:
     )
 
 
-def _on_base(name: str, beside: str) -> bool:
-    import json
-
-    return json.loads(beside)["sus"][name]["joint"] is None
+def _is_known(name: str, beside: str) -> bool:
+    """Whether an SU is known in all directions; no log tells of a slip along one that never is."""
+    return bool(json.loads(beside)["sus"][name]["verdict"] == "determined")
 
 
 def _recorded(trial: Slip, places: list[tuple[str, str, F64]]) -> Recording:

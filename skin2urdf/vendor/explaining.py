@@ -150,6 +150,10 @@ def _cause(kept: Explained, correction: Correction) -> Explained:
     """
     bench, placed, sensors = kept.bench, kept.placed, kept.bench.settings.estimation.priors
     common = bench.blueprint(replace(correction, what="all"), placed.up[0])
+    # What is grossly wrong is no specimen, and would lead astray all that begins from one.
+    gross = bool(np.nanmax(kept.left.rms) > GROSS)
+    if gross and (found := _another_count(kept, common, kept, correction)) is not None:
+        return found
     specimen = replace(
         kept, blueprint=common, along=bench.fit(placed, common, sensors, kept.along.state)
     )
@@ -170,13 +174,8 @@ def _cause(kept: Explained, correction: Correction) -> Explained:
         return _allowed(zeros, kept, correction)
     if specimen.fits and (elsewhere := _placed_otherwise(specimen)) is not None:
         return _allowed_elsewhere(*elsewhere, kept, correction)
-    changed = _changed(kept, common)
-    if changed is not None:
-        senses, there = changed
-        if there.settles(least):
-            if senses:
-                raise _another_sense(senses, there, kept)
-            return _allowed(there, kept, correction)
+    if not gross and (found := _another_count(kept, common, least, correction)) is not None:
+        return found
     if not specimen.fits and (elsewhere := _placed_otherwise(specimen)) is not None:
         return _allowed_elsewhere(*elsewhere, kept, correction)
     if specimen.fits:
@@ -186,6 +185,23 @@ def _cause(kept: Explained, correction: Correction) -> Explained:
     if np.nanmax(best.left.rms) > GROSS:
         raise another_robot(best)
     return best
+
+
+def _another_count(
+    kept: Explained, common: Blueprint, least: Explained, correction: Correction
+) -> Explained | None:
+    """Encoders that count the other way or from far off, where that settles what is left.
+
+    Raises:
+        ModelMismatchError: it does, and may not be corrected.
+    """
+    changed = _changed(kept, common)
+    if changed is None or not changed[1].settles(least):
+        return None
+    senses, there = changed
+    if senses:
+        raise _another_sense(senses, there, kept)
+    return _allowed(there, kept, correction)
 
 
 def _yielding(tried: Sequence[Explained]) -> Iterator[Explained]:

@@ -269,10 +269,11 @@ def test_a_log_that_ends_after_one_move_shows_that_joint_alone() -> None:
 
 
 def test_what_a_log_of_a_few_moves_leaves_open_is_said() -> None:
-    """Home and a few structural moves show directions, and where nothing much is."""
-    found = calibrate(cut(plain(), 20.0))
+    """Moves of two joints show these, and where some SUs are beyond them only weakly."""
+    found = calibrate(cut(plain(), 9.0))
     assert found.quality == "fair"
-    assert "determined" not in found.observability.su_verdict
+    assert "weak" in found.observability.su_verdict
+    assert found.model.tree.joint_names == tuple(joint.name for joint in plain().joints[:2])
     left = [note.joints for note in of_kind(found.notes, "joint left out")]
     assert (plain().joints[-1].name,) in left
 

@@ -92,8 +92,27 @@ def learnt_hidden(priors: Priors, state: State, variance: F64, free: Free) -> fl
     if use.sum() < ENOUGH:
         return priors.hidden_rotation
     data = 1 / (1 - share[use])
-    size = spread(state.shape[:, 3:][use] * data, variance[:, columns][use] * data)
-    return min(priors.cross, size)
+    return expected_spread(
+        state.shape[:, 3:][use] * data, variance[:, columns][use] * data, priors.cross
+    )
+
+
+def expected_spread(x: F64, variance: F64, most: float) -> float:
+    """Root of the mean square that the next member of a population around 0 has.
+
+    All spreads up to ``most`` are as likely before: a sample that does not stand out from its noise
+    tells that the spread is smaller than the noise, and not that there is none.
+
+    Args:
+        x: (n,) a sample, seen through noise.
+        variance: (n,) of the noise.
+        most: largest spread that may be.
+    """
+    size = most * np.linspace(0.0, 1.0, 401) ** 3
+    wider = size[:, None] ** 2 + variance
+    likelihood = -0.5 * (x**2 / wider + np.log(wider)).sum(axis=1)
+    weight = np.exp(likelihood - likelihood.max()) * np.gradient(size)
+    return float(np.sqrt(weight @ size**2 / weight.sum()))
 
 
 def spread(x: F64, variance: F64) -> float:

@@ -46,7 +46,7 @@ def test_priors_are_narrowed_to_the_sensors_and_never_widened() -> None:
 
 
 def test_hidden_rotations_are_learnt_with_the_variances_that_are_stated() -> None:
-    """Cross-axis terms that are as large as what is stated of their errors are none."""
+    """Cross-axis terms that are as large as what is stated of their errors may be none."""
     found = calibration().estimate
     rng = np.random.default_rng(2)
     features, stated = np.full((found.tree.n_sus, 15), 1e-10), np.full((found.tree.n_sus, 15), 1e-8)
@@ -54,6 +54,8 @@ def test_hidden_rotations_are_learnt_with_the_variances_that_are_stated() -> Non
     state = replace(found.state, shape=shape)
     priors = replace(found.cost.priors, cross=1e-2, hidden=None)
     assert learnt_hidden(priors, state, features, found.free) > 5e-5
-    assert learnt_hidden(priors, state, stated, found.free) == 0.0
+    assert learnt_hidden(priors, state, stated, found.free) < 6e-5
+    # That they do not stand out does not tell that there are none.
+    assert learnt_hidden(priors, state, stated, found.free) > 1e-5
     # Where data determine too few, what is known before speaks.
     assert learnt_hidden(priors, state, np.ones_like(stated), found.free) == 1e-2

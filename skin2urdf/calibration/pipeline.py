@@ -33,6 +33,7 @@ from skin2urdf.calibration.samples import (
     clocks_in_all,
     fit_samples,
     is_explained_by_physics,
+    rejected,
     with_samples,
     without_false_hits,
 )
@@ -91,6 +92,7 @@ def calibrate(
     features = take_features(sampled, clock)
     structure = find_structure(sampled, features, clock)
     along = looked = None
+    in_vain: frozenset[str] = frozenset()
     if settings.method == "paper":
         solution = _estimate_by_the_paper(sampled, features, structure, clock)
     elif not structure.seen.patterns_felt:
@@ -108,10 +110,13 @@ def calibrate(
                 ),
             )
             _refuse_beyond(HOPELESS_FIT, solution.found.cost_per_dof, solution.found)
+            in_vain = rejected(looked)
             looked = looked if first is not None and _untouched(first, solution) else None
     fit = clock.run("goodness of fit", lambda _: goodness(solution.found))
     if settings.method != "paper" and settings.motion == "all":
-        along = looked or clock.run("all samples", lambda tell: fit_samples(solution, tell))
+        along = looked or clock.run(
+            "all samples", lambda tell: fit_samples(solution, tell, without=in_vain)
+        )
         if along is not None:
             fitted = along
             solution, along = clock.run(

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 
 import numpy as np
 
+from skin2urdf.arrays import F64, Bool, Int
 from skin2urdf.calibration.clock import Tell
 from skin2urdf.calibration.result import GOOD_FIT
 from skin2urdf.calibration.rounds import Logs, Solution
@@ -38,13 +39,16 @@ _MOST = 0.5
 """Share of the poses from which the samples say all that features do."""
 
 
-def fit_samples(solution: Solution, tell: Tell, *, most: float = np.inf) -> MotionEstimate | None:
+def fit_samples(
+    solution: Solution, tell: Tell, *, most: float = np.inf, without: Collection[str] = ()
+) -> MotionEstimate | None:
     """Fit all samples of mended logs, starting from what the features around poses say.
 
     Args:
         solution: the logs, and the estimate to begin with.
         tell: told the share of the work that is done.
         most: misfit beyond which no physics is tried that a rigid robot has not.
+        without: causes that need not be tried, see :func:`rejected`.
 
     Returns:
         None where most poses have no samples to compare, as rests that were recorded one by one:
@@ -73,7 +77,14 @@ def fit_samples(solution: Solution, tell: Tell, *, most: float = np.inf) -> Moti
     if _share_of_poses(trajectories, logs.sampled) < _MOST:
         return None
     priors = sample_priors(settings, found.cost.priors)
-    return estimate_along(trajectories, tree, found.state, priors, latency, tell, most=most)
+    return estimate_along(
+        trajectories, tree, found.state, priors, latency, tell, most=most, without=without
+    )
+
+
+def rejected(along: MotionEstimate | None) -> frozenset[str]:
+    """Causes that a fit of nearly the same logs has tried, and that explained less than others."""
+    return frozenset(along.tried) - frozenset(along.causes) if along else frozenset()
 
 
 def sample_priors(settings: CalibrationSettings, sensors: Priors) -> MotionPriors:
@@ -150,18 +161,34 @@ def is_explained_by_physics(along: MotionEstimate) -> bool:
 
 
 def _anything_stands_out(along: MotionEstimate) -> bool:
-    """Whether any half second of an SU is far from what noise and all that was found leave."""
+    """Whether any half second of an SU is far from what noise and all that was found leave.
+
+    What yields is followed as slowly as it moves; a spring that is let go overshoots by as much
+    again, and rings on.
+    """
     problem, fitted = along.problem, along.fitted
+    stiff = replace(fitted.state, unseen=np.zeros_like(fitted.state.unseen))
     for g, (log, p) in enumerate(zip(problem.logs, fitted.predicted, strict=True)):
-        noise = fitted.noise[g][..., :3]
-        square = np.where(p.measured[..., None], p.residual / noise, 0.0) ** 2
         size = max(1, round(_MOMENT * len(log.kept) / float(log.time[-1] - log.time[0])))
         first = np.arange(0, len(log.kept), size)
         count = np.diff(np.append(first, len(log.kept)))
-        means = np.add.reduceat(square.mean(axis=2), first, axis=0) / count[:, None]
-        if means.max() > _HIT**2:
+
+        noise = fitted.noise[g][..., :3]
+        left = _mean_squares(p.residual / noise, p.measured, first, count)
+        if len(stiff.unseen):
+            by_spring = (problem.predict(stiff, g).residual - p.residual) / noise
+            bent = _mean_squares(by_spring, p.measured, first, count)
+            before = np.concatenate([bent[:1], bent[:-1]])
+            left /= 1 + np.maximum(bent, before)
+        if left.max() > _HIT**2:
             return True
     return False
+
+
+def _mean_squares(x: F64, measured: Bool, first: Int, count: Int) -> F64:
+    """(moments, U) mean squares of what is measured of x (K, U, 3), a moment from each first on."""
+    seen = np.where(measured[..., None], x, 0.0) ** 2
+    return np.asarray(np.add.reduceat(seen.mean(axis=2), first, axis=0) / count[:, None])
 
 
 def without_false_hits(
@@ -181,7 +208,7 @@ def without_false_hits(
     if not solution.faults or any(fault.kind != "contact" for fault in solution.faults):
         return solution, along
     everything = replace(solution, logs=whole)
-    again = fit_samples(everything, tell)
+    again = fit_samples(everything, tell, without=rejected(along))
     if again is None:
         return solution, along
     real = tuple(f for f in solution.faults if _stands_out(f, again, whole.sampled))
@@ -191,7 +218,7 @@ def without_false_hits(
 
 
 def _stands_out(hit: Fault, along: MotionEstimate, sampled: Sequence[Sampled]) -> bool:
-    """Whether what a fit leaves at the time of a hit is more than noise, in any SU."""
+    """Whether what a fit leaves at the time of a hit is more than noise and play, in any SU."""
     g = hit.log or 0
     log, fitted = along.problem.logs[g], along.fitted
     if not (np.isfinite(hit.begin) and np.isfinite(hit.end)):
@@ -201,9 +228,8 @@ def _stands_out(hit: Fault, along: MotionEstimate, sampled: Sequence[Sampled]) -
     if not during.any():
         return True
     seen = fitted.predicted[g].measured[during, :, None]
-    ratio = np.where(
-        seen, fitted.predicted[g].residual[during] / fitted.noise[g][during][..., :3], 0.0
-    )
+    noise = np.hypot(fitted.noise[g][during][..., :3], _rattle(along, log))
+    ratio = np.where(seen, fitted.predicted[g].residual[during] / noise, 0.0)
     return bool((ratio**2).mean(axis=(0, 2)).max() > _HIT**2)
 
 

@@ -8,7 +8,7 @@ of them explains.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -85,7 +85,12 @@ class Explained:
 
 
 def explained(
-    problem: MotionProblem, fitted: Fitted, most: float = np.inf, *, only_known: bool = False
+    problem: MotionProblem,
+    fitted: Fitted,
+    most: float = np.inf,
+    *,
+    only_known: bool = False,
+    without: Collection[str] = (),
 ) -> Explained:
     """Try what a rigid robot with steady sensors has not, where it does not explain the readings.
 
@@ -94,6 +99,7 @@ def explained(
         fitted: its fit.
         most: misfit of the rigid robot beyond which nothing is tried.
         only_known: try nothing but joints that yield under known torques.
+        without: causes of what drifts and bends that need not be tried.
     """
     rigid = _Attempt(problem, fitted, (), slack(problem.tree, problem.logs))
     if rigid.misfit > min(most, _BEYOND) or not rigid.lacks:
@@ -104,7 +110,7 @@ def explained(
         best, attempts = known, [known]
     else:
         known = None
-        best, attempts = (rigid, []) if only_known else _of_any_cause(rigid)
+        best, attempts = (rigid, []) if only_known else _of_any_cause(rigid, without)
     if best.slack_size is not None and best.slack_size.gain > _CERTAIN:
         best = best.with_slack()
         attempts.append(best)
@@ -114,22 +120,22 @@ def explained(
     return Explained(best.problem, best.fitted, best.causes, tried, under)
 
 
-def _of_any_cause(rigid: _Attempt) -> tuple[_Attempt, list[_Attempt]]:
+def _of_any_cause(rigid: _Attempt, without: Collection[str]) -> tuple[_Attempt, list[_Attempt]]:
     """The attempt that explains most, and all that were made."""
     best = _with_uneven_gears(rigid)
     attempts = [best]
     if best.lacks:
-        other, more = _with_physics(rigid)
+        other, more = _with_physics(rigid, without)
         attempts += more
         if _explains_most(other, rigid) and not _explains_most(best, other):
             best = other
     return best, attempts
 
 
-def _with_physics(rigid: _Attempt) -> tuple[_Attempt, list[_Attempt]]:
+def _with_physics(rigid: _Attempt, without: Collection[str]) -> tuple[_Attempt, list[_Attempt]]:
     """The best of what drifts and bends, one cause after the other, and all that was tried."""
-    left = [_DRIFT, *_BENDS]
-    if rigid.misfit <= _EXPLAINED or rigid.problem.priors.sensors.bias == 0:
+    left = [cause for cause in (_DRIFT, *_BENDS) if cause not in without]
+    if _DRIFT in left and (rigid.misfit <= _EXPLAINED or rigid.problem.priors.sensors.bias == 0):
         left.remove(_DRIFT)
     best, tried = rigid, []
     while left:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -123,6 +123,7 @@ def estimate_along(
     *,
     look_further: bool = True,
     only_known: bool = False,
+    without: Collection[str] = (),
     most: float = np.inf,
     iterations: int = 30,
 ) -> MotionEstimate:
@@ -138,6 +139,7 @@ def estimate_along(
         look_further: whether elastic joints and drifting biases are tried where noise and
             placements do not explain the readings.
         only_known: then nothing but joints that yield under known torques is.
+        without: causes of what drifts and bends that need not be tried.
         most: misfit beyond which they are not tried either.
         iterations: linearisations, at most, of a first fit and of the last.
     """
@@ -159,7 +161,7 @@ def estimate_along(
     logs = problem.logs
     found = Explained(problem, fitted)
     if look_further:
-        found = explained(problem, fitted, most, only_known=only_known)
+        found = explained(problem, fitted, most, only_known=only_known, without=without)
         problem, fitted = found.problem, found.fitted
     fitted = without_shortening(problem, fitted)
     left = misfit_of(problem, fitted, SPAN)

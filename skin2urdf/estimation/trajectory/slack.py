@@ -54,7 +54,9 @@ class Size:
 def slack(tree: KinematicTree, logs: Sequence[Trajectory]) -> Unseen | None:
     """An offset of every joint in every place where the robot stays; None without two places.
 
-    On its way from place to place a joint's offset changes as smoothly as the joint moves.
+    On its way from place to place a joint's offset changes as smoothly as the joint moves. What is
+    the same in all places, as in play whose load never changes its side, shows nowhere, and is as
+    large.
 
     Args:
         tree: D joints.
@@ -80,8 +82,11 @@ def slack(tree: KinematicTree, logs: Sequence[Trajectory]) -> Unseen | None:
         shares.append(_shares(log, s, place[first : first + len(s)], P))
         first += len(s)
     unit = np.where(tree.prismatic, LEVER, 1.0)
-    motions = tuple(np.concatenate([h * k for k in unit], axis=1) for h in shares)
-    return Unseen(np.repeat(np.arange(tree.n_joints), P), motions)
+    motions = tuple(
+        np.concatenate([*(h * k for k in unit), np.tile(unit, (len(h), 1))], axis=1) for h in shares
+    )
+    joints = np.arange(tree.n_joints)
+    return Unseen(np.concatenate([np.repeat(joints, P), joints]), motions)
 
 
 def size_of(problem: MotionProblem, fitted: Fitted, more: Unseen) -> Size:

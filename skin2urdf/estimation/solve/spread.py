@@ -21,6 +21,9 @@ ENOUGH = 6
 """Determined coordinates of a kind, two sensors' worth, from which their spread is learnt."""
 DETERMINED = 0.1
 """Variance over the prior's up to which the data determine a coordinate."""
+_WIDER = 3.0
+"""Spreads that are thought of, over what is known before: a sample of nine that is drawn from the
+latter looks three times as wide in none of a thousand."""
 _GAIN = 2.0
 """Logarithm of the likelihood that a spread has to gain; chance exceeds it once in forty times
 (Chernoff 1954: half of a chi-squared variable beyond 4)."""
@@ -92,9 +95,9 @@ def learnt_hidden(priors: Priors, state: State, variance: F64, free: Free) -> fl
     if use.sum() < ENOUGH:
         return priors.hidden_rotation
     data = 1 / (1 - share[use])
-    return expected_spread(
-        state.shape[:, 3:][use] * data, variance[:, columns][use] * data, priors.cross
-    )
+    x, noise = state.shape[:, 3:][use] * data, variance[:, columns][use] * data
+    # What is known before is at most what sensors of a kind have, and no limit to this sample's.
+    return min(priors.cross, expected_spread(x, noise, _WIDER * priors.cross))
 
 
 def expected_spread(x: F64, variance: F64, most: float) -> float:

@@ -34,6 +34,8 @@ from skin2urdf.structure.records import KinematicTree
 _SHOWS = 1e-3
 """Least share of the largest deflection that a direction of the parameters is kept for: of
 milliradians, microradians, less than encoders and sensors tell."""
+_MOST = 100
+"""Loads at most, the largest: time goes with their square, and memory with their number."""
 _NOTHING = 1e-9
 """Share of a load's largest parameter below which others are zero but for rounding."""
 YIELD = 2e-2
@@ -129,8 +131,9 @@ def bending(
     D = tree.n_joints
     turns = [turn(tree, axis) for axis in range(3)]
     parts = np.array([*(range(D) if joints else ()), *(turns if base else ())], dtype=np.int64)
-    unit = np.ones(len(parts))
-    unit[: D * joints] = np.where(tree.prismatic, SPINDLE**2, 1.0)[: D * joints]
+    # What slides is as stiff as what turns, at the lever of a spindle.
+    lever = np.where(np.append(tree.prismatic, np.zeros(N_HINGES, dtype=bool)), SPINDLE, 1.0)[parts]
+    unit = lever**2
     size = inertial_sizes(state)
     square = np.zeros((len(parts), len(size), len(size)))
     count = 0
@@ -139,12 +142,10 @@ def bending(
             deflection = Y[:, parts] * size * unit[:, None]
             square += np.einsum("nri,nrj->rij", deflection, deflection, optimize=True)
             count += len(Y)
-    # What slides moves by a tenth of what turns.
-    weight = np.ones(len(parts))
-    weight[: D * joints] = np.where(tree.prismatic, SPINDLE, 1.0)[: D * joints] ** -2
-    lam, V = np.linalg.eigh(np.einsum("r,rij->ij", weight, square) / count)
-    shows = np.flatnonzero(lam > _SHOWS**2 * max(float(lam[-1]), 1e-300))[::-1]
-    basis = (size[:, None] * V[:, shows] / np.sqrt(max(float(lam[-1]), 1e-300))).T
+    lam, V = np.linalg.eigh(np.einsum("r,rij->ij", lever**-2, square) / count)
+    largest = max(float(lam[-1]), 1e-300)
+    shows = np.flatnonzero(lam > _SHOWS**2 * largest)[::-1][:_MOST]
+    basis = (size[:, None] * V[:, shows] / np.sqrt(largest)).T
     still = Bending(
         np.zeros(0, dtype=np.int64),
         tuple(np.zeros((len(log.q), 0)) for log in logs),

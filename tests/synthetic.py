@@ -7,6 +7,8 @@ features, so that the two can be held against each other.
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 import pinocchio as pin
 from scipy.spatial.transform import Rotation
@@ -232,3 +234,13 @@ def sampled_trajectory(
         rates=None if rates is None else filtered(filtered(rates, taps), taps),
         turning=None if rates is None else whole,
     )
+
+
+def stays(at: F64, stay: int, move: int) -> F64:
+    """(N, D) stays of so many samples in places (P, D), smooth moves of so many in between."""
+    s = np.linspace(0, 1, move)[:, None]
+    s = s**4 * (35 - 84 * s + 70 * s**2 - 20 * s**3)
+    parts = [np.tile(at[0], (stay, 1))]
+    for a, b in pairwise(at):
+        parts += [a + s * (b - a), np.tile(b, (stay, 1))]
+    return np.concatenate(parts)

@@ -7,11 +7,10 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
-from itertools import pairwise
 
 import numpy as np
 import pinocchio as pin
-from synthetic import RATE, random_state, sampled_trajectory, serial_tree
+from synthetic import RATE, random_state, sampled_trajectory, serial_tree, stays
 
 from skin2urdf.arrays import F64
 from skin2urdf.estimation.problem.cost import Priors
@@ -29,17 +28,6 @@ _STAY, _MOVE, _PLACES, _DEPTH = 180, 120, 20, 0.3
 def _truth() -> State:
     state = random_state(np.random.default_rng(3), _TREE, 1, 0.3)
     return replace(state, up=_UP[None])
-
-
-def _steps() -> F64:
-    """(N, 2) stays in places, and smooth moves between them."""
-    at = np.random.default_rng(1).uniform(-1.5, 1.5, (_PLACES, 2))
-    s = np.linspace(0, 1, _MOVE)[:, None]
-    s = s**4 * (35 - 84 * s + 70 * s**2 - 20 * s**3)
-    parts = [np.tile(at[0], (_STAY, 1))]
-    for a, b in pairwise(at):
-        parts += [a + s * (b - a), np.tile(b, (_STAY, 1))]
-    return np.concatenate(parts)
 
 
 @cache
@@ -66,7 +54,8 @@ def _on_a_stand(compliance: float) -> tuple[MotionEstimate, F64]:
         for u, (j, T) in enumerate(zip(_TREE.su_joint, truth.T_joint_su, strict=True))
     ]
     data = model.createData()
-    q = _steps()
+    at = np.random.default_rng(1).uniform(-1.5, 1.5, (_PLACES, 2))
+    q = stays(at, _STAY, _MOVE)
     still = np.zeros((len(q), 2))
     stiff = [
         np.hstack([still, x]) for x in (q, first_derivative(q, RATE), second_derivative(q, RATE))

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
-from itertools import pairwise
 
 import numpy as np
 import pytest
-from synthetic import RATE, random_state, sampled_trajectory, serial_tree
+from synthetic import RATE, random_state, sampled_trajectory, serial_tree, stays
 
 from skin2urdf.arrays import F64
 from skin2urdf.estimation.problem.cost import Priors
@@ -32,25 +31,15 @@ def _truth() -> State:
     return replace(state, up=_UP[None])
 
 
-def _steps(at: F64) -> F64:
-    """(N, 2) stays in places (P, 2), and smooth moves between them."""
-    s = np.linspace(0, 1, _MOVE)[:, None]
-    s = s**4 * (35 - 84 * s + 70 * s**2 - 20 * s**3)
-    parts = [np.tile(at[0], (_STAY, 1))]
-    for a, b in pairwise(at):
-        parts += [a + s * (b - a), np.tile(b, (_STAY, 1))]
-    return np.concatenate(parts)
-
-
 def _moved(unseen: str) -> tuple[F64, F64]:
     """(N, 2) what encoders say, and by how much links are beyond it."""
     rng = np.random.default_rng(1)
-    theta = _steps(rng.uniform(-1.5, 1.5, (_PLACES, 2)))
+    theta = stays(rng.uniform(-1.5, 1.5, (_PLACES, 2)), _STAY, _MOVE)
     beyond = {
         "nothing": 0 * theta,
         "harmonics": 1.5e-3 * np.sin(theta + 0.3) + 8e-4 * np.sin(2 * theta + 2.0),
         "ripples": 2e-4 * np.sin(100 * theta + 0.3),
-        "slack": _steps(3e-4 * rng.standard_normal((_PLACES, 2))),
+        "slack": stays(3e-4 * rng.standard_normal((_PLACES, 2)), _STAY, _MOVE),
     }
     return theta, beyond[unseen]
 

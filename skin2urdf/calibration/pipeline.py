@@ -38,7 +38,7 @@ from skin2urdf.calibration.samples import (
     without_false_hits,
 )
 from skin2urdf.calibration.settings import CalibrationSettings
-from skin2urdf.errors import BadFitError, InsufficientDataError
+from skin2urdf.errors import BadFitError, InsufficientDataError, Skin2UrdfError
 from skin2urdf.estimation.solve.estimate import Estimate
 from skin2urdf.estimation.trajectory.estimate import MotionEstimate
 from skin2urdf.estimation.uncertainty.goodness import Goodness, goodness
@@ -95,12 +95,11 @@ def calibrate(
     in_vain: frozenset[str] = frozenset()
     if settings.method == "paper":
         solution = _estimate_by_the_paper(sampled, features, structure, clock)
-    elif not structure.seen.patterns_felt:
-        solution = estimate_at_rest(sampled, structure, clock)
     else:
-        first = estimate_robot(sampled, features, structure, clock)
-        looked = _look(first, clock)
-        if first is not None and looked is not None and is_explained_by_physics(looked):
+        first, of_patterns = _first_estimate(sampled, features, structure, clock)
+        looked = _look(first, clock) if of_patterns else None
+        explained = looked is not None and is_explained_by_physics(looked)
+        if first is not None and (explained or not of_patterns):
             solution = first
         else:
             solution = clock.run(
@@ -128,6 +127,32 @@ def calibrate(
     information = along.information if along else None
     seen = clock.run("observability", lambda _: observability(solution.found, information))
     return _calibration(recordings, solution, along, fit, seen, clock)
+
+
+def _first_estimate(
+    sampled: Logs, features: Features, structure: Structure, clock: Clock
+) -> tuple[Solution | None, bool]:
+    """What patterns say, or else rests and moves, and whether patterns do.
+
+    Returns:
+        The estimate, None where patterns contradict every tree, and whether it is of patterns.
+
+    Raises:
+        InsufficientDataError: neither say enough.
+        StructureError: no SU feels any joint move.
+    """
+    if not structure.seen.patterns_felt:
+        return estimate_at_rest(sampled, structure, clock), False
+    try:
+        return estimate_robot(sampled, features, structure, clock), True
+    except InsufficientDataError as lack:
+        # What looks like patterns may be too little of them, beside moves that say more.
+        if sampled.settings.motion != "all":
+            raise
+        try:
+            return estimate_at_rest(sampled, structure, clock), False
+        except Skin2UrdfError:
+            raise lack from None
 
 
 def _look(first: Solution | None, clock: Clock) -> MotionEstimate | None:

@@ -35,7 +35,6 @@ from skin2urdf.hypotheses.search import Search, excess, explains, imitations
 from skin2urdf.hypotheses.sense import TURNED, felt_at_rest, felt_in_patterns
 from skin2urdf.signals.encoders import reversal
 from skin2urdf.signals.mending import computed
-from skin2urdf.signals.poses import Neighbourhood
 from skin2urdf.signals.records import EncoderError, Features
 from skin2urdf.signals.sampling import Sampled
 from skin2urdf.structure.activity import Activity
@@ -316,7 +315,7 @@ def _leads_nowhere(found: Estimate) -> bool:
 
 def _visited(s: Sampled) -> Sampled:
     """A log with each visit to a pose as a pose of its own, in the order of time."""
-    visits = [Neighbourhood(pose.q, (w,)) for pose in s.neighbourhoods for w in pose.windows]
+    visits = [replace(pose, windows=(w,)) for pose in s.neighbourhoods for w in pose.windows]
     return replace(s, neighbourhoods=tuple(sorted(visits, key=lambda visit: visit.windows[0])))
 
 

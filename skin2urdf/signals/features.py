@@ -97,6 +97,7 @@ def extract_features(
         noise=np.array([p.fit.noise for p in poses]),
         encoders=EncoderNoise.joined([p.encoders for p in poses]),
         span=np.array([p.span for p in poses]),
+        left=np.array([p.left for p in poses]),
         latency=lag,
         latency_sd=np.hypot(lag_sd, _clock_error(sampled)),
         moves=static_moves(sampled),
@@ -113,6 +114,7 @@ class _Pose:
     fit: PoseFit
     encoders: EncoderNoise
     span: tuple[float, float]
+    left: bool
 
 
 def _poses(
@@ -189,6 +191,7 @@ def _poses(
                 fit=replace(found, noise=found.noise / measured),
                 encoders=encoders,
                 span=pose.span(motion.grid),
+                left=pose.left,
             )
         )
     return [p for p in out if np.isfinite(p.fit.noise).any()]

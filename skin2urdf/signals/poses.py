@@ -44,10 +44,13 @@ class Neighbourhood:
     Attributes:
         q: (D,) the pose: mean positions of its rests [rad or m].
         windows: grid intervals (begin, end), each starting and ending at rest.
+        left: whether the robot leaves it in some window and comes back, as with a pattern; what
+            moves while it stays is the servo's work.
     """
 
     q: F64
     windows: tuple[tuple[int, int], ...]
+    left: bool = True
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "q", frozen(self.q))
@@ -102,6 +105,7 @@ def find_neighbourhoods(motion: Motion, rests: tuple[Rest, ...]) -> tuple[Neighb
     same = np.minimum(_SAME_POSE, np.maximum(_SAME_POSE * span, 1e-3))
     largest = np.minimum(_LARGEST_EXCURSION, np.maximum(0.6 * span, _SMALL_EXCURSION))
     groups: list[tuple[list[Rest], list[list[int]]]] = []
+    left = set[int]()
     previous: Rest | None = None
     current: int | None = None
     for rest in rests:
@@ -113,6 +117,8 @@ def find_neighbourhoods(motion: Motion, rests: tuple[Rest, ...]) -> tuple[Neighb
             if near and whole and bool((np.abs(rest.q - previous.q) <= same).all()):
                 groups[current][0].append(rest)
                 groups[current][1][-1][1] = rest.end
+                if (np.ptp(between, axis=0) > same).any():
+                    left.add(current)
                 joined = True
         if not joined:
             match = [
@@ -128,8 +134,8 @@ def find_neighbourhoods(motion: Motion, rests: tuple[Rest, ...]) -> tuple[Neighb
                 current = len(groups) - 1
         previous = rest
     out = []
-    for members, windows in groups:
+    for g, (members, windows) in enumerate(groups):
         length = np.array([r.end - r.begin for r in members], dtype=np.float64)
         q = np.average([r.q for r in members], axis=0, weights=length)
-        out.append(Neighbourhood(q, tuple((a, b) for a, b in windows)))
+        out.append(Neighbourhood(q, tuple((a, b) for a, b in windows), g in left))
     return tuple(out)

@@ -86,6 +86,8 @@ class Features:
         encoders: what the encoders get wrong around each pose; nothing where not given.
         span: (P, 2) begin of the first and end of the last interval around each pose, on the clock
             of its log [s].
+        left: (P,) True for poses that the robot leaves and comes back to, as with a pattern; True
+            for all where not given.
         latency: (U,) time by which each SU's stamps lag the joints' [s].
         latency_sd: (U,) its standard deviation [s]; infinite where nothing moved the SU.
         moves: static evidence from larger single-DoF moves.
@@ -106,6 +108,7 @@ class Features:
     moves: StaticMoves
     encoders: EncoderNoise = field(default_factory=EncoderNoise)
     span: F64 = field(default_factory=lambda: np.zeros(()))
+    left: Bool = field(default_factory=lambda: np.ones((), dtype=bool))
     notes: tuple[Note | str, ...] = field(default=())
     faults: tuple[Fault, ...] = field(default=())
     turns: Turns | None = None
@@ -117,6 +120,7 @@ class Features:
         P, D = self.q.shape
         object.__setattr__(self, "encoders", self.encoders.of_size(P, D))
         object.__setattr__(self, "span", frozen(np.broadcast_to(self.span, (P, 2))))
+        object.__setattr__(self, "left", frozen(np.broadcast_to(self.left, (P,)), np.bool_))
 
     def of_poses(self, chosen: Int) -> Features:
         """The features of some poses of one log, as of a first one."""
@@ -129,6 +133,7 @@ class Features:
             noise=self.noise[chosen],
             encoders=self.encoders.of_poses(chosen),
             span=self.span[chosen],
+            left=self.left[chosen],
         )
 
     @property

@@ -185,7 +185,7 @@ def activity(features: Features, threshold: float = STATIC_THRESHOLD) -> Activit
     for d in range(D):
         c = features.coefficients[:, :, [1 + d, 1 + D + d]]
         info = own[:, :, d]
-        seen = (np.einsum("puii->pu", info) > 0) & finite
+        seen = (np.einsum("puii->pu", info) > 0) & finite & features.left[:, None]
         excited[d] = bool(seen.any()) or bool((moves.dof == d).any())
         if len(moves.moved):
             excited[d] = moves.moved[d]

@@ -85,6 +85,15 @@ def test_coming_back_to_a_pose_joins_what_was_there() -> None:
     assert all(16.0 < seconds(p) < 19.0 for p in poses[1:])
 
 
+def test_only_what_leaves_a_pose_is_a_pattern() -> None:
+    """A servo that rings after a move, however clean the encoder, is at rest."""
+    assert [pose.left for pose in found(visit().motion())] == [False, True, True, True]
+    ringing = JointPath([0.0] * 3).rest(1.0)
+    for pose in POSES:
+        ringing.move(pose).swing({0: 1e-3}).rest(1.0)
+    assert not any(pose.left for pose in found(ringing.motion()))
+
+
 def test_a_wide_trip_without_a_stop_is_not_taken_for_a_pattern() -> None:
     """Out and back by more than a pattern does: the small-motion model would not hold there."""
     path = JointPath([-1.5, 0.0]).rest(1.0).move([0.5, 0.5]).rest(1.0)

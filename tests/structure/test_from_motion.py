@@ -13,9 +13,11 @@ from skin2urdf.errors import StructureError
 from skin2urdf.notes import of_kind
 from skin2urdf.recording.records import Recording
 from skin2urdf.recording.retiming import retimed
+from skin2urdf.signals.features import extract_features
 from skin2urdf.signals.sampling import Sampled, sample_recording
-from skin2urdf.simulation import SimulationSettings, simulate
+from skin2urdf.simulation import SimulationSettings, load_robot, simulate
 from skin2urdf.simulation.robots import GivenSu, SkinLayout
+from skin2urdf.structure.activity import activity
 from skin2urdf.structure.from_motion import MotionTree, trees_from_motion
 
 SQUARE = (np.pi / 2, 0.0, 0.0)
@@ -149,3 +151,14 @@ def test_gyroscopes_tell_an_su_on_a_vertical_axis_from_one_on_the_base(tmp_path:
     assert sorted(seen.values(), key=len) == [[], ["vertical"], ["vertical", "swings"]]
     deaf = chains(replace(log, turning=None))
     assert sorted(deaf.values(), key=len) == [[], [], ["vertical", "swings"]]
+
+
+@pytest.mark.parametrize("seed", [7405, 7407])
+def test_moves_that_a_servo_rings_after_are_no_patterns(seed: int) -> None:
+    """However exact the encoders are: what they show at rest is not what a pattern is."""
+    settings = SimulationSettings(
+        seed=seed, excite="none", minutes=1.0, encoder_bits=None, jitter=0.0, imu_rate=250.0
+    )
+    recording = retimed(simulate(load_robot("panda"), settings).recording)
+    features = extract_features([sampled(recording)], [su.name for su in recording.sus])
+    assert not activity(features).patterns_felt

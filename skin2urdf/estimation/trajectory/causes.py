@@ -41,8 +41,11 @@ causes that are none take 100 s to try."""
 _MOST_OF_IT = 0.2
 """Part of a misfit, above the 1 of noise, that may stay where a drift of biases or elastic joints
 are its cause: what bends otherwise looks like one only in part."""
-_TURNS = 6
-"""Turns of deflections and motion, at most; each leaves a fifth to a tenth of the error."""
+_TURNS = 15
+"""Turns of deflections and motion, at most; each leaves a third to a tenth of the error."""
+_FIRST_STEPS, _STEPS = 10, 2
+"""Steps of a first turn and of every other, at most. Deflections are products of loads and of what
+yields, linear in each: fits that go on where they are, with what no longer holds, lead astray."""
 _SETTLED = 1e-2
 """Change of deflections in a turn, over the largest, at which the next one is the last: that one
 leaves some 0.001 of deflections, which is micrometres."""
@@ -344,10 +347,14 @@ def _yielding(
     state = replace(state, unseen=np.zeros(bends.n_numbers))
     n_knots = problem.layout.n_knots
     rigid = misfit_of(problem, fitted, SPAN)
+    # How SUs on the base are turned is known when its motion is.
+    moved = [replace(log, valid=log.valid & ((tree.su_joint >= 0) | (not base))) for log in logs]
     for turn in range(_TURNS):
-        yielding = MotionProblem(tree, logs, priors, n_knots, bends)
+        yielding = MotionProblem(tree, logs if turn > 0 else moved, priors, n_knots, bends)
         before = yielding.bent(state)
-        fitted = fit(yielding, state, tolerance=_NEARLY, near=turn > 0)
+        state = yielding.turned_as_the_base(state, SPAN) if turn > 0 else state
+        iterations = _STEPS if turn > 0 else _FIRST_STEPS
+        fitted = fit(yielding, state, tolerance=_NEARLY, near=turn > 0, iterations=iterations)
         change = _change(before, yielding.bent(fitted.state))
         # A first turn does not know which parts are softer, a second one about which point a base
         # turns.

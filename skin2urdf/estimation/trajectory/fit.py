@@ -21,6 +21,9 @@ _DAMPING = 1e-4
 every step that succeeds."""
 _ROUGHLY = 30.0
 """Length of a step, in standard deviations, from which all coordinates may move."""
+_QUIET = 1e-5
+"""Noise of a sample at least [m/s^2], 1 ug: no accelerometer has less, and simulated ones without
+noise are fitted no worse for it."""
 _NO_GAIN = 1e-7
 """Part of chi-squared below which an iteration gains nothing: a hundredth of its scatter with a
 hundred thousand measurements."""
@@ -190,4 +193,5 @@ def _spread(residual: F64, which: Bool) -> float:
     if which.sum() < 8:
         return np.inf
     # The median of chi-squared with three degrees of freedom is 2.366.
-    return float(np.sqrt(np.median((residual[which] ** 2).sum(axis=1)) / 2.366))
+    spread = float(np.sqrt(np.median((residual[which] ** 2).sum(axis=1)) / 2.366))
+    return max(spread, _QUIET)

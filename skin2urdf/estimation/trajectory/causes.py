@@ -16,16 +16,17 @@ import numpy as np
 
 from skin2urdf.arrays import F64
 from skin2urdf.estimation.trajectory.arrow import eliminated, joint_inverse
-from skin2urdf.estimation.trajectory.bending import LATE, SPINDLE, YIELD, bending, followed
+from skin2urdf.estimation.trajectory.bending import LATE, SPINDLE, YIELD, Bending, bending, followed
 from skin2urdf.estimation.trajectory.elastic import Elasticity
 from skin2urdf.estimation.trajectory.elastic import followed as followed_by_known
-from skin2urdf.estimation.trajectory.fit import Fitted, fit
+from skin2urdf.estimation.trajectory.fit import Fitted, fit, fit_following, held
 from skin2urdf.estimation.trajectory.front_end import begin_front
 from skin2urdf.estimation.trajectory.gears import find_ripples, harmonics, ripples
 from skin2urdf.estimation.trajectory.known_torque import known_elasticity
 from skin2urdf.estimation.trajectory.misfit import misfit, span_means
 from skin2urdf.estimation.trajectory.problem import MotionProblem
 from skin2urdf.estimation.trajectory.slack import Size, learnt_size, size_of, slack, with_unseen
+from skin2urdf.estimation.trajectory.state import MotionState
 from skin2urdf.estimation.trajectory.unseen import Unseen
 
 SPAN = 2.0
@@ -38,24 +39,23 @@ _BEYOND = 200.0
 """Misfit beyond which no cause is looked for: gears that yield by 3 mrad leave 11, a joint whose
 encoder is bent by 0.2 rad 62, and one that counts the other way from some time on 280, of which
 causes that are none take 100 s to try."""
-_MOST_OF_IT = 0.2
-"""Part of a misfit, above the 1 of noise, that may stay where a drift of biases or elastic joints
-are its cause: what bends otherwise looks like one only in part."""
-_TURNS = 15
-"""Turns of deflections and motion, at most; each leaves a third to a tenth of the error."""
-_FIRST_STEPS, _STEPS = 10, 2
-"""Steps of a first turn and of every other, at most. Deflections are products of loads and of what
-yields, linear in each: fits that go on where they are, with what no longer holds, lead astray."""
+_MOST_OF_IT = 0.5
+"""Part of a misfit, above the 1 of noise, or of slack's gain, that may stay where a cause is added,
+and after a first look at one that is to be followed further. Links that bend leave 0.24 as elastic
+joints, with which positions are four times better; a base that gives way 0.37 as a drift of biases,
+so that causes are held against each other before one is taken."""
+_TURNS = 6
+"""Turns of deflections by known torques and of motion, at most; each leaves a fifth to a tenth of
+the error."""
+_PROMISING_STEPS, _STEPS, _LAST_STEPS = 12, 24, 4
+"""Steps at most until it shows whether there is anything to a cause, until it is fitted, and once
+the size of loads is learnt."""
 _SETTLED = 1e-2
 """Change of deflections in a turn, over the largest, at which the next one is the last: that one
 leaves some 0.001 of deflections, which is micrometres."""
-_PROMISING = 0.5
-"""Part of a misfit that remains at most, once a turn has followed what the turn before it found,
-where yielding is the cause: joints of 14,000 and 7,000 Nm/rad leave 0.1 after the second turn, a
-base of 50,000 Nm/rad 0.23 after the third; where biases drift it is 0.9."""
-_NEARLY = 30.0
-"""Length of the last step of a turn in standard deviations, of which only the last turn asks
-more."""
+_NEARLY = 0.3
+"""Length of the last step of a turn in standard deviations: what is followed from where a fit has
+not arrived leads to another place."""
 _CERTAIN = 10.0
 """Logarithm of the likelihood that unseen motion has to gain, which chance does once in 100,000;
 sound recordings gain nothing (panda and five of ur5), a strain wave of 0.1 mrad 121."""
@@ -339,40 +339,44 @@ def _yielding(
     """The fit with joints, a base or both that yield under loads that nobody knows.
 
     Torques go with the motion of the links, which is known once the deflections are, and with the
-    masses, which are known once the stiffness is: all are found in turns.
+    masses, which are known once the stiffness is: every step follows what it has found.
     """
     tree, logs, state = problem.tree, problem.logs, fitted.state
     bends = bending(tree, logs, state.placements, state.gravity, joints=elastic, base=base)
-    priors = replace(problem.priors, unseen=bends.spread)
     state = replace(state, unseen=np.zeros(bends.n_numbers))
+    priors = replace(problem.priors, unseen=bends.spread)
     n_knots = problem.layout.n_knots
-    rigid = misfit_of(problem, fitted, SPAN)
+    promised = 1 + _MOST_OF_IT * (misfit_of(problem, fitted, SPAN) - 1)
+
+    def follow(before: MotionProblem, at: MotionState) -> tuple[MotionProblem, MotionState]:
+        about, x = before.unseen, at.unseen
+        if not isinstance(about, Bending):
+            return before, at
+        about, x = followed(about, tree, logs, at.placements, at.gravity, x)
+        after = MotionProblem(tree, before.logs, before.priors, n_knots, about)
+        return after, replace(at, unseen=x)
+
     # How SUs on the base are turned is known when its motion is.
     moved = [replace(log, valid=log.valid & ((tree.su_joint >= 0) | (not base))) for log in logs]
-    for turn in range(_TURNS):
-        yielding = MotionProblem(tree, logs if turn > 0 else moved, priors, n_knots, bends)
-        before = yielding.bent(state)
-        state = yielding.turned_as_the_base(state, SPAN) if turn > 0 else state
-        iterations = _STEPS if turn > 0 else _FIRST_STEPS
-        fitted = fit(yielding, state, tolerance=_NEARLY, near=turn > 0, iterations=iterations)
-        change = _change(before, yielding.bent(fitted.state))
-        # A first turn does not know which parts are softer, a second one about which point a base
-        # turns.
-        if turn == 1 + base and misfit_of(yielding, fitted, SPAN) > _PROMISING * rigid:
-            return yielding, fitted
-        x, places, gravity = fitted.state.unseen, fitted.state.placements, fitted.state.gravity
-        for _ in range(2):
-            bends, x = followed(bends, tree, logs, places, gravity, x)
-        state = replace(fitted.state, unseen=x)
-        if change < _SETTLED:
-            break
-    yielding = MotionProblem(tree, logs, priors, n_knots, bends)
-    fitted = fit(yielding, state, near=True)
+    yielding = MotionProblem(tree, moved, priors, n_knots, bends)
+    if not base:
+        # Deflections by the motion that encoders have are close, and cost no following.
+        state = fit(yielding, state, tolerance=_NEARLY, iterations=_PROMISING_STEPS).state
+        yielding, state = follow(yielding, state)
+    for steps in (_PROMISING_STEPS, _STEPS):
+        yielding, fitted = fit_following(
+            yielding, state, follow, iterations=steps, tolerance=_NEARLY
+        )
+        keeps = misfit_of(yielding, fitted, SPAN) <= promised
+        yielding = yielding.again(logs=logs)
+        state = yielding.turned_as_the_base(fitted.state, SPAN)
+        if not keeps:
+            return yielding, held(yielding, state)
     loads = slice(0, len(bends.basis))
     spread = np.array(bends.spread)
     spread[loads] = learnt_size(yielding, fitted, loads).size
     yielding = yielding.again(priors=replace(priors, unseen=spread))
-    return yielding, fit(yielding, fitted.state, near=True)
+    return fit_following(yielding, state, follow, iterations=_LAST_STEPS, tolerance=_NEARLY)
 
 
 def _with_elastic_joints(
@@ -395,7 +399,7 @@ def _with_elastic_joints(
         before = yielding.deflections(state)
         fitted = fit(yielding, state, tolerance=_NEARLY, far=turn == 0)
         state = fitted.state
-        if turn == 0 and misfit_of(yielding, fitted, SPAN) > _PROMISING * rigid:
+        if turn == 0 and misfit_of(yielding, fitted, SPAN) > _MOST_OF_IT * rigid:
             return yielding, fitted
         change = _change(before, yielding.deflections(state))
         for _ in range(2):

@@ -76,9 +76,41 @@ def fit(
     """
     if not near:
         first = problem.coarse(unseen=far)
-        start = _descend(problem, start, first, _ROUGHLY, iterations, tell, far).state
+        start = _descend(problem, start, first, _ROUGHLY, iterations, tell, far)[1].state
     free = problem.free_joint, problem.free_su
-    return _descend(problem, start, free, tolerance, iterations, tell, far)
+    return _descend(problem, start, free, tolerance, iterations, tell, far)[1]
+
+
+Follow = Callable[[MotionProblem, MotionState], tuple[MotionProblem, MotionState]]
+"""What makes a problem that is linear about a state from one that is so about another: the problem,
+and the state in its numbers."""
+
+
+def fit_following(
+    problem: MotionProblem,
+    start: MotionState,
+    follow: Follow,
+    *,
+    iterations: int,
+    tolerance: float = 0.1,
+) -> tuple[MotionProblem, Fitted]:
+    """Minimise chi-squared of a problem that is known about each state only.
+
+    Every step is judged by the problem about where it leads, so that chi-squared falls.
+
+    Args:
+        problem: about where it begins.
+        start: where to begin.
+        follow: makes the problem about another state.
+        iterations: at most that many steps.
+        tolerance: length of the last step in standard deviations, all coordinates together.
+
+    Returns:
+        The problem about where it ends, and the fit.
+    """
+    free = problem.free_joint, problem.free_su
+    # A step that was held back says nothing of how far it still is.
+    return _descend(problem, start, free, tolerance, iterations, lambda _: None, True, follow)
 
 
 def _descend(
@@ -89,7 +121,8 @@ def _descend(
     iterations: int,
     tell: Callable[[float], None],
     far: bool = False,
-) -> Fitted:
+    follow: Follow = lambda problem, state: (problem, state),
+) -> tuple[MotionProblem, Fitted]:
     """Minimise chi-squared over some coordinates; from far away steps may have to be held back."""
     free_joint, free_su = free
     state = start
@@ -102,20 +135,20 @@ def _descend(
         while True:
             system = eliminated(equations, free_joint, free_su, damping)
             joint, sus = newton_step(system, free_joint)
-            trial = problem.layout.moved(state, joint, sus)
-            ahead = tuple(problem.predict(trial, g) for g in range(len(problem.logs)))
-            trial, ahead = problem.refit_sensors(trial, ahead, weights, free_su)
-            there = _cost(problem, trial, ahead, weights)
+            about, trial = follow(problem, problem.layout.moved(state, joint, sus))
+            ahead = tuple(about.predict(trial, g) for g in range(len(problem.logs)))
+            trial, ahead = about.refit_sensors(trial, ahead, weights, free_su)
+            there = _cost(about, trial, ahead, weights)
             if there <= cost:
                 break
             damping *= 10
             if damping > 1e6:
-                return Fitted(state, noise, weights, predicted, equations, cost)
+                return problem, Fitted(state, noise, weights, predicted, equations, cost)
         length = _length(equations, joint, sus)
         if far and damping > _DAMPING:
             length = np.inf  # a step that was held back says nothing of how far it still is
         gain = (cost - there) / max(cost, 1e-12)
-        state, predicted = trial, ahead
+        problem, state, predicted = about, trial, ahead
         damping = max(damping / 10, 1e-12)
         noise, weights = _noise(problem, predicted)
         cost = _cost(problem, state, predicted, weights)
@@ -124,7 +157,7 @@ def _descend(
             break
     equations = problem.equations(state, predicted, weights)
     tell(1.0)
-    return Fitted(state, noise, weights, predicted, equations, cost)
+    return problem, Fitted(state, noise, weights, predicted, equations, cost)
 
 
 def held(problem: MotionProblem, state: MotionState) -> Fitted:

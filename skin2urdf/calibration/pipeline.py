@@ -91,7 +91,7 @@ def calibrate(
     sampled = sample_logs(corrected(recordings, [leap.error for leap in leaps]), settings, clock)
     features = take_features(sampled, clock)
     structure = find_structure(sampled, features, clock)
-    along = looked = None
+    along = looked = first = None
     in_vain: frozenset[str] = frozenset()
     if settings.method == "paper":
         solution = _estimate_by_the_paper(sampled, features, structure, clock)
@@ -119,7 +119,8 @@ def calibrate(
         if along is not None:
             fitted = along
             solution, along = clock.run(
-                "all samples", lambda tell: without_false_hits(solution, fitted, sampled, tell)
+                "all samples",
+                lambda tell: without_false_hits(solution, fitted, sampled, first, tell),
             )
             solution = replace(solution, found=with_samples(solution.found, along))
     if settings.method != "paper":

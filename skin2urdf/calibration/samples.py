@@ -160,6 +160,12 @@ def is_explained_by_physics(along: MotionEstimate) -> bool:
     return along.misfit <= GOOD_FIT and not _anything_stands_out(along)
 
 
+def leaves_only_noise(along: MotionEstimate) -> bool:
+    """Whether no SU shows more than noise, over spans of time or at any moment."""
+    quiet = np.nan_to_num(along.misfit_of_sus) <= 1 + along.scatter
+    return bool(quiet.all()) and not _anything_stands_out(along)
+
+
 def _anything_stands_out(along: MotionEstimate) -> bool:
     """Whether any half second of an SU is far from what noise and all that was found leave.
 
@@ -192,20 +198,28 @@ def _mean_squares(x: F64, measured: Bool, first: Int, count: Int) -> F64:
 
 
 def without_false_hits(
-    solution: Solution, along: MotionEstimate, whole: Logs, tell: Tell
+    solution: Solution, along: MotionEstimate, whole: Logs, first: Solution | None, tell: Tell
 ) -> tuple[Solution, MotionEstimate]:
     """Hits that all samples explain, those that were left out included, are none.
 
-    What a slow sensor or an elastic gear does to a pattern looks like a hit as long as the model
-    lacks it, and is explained once the fit has it.
+    What a slow sensor or an elastic gear does to a pattern looks like a hit, or like an SU that
+    came loose, as long as the model lacks it, and is explained once the fit has it.
 
     Args:
         solution: the estimate, with hits among its faults.
         along: the fit of its logs, without the moments of the hits.
         whole: the logs with them.
+        first: the estimate before anything was taken to be wrong; None where there is none.
         tell: told the share of the work that is done.
     """
-    if not solution.faults or any(fault.kind != "contact" for fault in solution.faults):
+    kinds = {fault.kind for fault in solution.faults}
+    if not kinds or not kinds <= {"contact", "loose"}:
+        return solution, along
+    # What needs a cause beyond noise to be explained is judged below.
+    untouched = None if first is None else fit_samples(first, tell, most=0.0)
+    if first is not None and untouched is not None and leaves_only_noise(untouched):
+        return first, untouched
+    if "loose" in kinds:
         return solution, along
     everything = replace(solution, logs=whole)
     again = fit_samples(everything, tell, without=rejected(along))

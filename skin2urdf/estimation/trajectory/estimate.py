@@ -19,6 +19,7 @@ from skin2urdf.estimation.trajectory.fit import Fitted, fit
 from skin2urdf.estimation.trajectory.front_end import begin_front, droop, droop_variance
 from skin2urdf.estimation.trajectory.gyro import gyro_deviations
 from skin2urdf.estimation.trajectory.listening import found_gyros, listened
+from skin2urdf.estimation.trajectory.misfit import misfit_of_sus, span_means
 from skin2urdf.estimation.trajectory.priors import MotionPriors
 from skin2urdf.estimation.trajectory.problem import MotionProblem
 from skin2urdf.estimation.trajectory.records import Gyros
@@ -65,6 +66,20 @@ class MotionEstimate:
     def state(self) -> State:
         """Placements, gravity's directions, bias and shape."""
         return self.fitted.state.placements
+
+    @property
+    def misfit_of_sus(self) -> F64:
+        """(U,) the misfit of each SU alone; NaN for one without samples."""
+        return misfit_of_sus(*self._span_means)
+
+    @property
+    def scatter(self) -> float:
+        """By how much the misfit of one SU exceeds 1 by chance, five standard deviations."""
+        return 5.0 * float(np.sqrt(2 / (3 * max(1, len(self._span_means[0])))))
+
+    @cached_property
+    def _span_means(self) -> tuple[F64, F64]:
+        return span_means(self.problem, self.fitted.predicted, self.fitted.weights, SPAN)
 
     @property
     def droops(self) -> F64:

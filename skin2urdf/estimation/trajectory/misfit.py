@@ -42,6 +42,14 @@ def span_means(
     return np.concatenate(means), np.concatenate(variances)
 
 
+def misfit_of_sus(means: F64, variances: F64) -> F64:
+    """(U,) the same of each SU; NaN for one without samples."""
+    known = np.isfinite(variances)
+    square = np.where(known, means**2 / np.where(known, variances, 1.0), 0.0)
+    count = known.sum(axis=(0, 2))
+    return np.where(count > 0, square.sum(axis=(0, 2)) / np.maximum(count, 1), np.nan)
+
+
 def misfit(means: F64, variances: F64) -> float:
     """Mean squares of span means over their variances.
 

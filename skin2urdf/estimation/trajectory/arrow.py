@@ -50,7 +50,7 @@ def eliminated(
     unit = su / size[:, :, None] / size[:, None, :]
     index = np.arange(su.shape[1])
     unit[:, index, index] = np.where(free_su, 1 + damping + _NOTHING, 1.0)
-    inverse = np.linalg.inv(unit) / size[:, :, None] / size[:, None, :]
+    inverse = _inverse(unit) / size[:, :, None] / size[:, None, :]
     inverse = np.where(both, 0.5 * (inverse + np.swapaxes(inverse, 1, 2)), 0.0)
     mixed = np.where(free_su[:, :, None] & free_joint, equations.mixed, 0.0)
     lean = -inverse @ mixed
@@ -64,6 +64,16 @@ def eliminated(
     return Eliminated(inverse, lean, schur, gradient, own)
 
 
+def _inverse(unit: F64) -> F64:
+    """(..., n, n) inverses of information matrices whose diagonals are 1."""
+    try:
+        return np.asarray(np.linalg.inv(unit))
+    except np.linalg.LinAlgError:
+        # Rounding has taken more from what hardly shows than what holds it.
+        lam, V = np.linalg.eigh(unit)
+        return np.asarray((V / np.maximum(lam, _NOTHING)[..., None, :]) @ np.swapaxes(V, -1, -2))
+
+
 def joint_inverse(schur: F64, free: Bool) -> F64:
     """(J, J) inverse of a Schur complement over its free coordinates."""
     diagonal = np.diag(schur)
@@ -71,7 +81,7 @@ def joint_inverse(schur: F64, free: Bool) -> F64:
     unit = schur / size[:, None] / size
     index = np.arange(len(unit))
     unit[index, index] = np.where(free, np.maximum(np.diag(unit), 0.0) + _NOTHING, 1.0)
-    inverse = np.linalg.inv(unit) / size[:, None] / size
+    inverse = _inverse(unit) / size[:, None] / size
     return np.asarray(np.where(free[:, None] & free, 0.5 * (inverse + inverse.T), 0.0))
 
 

@@ -24,6 +24,7 @@ from skin2urdf.estimation.trajectory.front_end import begin_front
 from skin2urdf.estimation.trajectory.gears import find_ripples, harmonics, ripples
 from skin2urdf.estimation.trajectory.known_torque import known_elasticity
 from skin2urdf.estimation.trajectory.misfit import misfit, span_means
+from skin2urdf.estimation.trajectory.on_the_base import turned_as_the_base
 from skin2urdf.estimation.trajectory.problem import MotionProblem
 from skin2urdf.estimation.trajectory.slack import Size, learnt_size, size_of, slack, with_unseen
 from skin2urdf.estimation.trajectory.state import MotionState
@@ -369,7 +370,7 @@ def _yielding(
         )
         keeps = misfit_of(yielding, fitted, SPAN) <= promised
         yielding = yielding.again(logs=logs)
-        state = yielding.turned_as_the_base(fitted.state, SPAN)
+        state = turned_as_the_base(yielding, fitted.state, SPAN)
         if not keeps:
             return yielding, held(yielding, state)
     loads = slice(0, len(bends.basis))

@@ -40,7 +40,6 @@ from skin2urdf.estimation.trajectory.records import Equations, Predicted, Spans,
 from skin2urdf.estimation.trajectory.skeleton import N_HINGES, Skeleton
 from skin2urdf.estimation.trajectory.state import N_GYRO, Layout, MotionState
 from skin2urdf.estimation.trajectory.unseen import Unseen
-from skin2urdf.geometry.so3 import rotation_exp
 from skin2urdf.model.specific_force import specific_forces
 from skin2urdf.signals.filters import filtered, first_derivative, taken_at
 from skin2urdf.signals.trajectory import Trajectory
@@ -200,42 +199,6 @@ class MotionProblem:
             np.zeros((len(log.kept), N_HINGES)) if still else self.moved(state, g).q[log.kept, n:]
             for g, log in enumerate(self.logs)
         )
-
-    def turned_as_the_base(self, state: MotionState, seconds: float) -> MotionState:
-        """SUs on a base that gives way, turned about gravity as their readings say.
-
-        As long as it stood still nothing said how they are turned: they may be so by any angle.
-        The slow changes of what they read and of what they should, square to gravity, differ by it.
-
-        Args:
-            state: with a base that moves.
-            seconds: length of spans over which changes are slow: accelerations, which depend on
-                where the SUs are, average out.
-        """
-        resting = np.flatnonzero(self.tree.su_joint < 0)
-        if self.skeleton.tree is self.tree or not len(resting):
-            return state
-        cos, sin, up = np.zeros(len(resting)), np.zeros(len(resting)), np.zeros((len(resting), 3))
-        matrix = state.placements.sensor_matrix()[resting]
-        for g, log in enumerate(self.logs):
-            seen = self.predict(state, g)
-            there = seen.measured[:, resting, None]
-            ideal = np.where(there, seen.ideal[:, resting], 0.0)
-            off = np.where(there, seen.residual[:, resting], 0.0)
-            n = max(1, int((log.time[-1] - log.time[0]) / seconds))
-            first = np.linspace(0, len(ideal), n + 1).astype(int)[:-1]
-            count = np.maximum(np.add.reduceat(there * 1.0, first, axis=0), 1.0)
-            p, off = (np.add.reduceat(x, first, axis=0) / count for x in (ideal, off))
-            y = off + (p.swapaxes(0, 1) @ matrix).swapaxes(0, 1)
-            up = p.mean(axis=0)
-            up /= np.linalg.norm(up, axis=1, keepdims=True)
-            p, y = (x - x.mean(axis=0) for x in (p, y))
-            p, y = (x - (x * up).sum(axis=2, keepdims=True) * up for x in (p, y))
-            cos += (p * y).sum(axis=(0, 2))
-            sin += (np.cross(p, y).sum(axis=0) * up).sum(axis=1)
-        T = np.array(state.placements.T_joint_su)
-        T[resting, :3, :3] @= rotation_exp(-np.arctan2(sin, cos)[:, None] * up)
-        return replace(state, placements=replace(state.placements, T_joint_su=T))
 
     def refit_sensors(
         self,

@@ -218,7 +218,9 @@ def without_false_hits(
     # What needs a cause beyond noise to be explained is judged below.
     untouched = None if first is None else fit_samples(first, tell, most=0.0)
     if first is not None and untouched is not None and leaves_only_noise(untouched):
-        return first, untouched
+        hits = [fault for fault in solution.faults if fault.kind == "contact"]
+        if not any(_stands_out(hit, untouched, whole.sampled) for hit in hits):
+            return first, untouched
     if "loose" in kinds:
         return solution, along
     everything = replace(solution, logs=whole)

@@ -168,10 +168,11 @@ class Calibration:
         """How far the result can be trusted: whether the model explains the readings, and more.
 
         It is good only if poses are predicted as well as stated, nothing is wrong with an SU, a
-        pose or an encoder, no joint is weak, and half of the joints are determined; it is bad where
-        the readings are not explained, or only in part while all SUs beyond the first joint are
-        weak. What no recording can tell must not spoil it, such as where branches that meet in one
-        joint sit along its axis.
+        pose or an encoder, no joint is weak, half of the joints are determined, and the base stands
+        still, since lengths along the first axis may else be off by more than is stated. It is bad
+        where the readings are not explained, or only in part while all SUs beyond the first joint
+        are weak. What no recording can tell must not spoil it, such as where branches that meet in
+        one joint sit along its axis.
         """
         if not self.misfit <= self.largest_misfit:
             return "bad"
@@ -182,7 +183,13 @@ class Calibration:
         verdicts = self.observability.joint_verdict
         known = "weak" not in verdicts and 2 * verdicts.count("determined") >= len(verdicts)
         known &= not self.mostly_open
-        return "good" if explained and alike and known and not self.faults else "fair"
+        sound = not self.faults and not self.base_gives_way
+        return "good" if explained and alike and known and sound else "fair"
+
+    @property
+    def base_gives_way(self) -> bool:
+        """Whether the base was found to move under the robot's load."""
+        return self.along is not None and "base" in self.along.causes
 
     @property
     def mostly_open(self) -> bool:

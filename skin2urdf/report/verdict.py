@@ -72,6 +72,10 @@ def _doubts(calibration: Calibration) -> list[str]:
     if calibration.faults:
         kinds = dict.fromkeys(f"{fault.subject} {fault.kind}" for fault in calibration.faults)
         doubts.append(f"{_count(len(kinds), 'fault')}: {shortened(list(kinds), _NAMED)}")
+    if calibration.base_gives_way:
+        doubts.append(
+            "the base gives way: lengths along the first axis may be off by more than is stated"
+        )
     known = {fault.subject for fault in calibration.faults}
     odd = [tree.su_names[u] for u in np.flatnonzero(calibration.unlike_sus.odd)]
     odd = [name for name in odd if name not in known]

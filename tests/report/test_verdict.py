@@ -65,6 +65,14 @@ def test_a_fault_makes_a_good_fit_fair() -> None:
     assert "but 1 fault: su_x loose; 2 of 7 SUs" in line(found)
 
 
+def test_a_base_that_gives_way_makes_a_good_fit_fair() -> None:
+    along = calibration().along
+    assert along is not None
+    found = replace(calibration(), along=replace(along, causes=("base",)))
+    assert found.quality == "fair"
+    assert line(found) != line(calibration())
+
+
 def test_an_su_unlike_the_rest_makes_it_fair() -> None:
     found = with_misfit(su=4)
     name = found.model.tree.su_names[4]

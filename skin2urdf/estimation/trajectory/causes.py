@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import cast
 
 import numpy as np
 
@@ -350,10 +351,8 @@ def _yielding(
     promised = 1 + _MOST_OF_IT * (misfit_of(problem, fitted, SPAN) - 1)
 
     def follow(before: MotionProblem, at: MotionState) -> tuple[MotionProblem, MotionState]:
-        about, x = before.unseen, at.unseen
-        if not isinstance(about, Bending):
-            return before, at
-        about, x = followed(about, tree, logs, at.placements, at.gravity, x)
+        about = cast(Bending, before.unseen)
+        about, x = followed(about, tree, logs, at.placements, at.gravity, at.unseen)
         after = MotionProblem(tree, before.logs, before.priors, n_knots, about)
         return after, replace(at, unseen=x)
 

@@ -215,21 +215,20 @@ def without_false_hits(
     kinds = {fault.kind for fault in solution.faults}
     if not kinds or not kinds <= {"contact", "loose"}:
         return solution, along
-    # What needs a cause beyond noise to be explained is judged below.
-    untouched = None if first is None else fit_samples(first, tell, most=0.0)
-    if first is not None and untouched is not None and leaves_only_noise(untouched):
-        hits = [fault for fault in solution.faults if fault.kind == "contact"]
-        if not any(_stands_out(hit, untouched, whole.sampled) for hit in hits):
-            return first, untouched
-    if "loose" in kinds:
+    loose = "loose" in kinds
+    # An SU that came loose is two in the tree of what was mended.
+    everything = first if loose else replace(solution, logs=whole)
+    if everything is None:
         return solution, along
-    everything = replace(solution, logs=whole)
-    again = fit_samples(everything, tell, without=rejected(along))
-    if again is None:
+    # An SU that did leaves so much that every cause would be tried in vain.
+    most = 0.0 if loose else np.inf
+    again = fit_samples(everything, tell, without=rejected(along), most=most)
+    if again is None or (loose and not leaves_only_noise(again)):
         return solution, along
-    real = tuple(f for f in solution.faults if _stands_out(f, again, whole.sampled))
+    hits = (f for f in solution.faults if f.kind == "contact")
+    real = tuple(f for f in hits if _stands_out(f, again, whole.sampled))
     if real:
-        return replace(solution, faults=real), along
+        return (solution if loose else replace(solution, faults=real)), along
     return replace(everything, faults=()), again
 
 

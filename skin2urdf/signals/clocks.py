@@ -5,7 +5,9 @@ joints. In a stretch of some seconds these span a small space, and the readings 
 are taken at the right time and nowhere else: what they leave beside it, as a function of the lag,
 is a profile likelihood of the lag. Patterns have it narrow, with side lobes a period away, and the
 beginnings and ends of motion have it wide without: one line over the log, an offset and a drift,
-has to suit all stretches, which leaves no doubt where one of them alone would.
+has to suit all stretches, which leaves no doubt where one of them alone would. Where all joints
+move slowly and at once, their motion spans all that slow readings can be in such a time, at any
+lag: a stretch counts by the values that its readings have beyond those that the motion takes.
 
 What is found here is good to about a millisecond; the search for latencies around the poses
 (:mod:`skin2urdf.signals.features`) goes on from there, and reaches no further than a quarter of a
@@ -45,7 +47,7 @@ _FELT = 0.05
 _EXPLAINED = 0.6
 """Share of a stretch's energy that motion must explain for its lag to count."""
 _FEWEST = 3
-"""Stretches from which a line is known to be one."""
+"""Stretches, and values in them that are not the motion's own, from which a line is known."""
 _LEAST_LEFT = 1e-3
 """Share of a stretch's energy that is left beside linear motion at the least."""
 _PRIOR_FREEDOM = 4.0
@@ -319,7 +321,7 @@ def _lines(
         steep: largest drift.
     """
     n, U = valid.shape
-    times, curves, counts = [], [], []
+    times, curves, counts, freedoms = [], [], [], []
     most = int(np.ceil((reach + steep * n / (2 * rate)) * rate)) + 2
     holes = np.cumsum(np.concatenate([np.zeros((1, U)), ~valid]), axis=0)
     for stretch in stretches:
@@ -329,30 +331,33 @@ def _lines(
         if b - a < length + min(8, 2 * most):
             continue
         segment = readings[a:b] - readings[a:b].mean(axis=0)
-        left, counted = _left(segment, stretch.basis)
+        left, counted, beyond = _left(segment, stretch.basis)
         # Beyond the log nothing is known: lags that reach there count as the worst.
         curve = np.repeat(left.max(axis=0)[None], 2 * most + 1, axis=0)
         curve[a - lo : a - lo + len(left)] = left
         times.append((stretch.begin + length / 2 - n / 2) / rate)
         curves.append(curve)
         counts.append(counted & (holes[b] == holes[a]))
+        freedoms.append(beyond)
     if not times:
         return [None] * U
     time, scores, counted = np.array(times), -np.array(curves), np.array(counts)
+    free = np.array(freedoms)
     lags = np.arange(-most, most + 1) / rate
     out: list[_Line | None] = []
     for u in range(U):
         use = counted[:, u]
-        if use.sum() < _FEWEST:
+        weight = free[use, u]
+        if use.sum() < _FEWEST or weight.sum() < _FEWEST:
             out.append(None)
             continue
         score = scores[use, :, u]
-        offset, drift = _best(time[use], score, lags, reach, steep, n / rate)
-        out.append(_refined(time[use], score, lags, offset, drift))
+        line = _best(time[use], score, lags, reach, steep, n / rate)
+        out.append(_refined(time[use], score, weight, lags, line))
     return out
 
 
-def _left(segment: F64, basis: F64) -> tuple[F64, Bool]:
+def _left(segment: F64, basis: F64) -> tuple[F64, Bool, F64]:
     """What motion leaves of the readings at every lag, as half the logarithm of its share.
 
     Args:
@@ -360,7 +365,8 @@ def _left(segment: F64, basis: F64) -> tuple[F64, Bool]:
         basis: (L, r) orthonormal, the constant first.
 
     Returns:
-        (m - L + 1, U) values, and (U,) True where motion is felt and explains most at some lag.
+        (m - L + 1, U) what is left, (U,) True where motion is felt and explains most at some lag,
+        and (U,) how many independent values there are beyond those that motion takes for itself.
     """
     length, m = len(basis), len(segment)
     flat = segment.reshape(m, -1)
@@ -383,7 +389,11 @@ def _left(segment: F64, basis: F64) -> tuple[F64, Bool]:
     level = centred.mean(axis=0)
     felt = level >= length * _FELT**2
     explained = (rest / centred).min(axis=0) <= 1 - _EXPLAINED
-    return 0.5 * np.log(rest / level + _MODEL), felt & explained
+    # Independent values of three axes in the stretch, as fast as the readings change.
+    steps = (np.diff(segment, axis=0) ** 2).sum(axis=(0, 2))
+    values = 3 * length / np.pi * np.sqrt(steps / np.maximum(squares[-1], 1e-12))
+    free = np.maximum(values - 3 * (basis.shape[1] - 1), 0.0)
+    return 0.5 * np.log(rest / level + _MODEL), felt & explained, free
 
 
 def _best(
@@ -407,13 +417,17 @@ def _best(
     return found
 
 
-def _refined(time: F64, score: F64, lags: F64, offset: float, drift: float) -> _Line | None:
+def _refined(
+    time: F64, score: F64, free: F64, lags: F64, line: tuple[float, float]
+) -> _Line | None:
     """A line through the peaks of the stretches near a line, by robust weighted least squares.
 
     What is left in a stretch rises with the square of the lag's error; how fast tells the width of
     the readings' spectrum, and with it how many independent values three axes have in a stretch.
-    What is left at the best lag, over both, is the variance of the peak.
+    What is left at the best lag, over both, is the variance of the peak. The joints' motion fits
+    some of the values whatever they are, and only ``free`` (W,) of them tell what is left.
     """
+    offset, drift = line
     step = lags[1] - lags[0]
     near = np.rint((offset + drift * time - lags[0]) / step).astype(int)
     peaks, weights, rows = [], [], []
@@ -427,10 +441,11 @@ def _refined(time: F64, score: F64, lags: F64, offset: float, drift: float) -> _
         bend = before + after - 2 * here
         if i in (a, b - 1) or bend <= 0:
             continue
-        peaks.append(lags[i] + 0.5 * step * (before - after) / bend)
         rise = bend / (2 * step**2)
         values = max(1.0, 6 * _STRETCH * np.sqrt(rise) / (2 * np.pi))
-        weights.append(values * rise / (here - _MODEL + _LEAST_LEFT))
+        peaks.append(lags[i] + 0.5 * step * (before - after) / bend)
+        told = min(1.0, max(free[w], 1.0) / values)
+        weights.append(values * rise * told / (here - _MODEL + _LEAST_LEFT))
         rows.append(w)
     if len(rows) < _FEWEST:
         return None

@@ -19,8 +19,14 @@ _WINDOW = 8.0
 _SLOWEST = 0.5
 """Change of the readings [m/s^3 rms] that motion makes at the least: gravity at 0.05 rad/s, below
 which joints count as resting."""
-_CONTRAST = 0.3
-"""Part of what lags at random leave unexplained that the right one must explain."""
+_DECISIVE = 0.5
+"""Share of what any lag elsewhere leaves that the right one leaves at most. Of 34 SUs in pick and
+place, patterns and single moves it left 0.46 and less; wrong ones 0.73 and more, where all joints
+move on without rest and speeds explain little."""
+_ALIKE = 0.25
+"""Correlation of what speeds leave unexplained with what a lag makes, so that an offset is certain
+(four deviations) from where the whole of it would have to be alike. In 55 SUs of ten logs of five
+kinds of motion its root of the mean square was 0.10, and its largest 0.35, where motion repeats."""
 _LARGEST = 0.999
 """Quantile of the changes beyond which they are shocks."""
 _DEPENDENT = 1e-6
@@ -101,24 +107,36 @@ def searched(
     time = (np.arange(count) + 0.5) * length - len(size) / 2
     inner = np.flatnonzero(np.abs(lags) <= reach * rate)
     rows, steps = np.arange(count)[:, None], max(int(np.ceil(steep * n / 2)), 1)
-    best, found, usual = np.inf, (0.0, 0.0), []
+    best, found, profile = np.inf, (0.0, 0.0), np.full(len(inner), np.inf)
     for k in range(-steps, steps + 1):
         drift = steep * k / steps
         index = np.clip(inner + np.rint(drift * time).astype(int)[:, None], 0, len(lags) - 1)
         explained = (products[rows, index].sum(axis=0) ** 2).sum(axis=1)
         left = energy[rows, index].sum(axis=0) - explained
-        usual.append(float(np.median(left)))
+        profile = np.minimum(profile, left)
         i = int(left.argmin())
         if left[i] < best:
             best, found = float(left[i]), (float(lags[inner[i]] / rate), drift)
-    return found if best < (1 - _CONTRAST) * float(np.median(usual)) else None
+    first, last = valley(profile)
+    elsewhere = np.delete(profile, np.s_[first : last + 1])
+    return found if best < _DECISIVE * elsewhere.min(initial=np.inf) else None
+
+
+def valley(profile: F64) -> tuple[int, int]:
+    """First and last index of the valley around the lowest place of a profile."""
+    a = b = int(profile.argmin())
+    while a > 0 and profile[a - 1] >= profile[a]:
+        a -= 1
+    while b < len(profile) - 1 and profile[b + 1] >= profile[b]:
+        b += 1
+    return a, b
 
 
 def refined(size: F64, regressors: F64, rate: float) -> tuple[F64, F64] | None:
     """Change of offset [s] and drift that explains more, and their (2,) standard deviations.
 
     The deviations are those of windows that are independent of each other, whatever their errors
-    are made of.
+    are made of. Errors that come back with the motion, as in one that repeats, are in the offset's.
 
     Args:
         size: (n,) change of the readings, taken at the lag found so far.
@@ -139,4 +157,6 @@ def refined(size: F64, regressors: F64, rate: float) -> tuple[F64, F64] | None:
     scores = np.add.reduceat((X / scale) * residual[:, None], np.arange(0, n, length), axis=0)
     freedom = max(len(scores) - 4, 1)
     covariance = inverse @ (scores.T @ scores) @ inverse * (len(scores) / freedom)
-    return -solution[:2] / scale[:2], np.sqrt(np.diag(covariance))[:2] / scale[:2]
+    variance = np.diag(covariance)[:2].copy()
+    variance[0] += _ALIKE**2 * (residual @ residual) * inverse[0, 0]
+    return -solution[:2] / scale[:2], np.sqrt(variance) / scale[:2]

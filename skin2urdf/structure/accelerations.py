@@ -30,7 +30,7 @@ from skin2urdf.signals.filters import (
 )
 from skin2urdf.signals.sampling import Sampled
 from skin2urdf.signals.turning import Turning
-from skin2urdf.structure.gravity import PRIOR, SHAPE_INDEX, tangent, turned
+from skin2urdf.structure.chain_fit import PRIOR, SHAPE_INDEX, tangent, turned
 from skin2urdf.structure.records import JointType
 
 _CUTOFF = 4.0

@@ -22,7 +22,7 @@ CERTAIN = 10.0
 _CONSISTENT = 4.0
 """Standard deviations by which the gain of a joint stands out from its scatter between stretches
 of time: errors that are alike for a while count once."""
-_QUIET = 1e-3
+QUIET = 1e-3
 """Noise [m/s^2] of low-passed samples below which no error matters: a tenth of a mg."""
 _QUIET_RATE = 1e-3
 """The same of rates [rad/s]: what an encoder's steps make of a velocity."""
@@ -215,7 +215,7 @@ def _alike(draft: Draft) -> Iterator[int]:
 
 def _gain(now: Judged, then: Judged) -> F64:
     """(B,) log-likelihood that another chain gains in each stretch, whatever its noise is."""
-    return _log_ratio(now.loss, then.loss, now.count, _QUIET) + _gain_in_turning(now, then)
+    return _log_ratio(now.loss, then.loss, now.count, QUIET) + _gain_in_turning(now, then)
 
 
 def _gain_in_turning(now: Judged, then: Judged) -> F64:

@@ -22,8 +22,8 @@ from skin2urdf.geometry.so3 import frame_with_z
 from skin2urdf.notes import Note
 from skin2urdf.signals.sampling import Sampled
 from skin2urdf.structure.accelerations import Along, ChainJoint, along
-from skin2urdf.structure.draft import Draft, in_best_order, with_unseen_joints
-from skin2urdf.structure.gravity import gravity_windows
+from skin2urdf.structure.draft import QUIET, Draft, in_best_order, with_unseen_joints
+from skin2urdf.structure.gravity import GravityWindows, gravity_windows, moments
 from skin2urdf.structure.growth import Growth
 from skin2urdf.structure.records import KinematicTree
 
@@ -85,7 +85,28 @@ def trees_from_motion(
     Raises:
         StructureError: no SU feels any joint move, or no chain of joints explains what any feels.
     """
-    windows = gravity_windows(sampled, su_names)
+    samples = along(sampled)
+    grown: list[tuple[MotionTree, ...]] = []
+    missing: StructureError | None = None
+    # Rests show gravity alone; where there are few, moves show it beside accelerations.
+    for windows in (gravity_windows(sampled, su_names), moments(sampled, su_names)):
+        try:
+            grown.append(_grown_from(windows, samples, sampled, seed))
+        except StructureError as lack:
+            missing = missing or lack
+    if not grown:
+        raise missing or StructureError("there is no tree", "record more moves")
+    return min(grown, key=lambda trees: _unexplained(trees[0], samples, su_names))
+
+
+def _grown_from(
+    windows: GravityWindows, samples: Along, sampled: Sequence[Sampled], seed: int
+) -> tuple[MotionTree, ...]:
+    """Trees that some windows show, best first.
+
+    Raises:
+        StructureError: they show none.
+    """
     moved = moved_joints(sampled)
     growth = Growth(windows, tuple(np.flatnonzero(moved)), np.random.default_rng(seed))
     growth.grow()
@@ -96,7 +117,6 @@ def trees_from_motion(
             "put an SU on every segment, or move one joint at a time, or give the robot's own "
             "URDF (--model)",
         )
-    samples = along(sampled)
     draft = _as_grown(growth)
     unplaced = [int(d) for d in np.flatnonzero(moved) if d not in {j.dof for j in draft.joints}]
     draft, otherwise = with_unseen_joints(draft, samples, unplaced)
@@ -111,6 +131,23 @@ def trees_from_motion(
     )
     notes = (*best.tree.notes, *(_doubt(best.tree, other.tree) for other in others))
     return replace(best, tree=replace(best.tree, notes=notes)), *others
+
+
+def _unexplained(tree: MotionTree, samples: Along, su_names: Sequence[str]) -> float:
+    """Negative log-likelihood of what a tree leaves of all readings, whatever their noise is.
+
+    Of an SU that it leaves out, all that changes is left.
+    """
+    left = dict(zip(tree.tree.su_names, tree.left, strict=True))
+    total = 0.0
+    for u, name in enumerate(su_names):
+        use = samples.valid[:, u]
+        count = 3.0 * use.sum()
+        if count and name not in left:
+            left[name] = float(np.std(samples.readings[use, u], axis=0).mean())
+        if count:
+            total += count * float(np.log(np.hypot(left[name], QUIET)))
+    return total
 
 
 def moved_joints(sampled: Sequence[Sampled]) -> Bool:

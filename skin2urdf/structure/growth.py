@@ -19,13 +19,14 @@ import numpy as np
 from skin2urdf.arrays import F64, Bool, Int
 from skin2urdf.geometry.so3 import axis_rotation
 from skin2urdf.geometry.units import GRAVITY
-from skin2urdf.structure.gravity import (
+from skin2urdf.structure.chain_fit import (
+    Carried,
     GravityFits,
-    GravityWindows,
     axis_losses,
     fibonacci_sphere,
     fit_gravity,
 )
+from skin2urdf.structure.gravity import GravityWindows
 
 _GRID = 200
 """Candidate axes of a joint, some 14 deg apart: no axis is further than 8 deg from one of them, and
@@ -70,6 +71,9 @@ class Segment:
         dof: index of the joint that carries it; -1 for the RS.
         axis: (3,) the joint's axis at position zero, in the base frame.
         R: (W, 3, 3) rotation of the segment in the base frame, identity at position zero.
+        omega: (W, 3) its angular velocity, and
+        alpha: (W, 3) angular acceleration, in its own frame; zero where these are not modelled.
+        columns: (W, 3, c) what a metre of each offset up to here adds to the specific force there.
         fits: how well each of the U SUs would sit on it.
         misfit: (U,) what those fits leave, as :meth:`Growth.misfit`.
     """
@@ -78,6 +82,9 @@ class Segment:
     dof: int
     axis: F64
     R: F64
+    omega: F64
+    alpha: F64
+    columns: F64
     fits: GravityFits
     misfit: F64
 
@@ -135,6 +142,10 @@ class Growth:
         self._fitted: dict[tuple[int, int, int], tuple[float, F64]] = {}
         usable = np.isfinite(self.up).all(axis=1)[self.windows.log]
         self._weight = self.windows.weight * usable[:, None]
+        # Axes are ranked by gravity alone, whatever is modelled when they are fitted.
+        self._rough = self._weight
+        if self.windows.moving is not None:
+            self._weight = usable[:, None] / self.windows.moving.sd**2
         self._upward = np.where(usable[:, None], self.up[self.windows.log], 0.0) * GRAVITY
         self.n = 3.0 * (self._weight > 0).sum(axis=0)
         for parent, dof, axis in known:
@@ -194,15 +205,36 @@ class Growth:
 
     def _add(self, parent: int, dof: int, axis: F64) -> None:
         W, U = self.windows.sd.shape
-        if dof < 0:
-            R = np.tile(np.eye(3), (W, 1, 1))
-        else:
-            R = self.segments[parent].R @ axis_rotation(axis, self.windows.q[:, dof])
+        R = np.tile(np.eye(3), (W, 1, 1))
+        omega, alpha, columns = np.zeros((W, 3)), np.zeros((W, 3)), np.zeros((W, 3, 0))
+        moving = self.windows.moving
+        if dof >= 0:
+            before, q = self.segments[parent], self.windows.q[:, dof]
+            R = before.R @ axis_rotation(axis, q)
+            if moving is not None:
+                known = Carried(
+                    before.omega[None], before.alpha[None], before.columns[None],
+                    moving.qd[None, :, [dof]], moving.qdd[None, :, [dof]], np.zeros((1, W, 3)),
+                ).beyond(0, axis[None], q[None])  # fmt: skip
+                omega, alpha, columns = known.omega[0], known.alpha[0], known.columns[0]
+        carried = None
+        if moving is not None:
+            none = np.zeros((U, W, 0))
+            carried = Carried(
+                np.broadcast_to(omega, (U, W, 3)),
+                np.broadcast_to(alpha, (U, W, 3)),
+                np.broadcast_to(columns, (U, *columns.shape)),
+                none,
+                none,
+                moving.change.swapaxes(0, 1),
+            )
         x = np.broadcast_to(self._gravity(R), (U, W, 3))
         y = self.windows.reading.swapaxes(0, 1)
-        fits = fit_gravity(np.zeros((U, W, 0)), x, y, self._weight.T, np.zeros((U, 0, 3)))
+        fits = fit_gravity(
+            np.zeros((U, W, 0)), x, y, self._weight.T, np.zeros((U, 0, 3)), carried=carried
+        )
         misfit = self.misfit(fits.chi2)
-        self.segments.append(Segment(parent, dof, axis, R, fits, misfit))
+        self.segments.append(Segment(parent, dof, axis, R, omega, alpha, columns, fits, misfit))
 
     def _gravity(self, R: F64) -> F64:
         """(W, 3) upward gravity in the frame of a segment [m/s^2]."""
@@ -250,7 +282,7 @@ class Growth:
                     losses = np.full((len(now), len(self._grid)), np.inf)
                     losses[open_] = axis_losses(
                         self.windows.q[:, d], gravity, self.windows.reading[:, open_],
-                        self._weight[:, open_], self._grid,
+                        self._rough[:, open_], self._grid,
                     )  # fmt: skip
                     self._losses[s, d] = losses
         self._fit_most_promising(free)
@@ -298,12 +330,21 @@ class Growth:
         *,
         windows: Int | None = None,
         iterations: int = 12,
+        roughly: bool = False,
     ) -> tuple[F64, F64]:
-        """Chi-squared and axes of extensions from given axes (K, m, 3)."""
+        """Chi-squared and axes of extensions from given axes (K, m, 3).
+
+        ``roughly`` takes accelerations for noise, as the first of many starts may.
+        """
         at = np.arange(len(self.windows.q)) if windows is None else windows
         gravity = {s: self._gravity(self.segments[s].R)[at] for s in {s for _, s, _ in problems}}
         length = axes.shape[1]
-        chunk = max(1, _CHUNK // (3 * len(at) * (12 + 2 * length)))
+        modelled = self.windows.moving is not None and not roughly
+        weight = self._weight if modelled else self._rough
+        width = 12 + 2 * length
+        if modelled:
+            width += 3 * length + 1 + max(self.segments[s].columns.shape[-1] for s in gravity)
+        chunk = max(1, _CHUNK // (3 * len(at) * width))
         chi2, found = [], []
         for first in range(0, len(problems), chunk):
             some = problems[first : first + chunk]
@@ -312,13 +353,33 @@ class Growth:
                 np.array([self.windows.q[np.ix_(at, np.array(dofs))] for _, _, dofs in some]),
                 np.array([gravity[s] for _, s, _ in some]),
                 self.windows.reading[np.ix_(at, sus)].swapaxes(0, 1),
-                self._weight[np.ix_(at, sus)].T,
+                weight[np.ix_(at, sus)].T,
                 axes[first : first + chunk],
                 iterations,
+                self._carried(some, at) if modelled else None,
             )
             chi2.append(fits.chi2)
             found.append(fits.axes)
         return np.concatenate(chi2), np.concatenate(found)
+
+    def _carried(self, problems: Sequence[_Problem], at: Int) -> Carried | None:
+        """How the known segments of some problems move in some of the windows."""
+        moving = self.windows.moving
+        if moving is None:
+            return None
+        segments = [self.segments[s] for _, s, _ in problems]
+        widest = max(s.columns.shape[-1] for s in segments)
+        columns = np.zeros((len(problems), len(at), 3, widest))
+        for k, segment in enumerate(segments):
+            columns[k, ..., : segment.columns.shape[-1]] = segment.columns[at]
+        return Carried(
+            np.array([s.omega[at] for s in segments]),
+            np.array([s.alpha[at] for s in segments]),
+            columns,
+            np.array([moving.qd[np.ix_(at, np.array(dofs))] for _, _, dofs in problems]),
+            np.array([moving.qdd[np.ix_(at, np.array(dofs))] for _, _, dofs in problems]),
+            np.array([moving.change[at, u] for u, _, _ in problems]),
+        )
 
     def _longer(self, length: int) -> _Extension | None:
         """The best extension by several joints, of SUs that are not explained yet."""
@@ -352,9 +413,9 @@ class Growth:
         ]
         axes = self._rng.standard_normal((len(problems), length, 3))
         axes /= np.linalg.norm(axes, axis=-1, keepdims=True)
-        heaviest = np.argsort(-self._weight[:, su], kind="stable")[: 2 * _SEARCHED]
+        heaviest = np.argsort(-self._rough[:, su], kind="stable")[: 2 * _SEARCHED]
         few = heaviest[:: max(1, len(heaviest) // _SEARCHED)]
-        chi2, axes = self._fit(problems, axes, windows=few, iterations=4)
+        chi2, axes = self._fit(problems, axes, windows=few, iterations=4, roughly=True)
         kept = np.argsort(chi2, kind="stable")[: max(16, len(chi2) // 10)]
         some = [problems[i] for i in kept]
         chi2, axes = self._fit(some, axes[kept], windows=few)

@@ -1,0 +1,319 @@
+"""Chains of joints that explain the gravity that an SU feels, and where there are moves, the rest.
+
+All chains are fitted beyond a segment whose rotation is known. :func:`axis_losses` ranks many axes
+of one joint by gravity alone; :func:`fit_gravity` fits any number of joints by Gauss-Newton, with
+the offsets that accelerations of moves show where they are given.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from skin2urdf.arrays import F64, frozen
+from skin2urdf.geometry.so3 import axis_rotation, cross, rotation_exp, skew, wahba
+
+PRIOR = np.array([0.5] * 3 + [0.03] * 3 + [0.01] * 3)
+"""Standard deviations of bias [m/s^2], scale and cross-axis errors of common accelerometers."""
+LEVER = 0.5
+"""Standard deviation of an offset between joints [m], by which accelerations are felt before any is
+known: that of an arm."""
+LATE = 0.05
+"""Standard deviation of what an SU's clock, bus and filter lag the joints' [s]."""
+SHAPE_INDEX = ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))
+
+
+@dataclass(frozen=True, eq=False)
+class GravityFits:
+    """K fits of gravity beyond known segments, of chains of m joints each.
+
+    Attributes:
+        axes: (K, m, 3) axes of the joints at position zero, in the frame of the known segment
+            (which is turned like the base at position zero).
+        R: (K, 3, 3) orientation of the SU in the same frame.
+        sensor: (K, 9) bias [m/s^2] and shape [1].
+        chi2: (K,) chi-squared, that of the sensor's priors included.
+    """
+
+    axes: F64
+    R: F64
+    sensor: F64
+    chi2: F64
+
+    def one(self, k: int) -> GravityFits:
+        """Only one of the fits."""
+        return GravityFits(self.axes[k : k + 1], self.R[k : k + 1], self.sensor[k : k + 1],
+                           self.chi2[k : k + 1])  # fmt: skip
+
+
+def turned(axis: F64, q: F64, x: F64) -> F64:
+    """Vectors x (..., N, 3) of a segment seen beyond a joint: ``Rot(axis, -q) x``.
+
+    Args:
+        axis: (..., 3) unit axis.
+        q: (..., N) positions [rad].
+        x: the vectors.
+    """
+    c, s = np.cos(q)[..., None], np.sin(q)[..., None]
+    k = np.broadcast_to(axis[..., None, :], x.shape)
+    along = (k * x).sum(axis=-1, keepdims=True)
+    return np.asarray(c * x - s * cross(k, x) + (1 - c) * along * k)
+
+
+@dataclass(frozen=True, eq=False)
+class Carried:
+    """How the known segments of K fits move in N samples, in their own frames.
+
+    Attributes:
+        omega: (K, N, 3) angular velocity, and
+        alpha: (K, N, 3) angular acceleration.
+        columns: (K, N, 3, c) what a metre of each offset up to the segment, and of one on it, adds
+            to the specific force; zero where a segment has fewer than others.
+        qd: (K, N, m) velocities of the joints beyond it, and
+        qdd: (K, N, m) accelerations.
+        change: (K, N, 3) derivatives of the readings [m/s^3].
+    """
+
+    omega: F64
+    alpha: F64
+    columns: F64
+    qd: F64
+    qdd: F64
+    change: F64
+
+    def __post_init__(self) -> None:
+        for name in ("omega", "alpha", "columns", "qd", "qdd", "change"):
+            object.__setattr__(self, name, frozen(getattr(self, name)))
+
+    def beyond(self, i: int, axis: F64, q: F64) -> Carried:
+        """How what joint number ``i`` carries moves.
+
+        Args:
+            i: the joint.
+            axis: (K, 3) its axis.
+            q: (K, N) its positions [rad].
+        """
+        k = axis[:, None]
+        qd, qdd = self.qd[..., i, None], self.qdd[..., i, None]
+        alpha = self.alpha + k * qdd + cross(self.omega, k) * qd
+        omega = self.omega + k * qd
+        alpha, omega = turned(axis, q, alpha), turned(axis, q, omega)
+        back = np.swapaxes(axis_rotation(k, q), -1, -2)
+        columns = np.concatenate([back @ self.columns, spin(omega, alpha)], axis=-1)
+        return replace(self, omega=omega, alpha=alpha, columns=columns)
+
+
+def spin(omega: F64, alpha: F64) -> F64:
+    """(..., 3, 3) acceleration of a point per metre of its offset, on a segment that turns."""
+    return np.asarray(skew(alpha) + skew(omega) @ skew(omega))
+
+
+def fit_gravity(
+    q: F64,
+    x: F64,
+    y: F64,
+    weight: F64,
+    axes: F64,
+    iterations: int = 12,
+    carried: Carried | None = None,
+) -> GravityFits:
+    """Fit chains of m joints by Gauss-Newton, many at once.
+
+    Args:
+        q: (K, N, m) positions of the joints [rad].
+        x: (K, N, 3) upward gravity in the known segment's frame [m/s^2].
+        y: (K, N, 3) readings [m/s^2].
+        weight: (K, N) inverse variances.
+        axes: (K, m, 3) axes to begin from.
+        iterations: number of steps at most.
+        carried: how the segments move, where offsets and clocks are fitted as well; else what they
+            add to gravity is noise.
+    """
+    K, _, m = q.shape
+    root = np.sqrt(weight)
+    offsets = 0 if carried is None else carried.columns.shape[-1] + 3 * m + 1
+    # Bias, scale and cross-axis errors; offsets of the chain from its beginning; the clock.
+    known = np.concatenate([PRIOR, [LEVER] * (offsets - 1), [LATE]]) if offsets else PRIOR
+    linear = np.zeros((K, 9 + offsets))
+    z = x
+    for i in range(m):
+        z = turned(axes[:, i], q[..., i], z)
+    gamma = _centring(weight)
+    R, _ = wahba(_centred(y, weight, gamma), _centred(z, weight, gamma), weight)
+    data = q, x, y, root, carried, known
+    r, J = _linearised(data, axes, R, linear)
+    cost = np.einsum("kn,kn->k", r, r)
+    damping = np.full(K, 1e-4)
+    n = J.shape[-1]
+    for _ in range(iterations):
+        H = np.swapaxes(J, 1, 2) @ J
+        g = (np.swapaxes(J, 1, 2) @ r[..., None])[..., 0]
+        scale = np.maximum(np.einsum("kii->ki", H), 1e-9)
+        H += (damping[:, None] * scale)[..., None] * np.eye(n)
+        step = np.asarray(-np.linalg.solve(H, g[..., None])[..., 0])
+        trial_axes = np.stack(
+            [
+                (rotation_exp((tangent(axes[:, i]) @ step[:, 2 * i : 2 * i + 2, None])[..., 0])
+                 @ axes[:, i, :, None])[..., 0]
+                for i in range(m)
+            ],
+            axis=1,
+        ) if m else axes  # fmt: skip
+        trial_R = R @ rotation_exp(step[:, 2 * m : 2 * m + 3])
+        trial_linear = linear + step[:, 2 * m + 3 :]
+        trial_r, trial_J = _linearised(data, trial_axes, trial_R, trial_linear)
+        trial_cost = np.einsum("kn,kn->k", trial_r, trial_r)
+        better = trial_cost < cost
+        axes = np.where(better[:, None, None], trial_axes, axes)
+        R = np.where(better[:, None, None], trial_R, R)
+        linear = np.where(better[:, None], trial_linear, linear)
+        r = np.where(better[:, None], trial_r, r)
+        J = np.where(better[:, None, None], trial_J, J)
+        gain = float(np.max((cost - trial_cost) / np.maximum(cost, 1e-300), initial=0.0))
+        cost = np.where(better, trial_cost, cost)
+        damping = np.where(better, damping / 10, damping * 10)
+        if gain < 1e-4 and bool((damping < 1e2).all()):
+            break
+    return GravityFits(axes, R, linear[:, :9], cost)
+
+
+def _centring(weight: F64) -> F64:
+    """(...) share of its mean that a series keeps no longer once its bias is anyone's guess."""
+    return np.asarray(1 - 1 / np.sqrt(1 + weight.sum(axis=-1) * PRIOR[0] ** 2))
+
+
+def _centred(v: F64, weight: F64, gamma: F64) -> F64:
+    """Vectors (..., N, 3) less the share gamma (...) of their mean."""
+    total = np.maximum(weight.sum(axis=-1), 1e-300)[..., None, None]
+    mean = (weight[..., None] * v).sum(axis=-2, keepdims=True) / total
+    return np.asarray(v - gamma[..., None, None] * mean)
+
+
+def tangent(k: F64) -> F64:
+    """(K, 3, 2) orthonormal bases of the planes perpendicular to k (K, 3)."""
+    flat = np.argmin(np.abs(k), axis=1)
+    a = cross(k, np.eye(3)[flat])
+    a /= np.linalg.norm(a, axis=1, keepdims=True)
+    return np.stack([a, cross(k, a)], axis=2)
+
+
+_Data = tuple[F64, F64, F64, F64, Carried | None, F64]
+"""Positions, gravity, readings, roots of weights, motion, and standard deviations before."""
+
+
+def _linearised(data: _Data, axes: F64, R: F64, linear: F64) -> tuple[F64, F64]:
+    """Weighted residuals (K, 3 N + p) and their Jacobian in axes, rotation and the p linear ones.
+
+    What turning an axis does to the accelerations that its own joint makes is left out of the
+    Jacobian: it is small beside what it does to gravity, and the cost is that of the whole model.
+    """
+    q, x, y, root, moving, known = data
+    K, N, m = q.shape
+    z = x
+    offsets = linear[:, 9:-1]
+    if moving is not None:
+        z = x + _pushed(moving.columns, offsets)
+    slopes: list[F64] = []
+    for i in range(m):
+        before, k = z, axes[:, i]
+        z = turned(k, q[..., i], before)
+        Rt = np.swapaxes(axis_rotation(k[:, None], q[..., i]), -1, -2)
+        slopes = [Rt @ slope for slope in slopes]
+        # Turning k by delta: exp(delta) Rot exp(-delta).
+        slopes.append((Rt @ skew(before) - skew(z)) @ tangent(k)[:, None])
+        if moving is not None:
+            c = moving.columns.shape[-1]
+            moving = moving.beyond(i, k, q[..., i])
+            z = z + _pushed(moving.columns[..., c:], offsets[:, c : c + 3])
+    Rt = np.swapaxes(R, 1, 2)[:, None]
+    g = (Rt @ z[..., None])[..., 0]
+    M = np.tile(np.eye(3), (K, 1, 1))
+    by_shape = np.zeros((K, N, 3, 6))
+    for c, (a, b) in enumerate(SHAPE_INDEX):
+        M[:, a, b] += linear[:, 3 + c]
+        by_shape[:, :, a, c] += g[..., b]
+        if a != b:
+            M[:, b, a] += linear[:, 3 + c]
+            by_shape[:, :, b, c] += g[..., a]
+    predicted = (M[:, None] @ g[..., None])[..., 0] + linear[:, None, :3]
+    columns = [M[:, None] @ (Rt @ slope) for slope in slopes]
+    columns += [M[:, None] @ skew(g), np.broadcast_to(np.eye(3), (K, N, 3, 3)), by_shape]
+    if moving is not None:
+        predicted = predicted + moving.change * linear[:, None, -1:]
+        columns += [M[:, None] @ (Rt @ moving.columns), moving.change[..., None]]
+    J = np.concatenate(columns, axis=-1) * root[..., None, None]
+    r = (predicted - y) * root[..., None]
+    p = len(known)
+    prior = np.zeros((K, p, J.shape[-1]))
+    prior[:, np.arange(p), J.shape[-1] - p + np.arange(p)] = 1 / known
+    return (
+        np.concatenate([r.reshape(K, -1), linear / known], axis=1),
+        np.concatenate([J.reshape(K, 3 * N, -1), prior], axis=1),
+    )
+
+
+def _pushed(columns: F64, offsets: F64) -> F64:
+    """(K, N, 3) what offsets (K, c') add, the first c of them, by columns (K, N, 3, c)."""
+    c = columns.shape[-1]
+    return np.asarray((columns @ offsets[:, None, :c, None])[..., 0])
+
+
+def axis_losses(q: F64, x: F64, y: F64, weight: F64, axes: F64) -> F64:
+    """Chi-squared of many axes of one joint for many SUs, orientation and bias eliminated.
+
+    Args:
+        q: (N,) positions of the joint [rad].
+        x: (N, 3) upward gravity in the known segment's frame [m/s^2].
+        y: (N, U, 3) readings [m/s^2].
+        weight: (N, U) inverse variances.
+        axes: (K, 3) candidate axes.
+
+    Returns:
+        (U, K) chi-squared; sensors without scale and cross-axis errors.
+    """
+    N, U = weight.shape
+    K = len(axes)
+    z = turned(axes, np.broadcast_to(q, (K, N)), np.broadcast_to(x, (K, N, 3)))
+    w = weight.T
+    total = np.maximum(w.sum(axis=1), 1e-300)
+    gamma = _centring(w)
+    kept = (2 * gamma - gamma**2) * total
+    wy = w[..., None] * y.transpose(1, 0, 2)
+    flat = z.transpose(1, 0, 2).reshape(N, -1)
+    B = (wy.transpose(0, 2, 1).reshape(-1, N) @ flat).reshape(U, 3, K, 3).transpose(0, 2, 1, 3)
+    mean_z = (w @ flat).reshape(U, K, 3) / total[:, None, None]
+    mean_y = wy.sum(axis=1) / total[:, None]
+    B = B - (kept[:, None, None] * mean_y[:, None])[..., None] * mean_z[..., None, :]
+    power = (w * ((y**2).sum(axis=-1).T + (x**2).sum(axis=-1))).sum(axis=1)
+    power = power - kept * (mean_y**2).sum(axis=-1)
+    total_power = power[:, None] - kept[:, None] * (mean_z**2).sum(axis=-1)
+    return np.asarray(np.maximum(total_power - 2 * _best_alignment(B, 0.5 * total_power), 0.0))
+
+
+def _best_alignment(B: F64, bound: F64) -> F64:
+    """(...) largest trace of B R over all rotations R, for B (..., 3, 3), from an upper bound.
+
+    The largest root of Davenport's quartic by Newton's method (Markley's FOAM).
+    """
+    a, b, c = B[..., 0, :], B[..., 1, :], B[..., 2, :]
+    norm2 = (B * B).sum(axis=(-2, -1))
+    bc, ca, ab = cross(b, c), cross(c, a), cross(a, b)
+    det = (a * bc).sum(axis=-1)
+    adjugate2 = (bc * bc + ca * ca + ab * ab).sum(axis=-1)
+    top = np.maximum(bound, 1e-300)
+    for _ in range(12):
+        left = top**2 - norm2
+        value = left**2 - 8 * top * det - 4 * adjugate2
+        slope = 4 * top * left - 8 * det
+        top = top - value / np.where(np.abs(slope) > 1e-300, slope, np.inf)
+    return np.asarray(top)
+
+
+def fibonacci_sphere(n: int) -> F64:
+    """(n, 3) nearly uniform unit vectors."""
+    i = np.arange(n) + 0.5
+    z = 1 - 2 * i / n
+    azimuth = np.pi * (1 + np.sqrt(5)) * i
+    r = np.sqrt(1 - z**2)
+    return np.stack([r * np.cos(azimuth), r * np.sin(azimuth), z], axis=1)

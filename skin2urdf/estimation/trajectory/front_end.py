@@ -7,7 +7,8 @@ Up to second order, with s the Laplace variable,
 has the lag b of the filter taken off, which a clock's lag can not be told from. One pole at F [Hz]
 has ``b = 1 / (2 pi F)`` and r = 0; a filter of second order (Butterworth) has ``b^2 = 2 r`` with
 ``r = 1 / (2 pi F)^2``. To second order in s, H is ``1 + (b^2 / 2 - r) s^2``: a droop of the
-amplitude, which at a pattern's frequency looks like a lever arm that is too short.
+amplitude, which at a pattern's frequency looks like a lever arm that is too short. What rises
+instead, ``r > b^2`` or p below zero, does so by a factor ``1 - (r - b^2) s^2``: poles stay damped.
 """
 
 from __future__ import annotations
@@ -51,15 +52,22 @@ def front_end(read: F64, front: F64, rate: float, margin: int) -> tuple[F64, F64
 def transfer(w: F64, front: F64) -> tuple[F64, F64]:
     """H at angular frequencies w (F,) [rad/s]: (F, U), and its derivatives (2, F, U)."""
     p, r = front.T
-    b = np.sqrt(np.maximum(p, 0.0))
+    positive = np.maximum(p, 0.0)
+    b = np.sqrt(positive)
     s, w2 = 1j * w[:, None], w[:, None] ** 2
-    # A sensor that rises instead of drooping has no pole to say it with.
-    D = 1 + s * b - w2 * (r - 0.5 * np.minimum(p, 0.0))
-    H = np.exp(s * b) / D
+    # A sensor that rises instead of drooping has no pole to say it with: beyond a damping of a half
+    # poles would ring, and without a lag they would be on the axis.
+    q = r - 0.5 * np.minimum(p, 0.0)
+    rise = np.maximum(q - positive, 0.0)
+    D = 1 + s * b - w2 * (q - rise)
+    N = 1 + w2 * rise
+    H = np.exp(s * b) * N / D
+    rises = rise > 0
+    by_q = w2 * H / np.where(rises, N, D)
     has_lag = p > _SMALL
     by_lag = s * H * (1 - 1 / D) / (2 * np.where(has_lag, b, 1.0))
-    by_p = np.where(has_lag, by_lag, -0.5 * w2 * H / D)
-    return H, np.stack([by_p, w2 * H / D])
+    by_lag = by_lag + np.where(rises, w2 * H / D - by_q, 0.0)
+    return H, np.stack([np.where(has_lag, by_lag, -0.5 * by_q), by_q])
 
 
 def droop(front: F64) -> F64:

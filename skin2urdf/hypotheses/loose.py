@@ -40,7 +40,8 @@ class Slip:
         before: last pose with the earlier placement, and
         after: first pose with the later one, in the order of time; poses between them have both.
         gain: F, by which one placement is worse.
-        drop: of chi-squared with two placements, the joints as they are.
+        drop: of chi-squared from where it is to two placements, the joints as they are. An SU that
+            was weighed down is further from one placement than it need be.
         log_probability: natural logarithm of the probability of such an F by chance.
     """
 
@@ -135,10 +136,12 @@ def _best(sums: _Sums, u: int, free: Bool, count: Int, order: Int) -> Slip | Non
         for _, skip, _, two, _, left in tried
     ]
     i, skip, one, two, dof, _ = tried[int(np.argmin(cost))]
+    used = np.concatenate([order[:i], order[i + skip :]])
+    now = float(sums.c0[u] + sums.c[used, u].sum())
     F = max(one - two, 0.0) / k / (two / dof)
     with np.errstate(divide="ignore"):
         log_p = float(np.log(fdtrc(k, dof, F)))
-    return Slip(u, int(order[i - 1]), int(order[i + skip]), F, max(one - two, 0.0), log_p)
+    return Slip(u, int(order[i - 1]), int(order[i + skip]), F, max(now - two, 0.0), log_p)
 
 
 def _chi2(sums: _Sums, u: int, free: Bool, sides: list[Int] | tuple[Int, ...]) -> float:

@@ -35,6 +35,10 @@ _HIT = 3.0
 """Mean size of what is left during a hit, in standard deviations of noise, from which it is one."""
 _MOMENT = 0.5
 """Length of moments that may stand out [s]: about that of the shortest hit that matters."""
+_ABRUPT = 0.03
+"""Share of the samples, those in which readings are most abrupt, that tell what that leaves."""
+_NINTH = 2.706
+"""What the square of a standard normal variable stays below in nine cases of ten."""
 _MOST = 0.5
 """Share of the poses from which the samples say all that features do."""
 
@@ -148,14 +152,15 @@ def clocks_in_all(
 def is_explained_by_physics(along: MotionEstimate) -> bool:
     """Whether what real robots have explains all samples, so that nothing need be wrong.
 
-    An elastic gear, an uneven one or a drifting bias makes patterns look as if joints were hit or
+    Features are of second order in the patterns, and tell less of abrupt ones than samples do. An
+    elastic gear, an uneven one or a drifting bias makes patterns look as if joints were hit or
     encoders bent; so these are tried before anything is said to be wrong. Slack from place to place
     explains nothing by a cause, and what stands out at some moment is left to the search.
 
     Args:
         along: the fit of all samples of logs that nothing was mended in.
     """
-    if not along.causes or "slack" in along.causes:
+    if "slack" in along.causes:
         return False
     return along.misfit <= GOOD_FIT and not _anything_stands_out(along)
 
@@ -179,7 +184,7 @@ def _anything_stands_out(along: MotionEstimate) -> bool:
         first = np.arange(0, len(log.kept), size)
         count = np.diff(np.append(first, len(log.kept)))
 
-        noise = fitted.noise[g][..., :3]
+        noise = _usual(along, g)
         left = _mean_squares(p.residual / noise, p.measured, first, count)
         if len(stiff.unseen):
             by_spring = (problem.predict(stiff, g).residual - p.residual) / noise
@@ -243,9 +248,30 @@ def _stands_out(hit: Fault, along: MotionEstimate, sampled: Sequence[Sampled]) -
     if not during.any():
         return True
     seen = fitted.predicted[g].measured[during, :, None]
-    noise = np.hypot(fitted.noise[g][during][..., :3], _rattle(along, log))
+    noise = np.hypot(_usual(along, g)[during], _rattle(along, log))
     ratio = np.where(seen, fitted.predicted[g].residual[during] / noise, 0.0)
     return bool((ratio**2).mean(axis=(0, 2)).max() > _HIT**2)
+
+
+def _usual(along: MotionEstimate, g: int) -> F64:
+    """(K, U, 1 or 3) what is usually left of a log's samples, where readings are as abrupt [m/s^2].
+
+    What changes faster than it is sampled is left in part where a pattern begins or a drive stops,
+    and more of it the more the low-pass takes away; a hit stands out from that.
+    """
+    fitted, above = along.fitted, along.problem.logs[g].above
+    noise, p = fitted.noise[g][..., :3], fitted.predicted[g]
+    if above is None:
+        return noise
+    seen = p.measured[..., None]
+    beyond = np.where(seen, p.residual**2 - noise**2, 0.0).mean(axis=2)
+    share = np.zeros(above.shape[1])
+    for u, measured in enumerate(p.measured.T):
+        if measured.any():
+            abrupt = measured & (above[:, u] >= np.quantile(above[measured, u], 1 - _ABRUPT))
+            ratio = beyond[abrupt, u] / np.maximum(above[abrupt, u], 1e-300)
+            share[u] = max(float(np.quantile(ratio, 0.9)), 0.0) / _NINTH
+    return np.asarray(np.sqrt(noise**2 + (share * above)[..., None]))
 
 
 def _rattle(along: MotionEstimate, log: Trajectory) -> float:

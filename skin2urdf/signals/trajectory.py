@@ -50,6 +50,8 @@ class Trajectory:
         noise: (D, 2) variance of what encoders' noise makes of an acceleration, low-passed twice,
             and of the derivative of that, while a joint moves [rad^2/s^4 and rad^2/s^6, or m]; None
             where positions are exact.
+        above: (K, U) mean square, per axis, of what the low-pass takes away from readings around a
+            sample [m^2/s^4]; None where nobody asks for it.
     """
 
     log: int
@@ -66,6 +68,7 @@ class Trajectory:
     rates: F64 | None = None
     turning: Bool | None = None
     noise: F64 | None = None
+    above: F64 | None = None
 
     def __post_init__(self) -> None:
         for name in ("taps", "q", "qd", "qdd", "readings"):
@@ -73,8 +76,9 @@ class Trajectory:
         if self.rates is not None and self.turning is not None:
             object.__setattr__(self, "rates", frozen(self.rates))
             object.__setattr__(self, "turning", frozen(self.turning, np.bool_))
-        if self.noise is not None:
-            object.__setattr__(self, "noise", frozen(self.noise))
+        for name in ("noise", "above"):
+            if getattr(self, name) is not None:
+                object.__setattr__(self, name, frozen(getattr(self, name)))
         object.__setattr__(self, "kept", frozen(self.kept, np.int64))
         for name in ("valid", "moving"):
             object.__setattr__(self, name, frozen(getattr(self, name), np.bool_))
@@ -98,7 +102,10 @@ def trajectory(sampled: Sampled, log: int, reach: float = 0.0) -> Trajectory:
     taps = low_pass(sampled.cutoff, rate)
     half = len(taps) // 2
     q = filtered(motion.q, taps)
-    readings = filtered(filtered(sampled.readings, taps), taps)
+    once = filtered(sampled.readings, taps)
+    readings = filtered(once, taps)
+    reach_of_taps = np.abs(taps) / np.abs(taps).sum()
+    above = filtered(((sampled.readings - once) ** 2).mean(axis=2), reach_of_taps)
     every = max(1, int(rate / (_RATE_OVER_CUTOFF * sampled.cutoff)))
     kept = np.arange(half, motion.grid.size - half, every)
     whole = sampled.valid & ~sampled.computed & motion.valid[:, None]
@@ -125,6 +132,7 @@ def trajectory(sampled: Sampled, log: int, reach: float = 0.0) -> Trajectory:
         noise=_noise(motion, taps),
         rates=rates,
         turning=turning,
+        above=np.maximum(above[kept], 0.0),
     )
 
 
@@ -152,6 +160,7 @@ def in_order(log: Trajectory, dofs: Int, sus: Int) -> Trajectory:
         qdd=log.qdd[:, dofs],
         moving=log.moving[:, dofs],
         noise=None if log.noise is None else log.noise[dofs],
+        above=None if log.above is None else log.above[:, sus],
         readings=log.readings[:, sus],
         valid=log.valid[:, sus],
         rates=None if log.rates is None else log.rates[:, sus],

@@ -35,10 +35,11 @@ _HIT = 3.0
 """Mean size of what is left during a hit, in standard deviations of noise, from which it is one."""
 _MOMENT = 0.5
 """Length of moments that may stand out [s]: about that of the shortest hit that matters."""
-_ABRUPT = 0.03
-"""Share of the samples, those in which readings are most abrupt, that tell what that leaves."""
-_NINTH = 2.706
-"""What the square of a standard normal variable stays below in nine cases of ten."""
+_ABRUPT = 0.1
+"""Share of the samples, those in which readings are most abrupt, that tell what that leaves: where
+patterns begin and end at once, a tenth of the time; of hits there are fewer than half of that."""
+_MEDIAN = 0.455
+"""Median of the square of a standard normal variable."""
 _MOST = 0.5
 """Share of the poses from which the samples say all that features do."""
 
@@ -263,6 +264,8 @@ def _usual(along: MotionEstimate, g: int) -> F64:
     noise, p = fitted.noise[g][..., :3], fitted.predicted[g]
     if above is None:
         return noise
+    # Most of the time it is nothing but noise.
+    above = np.maximum(above - np.median(above, axis=0), 0.0)
     seen = p.measured[..., None]
     beyond = np.where(seen, p.residual**2 - noise**2, 0.0).mean(axis=2)
     share = np.zeros(above.shape[1])
@@ -270,7 +273,7 @@ def _usual(along: MotionEstimate, g: int) -> F64:
         if measured.any():
             abrupt = measured & (above[:, u] >= np.quantile(above[measured, u], 1 - _ABRUPT))
             ratio = beyond[abrupt, u] / np.maximum(above[abrupt, u], 1e-300)
-            share[u] = max(float(np.quantile(ratio, 0.9)), 0.0) / _NINTH
+            share[u] = max(float(np.median(ratio)), 0.0) / _MEDIAN
     return np.asarray(np.sqrt(noise**2 + (share * above)[..., None]))
 
 

@@ -347,13 +347,12 @@ def _lines(
     out: list[_Line | None] = []
     for u in range(U):
         use = counted[:, u]
-        weight = free[use, u]
-        if use.sum() < _FEWEST or weight.sum() < _FEWEST:
+        if use.sum() < _FEWEST or free[use, u].sum() < _FEWEST:
             out.append(None)
             continue
         score = scores[use, :, u]
-        line = _best(time[use], score, lags, reach, steep, n / rate)
-        out.append(_refined(time[use], score, weight, lags, line))
+        offset, drift = _best(time[use], score, lags, reach, steep, n / rate)
+        out.append(_refined(time[use], score, lags, offset, drift))
     return out
 
 
@@ -417,17 +416,13 @@ def _best(
     return found
 
 
-def _refined(
-    time: F64, score: F64, free: F64, lags: F64, line: tuple[float, float]
-) -> _Line | None:
+def _refined(time: F64, score: F64, lags: F64, offset: float, drift: float) -> _Line | None:
     """A line through the peaks of the stretches near a line, by robust weighted least squares.
 
     What is left in a stretch rises with the square of the lag's error; how fast tells the width of
     the readings' spectrum, and with it how many independent values three axes have in a stretch.
-    What is left at the best lag, over both, is the variance of the peak. The joints' motion fits
-    some of the values whatever they are, and only ``free`` (W,) of them tell what is left.
+    What is left at the best lag, over both, is the variance of the peak.
     """
-    offset, drift = line
     step = lags[1] - lags[0]
     near = np.rint((offset + drift * time - lags[0]) / step).astype(int)
     peaks, weights, rows = [], [], []
@@ -444,8 +439,7 @@ def _refined(
         rise = bend / (2 * step**2)
         values = max(1.0, 6 * _STRETCH * np.sqrt(rise) / (2 * np.pi))
         peaks.append(lags[i] + 0.5 * step * (before - after) / bend)
-        told = min(1.0, max(free[w], 1.0) / values)
-        weights.append(values * rise * told / (here - _MODEL + _LEAST_LEFT))
+        weights.append(values * rise / (here - _MODEL + _LEAST_LEFT))
         rows.append(w)
     if len(rows) < _FEWEST:
         return None

@@ -328,7 +328,8 @@ def _moved(
     push = np.array([b.slide[index] for _, b in pairs])
     sd = np.array([b.slide_sd[index] for _, b in pairs])
     off = np.abs(np.linalg.norm(push, axis=1) - 1)
-    if np.max(off - 4 * sd) > _PUSH:
+    # SUs beyond a joint that is not known yet say something else.
+    if np.median(off - 4 * sd) > _PUSH:
         return None
     best = int(np.argmin(sd))
     return _Moved(float(gains.sum()), push[best], float(sd[best]))

@@ -30,6 +30,8 @@ _SAME = 0.02
 back to within a milliradian, patterns leave it by ten times as much."""
 _REST = 0.25
 """Length of a rest at least [s], as poses have it; where a pattern turns round is none."""
+_OFTEN = 1.0
+"""Time between moments that stand for places at least [s]: about that of a move."""
 _MOST = 300
 """Numbers of slack at most, since time goes with their square; the places visited longest count."""
 _WIDE = 1e-2
@@ -54,7 +56,8 @@ class Size:
 def slack(tree: KinematicTree, logs: Sequence[Trajectory]) -> Unseen | None:
     """An offset of every joint in every place where the robot stays; None without two places.
 
-    On its way from place to place a joint's offset changes as smoothly as the joint moves. What is
+    On its way from place to place a joint's offset changes as smoothly as the joint moves. Where a
+    robot stays in no two places of a log, moments on its way are its places. What is
     the same in all places, as in play whose load never changes its side, shows nowhere, and is as
     large.
 
@@ -62,7 +65,12 @@ def slack(tree: KinematicTree, logs: Sequence[Trajectory]) -> Unseen | None:
         tree: D joints.
         logs: trajectories.
     """
+    most = max(2, _MOST // max(1, tree.n_joints))
     stays = [_stays(log) for log in logs]
+    stays = [
+        s if len(s) > 1 else _moments(log, most // len(logs))
+        for s, log in zip(stays, logs, strict=True)
+    ]
     everywhere = np.array(
         [
             log.q[log.kept[b:e]].mean(axis=0)
@@ -73,7 +81,7 @@ def slack(tree: KinematicTree, logs: Sequence[Trajectory]) -> Unseen | None:
     if len(everywhere) < 2:
         return None
     length = np.array([e - b for s in stays for b, e in s])
-    place = _places(everywhere, length, max(2, _MOST // max(1, tree.n_joints)))
+    place = _places(everywhere, length, most)
     P = int(place.max()) + 1
     if P < 2:
         return None
@@ -183,6 +191,13 @@ def _stays(log: Trajectory) -> list[tuple[int, int]]:
         else:
             out.append((int(begin), int(end)))
     return out
+
+
+def _moments(log: Trajectory, most: int) -> list[tuple[int, int]]:
+    """Kept samples at even distances in time, as stays of one sample each."""
+    apart = max(_OFTEN, float(log.time[-1] - log.time[0]) / max(most, 1))
+    at = np.searchsorted(log.time, np.arange(log.time[0], log.time[-1], apart))
+    return [(int(k), int(k) + 1) for k in at]
 
 
 def _places(q: F64, length: Int, most: int) -> Int:

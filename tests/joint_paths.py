@@ -49,6 +49,13 @@ class JointPath:
             piece[:, joint] += offset / 2 * (1 - np.cos(2 * np.pi * f * t)) * window
         return self._add(piece)
 
+    def abrupt(self, joint: int, size: float, *, seconds: float, hertz: float) -> JointPath:
+        """A sine of one joint that begins and ends at full speed."""
+        t = np.arange(round(seconds * FINE)) / FINE
+        piece = np.tile(self._here, (t.size, 1))
+        piece[:, joint] += size * np.sin(2 * np.pi * hertz * t)
+        return self._add(np.concatenate([piece, self._here[None]]))
+
     @property
     def time(self) -> F64:
         """(N,) times of the points [s]."""

@@ -292,14 +292,16 @@ def _rattle(along: MotionEstimate, log: Trajectory) -> float:
 
 
 def _share_of_poses(trajectories: Sequence[Trajectory], sampled: Sequence[Sampled]) -> float:
-    """Share of the poses in whose windows there are samples to compare."""
+    """Share of the poses in whose windows there are samples to compare; 1 where nothing rests."""
     seen = []
     for log, s in zip(trajectories, sampled, strict=True):
+        if not any(rest.still for rest in s.rests):
+            continue
         there = log.kept[log.valid.any(axis=1)]
         for pose in s.neighbourhoods:
             ends = np.searchsorted(there, np.array(pose.windows))
             seen.append(bool((ends[:, 1] > ends[:, 0]).any()))
-    return float(np.mean(seen)) if seen else 0.0
+    return float(np.mean(seen)) if seen else 1.0
 
 
 def with_samples(found: Estimate, along: MotionEstimate) -> Estimate:

@@ -21,6 +21,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft
+from scipy.special import ndtr, stdtrit
 
 from skin2urdf.arrays import F64, Bool
 from skin2urdf.recording.records import SuStream
@@ -181,13 +182,19 @@ def _of_one(su: SuStream, motion: Motion, regressors: F64, middle: float) -> SuC
         step = None if size is None else refined(size, regressors, rate)
         if step is None:
             return nothing
-        (late, fast), (late_sd, fast_sd) = step
+        (late, fast), sds, freedom = step
+        late_sd, fast_sd = map(float, sds * _by_few(freedom))
         clock = replace(
-            clock, latency=clock.latency + float(late), latency_sd=float(late_sd),
-            drift=clock.drift + float(fast), drift_sd=float(fast_sd),
+            clock, latency=clock.latency + float(late), latency_sd=late_sd,
+            drift=clock.drift + float(fast), drift_sd=fast_sd,
         )  # fmt: skip
     far = abs(clock.latency - found[0]) > _NEAR or abs(clock.drift) > 1.1 * LARGEST_DRIFT
     return nothing if far else clock
+
+
+def _by_few(freedom: float) -> float:
+    """Factor that makes deviations with few degrees of freedom as significant as normal ones."""
+    return float(stdtrit(freedom, ndtr(_SIGNIFICANT))) / _SIGNIFICANT
 
 
 def _is_off(clock: SuClock, motion: Motion) -> bool:

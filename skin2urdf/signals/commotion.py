@@ -132,8 +132,8 @@ def valley(profile: F64) -> tuple[int, int]:
     return a, b
 
 
-def refined(size: F64, regressors: F64, rate: float) -> tuple[F64, F64] | None:
-    """Change of offset [s] and drift that explains more, and their (2,) standard deviations.
+def refined(size: F64, regressors: F64, rate: float) -> tuple[F64, F64, int] | None:
+    """Change of offset [s] and drift that explains more, their (2,) deviations, and those' freedom.
 
     The deviations are those of windows that are independent of each other, whatever their errors
     are made of. Errors that come back with the motion, as in one that repeats, are in the offset's.
@@ -159,4 +159,4 @@ def refined(size: F64, regressors: F64, rate: float) -> tuple[F64, F64] | None:
     covariance = inverse @ (scores.T @ scores) @ inverse * (len(scores) / freedom)
     variance = np.diag(covariance)[:2].copy()
     variance[0] += _ALIKE**2 * (residual @ residual) * inverse[0, 0]
-    return -solution[:2] / scale[:2], np.sqrt(variance) / scale[:2]
+    return -solution[:2] / scale[:2], np.sqrt(variance) / scale[:2], freedom

@@ -27,11 +27,13 @@ class Rest:
         begin: first grid sample.
         end: one past the last.
         q: (D,) mean positions [rad or m].
+        still: False where joints do move, and it stands for a rest that the log lacks.
     """
 
     begin: int
     end: int
     q: F64
+    still: bool = True
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "q", frozen(self.q))
@@ -91,7 +93,8 @@ def slowest_moments(motion: Motion, most: int = 8) -> tuple[Rest, ...]:
     speed = np.where(motion.valid[:size].reshape(-1, n).all(axis=1), speed, np.inf)
     chosen = [int(i) for i in np.argsort(speed)[:most] if np.isfinite(speed[i])]
     return tuple(
-        Rest(i * n, (i + 1) * n, motion.q[i * n : (i + 1) * n].mean(axis=0)) for i in sorted(chosen)
+        Rest(i * n, (i + 1) * n, motion.q[i * n : (i + 1) * n].mean(axis=0), still=False)
+        for i in sorted(chosen)
     )
 
 

@@ -226,7 +226,7 @@ def _intervals(s: Sampled) -> list[tuple[int, int, bool]]:
         ]
         if rest is not None:
             trim = min(12, (rest.end - rest.begin) // 4)
-            out.append((rest.begin + trim, rest.end - trim, True))
+            out.append((rest.begin + trim, rest.end - trim, rest.still))
             at = rest.end
     return out
 

@@ -1,0 +1,93 @@
+"""Robots that MuJoCo moves without a rest, and patterns that begin at once."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from joint_paths import JointPath
+from mujoco_robot import Arm, random_arm, record, truth_urdf
+from simulated import held_against
+
+from skin2urdf.arrays import F64, Bool
+from skin2urdf.calibration.pipeline import calibrate
+from skin2urdf.calibration.result import Calibration
+from skin2urdf.estimation.uncertainty.observability import aligned_deviations
+from skin2urdf.recording.records import Recording
+from skin2urdf.signals.clocks import su_clocks
+from skin2urdf.signals.motion import joint_motion
+from skin2urdf.signals.poses import find_rests
+from skin2urdf.urdf.records import Comparison
+
+SEED, JOINTS = 21, 5
+
+
+def names(arm: Arm) -> tuple[list[str], list[str]]:
+    return [f"skin_{n}" for n in range(arm.n_joints + 1)], [f"m{n}" for n in range(arm.n_joints)]
+
+
+def on_the_way(recording: Recording, begin: float, end: float) -> Recording:
+    """The part of a recording between two times."""
+
+    def inside(time: F64) -> Bool:
+        return np.asarray((time > begin) & (time < end))
+
+    joints = tuple(
+        replace(j, time=j.time[inside(j.time)], position=j.position[inside(j.time)])
+        for j in recording.joints
+    )
+    return replace(recording, joints=joints, sus=tuple(s.at(inside(s.time)) for s in recording.sus))
+
+
+def restless() -> tuple[Arm, Recording]:
+    """All joints swing far, at once and slowly, and none of it is a rest."""
+    arm = random_arm(SEED, JOINTS)
+    sizes = dict(enumerate(np.array([2.2, -1.9, 2.4, -2.1, 2.3])[:JOINTS]))
+    path = JointPath([0.0] * JOINTS).swing(sizes, seconds=110.0, hertz=0.11)
+    sus, joints = names(arm)
+    whole = record(arm, path, sus, joints, np.random.default_rng(5))
+    return arm, on_the_way(whole, 20.0, 90.0)
+
+
+def compared(arm: Arm, found: Calibration, folder: Path) -> Comparison:
+    return held_against(found, truth_urdf(arm, *names(arm)), folder)
+
+
+def test_a_robot_that_never_rests_is_calibrated(tmp_path: Path) -> None:
+    arm, recording = restless()
+    assert not find_rests(joint_motion(recording))
+    found = calibrate(recording)
+    comparison = compared(arm, found, tmp_path)
+    assert comparison.tree_equal, comparison.tree_differences
+    assert found.quality in ("good", "fair")
+    assert not found.faults
+    low, high = found.limits.T
+    at = np.random.default_rng(0).uniform(low, high, (40, arm.n_joints))
+    stated, _ = aligned_deviations(found.estimate, found.observability, at)
+    assert comparison.position.rms < 2 * np.sqrt(np.nanmean(stated**2))
+    assert comparison.position.rms < 1e-3
+
+
+def test_motion_that_spans_all_readings_tells_no_clock_wrong() -> None:
+    """Any slow reading is a sum of slow joints' positions, whatever its lag."""
+    _, recording = restless()
+    assert su_clocks(recording.sus, joint_motion(recording)) == ()
+
+
+def test_patterns_that_begin_at_once_are_no_hits(tmp_path: Path) -> None:
+    """A step of the velocity that a drive is told holds more than is sampled."""
+    arm = random_arm(SEED + 1, JOINTS)
+    rng = np.random.default_rng(6)
+    path = JointPath([0.0] * JOINTS).rest(1.0)
+    for joint in range(JOINTS):
+        path.move(0.8 * np.eye(JOINTS)[joint], 1.2).rest(0.7).move([0.0] * JOINTS, 1.2).rest(0.7)
+    for pose in rng.uniform(-1.3, 1.3, (4, JOINTS)):
+        path.move(pose, 2.0).rest(1.0)
+        for joint in range(JOINTS):
+            path.abrupt(joint, 0.1, seconds=2.0, hertz=2.0).rest(0.5)
+    sus, joints = names(arm)
+    found = calibrate(record(arm, path, sus, joints, rng, lag=0.0))
+    comparison = compared(arm, found, tmp_path)
+    assert comparison.tree_equal
+    assert [fault.kind for fault in found.faults] == []

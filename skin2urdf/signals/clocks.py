@@ -94,6 +94,10 @@ class _Line:
     drift_sd: float
     stretches: int
 
+    def wider(self, factor: float) -> _Line:
+        """The line with larger deviations."""
+        return replace(self, offset_sd=factor * self.offset_sd, drift_sd=factor * self.drift_sd)
+
 
 def su_clocks(sus: Sequence[SuStream], motion: Motion) -> tuple[SuClock, ...]:
     """Find the clocks of a log that are off by more than the search around the poses can mend.
@@ -194,7 +198,7 @@ def _of_one(su: SuStream, motion: Motion, regressors: F64, middle: float) -> SuC
 
 def _by_few(freedom: float) -> float:
     """Factor that makes deviations with few degrees of freedom as significant as normal ones."""
-    return float(stdtrit(freedom, ndtr(_SIGNIFICANT))) / _SIGNIFICANT
+    return float(stdtrit(freedom, float(ndtr(_SIGNIFICANT)))) / _SIGNIFICANT
 
 
 def _is_off(clock: SuClock, motion: Motion) -> bool:
@@ -359,7 +363,8 @@ def _lines(
             continue
         score = scores[use, :, u]
         offset, drift = _best(time[use], score, lags, reach, steep, n / rate)
-        out.append(_refined(time[use], score, lags, offset, drift))
+        line = _refined(time[use], score, lags, offset, drift)
+        out.append(line if line is None else line.wider(_by_few(float(free[use, u].sum()))))
     return out
 
 

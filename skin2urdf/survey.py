@@ -101,7 +101,7 @@ def explore(
 
     Raises:
         UnreadableInputError: a log can not be read.
-        InsufficientDataError: the robot never rests, or no pose can be used.
+        InsufficientDataError: no pose can be used.
     """
     tell = progress or (lambda _stage, _share: None)
     recordings = []
@@ -112,7 +112,7 @@ def explore(
 
         recordings.append(read(log, part))
     tell("features", 0.0)
-    sampled, sus = sampled_together(recordings)
+    sampled, sus = sampled_together(recordings, must_rest=False)
     features = first_features(sampled, sus)
     tell("features", 1.0)
     seen = activity(features, threshold)
@@ -192,7 +192,7 @@ def survey(log: str | Path, *, progress: Progress | None = None) -> Surveyed:
     except UnreadableInputError as error:
         return Surveyed(listed, None, None, None, nothing, *_hopeless(error, log))
     try:
-        (sampled,), sus = sampled_together([recording])
+        (sampled,), sus = sampled_together([recording], must_rest=False)
     except InsufficientDataError as error:
         return Surveyed(listed, recording, None, None, nothing, *_hopeless(error, log))
     tell("features", 0.0)
@@ -249,8 +249,9 @@ def _weak_poses(sampled: Sampled, features: Features, excited: Bool) -> list[str
     """What the poses lack."""
     problems = []
     if not activity(features).patterns_felt:
+        lacking = "no patterns around poses" if sampled.at_rest else "the robot never rests"
         return [
-            f"no patterns around poses: the moves alone have to show everything, for which "
+            f"{lacking}: the moves alone have to show everything, for which "
             f"{_ENOUGH_MINUTES:g} minutes of them and an SU on every segment are good; else move "
             "the joints by about 0.1 rad at 1 to 4 Hz around each pose",
             *_silent(sampled, features),

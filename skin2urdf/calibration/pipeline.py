@@ -88,12 +88,7 @@ def calibrate(
     recordings = clock.run("reading", lambda tell: recordings_of(logs, tell))
     # No joint leaps: what its track alone shows to be wrong is taken off before the first look.
     leaps = clock.run("leaps", lambda _: evident_errors(recordings))
-    sampled = sample_logs(
-        corrected(recordings, [leap.error for leap in leaps]),
-        settings,
-        clock,
-        must_rest=settings.motion != "all",
-    )
+    sampled = sample_logs(corrected(recordings, [leap.error for leap in leaps]), settings, clock)
     features = take_features(sampled, clock)
     structure = find_structure(sampled, features, clock)
     along = looked = first = None

@@ -102,20 +102,20 @@ def sample_logs(
     recordings: Sequence[Recording],
     settings: CalibrationSettings,
     clock: Clock,
-    *,
-    must_rest: bool = True,
 ) -> Logs:
     """Put recordings on their grids.
+
+    Where all samples count, the slowest moments of a robot that never rests may stand for rests.
 
     Args:
         recordings: the logs.
         settings: choices.
         clock: runs the stage.
-        must_rest: False where slowest moments may stand for rests.
 
     Raises:
         InsufficientDataError: the logs lack what a calibration needs.
     """
+    must_rest = settings.motion != "all" or settings.method == "paper"
     sampled, su_names = clock.run(
         "sampling", lambda tell: sampled_together(recordings, must_rest=must_rest, tell=tell)
     )

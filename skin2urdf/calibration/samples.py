@@ -295,7 +295,7 @@ def _share_of_poses(trajectories: Sequence[Trajectory], sampled: Sequence[Sample
     """Share of the poses in whose windows there are samples to compare; 1 where nothing rests."""
     seen = []
     for log, s in zip(trajectories, sampled, strict=True):
-        if not any(rest.still for rest in s.rests):
+        if not s.at_rest:
             continue
         there = log.kept[log.valid.any(axis=1)]
         for pose in s.neighbourhoods:

@@ -38,7 +38,7 @@ def as_text(surveyed: Surveyed) -> str:
     if surveyed.recording is not None:
         lines += ["", *_joints(surveyed), "", *_sus(surveyed.recording, surveyed)]
     if surveyed.sampled is not None:
-        lines += ["", _found(surveyed, len(surveyed.sampled.rests))]
+        lines += ["", _found(surveyed, len(surveyed.sampled.at_rest))]
     lines += bullets("Notes", _notes(surveyed))
     lines += bullets("Faults", _faults(surveyed))
     if surveyed.problems:
@@ -70,7 +70,7 @@ def as_document(surveyed: Surveyed) -> dict[str, Any]:
             ],
             "joints": {j.name: _joint(j, i, surveyed) for i, j in _numbered(recording)},
             "sus": {su.name: _su(su) for su in recording.sus} if recording else {},
-            "rests": len(sampled.rests) if sampled else 0,
+            "rests": len(sampled.at_rest) if sampled else 0,
             "poses": len(surveyed.features.q) if surveyed.features else 0,
             "poses_with_pattern": int(surveyed.excited.any(axis=-1).sum()),
             "notes": _notes(surveyed),

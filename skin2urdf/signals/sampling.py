@@ -75,6 +75,11 @@ class Sampled:
     clocks: tuple[SuClock, ...] = ()
     turning: Turning | None = None
 
+    @property
+    def at_rest(self) -> tuple[Rest, ...]:
+        """The rests in which nothing moves, without moments that stand for them."""
+        return tuple(rest for rest in self.rests if rest.still)
+
 
 def sample_recording(
     recording: Recording,
@@ -280,8 +285,9 @@ def static_moves(sampled: Sequence[Sampled]) -> StaticMoves:
         here = s.motion.moved
         moved |= here
         least = np.where(here, np.minimum(_LEAST_MOVE, _LEAST_MOVE * travel(s.motion)), np.inf)
-        q = np.array([rest.q for rest in s.rests])
-        for k in range(1, len(s.rests)):
+        rests = s.at_rest
+        q = np.array([rest.q for rest in rests])
+        for k in range(1, len(rests)):
             if not (np.abs(q[k] - q[k - 1]) >= least).any():
                 continue  # the same place again
             steps = q[k] - q[:k][-_MEMORY:][::-1]
@@ -294,7 +300,7 @@ def static_moves(sampled: Sequence[Sampled]) -> StaticMoves:
             back = single[0]
             dofs.append(int(dof[back]))
             distances.append(float(steps[back, dof[back]]))
-            changes.append(_mean(s, s.rests[k]) - _mean(s, s.rests[k - 1 - back]))
+            changes.append(_mean(s, rests[k]) - _mean(s, rests[k - 1 - back]))
             doubts.append(GRAVITY * float(np.abs(steps[back]).sum() - size[back]))
     U = sampled[0].readings.shape[1]
     return StaticMoves(

@@ -65,7 +65,7 @@ def calibrate_with_model(
     description = describe(given)
     leaps = clock.run("leaps", lambda _: evident_errors(recordings))
     mended = corrected(recordings, [leap.error for leap in leaps])
-    sampled = sample_logs(mended, settings, clock, must_rest=False)
+    sampled = sample_logs(mended, settings, clock)
     chassis = match(description, sampled.sampled[0].motion.dof_names)
     heard = _heard(sampled)
     trajectories = _trajectories(sampled, chassis, heard)

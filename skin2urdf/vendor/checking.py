@@ -183,7 +183,7 @@ def check(
     clock = Clock(progress)
     skin = load_skin(urdf)
     recordings = clock.run("reading", lambda tell: recordings_of(logs, tell))
-    sampled = sample_logs(recordings, settings, clock, must_rest=False)
+    sampled = sample_logs(recordings, settings, clock)
     chassis = match(skin.description, sampled.sampled[0].motion.dof_names)
     usable = np.any([s.valid.any(axis=0) for s in sampled.sampled], axis=0)
     known = {su.name: su for su in skin.sus}

@@ -107,7 +107,9 @@ def explained(
         only_known: try nothing but joints that yield under known torques.
         without: causes of what drifts and bends that need not be tried.
     """
-    rigid = _Attempt(problem, fitted, (), slack(problem.tree, problem.logs))
+    given = problem.priors.blueprint is not None
+    places = slack(problem.tree, problem.logs, zeros_given=given)
+    rigid = _Attempt(problem, fitted, (), places)
     if rigid.misfit > min(most, _BEYOND) or not rigid.lacks:
         return Explained(problem, fitted)
     # Few numbers that say more than many would.

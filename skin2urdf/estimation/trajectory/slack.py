@@ -13,6 +13,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.linalg import null_space
 
 from skin2urdf.arrays import F64, Int
 from skin2urdf.estimation.trajectory.arrow import eliminated, joint_inverse
@@ -53,7 +54,9 @@ class Size:
     gain: float
 
 
-def slack(tree: KinematicTree, logs: Sequence[Trajectory]) -> Unseen | None:
+def slack(
+    tree: KinematicTree, logs: Sequence[Trajectory], *, zeros_given: bool = False
+) -> Unseen | None:
     """An offset of every joint in every place where the robot stays; None without two places.
 
     On its way from place to place a joint's offset changes as smoothly as the joint moves. Where a
@@ -64,6 +67,8 @@ def slack(tree: KinematicTree, logs: Sequence[Trajectory]) -> Unseen | None:
     Args:
         tree: D joints.
         logs: trajectories.
+        zeros_given: whether the zeros of the joints are known, so that what is the same in all
+            places shows: as another zero, which is no slack.
     """
     most = max(2, _MOST // max(1, tree.n_joints))
     stays = [_stays(log) for log in logs]
@@ -90,10 +95,14 @@ def slack(tree: KinematicTree, logs: Sequence[Trajectory]) -> Unseen | None:
         shares.append(_shares(log, s, place[first : first + len(s)], P))
         first += len(s)
     unit = np.where(tree.prismatic, LEVER, 1.0)
+    joints = np.arange(tree.n_joints)
+    if zeros_given:
+        apart = null_space(np.ones((1, P)))
+        motions = tuple(np.concatenate([h @ apart * k for k in unit], axis=1) for h in shares)
+        return Unseen(np.repeat(joints, P - 1), motions)
     motions = tuple(
         np.concatenate([*(h * k for k in unit), np.tile(unit, (len(h), 1))], axis=1) for h in shares
     )
-    joints = np.arange(tree.n_joints)
     return Unseen(np.concatenate([np.repeat(joints, P), joints]), motions)
 
 

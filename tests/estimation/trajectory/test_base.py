@@ -97,12 +97,14 @@ def _on_a_stand(compliance: float) -> tuple[MotionEstimate, F64]:
 
 def test_a_base_that_gives_way_is_followed() -> None:
     found, tilt = _on_a_stand(1 / 30_000)
-    assert found.causes == ("base",)
+    # What is left of its motion, a tenth at most, may be slack.
+    assert found.causes[0] == "base"
+    assert set(found.causes[1:]) <= {"slack"}
     assert found.misfit < 1.5
     taps = low_pass(6.0, RATE)
     smooth = filtered(tilt, taps)[found.problem.logs[0].kept]
     np.testing.assert_allclose(found.base_motion[3:5], np.ptp(smooth, axis=0), rtol=0.2)
-    assert not found.deflections.any()
+    assert np.max(found.deflections) < 0.1 * np.ptp(smooth, axis=0).max()
     # An SU on the base begins 2.5 rad off; its tilt and its bias are hardly told apart.
     turned = found.state.T_joint_su[2, :3, :3].T @ _truth().T_joint_su[2, :3, :3]
     assert np.linalg.norm(rotation_log(turned)) < 0.3

@@ -48,7 +48,7 @@ def parser() -> argparse.ArgumentParser:
         help=f"of {', '.join(ROWS)} (default: all)".replace("%", "%%"),
     )  # fmt: skip
     what.add_argument("--grade", default=default.grade, choices=sorted(GRADES))
-    what.add_argument("--excite", default=default.excite, choices=["one", "all", "none"])
+    what.add_argument("--excite", default=default.excite, choices=["one", "all", "none", "series"])
     what.add_argument("--poses", type=int, default=default.poses, help="poses per recording")
     what.add_argument(
         "--minutes", type=float, default=default.minutes, help="length without patterns [min]"

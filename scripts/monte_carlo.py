@@ -39,7 +39,7 @@ def parser() -> argparse.ArgumentParser:
     what.add_argument("--robots", nargs="+", default=["panda"], help="names in robots/")
     what.add_argument("--grades", nargs="+", default=["mems"], help="sensor grades")
     what.add_argument(
-        "--excite", default="all", choices=["one", "all", "none"],
+        "--excite", default="all", choices=["one", "all", "none", "series"],
         help="one DoF after the other, all at once (default), or moves without patterns",
     )  # fmt: skip
     what.add_argument("--poses", type=int, default=6, help="poses per recording (default: 6)")

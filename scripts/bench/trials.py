@@ -25,7 +25,7 @@ from skin2urdf.report.notes import note_words
 from skin2urdf.simulation import RobotSpec, SimulationSettings, Truth, load_robot, simulate
 from skin2urdf.simulation.defects import LocalGravity
 from skin2urdf.simulation.robots import example_robot_data
-from skin2urdf.simulation.settings import Excitation
+from skin2urdf.simulation.settings import WITHOUT_PATTERNS, Excitation
 
 TWO_ARMS = "two_arms"
 """The tree of the bench: Baxter's shoulders and elbows, two arms of four joints on one torso."""
@@ -59,7 +59,7 @@ class Case:
     @property
     def circumstance(self) -> str:
         """All but row and seed, in words."""
-        length = f"{self.minutes:g}min" if self.excite == "none" else f"{self.poses}poses"
+        length = f"{self.minutes:g}min" if self.excite in WITHOUT_PATTERNS else f"{self.poses}poses"
         words = (self.robot, self.grade, self.excite, length)
         return " ".join((*words, f"motion={self.motion}") if self.motion != "all" else words)
 
@@ -74,7 +74,7 @@ class Case:
         return SimulationSettings(
             n_poses=self.poses,
             excite=self.excite,
-            minutes=self.minutes if self.excite == "none" else None,
+            minutes=self.minutes if self.excite in WITHOUT_PATTERNS else None,
             seed=self.seed,
             grade=self.grade,
             defects=ROWS[self.row],

@@ -1,6 +1,7 @@
 """The reference trajectory: structural moves, rests in random poses, patterns around each pose.
 
-Or none of it: moves from one random pose to the next, as any program of a robot makes them.
+Or none of it: moves from one random pose to the next, as any program of a robot makes them, or all
+joints on and on, as for dynamic identification.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from skin2urdf.simulation.mechanism import Mechanism
 from skin2urdf.simulation.motion_settings import MotionSettings
 from skin2urdf.simulation.pattern import Tones, distinct_time, swing, tone_pairs
 from skin2urdf.simulation.settings import Excitation
-from skin2urdf.simulation.trajectory import JointMotion, PathBuilder, Phase
+from skin2urdf.simulation.trajectory import GRID, JointMotion, PathBuilder, Phase
 
 _LIMIT_MARGIN = 0.03
 """Room kept to the limits for sag and overshoot [rad; a tenth of it in m]."""
@@ -131,6 +132,39 @@ def plan_moves(
         path.rest(settings.ordinary_rest, len(poses))
         poses.append(pose)
     return Reference(path.motion(), tuple(path.phases), np.reshape(poses, (-1, len(home))))
+
+
+def plan_series(
+    mechanism: Mechanism, settings: MotionSettings, duration: float, rng: np.random.Generator
+) -> Reference:
+    """Plan the trajectory of a robot that never rests: each DoF follows a Fourier series.
+
+    That is how robots are moved to identify their dynamics (Swevers et al. 1997). The log begins on
+    the way.
+
+    Args:
+        mechanism: the robot.
+        settings: frequencies, speed, range.
+        duration: length of the trajectory [s].
+        rng: source of amplitudes and phases.
+
+    Returns:
+        A smooth trajectory inside the joint limits.
+    """
+    D = mechanism.n_joints
+    lower, upper = _pose_range(mechanism, settings, np.zeros(D))
+    time = np.arange(0.0, duration + 0.5 * GRID, GRID)
+    lowest, highest = settings.series_band
+    w = 2 * pi * lowest * np.arange(1, round(highest / lowest) + 1)
+    size = rng.standard_normal((D, len(w))) * (w[0] / w) ** 0.7
+    phase = rng.uniform(0, 2 * pi, (D, len(w)))
+    wave = np.stack([np.sin(np.outer(time, w) + p) @ a for a, p in zip(size, phase, strict=True)])
+    middle, reach = 0.5 * (wave.max(axis=1) + wave.min(axis=1)), 0.5 * np.ptp(wave, axis=1)
+    speed = np.abs(np.diff(wave, axis=1)).max(axis=1) / GRID
+    factor = np.minimum(0.5 * (upper - lower) / reach, _move_speed(mechanism, settings) / speed)
+    position = (0.5 * (lower + upper))[:, None] + factor[:, None] * (wave - middle[:, None])
+    phases = (Phase("move", 0.0, float(time[-1])),)
+    return Reference(JointMotion(time, position.T), phases, np.zeros((0, D)))
 
 
 def _move_one_by_one(path: PathBuilder, home: F64, targets: F64, speed: F64, rest: float) -> None:

@@ -37,6 +37,7 @@ class MotionSettings:
             A prismatic DoF moves by the linear speed where a revolute one does by the angular.
         ordinary_acceleration: lowest and highest peak acceleration of such a move [rad/s^2].
         ordinary_rest: time at rest after such a move [s].
+        series_band: lowest and highest frequency of a Fourier series [Hz].
     """
 
     frequency: float = 2.0
@@ -56,6 +57,7 @@ class MotionSettings:
     ordinary_speed: tuple[float, float] = (0.5, 1.5)
     ordinary_acceleration: tuple[float, float] = (1.0, 4.0)
     ordinary_rest: float = 0.5
+    series_band: tuple[float, float] = (0.05, 0.4)
 
     def __post_init__(self) -> None:
         if not 0 < 2 * self.ramp <= min(self.pattern_time, self.pattern_time_all):

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from types import MappingProxyType
-from typing import Literal, TypeVar
+from typing import Literal, TypeVar, get_args
 
 from skin2urdf.errors import UsageError
 from skin2urdf.planning.trajectory import JointTrajectory
@@ -13,7 +13,8 @@ from skin2urdf.simulation.defects.records import Defect
 from skin2urdf.simulation.motion_settings import MotionSettings
 from skin2urdf.simulation.sensors import GRADES, GYROS, SensorGrade
 
-Excitation = Literal["one", "all", "none"]
+Excitation = Literal["one", "all", "none", "series"]
+WITHOUT_PATTERNS: tuple[Excitation, ...] = ("none", "series")
 """Patterns of one DoF after the other, of all at once, or ordinary moves without any pattern."""
 T = TypeVar("T")
 
@@ -59,7 +60,8 @@ class SimulationSettings:
     Attributes:
         n_poses: number P of random poses to rest and excite in; without patterns the time counts.
         excite: "one" DoF after the other (paper eq. 10-13), "all" at once at different
-            frequencies, or "none": moves between random poses, as any robot makes them.
+            frequencies, or "none": moves between random poses, as any robot makes them, or
+            "series": all DoFs on and on without a rest, each along a Fourier series.
         minutes: how long it moves without patterns [min]; None for 3.
         structural: begin with a move of each DoF alone; None for yes where there are patterns.
         upright: stand the base upright instead of tilting it as the robot's file says.
@@ -126,10 +128,10 @@ class SimulationSettings:
                 self.sus_per_segment or 0, self.sus_on_base or 0
             )
             >= 0,
-            'excite must be "one", "all" or "none"': self.excite in ("one", "all", "none"),
+            'excite must be "one", "all", "none" or "series"': self.excite in get_args(Excitation),
             "minutes must be positive": self.minutes is None or self.minutes > 0,
-            'minutes are for excite "none"; patterns go by n_poses': self.minutes is None
-            or self.excite == "none",
+            "minutes are for motion without patterns; patterns go by n_poses": self.minutes is None
+            or self.excite in WITHOUT_PATTERNS,
             "upright and base_rpy exclude each other": not (self.upright and self.base_rpy),
         }
         for message, holds in checks.items():
@@ -144,7 +146,7 @@ class SimulationSettings:
     @property
     def has_structural(self) -> bool:
         """Whether every DoF moves alone first."""
-        return self.excite != "none" if self.structural is None else self.structural
+        return self.excite not in WITHOUT_PATTERNS if self.structural is None else self.structural
 
     @property
     def sensor_grade(self) -> SensorGrade:

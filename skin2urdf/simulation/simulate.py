@@ -13,7 +13,7 @@ from skin2urdf.recording.records import Recording
 from skin2urdf.simulation.defects.flexible import move_flexibly
 from skin2urdf.simulation.defects.records import Flexibility, Moved
 from skin2urdf.simulation.mechanism import Mechanism, load_mechanism, read_urdf
-from skin2urdf.simulation.motion import Reference, plan_moves, plan_reference
+from skin2urdf.simulation.motion import Reference, plan_moves, plan_reference, plan_series
 from skin2urdf.simulation.motion_settings import MotionSettings
 from skin2urdf.simulation.planned import follow_plan
 from skin2urdf.simulation.plant import actual_motion
@@ -164,6 +164,8 @@ def _plan(
     structural = settings.has_structural
     if settings.excite == "none":
         return plan_moves(mechanism, motion, settings.duration, rng, structural)
+    if settings.excite == "series":
+        return plan_series(mechanism, motion, settings.duration, rng)
     reach = _reach(mechanism, sus)
     return plan_reference(
         mechanism, reach, motion, settings.n_poses, settings.excite, rng, structural

@@ -12,7 +12,7 @@ from skin2urdf.arrays import F64
 from skin2urdf.errors import UsageError
 from skin2urdf.simulation import MotionSettings, Simulation, load_robot
 from skin2urdf.simulation.mechanism import Mechanism, load_mechanism
-from skin2urdf.simulation.motion import Reference, plan_moves, plan_reference
+from skin2urdf.simulation.motion import Reference, plan_moves, plan_reference, plan_series
 from skin2urdf.simulation.pattern import (
     PEAK_SPEED,
     distinct_time,
@@ -269,6 +269,19 @@ def moved(
     mechanism = load_mechanism(load_robot(robot), (0.4, 0.2, 0.0))
     rng = np.random.default_rng(0)
     return mechanism, plan_moves(mechanism, MotionSettings(**chosen), seconds, rng, structural)
+
+
+def test_a_series_never_rests_inside_the_limits() -> None:
+    mechanism = load_mechanism(load_robot("panda"), (0.4, 0.2, 0.0))
+    settings = MotionSettings()
+    reference = plan_series(mechanism, settings, 40.0, np.random.default_rng(0))
+    position, velocity, _ = reference.motion.at(np.linspace(0.0, 40.0, 4001))
+    assert (position > mechanism.lower).all()
+    assert (position < mechanism.upper).all()
+    assert np.abs(velocity).max() < 1.01 * settings.angular_speed
+    assert np.ptp(position, axis=0).min() > 0.5
+    # At no moment do all joints stand still together.
+    assert np.abs(velocity).max(axis=1).min() > 0.02
 
 
 def test_ordinary_moves_go_from_pose_to_pose_with_all_dofs() -> None:

@@ -34,10 +34,10 @@ def declare(command: Parser) -> None:
     add_number(motion, "--seed", 0, "skin, poses and noise are drawn from it (%(default)s)", int)
     motion.add_argument(
         "--excite",
-        choices=("one", "all", "none"),
+        choices=("one", "all", "none", "series"),
         default="one",
-        help="pattern on one DoF after the other, on all at once, or ordinary moves from pose to "
-        "pose without any (%(default)s)",
+        help="pattern on one DoF after the other, on all at once, ordinary moves from pose to "
+        "pose without any, or a Fourier series of each DoF without a rest (%(default)s)",
     )
     motion.add_argument(
         "--plan", metavar="YAML", help="follow a trajectory that plan wrote, in place of all that"

@@ -272,9 +272,12 @@ def _better(
         search.tried += sum(candidate.among for candidate in proposed)
         promised = {c: promise(now, c, search.tried) for c in (*waiting, *proposed)}
         waiting = []
+        ahead: str | None = None
         for candidate in sorted(promised, key=lambda c: -promised[c]):
             if promised[candidate] <= 0 or search.attempts >= _MOST:
                 break
+            if candidate.kind == ahead:
+                continue
             if rank < _RANKS[-1] and _only_a_part(now, candidate):
                 waiting.append(candidate)
                 continue
@@ -285,7 +288,10 @@ def _better(
                 continue
             if worth > most:
                 best, most = after, worth
-            break
+            # What leaves much may imitate what the likeliest of another kind explains.
+            if ahead is not None or _nearly_all(now, after):
+                break
+            ahead = candidate.kind
         if now is not None and explains(now.solution.found):
             break
         if best is not None and _nearly_all(now, best):

@@ -111,9 +111,10 @@ def _changes(
         found: an estimate from all of them, where there is one.
     """
     logs = search.plain
+    tree = None if found is None else _as_logged(found.tree, logs.su_names)
     exchanges, turns = list[Exchanged](), list[Corrected]()
     for log, s in enumerate(logs.sampled):
-        sound = _sound_part(logs.of([s]), found, search.clock)
+        sound = _sound_part(logs.of([s]), tree, search.clock)
         if sound is None:
             continue
         known, poses = sound
@@ -132,6 +133,12 @@ def _changes(
     if exchanges:
         out.append(("swapped in a log", [n for e in exchanges for n in e.names], tuple(exchanges)))
     return out
+
+
+def _as_logged(tree: KinematicTree, names: Sequence[str]) -> KinematicTree:
+    """A tree without the SUs that stand for earlier placements of others."""
+    own = np.flatnonzero([name in names for name in tree.su_names])
+    return replace(tree, su_names=tuple(tree.su_names[u] for u in own), su_joint=tree.su_joint[own])
 
 
 def turns_within(known: Estimate, poses: Features) -> Iterator[tuple[int, tuple[float, float]]]:
@@ -225,13 +232,13 @@ def _doubtful(ratio: F64) -> F64:
 
 
 def _sound_part(
-    alone: Logs, found: Estimate | None, clock: Clock
+    alone: Logs, tree: KinematicTree | None, clock: Clock
 ) -> tuple[Estimate, Features] | None:
     """An estimate that explains most of a part of a log, and the log's poses in order of time.
 
     Args:
         alone: one log.
-        found: an estimate from all logs; joints that change their sense leave its tree right.
+        tree: that of an estimate from all logs; joints that change their sense leave it right.
         clock: runs the stages.
     """
     s = _visited(alone.sampled[0])
@@ -242,16 +249,16 @@ def _sound_part(
     border = float(features.span[half, 1])
     parts = [part for late in (False, True) if (part := _Part.of(alone, border, late, clock))]
     sound = []
-    if found:
-        sound = [e for part in parts if (e := _explanation(part, found.tree, clock))]
-    if found and not sound:
-        moved = [(part, named_as_felt(found.tree, part.seen(clock))) for part in parts]
-        new = [(part, tree) for part, tree in moved if not alike(tree, found.tree)]
-        sound = [e for part, tree in new if (e := _explanation(part, tree, clock))]
+    if tree:
+        sound = [e for part in parts if (e := _explanation(part, tree, clock))]
+    if tree and not sound:
+        moved = [(part, named_as_felt(tree, part.seen(clock))) for part in parts]
+        new = [(part, other) for part, other in moved if not alike(other, tree)]
+        sound = [e for part, other in new if (e := _explanation(part, other, clock))]
     if not sound:
-        shown = [(part, tree) for part in parts if (tree := part.structure(clock).tree)]
-        new = [(part, tree) for part, tree in shown if not (found and alike(tree, found.tree))]
-        sound = [e for part, tree in new if (e := _explanation(part, tree, clock, certain=False))]
+        shown = [(part, other) for part in parts if (other := part.structure(clock).tree)]
+        new = [(part, other) for part, other in shown if not (tree and alike(other, tree))]
+        sound = [e for part, other in new if (e := _explanation(part, other, clock, certain=False))]
     if not sound:
         return None
     best, latency = min(sound, key=lambda e: e[0].cost_per_dof)

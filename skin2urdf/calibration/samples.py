@@ -255,7 +255,7 @@ def _stands_out(hit: Fault, along: MotionEstimate, sampled: Sequence[Sampled]) -
 
 
 def _usual(along: MotionEstimate, g: int) -> F64:
-    """(K, U, 1 or 3) what is usually left of a log's samples, where readings are as abrupt [m/s^2].
+    """(K, U, 3) what is usually left of a log's samples, where readings are as abrupt [m/s^2].
 
     What changes faster than it is sampled is left in part where a pattern begins or a drive stops,
     and more of it the more the low-pass takes away; a hit stands out from that.

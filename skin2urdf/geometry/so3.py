@@ -120,3 +120,12 @@ def wahba(body: F64, reference: F64, weights: F64) -> tuple[F64, F64]:
     U = U.copy()
     U[..., :, 2] *= sign[..., None]
     return np.asarray(U @ Vt), sv
+
+
+def fibonacci_sphere(n: int) -> F64:
+    """(n, 3) nearly uniform unit vectors, on a golden spiral (Swinbank and Purser 2006)."""
+    i = np.arange(n) + 0.5
+    z = 1 - 2 * i / n
+    azimuth = np.pi * (1 + np.sqrt(5)) * i
+    r = np.sqrt(1 - z**2)
+    return np.stack([r * np.cos(azimuth), r * np.sin(azimuth), z], axis=1)

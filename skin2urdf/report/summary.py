@@ -88,6 +88,8 @@ def _rests_on(calibration: Calibration) -> str:
 def _prediction(calibration: Calibration) -> str:
     """How well poses are predicted by an estimate that does not know them, in one line."""
     fit = calibration.goodness
+    if not fit.patterned.any():
+        return "poses left out: none has a pattern to be predicted; the fit of all samples counts"
     if not np.isfinite(fit.prediction):
         return "poses left out: too few poses to predict one from the others"
     return (

@@ -14,8 +14,10 @@ from skin2urdf.simulation.motion_settings import MotionSettings
 from skin2urdf.simulation.sensors import GRADES, GYROS, SensorGrade
 
 Excitation = Literal["one", "all", "none", "series"]
+"""Patterns of one DoF after the other, of all at once, ordinary moves without any pattern, or a
+Fourier series of each DoF without a rest."""
 WITHOUT_PATTERNS: tuple[Excitation, ...] = ("none", "series")
-"""Patterns of one DoF after the other, of all at once, or ordinary moves without any pattern."""
+"""Those that go on for a time instead of from pose to pose with a pattern around each."""
 T = TypeVar("T")
 
 

@@ -30,7 +30,7 @@ from skin2urdf.signals.filters import (
 )
 from skin2urdf.signals.sampling import Sampled
 from skin2urdf.signals.turning import Turning
-from skin2urdf.structure.chain_fit import PRIOR, SHAPE_INDEX, tangent, turned
+from skin2urdf.structure.chain_fit import PRIOR, SHAPE_INDEX, per_metre, tangent, turned
 from skin2urdf.structure.records import JointType
 
 _CUTOFF = 4.0
@@ -333,7 +333,7 @@ def _regression(
             a = turn @ axis
             alpha = alpha + a * qdd[:, d, None] + np.cross(omega, a) * qd[:, d, None]
             omega = omega + a * qd[:, d, None]
-            spin = skew(alpha) + skew(omega) @ skew(omega)
+            spin = per_metre(omega, alpha)
             turn = turn @ axis_rotation(axis, q[:, d])
             before = z
             z = turned(axis, q[:, d], before)

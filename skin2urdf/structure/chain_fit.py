@@ -33,7 +33,7 @@ class GravityFits:
             (which is turned like the base at position zero).
         R: (K, 3, 3) orientation of the SU in the same frame.
         sensor: (K, 9) bias [m/s^2] and shape [1].
-        chi2: (K,) chi-squared, that of the sensor's priors included.
+        chi2: (K,) chi-squared, that of the priors of sensors, offsets and clocks included.
     """
 
     axes: F64
@@ -66,12 +66,12 @@ class Carried:
     """How the known segments of K fits move in N samples, in their own frames.
 
     Attributes:
-        omega: (K, N, 3) angular velocity, and
-        alpha: (K, N, 3) angular acceleration.
+        omega: (K, N, 3) angular velocity [rad/s], and
+        alpha: (K, N, 3) angular acceleration [rad/s^2].
         columns: (K, N, 3, c) what a metre of each offset up to the segment, and of one on it, adds
-            to the specific force; zero where a segment has fewer than others.
-        qd: (K, N, m) velocities of the joints beyond it, and
-        qdd: (K, N, m) accelerations.
+            to the specific force [1/s^2]; zero where a segment has fewer than others.
+        qd: (K, N, m) velocities of the joints beyond it [rad/s], and
+        qdd: (K, N, m) accelerations [rad/s^2].
         change: (K, N, 3) derivatives of the readings [m/s^3].
     """
 
@@ -91,7 +91,7 @@ class Carried:
 
         Args:
             i: the joint.
-            axis: (K, 3) its axis.
+            axis: (K, 3) its unit axis, in the segment's frame at position zero.
             q: (K, N) its positions [rad].
         """
         k = axis[:, None]
@@ -100,12 +100,17 @@ class Carried:
         omega = self.omega + k * qd
         alpha, omega = turned(axis, q, alpha), turned(axis, q, omega)
         back = np.swapaxes(axis_rotation(k, q), -1, -2)
-        columns = np.concatenate([back @ self.columns, spin(omega, alpha)], axis=-1)
+        columns = np.concatenate([back @ self.columns, per_metre(omega, alpha)], axis=-1)
         return replace(self, omega=omega, alpha=alpha, columns=columns)
 
 
-def spin(omega: F64, alpha: F64) -> F64:
-    """(..., 3, 3) acceleration of a point per metre of its offset, on a segment that turns."""
+def per_metre(omega: F64, alpha: F64) -> F64:
+    """(..., 3, 3) acceleration of a point per metre of its offset, on a segment that turns [1/s^2].
+
+    Args:
+        omega: (..., 3) angular velocity [rad/s], and
+        alpha: (..., 3) angular acceleration [rad/s^2], in the frame that is wanted.
+    """
     return np.asarray(skew(alpha) + skew(omega) @ skew(omega))
 
 
@@ -308,12 +313,3 @@ def _best_alignment(B: F64, bound: F64) -> F64:
         slope = 4 * top * left - 8 * det
         top = top - value / np.where(np.abs(slope) > 1e-300, slope, np.inf)
     return np.asarray(top)
-
-
-def fibonacci_sphere(n: int) -> F64:
-    """(n, 3) nearly uniform unit vectors."""
-    i = np.arange(n) + 0.5
-    z = 1 - 2 * i / n
-    azimuth = np.pi * (1 + np.sqrt(5)) * i
-    r = np.sqrt(1 - z**2)
-    return np.stack([r * np.cos(azimuth), r * np.sin(azimuth), z], axis=1)

@@ -6,6 +6,9 @@ Of all joints, segments and SUs the one is taken next that leaves least unexplai
 is worth more than its parameters; where segments in between carry no SU, two or three joints are
 put in at once. Nothing is compared with a threshold: what a fit leaves is weighed by the logarithm
 of its chi-squared, which holds whatever the noise is, and parameters by that of the measurements.
+
+Where the windows tell how the joints move (:func:`skin2urdf.structure.gravity.moments`), offsets
+and the accelerations by which they are felt belong to the fits; else what moves is noise.
 """
 
 from __future__ import annotations
@@ -17,13 +20,12 @@ from itertools import permutations
 import numpy as np
 
 from skin2urdf.arrays import F64, Bool, Int
-from skin2urdf.geometry.so3 import axis_rotation
+from skin2urdf.geometry.so3 import axis_rotation, fibonacci_sphere
 from skin2urdf.geometry.units import GRAVITY
 from skin2urdf.structure.chain_fit import (
     Carried,
     GravityFits,
     axis_losses,
-    fibonacci_sphere,
     fit_gravity,
 )
 from skin2urdf.structure.gravity import GravityWindows

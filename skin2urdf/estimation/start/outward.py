@@ -25,7 +25,14 @@ from skin2urdf.estimation.start.orientation import (
     with_all_sus,
 )
 from skin2urdf.estimation.start.peeling import Readings, misfit_of
-from skin2urdf.geometry.so3 import axis_rotation, cross, rotation_exp, skew, wahba
+from skin2urdf.geometry.so3 import (
+    axis_rotation,
+    cross,
+    fibonacci_sphere,
+    rotation_exp,
+    skew,
+    wahba,
+)
 from skin2urdf.structure.records import KinematicTree
 
 _GRID = 800
@@ -134,15 +141,6 @@ def _distinct(a: F64, b: F64, h: F64) -> bool:
         angles = np.arccos(np.clip(np.array([a @ mean, b @ mean]), -1, 1))
         return bool(abs(angles[0] - angles[1]) > 0.1)
     return bool(a @ b < 0.999)
-
-
-def fibonacci_sphere(n: int) -> F64:
-    """(n, 3) nearly uniform unit vectors."""
-    i = np.arange(n) + 0.5
-    z = 1 - 2 * i / n
-    azimuth = np.pi * (1 + np.sqrt(5)) * i
-    r = np.sqrt(1 - z**2)
-    return np.stack([r * np.cos(azimuth), r * np.sin(azimuth), z], axis=1)
 
 
 def _spread(candidates: F64, most: int) -> F64:

@@ -18,8 +18,9 @@ from skin2urdf.estimation.solve.estimate import EstimationSettings, estimate
 from skin2urdf.estimation.solve.gauss_newton import gauss_newton
 from skin2urdf.estimation.start.inward import inward_starts
 from skin2urdf.estimation.start.orientation import Orientations
-from skin2urdf.estimation.start.outward import fibonacci_sphere, outward_starts
+from skin2urdf.estimation.start.outward import outward_starts
 from skin2urdf.estimation.start.starts import felt_up, placed
+from skin2urdf.geometry.so3 import fibonacci_sphere
 from skin2urdf.geometry.units import GRAVITY
 from skin2urdf.paper.case import TRUE_LINKS, TRUE_SUS, acc_matrix, dh_matrix
 from skin2urdf.signals.information import Information

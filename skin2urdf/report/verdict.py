@@ -74,7 +74,8 @@ def _doubts(calibration: Calibration) -> list[str]:
         doubts.append(f"{_count(len(kinds), 'fault')}: {shortened(list(kinds), _NAMED)}")
     if calibration.base_gives_way:
         doubts.append(
-            "the base gives way: lengths along the first axis may be off by more than is stated"
+            "the base gives way: lengths along the first axis may be off by more than is stated "
+            "(fix it stiffly and record again, or give the robot's own URDF by --model)"
         )
     known = {fault.subject for fault in calibration.faults}
     odd = [tree.su_names[u] for u in np.flatnonzero(calibration.unlike_sus.odd)]

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.special import fdtrc
 
 from skin2urdf.arrays import F64, Int
 from skin2urdf.estimation.solve.estimate import Estimate
@@ -18,8 +19,9 @@ _LARGEST_SCALE = 2.0
 
 _GROSS = 0.25
 """Logarithm of a scale that slopes, noisy as they are, tell from 1."""
-_CAUSE = 0.1
-"""Misfit of slopes with a scale, over that without, from which the scale is its cause."""
+_CHANCE = 1e-3
+"""Probability that chance alone makes slopes look like those of an axis, or like another scale; a
+scale that is suspected in vain costs one more estimate."""
 
 
 @dataclass(frozen=True)
@@ -81,13 +83,20 @@ def gross_scales(found: Estimate) -> tuple[EncoderError, ...]:
             A, y = (skew(f0) * weight[..., None]).reshape(-1, 3), (s * weight).ravel()
             w, *_ = np.linalg.lstsq(A, y, rcond=None)
             size = max(float(np.linalg.norm(w)), 1e-6)
-            left, without = (float(((y - A @ v) ** 2).sum()) for v in (w, w / size))
-            # An SU that slips has no constant axis of any length.
-            scales.append(1 / size if left < _CAUSE * without else 1.0)
+            left, of_one, whole = (float(((y - A @ v) ** 2).sum()) for v in (w, w / size, 0 * w))
+            # An SU that slips, or that is another's, has no constant axis of any length.
+            is_axis = _explained(whole - left, 3, left, len(y) - 3)
+            other = _explained(of_one - left, 1, left, len(y) - 3)
+            scales.append(1 / size if is_axis and other else 1.0)
         middle = float(np.median(scales)) if scales else 1.0
         if abs(np.log(middle)) > _GROSS:
             out.append(EncoderError("scale", name, middle))
     return tuple(out)
+
+
+def _explained(gain: float, parameters: int, left: float, freedom: int) -> bool:
+    """Whether parameters explain more of a misfit than chance does, by Fisher's F test."""
+    return bool(fdtrc(parameters, freedom, gain / parameters * freedom / left) < _CHANCE)
 
 
 def _sized(error: EncoderError, size: float, deviation: float) -> EncoderError:

@@ -14,30 +14,20 @@ from typing import Literal
 import numpy as np
 
 from skin2urdf.arrays import F64, Bool, Int
-from skin2urdf.calibration.clock import Clock
-from skin2urdf.calibration.result import BAD_FIT, GOOD_FIT
-from skin2urdf.calibration.rounds import (
-    Logs,
-    Structure,
-    alike,
-    find_structure,
-    relinearise,
-    settle,
-    take_features,
-)
-from skin2urdf.errors import InsufficientDataError
+from skin2urdf.calibration.rounds import Logs
 from skin2urdf.estimation.solve.estimate import Estimate
 from skin2urdf.faults import Fault
 from skin2urdf.hypotheses.encoder import Corrected, errors_of
-from skin2urdf.hypotheses.names import columns_of, named_as_felt, names_in
+from skin2urdf.hypotheses.names import columns_of, names_in
+from skin2urdf.hypotheses.parts import sound_part
 from skin2urdf.hypotheses.records import Amendment, Attempt, Candidate
 from skin2urdf.hypotheses.search import Search, excess, explains, imitations
-from skin2urdf.hypotheses.sense import TURNED, felt_at_rest, felt_in_patterns
+from skin2urdf.hypotheses.sense import FOLLOWED, TURNED, felt_at_rest, felt_in_patterns
 from skin2urdf.signals.encoders import reversal
 from skin2urdf.signals.mending import computed
+from skin2urdf.signals.motion import Motion
 from skin2urdf.signals.records import EncoderError, Features
 from skin2urdf.signals.sampling import Sampled
-from skin2urdf.structure.activity import Activity
 from skin2urdf.structure.records import KinematicTree
 
 _ALLOWANCE = 3.0
@@ -114,13 +104,13 @@ def _changes(
     tree = None if found is None else _as_logged(found.tree, logs.su_names)
     exchanges, turns = list[Exchanged](), list[Corrected]()
     for log, s in enumerate(logs.sampled):
-        sound = _sound_part(logs.of([s]), tree, search.clock)
+        sound = sound_part(logs.of([s]), tree, search.clock)
         if sound is None:
             continue
         known, poses = sound
         turns += [
-            _turned(search, known.tree.joint_names[d], log, between)
-            for d, between in turns_within(known, poses)
+            _turned(search, known.tree.joint_names[turn.joint], log, turn)
+            for turn in turns_within(known, poses, s.motion)
         ]
         exchange = _exchange(known, poses)
         if exchange is not None:
@@ -141,12 +131,28 @@ def _as_logged(tree: KinematicTree, names: Sequence[str]) -> KinematicTree:
     return replace(tree, su_names=tuple(tree.su_names[u] for u in own), su_joint=tree.su_joint[own])
 
 
-def turns_within(known: Estimate, poses: Features) -> Iterator[tuple[int, tuple[float, float]]]:
-    """Joints of a tree that change their sense, and the times between which they do.
+@dataclass(frozen=True)
+class Turn:
+    """A joint that counts the other way from some time on.
+
+    Attributes:
+        joint: its number in the tree.
+        between: times between which it begins to [s].
+        about: sum of its positions with either sense [rad]; NaN where that is not known.
+    """
+
+    joint: int
+    between: tuple[float, float]
+    about: float
+
+
+def turns_within(known: Estimate, poses: Features, motion: Motion) -> Iterator[Turn]:
+    """Joints of a tree that change their sense, and when.
 
     Args:
         known: an estimate from sound poses of the same robot.
         poses: features of one log, each visit to a pose for itself.
+        motion: of the joints in that log.
     """
     patterns = felt_in_patterns(known, poses)
     both = patterns.with_more(felt_at_rest(known, poses))
@@ -155,8 +161,11 @@ def turns_within(known: Estimate, poses: Features) -> Iterator[tuple[int, tuple[
     for d in range(known.tree.n_joints):
         ratio = both.ratio[:, d]
         # Another zero is as good as a value to be mirrored about, but for the patterns.
-        differs = (ratio < TURNED) & ~(patterns.ratio[:, d] > 1.0)
-        turn = _Change.of(poses, differs, np.isfinite(ratio), share[:, d])
+        differs = (ratio < FOLLOWED) & ~(patterns.ratio[:, d] > 1.0)
+        tells = differs | (ratio > 1 / FOLLOWED)
+        own = motion.dof_names.index(known.tree.joint_names[d])
+        reach = _reach(share[:, d], poses, motion.grid.time, motion.qd[:, own])
+        turn = _Change.of(poses, differs, tells, reach)
         if turn is None:
             continue
         # One value to be mirrored about may suit a single pose in which something else is wrong.
@@ -164,15 +173,15 @@ def turns_within(known: Estimate, poses: Features) -> Iterator[tuple[int, tuple[
         later = poses.span.mean(axis=1) > sum(turn.between) / 2
         left = np.where(later != turn.late, both.turned[:, d], both.same[:, d])
         if left[pure].sum() < TURNED * both.same[pure, d].sum():
-            yield d, turn.between
+            yield Turn(d, turn.between, float(both.about[d]))
 
 
-def _turned(search: Search, dof: str, log: int, between: tuple[float, float]) -> Corrected:
+def _turned(search: Search, dof: str, log: int, turn: Turn) -> Corrected:
     """An encoder mirrored from where its sense changes in a log.
 
     A leap of the track tells when that was; else the track itself, where it turns round at once.
     """
-    begin, end = between
+    begin, end = turn.between
     leaps = [
         e for e in errors_of(search.evident)
         if (e.dof, e.log) == (dof, log) and begin < e.begin < end
@@ -184,7 +193,7 @@ def _turned(search: Search, dof: str, log: int, between: tuple[float, float]) ->
         for each in search.evident:
             recordings = each.of_recordings(recordings)
         (track,) = (j for j in recordings[log].joints if j.name == dof)
-        at = reversal(track, between)
+        at = reversal(track, turn.between, turn.about)
     return Corrected(EncoderError("sign", dof, -1.0, log, at))
 
 
@@ -201,27 +210,27 @@ class _Change:
     late: bool
 
     @classmethod
-    def of(cls, poses: Features, differs: Bool, tells: Bool, doubtful: F64) -> _Change | None:
+    def of(cls, poses: Features, differs: Bool, tells: Bool, reach: F64) -> _Change | None:
         """The change of P poses, where there is just one.
 
         Args:
             poses: their features, in the order of time.
             differs: (P,) True where a pose is unlike what is known.
             tells: (P,) False for poses that say nothing of it.
-            doubtful: (P,) share of a pose's time that may be of the other kind.
+            reach: (P, 2) time after the beginning of a pose, and before its end, that may be of the
+                other kind [s].
         """
         at = np.flatnonzero(tells)
         steps = np.flatnonzero(np.diff(differs[at].astype(np.int8)))
         if len(steps) != 1:
             return None
         before, after = at[steps[0]], at[steps[0] + 1]
-        reach = doubtful * np.ptp(poses.span, axis=1)
-        between = poses.span[before, 1] - reach[before], poses.span[after, 0] + reach[after]
+        between = poses.span[before, 1] - reach[before, 1], poses.span[after, 0] + reach[after, 0]
         return cls((float(between[0]), float(between[1])), bool(differs[before]))
 
 
 def _doubtful(ratio: F64) -> F64:
-    """(P, D) share of a pose in which a joint may have counted the other way than otherwise.
+    """(P, D) share of a joint's motion in a pose that it may have counted the other way.
 
     Where it does so in a share x, its effects are measured as 1 - 2 x times themselves, and
     chi-squared of one sense over the other's is ``((1 - x) / x)^2``. Errors of the model make x
@@ -231,114 +240,26 @@ def _doubtful(ratio: F64) -> F64:
     return np.minimum(1.0, _ALLOWANCE / (1 + far))
 
 
-def _sound_part(
-    alone: Logs, tree: KinematicTree | None, clock: Clock
-) -> tuple[Estimate, Features] | None:
-    """An estimate that explains most of a part of a log, and the log's poses in order of time.
+def _reach(share: F64, poses: Features, time: F64, qd: F64) -> F64:
+    """(P, 2) time in which a joint makes a share of its motion in each of P poses [s].
+
+    The first is after the beginning of a pose, the second before its end: how a joint counts does
+    not show while it stands.
 
     Args:
-        alone: one log.
-        tree: that of an estimate from all logs; joints that change their sense leave it right.
-        clock: runs the stages.
+        share: (P,) of its motion; all of it where that is not known.
+        poses: their features.
+        time: (N,) of the samples [s].
+        qd: (N,) velocities of the joint [rad/s or m/s].
     """
-    s = _visited(alone.sampled[0])
-    alone = alone.of([s])
-    features = take_features(alone, clock)
-    length = np.ptp(features.span, axis=1)
-    half = int(np.searchsorted(np.cumsum(length), length.sum() / 2))
-    border = float(features.span[half, 1])
-    parts = [part for late in (False, True) if (part := _Part.of(alone, border, late, clock))]
-    sound = []
-    if tree:
-        sound = [e for part in parts if (e := _explanation(part, tree, clock))]
-    if tree and not sound:
-        moved = [(part, named_as_felt(tree, part.seen(clock))) for part in parts]
-        new = [(part, other) for part, other in moved if not alike(other, tree)]
-        sound = [e for part, other in new if (e := _explanation(part, other, clock))]
-    if not sound:
-        shown = [(part, other) for part in parts if (other := part.structure(clock).tree)]
-        new = [(part, other) for part, other in shown if not (tree and alike(other, tree))]
-        sound = [e for part, other in new if (e := _explanation(part, other, clock, certain=False))]
-    if not sound:
-        return None
-    best, latency = min(sound, key=lambda e: e[0].cost_per_dof)
-    return best, take_features(alone, clock, latency=latency)
-
-
-@dataclass(frozen=True, eq=False)
-class _Part:
-    """A part of a log.
-
-    Attributes:
-        logs: the part.
-        features: its first features.
-    """
-
-    logs: Logs
-    features: Features
-
-    @classmethod
-    def of(cls, alone: Logs, border: float, late: bool, clock: Clock) -> _Part | None:
-        """What a log holds before a time [s], or after it; None where that is too little."""
-        logs = alone.of([_cut(alone.sampled[0], border, late)])
-        try:
-            return cls(logs, take_features(logs, clock))
-        except InsufficientDataError:
-            return None
-
-    def structure(self, clock: Clock) -> Structure:
-        """What it shows of the structure."""
-        return find_structure(self.logs, self.features, clock)
-
-    def seen(self, clock: Clock) -> Activity:
-        """What its SUs felt."""
-        return self.structure(clock).seen
-
-
-def _explanation(
-    part: _Part, tree: KinematicTree, clock: Clock, *, certain: bool = True
-) -> tuple[Estimate, F64] | None:
-    """The estimate from a part of a log and the SUs' latencies, where it explains the part.
-
-    Args:
-        part: the part.
-        tree: its structure.
-        clock: runs the stages.
-        certain: False to look at the structure again where it does not explain the part.
-    """
-    try:
-        found, seen = relinearise(part.logs, tree, part.features, clock, hopeless=_leads_nowhere)
-        if not certain:
-            found, seen = settle(part.logs, found, seen, clock)
-    except InsufficientDataError:
-        return None
-    return (found, seen.latency) if found.cost_per_dof <= GOOD_FIT else None
-
-
-def _leads_nowhere(found: Estimate) -> bool:
-    """Whether an estimate is worse than any that became an explanation, its outliers aside."""
-    return found.cost_per_dof > BAD_FIT
-
-
-def _visited(s: Sampled) -> Sampled:
-    """A log with each visit to a pose as a pose of its own, in the order of time."""
-    visits = [replace(pose, windows=(w,)) for pose in s.neighbourhoods for w in pose.windows]
-    return replace(s, neighbourhoods=tuple(sorted(visits, key=lambda visit: visit.windows[0])))
-
-
-def _cut(s: Sampled, border: float, late: bool) -> Sampled:
-    """What a log holds before a time [s], or after it."""
-    grid = s.motion.grid
-    at = (border - grid.start) * grid.rate
-
-    def here(begin: int, end: int) -> bool:
-        return bool(begin + end > 2 * at) == late
-
-    return replace(
-        s,
-        neighbourhoods=tuple(n for n in s.neighbourhoods if here(*n.windows[0])),
-        rests=tuple(rest for rest in s.rests if here(rest.begin, rest.end)),
-    )
+    out = np.empty((poses.n_poses, 2))
+    for p, (begin, end) in enumerate(poses.span):
+        here = slice(*np.searchsorted(time, (begin, end)))
+        made = np.cumsum(qd[here] ** 2)
+        part = 1.0 if np.isnan(share[p]) else share[p]
+        first, last = np.searchsorted(made, made[-1] * np.array([part, 1 - part]))
+        out[p] = time[here][min(first, len(made) - 1)] - begin, end - time[here][last]
+    return out
 
 
 def _exchange(
@@ -350,7 +271,8 @@ def _exchange(
     called = np.array([names_in(known, poses.of_poses(np.array([p]))) for p in range(P)])
     differs = np.array([list(row) != list(range(len(names))) for row in called])
     heard = np.asarray(poses.valid.any(axis=1))
-    change = _Change.of(poses, differs, heard, np.ones(P))
+    whole = np.ptp(poses.span, axis=1)
+    change = _Change.of(poses, differs, heard, np.stack([whole, whole], axis=1))
     if change is None:
         return None
     ways, number = np.unique(called[differs], axis=0, return_counts=True)

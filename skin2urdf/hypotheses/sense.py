@@ -31,7 +31,7 @@ from skin2urdf.signals.records import EncoderError, Features
 
 _TELLS = 100.0
 """Chi-squared of both senses together from which an SU tells a joint's sense."""
-_HALF = 0.5
+FOLLOWED = 0.5
 """Chi-squared with one more joint turned, over that without, from which it is followed."""
 TURNED = 0.1
 """Chi-squared with joints turned, over that with none, from which they are believed."""
@@ -87,7 +87,7 @@ def reversed_encoders(first: Estimate, features: Features) -> Iterator[EncoderEr
             left = [n for n in first.tree.joint_names if n not in turned]
             trials = [_misfit(first, _turned(here, [*turned, name])) for name in left]
             best = int(np.argmin(trials))
-            if trials[best] > _HALF * now:
+            if trials[best] > FOLLOWED * now:
                 break
             now = trials[best]
             turned.append(left[best])
@@ -104,10 +104,12 @@ class Evidence:
     Attributes:
         same: (P, D) chi-squared with each joint as it is, and
         turned: (P, D) with it counting the other way; 0 where a pose says nothing.
+        about: (D,) sum of the positions with either sense [rad]; NaN where that is not known.
     """
 
     same: F64
     turned: F64
+    about: F64
 
     @property
     def ratio(self) -> F64:
@@ -120,7 +122,8 @@ class Evidence:
 
     def with_more(self, other: Evidence) -> Evidence:
         """This and other, independent evidence."""
-        return Evidence(self.same + other.same, self.turned + other.turned)
+        about = np.where(np.isnan(self.about), other.about, self.about)
+        return Evidence(self.same + other.same, self.turned + other.turned, about)
 
 
 def felt_in_patterns(known: Estimate, features: Features) -> Evidence:
@@ -154,7 +157,7 @@ def felt_in_patterns(known: Estimate, features: Features) -> Evidence:
         both = chi2[:, :, u[k], i[k]]
         tells = both.sum(axis=0) > _TELLS
         out[:, tells, blocks.chains.joint[u[k], i[k]]] = both[:, tells]
-    return Evidence(*out)
+    return Evidence(out[0], out[1], np.full(known.tree.n_joints, np.nan))
 
 
 def felt_at_rest(known: Estimate, features: Features) -> Evidence:
@@ -186,7 +189,7 @@ def felt_at_rest(known: Estimate, features: Features) -> Evidence:
         return chi2(q.reshape(-1, D))
 
     plain = chi2(blocks.q)[0]
-    out = Evidence(np.zeros((P, D)), np.zeros((P, D)))
+    out = Evidence(np.zeros((P, D)), np.zeros((P, D)), np.full(D, np.nan))
     grid = np.linspace(-np.pi, np.pi, _ABOUT, endpoint=False)
     for j in map(int, np.flatnonzero(~known.tree.prismatic)):
 
@@ -197,6 +200,7 @@ def felt_at_rest(known: Estimate, features: Features) -> Evidence:
         step = 2 * np.pi / _ABOUT
         about = minimize_scalar(left, bounds=(first - step, first + step), method="bounded").x
         out.same[:, j], out.turned[:, j] = plain, mirrored(j, np.array([about]))[0]
+        out.about[j] = about
     return out
 
 

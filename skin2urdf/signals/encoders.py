@@ -58,7 +58,7 @@ def _leaps(joint: JointStream, log: int) -> list[EncoderError]:
     ]
 
 
-def reversal(joint: JointStream, between: tuple[float, float]) -> float:
+def reversal(joint: JointStream, between: tuple[float, float], about: float = np.nan) -> float:
     """Time at which a joint's track turns round at once, as no joint can.
 
     Motion is smooth: a second difference is the mean of those around it, but for noise. Mirrored
@@ -68,9 +68,11 @@ def reversal(joint: JointStream, between: tuple[float, float]) -> float:
     Args:
         joint: the track, without leaps.
         between: times between which it is [s].
+        about: sum of the positions before and after [rad]; NaN where that is not known.
 
     Returns:
-        The time [s]: of the sample that stands out, else the middle of the longest standstill.
+        The time [s]: of the sample that stands out, else the middle of the longest standstill,
+        where the joint is half of what the positions add up to.
     """
     step = np.diff(joint.position)
     first, last = np.searchsorted(joint.time, between)
@@ -89,6 +91,9 @@ def reversal(joint: JointStream, between: tuple[float, float]) -> float:
         return float(joint.time[best : best + 2].mean())
     # A change of sense hides where the steps on either side of it are as small as that.
     slow = np.abs(step[low:high]) < np.sqrt(limit) / 2
+    if slow.any() and np.isfinite(about):
+        off = np.abs(np.angle(np.exp(1j * (2 * joint.position[low:high] - about)))) / 2
+        slow &= off <= off[slow].min() + np.sqrt(limit)
     begin, end = _longest(slow)
     return float(joint.time[low + begin : low + end + 1].mean()) if slow.any() else sum(between) / 2
 

@@ -124,19 +124,21 @@ def test_a_joint_has_turned_where_that_leaves_nothing_to_explain() -> None:
     found, features = solved_panda().found, solved_panda().features
     order = np.argsort(features.span[:, 0])
     turned = features.dof_names.index(found.tree.joint_names[3])
-    assert not list(turns_within(found, features))
+    motion = solved_panda().logs.sampled[0].motion
+    assert not list(turns_within(found, features, motion))
     exchanged, late = np.array(features.coefficients), order[16:]
     exchanged[np.ix_(late, [2, 5])] = exchanged[np.ix_(late, [5, 2])]
     q = np.array(features.q)
     q[order[-1], turned] += 0.5
-    assert not list(turns_within(found, replace(features, q=q, coefficients=exchanged)))
+    assert not list(turns_within(found, replace(features, q=q, coefficients=exchanged), motion))
     # Rests before the first pattern have no more to say than gravity.
     early = features.span[:, 0] < 25.0
     q = np.array(features.q)
     q[early, turned] = 0.7 - q[early, turned]
-    ((joint, between),) = turns_within(found, replace(features, q=q))
-    assert joint == 3
-    assert features.span[early, 0].max() < sum(between) / 2 < features.span[~early, 1].min()
+    (turn,) = turns_within(found, replace(features, q=q), motion)
+    assert turn.joint == 3
+    assert turn.about == pytest.approx(0.7, abs=0.01)
+    assert features.span[early, 0].max() < sum(turn.between) / 2 < features.span[~early, 1].min()
 
 
 @pytest.mark.parametrize("share", [0.3, 0.6])
@@ -299,6 +301,16 @@ def test_a_track_that_shows_nothing_turned_round_while_it_kept_still() -> None:
     t = np.arange(0.0, 20.0, 0.004)
     still = np.clip(t, 6.0, 8.0) - 6.0
     assert reversal(JointStream("j", t, t - still), (4.0, 16.0)) == pytest.approx(7.0, abs=0.02)
+
+
+def test_of_several_standstills_that_where_both_senses_agree_counts() -> None:
+    t = np.arange(0.0, 20.0, 0.004)
+    # It stands at 0 for a second, and at 0.8 for four.
+    smooth = np.clip((t - 6.0) / 2, 0.0, 1.0)
+    joint = JointStream("j", t, 0.8 * smooth**2 * (3 - 2 * smooth))
+    assert reversal(joint, (5.0, 12.0)) == pytest.approx(10.0, abs=0.1)
+    assert reversal(joint, (5.0, 12.0), 0.01) == pytest.approx(5.5, abs=0.1)
+    assert reversal(joint, (5.0, 12.0), 1.6 - 2 * np.pi) == pytest.approx(10.0, abs=0.1)
 
 
 def test_what_an_encoder_reports_while_it_slips_is_left_out() -> None:

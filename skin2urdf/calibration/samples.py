@@ -20,6 +20,7 @@ from skin2urdf.estimation.trajectory.estimate import (
     motion_priors,
 )
 from skin2urdf.estimation.trajectory.front_end import common_front_end
+from skin2urdf.estimation.trajectory.kinematics import levers
 from skin2urdf.estimation.trajectory.priors import MotionPriors
 from skin2urdf.faults import Fault
 from skin2urdf.signals.records import SuClock
@@ -35,11 +36,6 @@ _HIT = 3.0
 """Mean size of what is left during a hit, in standard deviations of noise, from which it is one."""
 _MOMENT = 0.5
 """Length of moments that may stand out [s]: about that of the shortest hit that matters."""
-_ABRUPT = 0.1
-"""Share of the samples, those in which readings are most abrupt, that tell what that leaves: where
-patterns begin and end at once, a tenth of the time; of hits there are fewer than half of that."""
-_MEDIAN = 0.455
-"""Median of the square of a standard normal variable."""
 _MOST = 0.5
 """Share of the poses from which the samples say all that features do."""
 
@@ -255,26 +251,12 @@ def _stands_out(hit: Fault, along: MotionEstimate, sampled: Sequence[Sampled]) -
 
 
 def _usual(along: MotionEstimate, g: int) -> F64:
-    """(K, U, 3) what is usually left of a log's samples, where readings are as abrupt [m/s^2].
+    """(K, U, 3) what is usually left of a log's samples [m/s^2].
 
-    What changes faster than it is sampled is left in part where a pattern begins or a drive stops,
-    and more of it the more the low-pass takes away; a hit stands out from that.
+    Readings that met what changes faster than they are taken tell too much of it, and are no hit.
     """
-    fitted, above = along.fitted, along.problem.logs[g].above
-    noise, p = fitted.noise[g][..., :3], fitted.predicted[g]
-    if above is None:
-        return noise
-    # Most of the time it is nothing but noise.
-    above = np.maximum(above - np.median(above, axis=0), 0.0)
-    seen = p.measured[..., None]
-    beyond = np.where(seen, p.residual**2 - noise**2, 0.0).mean(axis=2)
-    share = np.zeros(above.shape[1])
-    for u, measured in enumerate(p.measured.T):
-        if measured.any():
-            abrupt = measured & (above[:, u] >= np.quantile(above[measured, u], 1 - _ABRUPT))
-            ratio = beyond[abrupt, u] / np.maximum(above[abrupt, u], 1e-300)
-            share[u] = max(float(np.median(ratio)), 0.0) / _MEDIAN
-    return np.asarray(np.sqrt(noise**2 + (share * above)[..., None]))
+    noise, leaps = along.fitted.noise[g][..., :3], along.problem.logs[g].leaps
+    return noise if leaps is None else np.hypot(noise, np.sqrt(leaps.readings)[..., None])
 
 
 def _rattle(along: MotionEstimate, log: Trajectory) -> float:
@@ -285,10 +267,7 @@ def _rattle(along: MotionEstimate, log: Trajectory) -> float:
     """
     step = np.convolve(log.taps, log.taps) * log.rate
     push = float(np.sqrt(np.mean((np.diff(step) * log.rate) ** 2)))
-    places = along.state
-    arms = np.linalg.norm(places.T_parent_joint[:, :3, 3], axis=1).sum()
-    reach = float(arms + np.linalg.norm(places.T_joint_su[:, :3, 3], axis=1).max(initial=0.0))
-    return 2 * along.slack * push * reach
+    return 2 * along.slack * push * float(levers(along.problem.tree, along.state).max(initial=0.0))
 
 
 def _share_of_poses(trajectories: Sequence[Trajectory], sampled: Sequence[Sampled]) -> float:

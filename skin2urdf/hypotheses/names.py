@@ -203,5 +203,6 @@ def _renamed(sampled: Sampled, columns: Int) -> Sampled:
         readings=sampled.readings[:, columns],
         valid=sampled.valid[:, columns],
         computed=sampled.computed[:, columns],
+        period=sampled.period[columns],
         turning=sampled.turning and sampled.turning.of(columns),
     )

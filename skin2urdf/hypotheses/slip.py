@@ -253,6 +253,7 @@ def _doubled(sampled: Sampled, u: int, log: int, at: Moment) -> Sampled:
         readings=np.concatenate([sampled.readings, sampled.readings[:, u : u + 1]], axis=1),
         valid=valid,
         computed=np.concatenate([sampled.computed, sampled.computed[:, u : u + 1]], axis=1),
+        period=np.append(sampled.period, sampled.period[u]),
         turning=turning,
     )
 

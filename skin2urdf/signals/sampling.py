@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from skin2urdf.arrays import F64, Bool
+from skin2urdf.arrays import F64, Bool, frozen
 from skin2urdf.errors import InsufficientDataError
 from skin2urdf.faults import Fault
 from skin2urdf.geometry.units import GRAVITY
@@ -58,6 +58,7 @@ class Sampled:
         cutoff: low-pass cutoff that suits the patterns [Hz].
         notes: what was found and mended; what the reader says is in words.
         computed: (N, U) where they were missing, and were computed from the rest of the window.
+        period: (U,) time between two readings of an SU [s]; 0 for those that have none.
         faults: what is wrong with the SUs' streams.
         clocks: SUs whose clock runs differently from the joints'; their samples are set right.
         turning: what gyroscopes read; None where no SU has one.
@@ -71,6 +72,7 @@ class Sampled:
     cutoff: float
     notes: tuple[Note | str, ...]
     computed: Bool
+    period: F64
     faults: tuple[Fault, ...] = ()
     clocks: tuple[SuClock, ...] = ()
     turning: Turning | None = None
@@ -124,6 +126,7 @@ def sample_recording(
     streams = {c.stream.name: c for c in checked(sus, at_rest, span, _pauses(motion))}
     readings = np.zeros((grid.size, len(su_names), 3))
     valid = np.zeros((grid.size, len(su_names)), dtype=bool)
+    period = np.zeros(len(su_names))
     notes: list[Note | str] = [*recording.notes, *held]
     faults: list[Fault] = []
     still = np.zeros(grid.size, dtype=bool)
@@ -136,6 +139,7 @@ def sample_recording(
         found = streams[name]
         stream = found.stream
         readings[:, u], ok = sample(stream.time, stream.specific_force, grid)
+        period[u] = np.median(np.diff(stream.time)) if len(stream.time) > 1 else 0.0
         valid[:, u] = ok & motion.valid & ~spread(stream.time, found.clipped, grid)
         factor = _unit(readings[still & valid[:, u], u])
         if factor != 1.0:
@@ -155,7 +159,7 @@ def sample_recording(
     readings, filled = computed(motion, neighbourhoods, cutoff, readings, valid)
     return Sampled(
         motion, rests, neighbourhoods, readings, valid | filled, cutoff, tuple(notes), filled,
-        tuple(faults), tuple(clocks.values()), turning,
+        frozen(period), tuple(faults), tuple(clocks.values()), turning,
     )  # fmt: skip
 
 

@@ -20,6 +20,7 @@ from skin2urdf.signals.filters import (
     noise_bandwidth,
     second_derivative,
 )
+from skin2urdf.signals.leaps import Leaps
 from skin2urdf.signals.motion import Motion
 from skin2urdf.signals.sampling import Sampled
 
@@ -50,8 +51,7 @@ class Trajectory:
         noise: (D, 2) variance of what encoders' noise makes of an acceleration, low-passed twice,
             and of the derivative of that, while a joint moves [rad^2/s^4 and rad^2/s^6, or m]; None
             where positions are exact.
-        above: (K, U) mean square, per axis, of what the low-pass takes away from readings around a
-            sample [m^2/s^4]; None where nobody asks for it.
+        leaps: what sampling leaves open where motion leaps; None where it does not.
     """
 
     log: int
@@ -68,7 +68,7 @@ class Trajectory:
     rates: F64 | None = None
     turning: Bool | None = None
     noise: F64 | None = None
-    above: F64 | None = None
+    leaps: Leaps | None = None
 
     def __post_init__(self) -> None:
         for name in ("taps", "q", "qd", "qdd", "readings"):
@@ -76,9 +76,8 @@ class Trajectory:
         if self.rates is not None and self.turning is not None:
             object.__setattr__(self, "rates", frozen(self.rates))
             object.__setattr__(self, "turning", frozen(self.turning, np.bool_))
-        for name in ("noise", "above"):
-            if getattr(self, name) is not None:
-                object.__setattr__(self, name, frozen(getattr(self, name)))
+        if self.noise is not None:
+            object.__setattr__(self, "noise", frozen(self.noise))
         object.__setattr__(self, "kept", frozen(self.kept, np.int64))
         for name in ("valid", "moving"):
             object.__setattr__(self, name, frozen(getattr(self, name), np.bool_))
@@ -102,10 +101,7 @@ def trajectory(sampled: Sampled, log: int, reach: float = 0.0) -> Trajectory:
     taps = low_pass(sampled.cutoff, rate)
     half = len(taps) // 2
     q = filtered(motion.q, taps)
-    once = filtered(sampled.readings, taps)
-    readings = filtered(once, taps)
-    reach_of_taps = np.abs(taps) / np.abs(taps).sum()
-    above = filtered(((sampled.readings - once) ** 2).mean(axis=2), reach_of_taps)
+    readings = filtered(filtered(sampled.readings, taps), taps)
     every = max(1, int(rate / (_RATE_OVER_CUTOFF * sampled.cutoff)))
     kept = np.arange(half, motion.grid.size - half, every)
     whole = sampled.valid & ~sampled.computed & motion.valid[:, None]
@@ -132,7 +128,7 @@ def trajectory(sampled: Sampled, log: int, reach: float = 0.0) -> Trajectory:
         noise=_noise(motion, taps),
         rates=rates,
         turning=turning,
-        above=np.maximum(above[kept], 0.0),
+        leaps=Leaps.of(motion, sampled.readings, sampled.period, taps, kept),
     )
 
 
@@ -160,7 +156,7 @@ def in_order(log: Trajectory, dofs: Int, sus: Int) -> Trajectory:
         qdd=log.qdd[:, dofs],
         moving=log.moving[:, dofs],
         noise=None if log.noise is None else log.noise[dofs],
-        above=None if log.above is None else log.above[:, sus],
+        leaps=None if log.leaps is None else log.leaps.ordered(dofs, sus),
         readings=log.readings[:, sus],
         valid=log.valid[:, sus],
         rates=None if log.rates is None else log.rates[:, sus],

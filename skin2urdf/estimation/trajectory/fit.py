@@ -10,6 +10,7 @@ import numpy as np
 from skin2urdf.arrays import F64, Bool
 from skin2urdf.estimation.trajectory.arrow import eliminated, newton_step
 from skin2urdf.estimation.trajectory.gyro import rate_weights
+from skin2urdf.estimation.trajectory.kinematics import levers
 from skin2urdf.estimation.trajectory.problem import MotionProblem
 from skin2urdf.estimation.trajectory.records import Equations, Predicted
 from skin2urdf.estimation.trajectory.state import MotionState
@@ -127,7 +128,7 @@ def _descend(
     free_joint, free_su = free
     state = start
     predicted = tuple(problem.predict(state, g) for g in range(len(problem.logs)))
-    noise, weights = _noise(problem, predicted)
+    noise, weights = _noise(problem, state, predicted)
     cost = _cost(problem, state, predicted, weights)
     damping = _DAMPING
     for i in range(iterations):
@@ -150,7 +151,7 @@ def _descend(
         gain = (cost - there) / max(cost, 1e-12)
         problem, state, predicted = about, trial, ahead
         damping = max(damping / 10, 1e-12)
-        noise, weights = _noise(problem, predicted)
+        noise, weights = _noise(problem, state, predicted)
         cost = _cost(problem, state, predicted, weights)
         tell((i + 1) / iterations)
         if length < tolerance or gain < _NO_GAIN:
@@ -168,7 +169,7 @@ def held(problem: MotionProblem, state: MotionState) -> Fitted:
         state: where.
     """
     predicted = tuple(problem.predict(state, g) for g in range(len(problem.logs)))
-    noise, weights = _noise(problem, predicted)
+    noise, weights = _noise(problem, state, predicted)
     equations = problem.equations(state, predicted, weights)
     cost = _cost(problem, state, predicted, weights)
     return Fitted(state, noise, weights, predicted, equations, cost)
@@ -197,10 +198,15 @@ def _cost(
 
 
 def _noise(
-    problem: MotionProblem, predicted: Sequence[Predicted]
+    problem: MotionProblem, state: MotionState, predicted: Sequence[Predicted]
 ) -> tuple[tuple[F64, ...], tuple[F64, ...]]:
-    """Noise of each sample, from the residuals of the SU at rest and in motion, and weights."""
+    """Noise of each sample and weights.
+
+    It is what residuals of the SU show at rest and in motion, and what its sampling leaves open
+    where a joint on its way leaps.
+    """
     noise, weights = [], []
+    arms = levers(problem.tree, state.placements)
     for log, p in zip(problem.logs, predicted, strict=True):
         sd = np.full(p.residual.shape, np.inf)
         for u in range(problem.tree.n_sus):
@@ -208,6 +214,8 @@ def _noise(
             moves = log.moving[:, chain].any(axis=1)
             for which in (moves, ~moves):
                 sd[which, u] = _spread(p.residual[:, u], which & p.measured[:, u])
+        if log.leaps is not None:
+            sd = np.hypot(sd, np.sqrt(log.leaps.variance(arms))[..., None])
         size = np.sqrt((np.where(p.measured[..., None], p.residual / sd, 0.0) ** 2).mean(axis=2))
         share = np.where(size > _HUBER, _HUBER / np.maximum(size, _HUBER), 1.0)
         w = np.where(p.measured, log.independence * share, 0.0)[..., None] / sd**2

@@ -26,6 +26,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from skin2urdf.arrays import F64
+from skin2urdf.estimation.problem.state import State
 from skin2urdf.structure.records import KinematicTree
 
 # Vectors along a trajectory are (3, K): samples last, where NumPy is fastest.
@@ -263,3 +264,23 @@ def frame_motions(
         fixed.append(placed(carried[p] if p >= 0 else base, T_parent_joint[j]))
         carried.append(beyond_joint(fixed[j], bool(tree.prismatic[j]), q[j], qd[j], qdd[j]))
     return fixed, [*carried, base]
+
+
+def levers(tree: KinematicTree, places: State) -> F64:
+    """(U, D) upper bounds of what SUs feel of the acceleration of joints [m]; 1 where one slides.
+
+    It is the distance from the axis of an SU's own joint, and the length of the links from others.
+
+    Args:
+        tree: D joints and U SUs.
+        places: where they are.
+    """
+    link = np.linalg.norm(places.T_parent_joint[:, :3, 3], axis=1)
+    out = np.zeros((tree.n_sus, tree.n_joints))
+    for u, joint in enumerate(tree.su_joint):
+        arm = float(np.linalg.norm(places.T_joint_su[u, :3, 3]))
+        for d in reversed(tree.chain(int(joint))):
+            own = float(np.linalg.norm(places.T_joint_su[u, :2, 3])) if d == joint else arm
+            out[u, d] = 1.0 if tree.prismatic[d] else own
+            arm += float(link[d])
+    return out

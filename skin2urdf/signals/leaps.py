@@ -1,0 +1,98 @@
+"""What sampling leaves open where motion leaps: patterns that begin at once, drives that stop.
+
+An acceleration that lasts for less than the time between two readings is missed by them, or is
+taken for one that lasts as long as that time. Where in that time a step of height h comes is
+anybody's guess, so that the mean over it has the variance ``h^2 / 12``.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from skin2urdf.arrays import F64, Int, frozen
+from skin2urdf.signals.filters import filtered
+from skin2urdf.signals.motion import Motion
+
+_CLEAR = 5.0
+"""Standard deviations of noise from which steps count: chance makes one in a million samples, a
+pattern that begins at once a hundred and more."""
+
+
+@dataclass(frozen=True, eq=False)
+class Leaps:
+    """What sampling leaves open at K samples of a trajectory.
+
+    Attributes:
+        joints: (K, D) variance of the accelerations of D joints, were an SU read as often as the
+            grid has samples [rad^2/s^4 or m^2/s^4].
+        readings: (K, U) variance per axis of readings, as they themselves show it where they are
+            fewer than the samples of the grid; others are low-passed first [m^2/s^4].
+        period: (U,) time between an SU's readings, over that between samples of the grid.
+    """
+
+    joints: F64
+    readings: F64
+    period: F64
+
+    def __post_init__(self) -> None:
+        for name in ("joints", "readings", "period"):
+            object.__setattr__(self, name, frozen(getattr(self, name)))
+
+    @classmethod
+    def of(cls, motion: Motion, readings: F64, period: F64, taps: F64, kept: Int) -> Leaps:
+        """Look for leaps.
+
+        Args:
+            motion: of the joints, on N samples of a grid.
+            readings: (N, U, 3) on the same [m/s^2].
+            period: (U,) time between two readings of an SU [s].
+            taps: of the low-pass that both go through twice.
+            kept: (K,) samples that are wanted.
+        """
+        rate = motion.grid.rate
+        noise = motion.noise * np.sqrt(20 / np.maximum(1.0, motion.raw_rate / rate)) * rate**2
+        # Positions tell how much velocity changed between two of them: it may have been at once.
+        spread = np.maximum(1.0, rate / motion.raw_rate)
+        joints = _steps(motion.qdd, taps)
+        joints = spread * np.where(np.abs(joints) > _CLEAR * noise, joints, 0.0)
+        steps = _steps(readings, taps)
+        usual = np.median(np.abs(steps), axis=0) / 0.6745
+        steps = np.where(np.abs(steps) > _CLEAR * usual, steps, 0.0)
+        ratio = rate * period
+        felt = np.where(ratio > 1, (steps**2).mean(axis=2), 0.0)
+        return cls(
+            _low_passed(joints**2, taps)[kept],
+            _low_passed(felt, taps)[kept] * ratio**2,
+            ratio,
+        )
+
+    def ordered(self, dofs: Int, sus: Int) -> Leaps:
+        """The same with other columns."""
+        return Leaps(self.joints[:, dofs], self.readings[:, sus], self.period[sus])
+
+    def variance(self, levers: F64) -> F64:
+        """(K, U) variance per axis of what sampling leaves open, as the joints tell [m^2/s^4].
+
+        What the readings tell is left aside: weights that follow them would prefer those that
+        missed a leap to those that met it.
+
+        Args:
+            levers: (U, D) reading per acceleration of a joint at most [m, or 1].
+        """
+        return np.asarray(self.joints @ (levers**2 * self.period[:, None] ** 2).T)
+
+
+def _steps(x: F64, taps: F64) -> F64:
+    """Steps (N, ...) from sample to sample of what a low-pass does not let through.
+
+    What it does is sampled finely enough.
+    """
+    fast = x - filtered(x, taps)
+    return np.diff(fast, axis=0, append=fast[-1:])
+
+
+def _low_passed(squares: F64, taps: F64) -> F64:
+    """Variance (N, C) of what two low-passes leave of steps of random places."""
+    return np.asarray(np.maximum(filtered(squares, np.convolve(taps, taps) ** 2), 0.0)) / 12

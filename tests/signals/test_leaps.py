@@ -1,0 +1,75 @@
+"""What sampling leaves open where motion leaps."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from skin2urdf.arrays import F64
+from skin2urdf.recording.records import JointStream, Recording
+from skin2urdf.signals.filters import filtered, low_pass, sample
+from skin2urdf.signals.leaps import Leaps
+from skin2urdf.signals.motion import Motion, joint_motion
+
+CUTOFF = 10.0
+LEVER = 0.4
+
+
+def motion_of(position: F64, time: F64) -> Motion:
+    step = 2 * np.pi / 2**17
+    seen = np.round(position / step) * step
+    return joint_motion(Recording((JointStream("j", time, seen),), ()))
+
+
+def leaps_of(motion: Motion, readings: F64, period: float) -> Leaps:
+    taps = low_pass(CUTOFF, motion.grid.rate)
+    kept = np.arange(motion.grid.size)
+    return Leaps.of(motion, readings, np.array([period]), taps, kept)
+
+
+def test_smooth_motion_does_not_leap() -> None:
+    time = np.arange(0.0, 20.0, 0.004)
+    motion = motion_of(0.1 * np.sin(2 * np.pi * 2.0 * time), time)
+    leaps = leaps_of(motion, np.zeros((motion.grid.size, 1, 3)), 0.01)
+    inside = slice(100, -100)
+    assert leaps.variance(np.array([[LEVER]]))[inside].max() < 1e-9
+    assert leaps.readings.max() == 0.0
+
+
+@pytest.mark.parametrize("period", [0.01, 0.016])
+def test_what_readings_miss_of_a_drive_that_starts_at_once_is_stated(period: float) -> None:
+    """The velocity changes within 30 ms, at times that readings know nothing of."""
+    rng = np.random.default_rng(3)
+    fine = np.arange(0.0, 120.0, 1e-3)
+    push = np.zeros(len(fine))
+    begins = np.arange(1.0, 118.0, 0.75) + rng.uniform(0.0, 0.1, 156)
+    for n, begin in enumerate(begins):
+        push[(fine >= begin) & (fine < begin + 0.03)] = (40.0, -40.0)[n % 2]
+    position = np.cumsum(np.cumsum(push)) * 1e-6
+    motion = motion_of(position[::4], fine[::4])
+    grid, taps = motion.grid, low_pass(CUTOFF, motion.grid.rate)
+
+    def read(at: F64) -> F64:
+        felt = np.zeros((len(at), 3))
+        felt[:, 0] = LEVER * np.interp(at, fine, push)
+        return sample(at, felt, grid)[0]
+
+    often, seldom = read(fine), read(np.arange(0.0, 119.9, period))
+    inside = slice(100, -100)
+    off = filtered(filtered(seldom - often, taps), taps)[inside, 0]
+    variance = leaps_of(motion, seldom[:, None], period).variance(np.array([[LEVER]]))[inside, 0]
+    there = variance > 0.1 * variance.max()
+    assert 0.5 < np.sqrt((off[there] ** 2).mean() / variance[there].mean()) < 2.0
+    # Far from leaps nothing is missed.
+    assert (off[variance < 1e-9] ** 2).mean() < 1e-3 * (off[there] ** 2).mean()
+
+
+def test_columns_are_exchanged_together() -> None:
+    rng = np.random.default_rng(0)
+    leaps = Leaps(rng.random((5, 2)), rng.random((5, 3)), np.array([0.5, 1.0, 2.0]))
+    dofs, sus = np.array([1, 0]), np.array([2, 0, 1])
+    levers = rng.random((3, 2))
+    swapped = leaps.ordered(dofs, sus)
+    expected = leaps.variance(levers)[:, sus]
+    assert swapped.variance(levers[np.ix_(sus, dofs)]) == pytest.approx(expected)
+    assert (swapped.readings == leaps.readings[:, sus]).all()

@@ -17,9 +17,9 @@ from skin2urdf.estimation.trajectory.state import MotionState
 _HUBER = 3.0
 """Residual, in standard deviations, beyond which a sample counts less; noise is one in 400."""
 _DAMPING, _FALL = 1e-4, 10.0
-"""Share of its own information by which each coordinate is held at first. It grows by ten with every
-step that fails, and falls by ten with every one that succeeds at once: what had to be held back to
-succeed would fail again."""
+"""Share of its own information by which each coordinate is held at first. It grows by ten with
+every step that fails, and falls by ten with every one that succeeds at once: what had to be held
+back to succeed would fail again."""
 _SHORT = 0.1
 """Length of a step, over that of a last one, from which it is worth taking. Shorter ones lead
 nowhere: there is nothing to gain, or only for steps that are held back to nothing."""

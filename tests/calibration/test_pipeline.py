@@ -304,7 +304,7 @@ def test_a_reversed_joint_is_a_robot_with_a_reversed_axis() -> None:
     def reversed_(joint: JointStream) -> JointStream:
         return replace(joint, position=-joint.position) if joint.name == name else joint
 
-    found = calibrate(changed_joints(plain(), reversed_))
+    found = calibrate(changed_joints(plain(), reversed_), PATTERNS)
     assert found.quality == "good"
 
 

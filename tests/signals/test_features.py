@@ -71,7 +71,7 @@ def rms(x: F64) -> float:
 )
 def test_errors_are_what_the_covariances_say(options: dict[str, Any]) -> None:
     """With everything beyond first order predicted by a model, as the pipeline ends with."""
-    sim = simulation("panda", **options)
+    sim = simulation("so101", **options)
     features = calibrate(sim.recording, PATTERNS).features
     error, sd, measured = errors(sim, features)
     for kind in KINDS:

@@ -22,6 +22,7 @@ from skin2urdf.estimation.trajectory.estimate import (
 from skin2urdf.estimation.trajectory.front_end import common_front_end
 from skin2urdf.estimation.trajectory.priors import MotionPriors
 from skin2urdf.faults import Fault
+from skin2urdf.signals.clocks import MEDIAN_OF_SQUARES
 from skin2urdf.signals.records import SuClock
 from skin2urdf.signals.sampling import Sampled
 from skin2urdf.signals.trajectory import Trajectory, in_order, trajectory
@@ -38,8 +39,6 @@ _MOMENT = 0.5
 _ABRUPT = 0.1
 """Share of the samples, those in which readings are most abrupt, that tell what that leaves: where
 patterns begin and end at once, a tenth of the time; of hits there are fewer than half of that."""
-_MEDIAN = 0.455
-"""Median of the square of a standard normal variable."""
 _MOST = 0.5
 """Share of the poses from which the samples say all that features do."""
 
@@ -273,7 +272,7 @@ def _usual(along: MotionEstimate, g: int) -> F64:
         if measured.any():
             abrupt = measured & (above[:, u] >= np.quantile(above[measured, u], 1 - _ABRUPT))
             ratio = beyond[abrupt, u] / np.maximum(above[abrupt, u], 1e-300)
-            share[u] = max(float(np.median(ratio)), 0.0) / _MEDIAN
+            share[u] = max(float(np.median(ratio)), 0.0) / MEDIAN_OF_SQUARES
     return np.asarray(np.sqrt(noise**2 + (share * above)[..., None]))
 
 

@@ -361,7 +361,6 @@ def faulty(
 @pytest.mark.parametrize(
     ("kind", "robot", "seed"),
     [
-        ("encoder_sign", "so101", 1),
         ("encoder_slip", "so101", 1),
         ("gear_ratio", "so101", 1),
         # A short hit, of which the encoder sees a third.

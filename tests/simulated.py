@@ -34,16 +34,19 @@ PATTERNS = CalibrationSettings(motion="patterns")
 """Settings of tests that look at features, structure or the search for faults, which the fit of all
 samples after them does not change."""
 
+SHORT = {"n_poses": 4, "seed": 1, "imu_rate": 250.0, "joint_rate": 125.0}
+"""Settings of a short recording; what is not asked of streams costs half as much at these rates."""
+
 
 @cache
 def simulation(robot: str = "panda", **options: Any) -> Simulation:
     """A short recording of a robot of the package; the same object for the same arguments."""
-    return simulate(load_robot(robot), SimulationSettings(**{"n_poses": 4, "seed": 1, **options}))
+    return simulate(load_robot(robot), SimulationSettings(**{**SHORT, **options}))
 
 
 def simulation_of(spec: RobotSpec, **options: Any) -> Simulation:
     """A short recording of any robot."""
-    return simulate(spec, SimulationSettings(**{"n_poses": 4, "seed": 1, **options}))
+    return simulate(spec, SimulationSettings(**{**SHORT, **options}))
 
 
 def sampled_of(recording: Recording) -> Sampled:

@@ -22,6 +22,8 @@ SMALLER = {
     "ur5": "vendor.urdf", "panda": "vendor.urdf", "--minutes 3": "--minutes 0.9",
     "--minutes 2": "--minutes 0.9", "--minutes 1": "--minutes 0.9",
     "--excite all": "--excite all --poses 2 --imu-rate 100",
+    "--excite none": "--excite none --imu-rate 100",
+    "--excite series": "--excite series --imu-rate 100",
     "--plan plan.yaml": "--plan plan.yaml --imu-rate 100",
     "--limits joint_limits.yaml": "--limits joint_limits.yaml --grade mems",
     "--base-rpy 25 15 0": "--base-rpy 25 15 0 --grade mems",

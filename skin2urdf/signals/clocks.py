@@ -54,7 +54,7 @@ _LEAST_LEFT = 1e-3
 _PRIOR_FREEDOM = 4.0
 """Degrees of freedom for which the stretches' own variances count beside their scatter about the
 line: few moves scatter little about any line, and slow ones over large angles share one error."""
-_MEDIAN = 0.455
+MEDIAN_OF_SQUARES = 0.455
 """Median of the square of a standard normal variable."""
 _SIGNIFICANT = 4.0
 """Standard deviations from which an offset or a drift is no chance."""
@@ -462,7 +462,7 @@ def _refined(time: F64, score: F64, lags: F64, offset: float, drift: float) -> _
     freedom = max(len(y) / 2 - 2, 0.0)
     for _ in range(10):
         square = certain * (y - X @ solution) ** 2
-        bound = max(4 * float(np.median(square)) / _MEDIAN, 1e-4)
+        bound = max(4 * float(np.median(square)) / MEDIAN_OF_SQUARES, 1e-4)
         weight = certain / (1 + square / bound) ** 2
         products = X.T @ (weight[:, None] * X)
         if np.linalg.cond(products) > 1e12:

@@ -101,17 +101,11 @@ def rough_moments(tree: KinematicTree, T_parent_joint: F64, log: Trajectory) -> 
 
 def _regressors(motion: FrameMotion) -> F64:
     """(N, 22) regressors of a segment."""
-    w, a = motion.w, motion.a
-    n = w.shape[1]
+    n = motion.w.shape[1]
     out = np.ones((n, N_REGRESSORS))
     out[:, TURNED] = np.broadcast_to(motion.R_frame_base, (3, 3, n)).reshape(9, n).T
     out[:, MOVED] = motion.f.T
-    square = (w * w).sum(axis=0)
-    x, y, z = a
-    A = np.array([[0 * x, -z, y], [z, 0 * x, -x], [-y, x, 0 * x]])
-    A += w[:, None] * w[None]
-    A[range(3), range(3)] -= square
-    out[:, LEVER] = A.reshape(9, n).T
+    out[:, LEVER] = motion.A.reshape(9, n).T
     return out
 
 

@@ -46,7 +46,7 @@ def found(robot: RobotSpec, folder: Path, **options: object) -> tuple[Calibratio
 
 
 def recorded(robot: RobotSpec, **options: object) -> Simulation:
-    settings = {"n_poses": 6, "imu_rate": 250.0, "joint_rate": 125.0, "excite": "all", "seed": 2}
+    settings = {"n_poses": 4, "imu_rate": 250.0, "joint_rate": 125.0, "excite": "all", "seed": 2}
     return simulate(robot, SimulationSettings(**{**settings, **options}))  # type: ignore[arg-type]
 
 
@@ -78,7 +78,7 @@ def test_many_turns_wrapped_or_not(tmp_path: Path) -> None:
     joints = chain(4, turns=1.4)
     joints = tuple(replace(j, kind="continuous") if d % 2 else j for d, j in enumerate(joints))
     motion = MotionSettings(half_range=30.0, angular_speed=6.0)
-    sim = recorded(replace(robot_of(joints, tmp_path), motion=motion), n_poses=4)
+    sim = recorded(replace(robot_of(joints, tmp_path), motion=motion))
     assert max(np.abs(j.position).max() for j in sim.recording.joints) > 20.0
     wrapped = changed_joints(
         sim.recording,
@@ -147,7 +147,7 @@ def test_of_motions_that_depend_on_each_other_no_place_is_promised(
     """Ten joints at once: twenty tones between 1 and 4 Hz need 3.2 s."""
     monkeypatch.setattr("skin2urdf.simulation.motion.distinct_time", lambda *_: 0.0)
     robot, briefly = robot_of(chain(10), tmp_path), MotionSettings(pattern_time_all=2.0)
-    sim = recorded(robot, n_poses=10, motion=briefly)
+    sim = recorded(robot, n_poses=5, motion=briefly)
     found = calibrate(sim.recording)
     assert found.quality == "fair"
     assert "determined" not in found.observability.su_verdict

@@ -56,7 +56,7 @@ def witness(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFac
 
 def witnessed(arm: Arm, at_once: bool, bits: int, folder: Path) -> Witness:
     rng = np.random.default_rng(11)
-    path = excitation(arm, 5, at_once, rng)
+    path = excitation(arm, 4, at_once, rng)
     sus = [f"skin_{n:02x}" for n in rng.permutation(256)[: arm.n_joints + 1]]
     joints = [f"motor_{n}" for n in rng.permutation(arm.n_joints)]
     recording = record(arm, path, sus, joints, rng, bits=bits)

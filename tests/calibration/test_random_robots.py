@@ -44,7 +44,7 @@ def test_the_first_look_tells_what_slides_and_what_turns(seed: int, tmp_path: Pa
 
 @pytest.mark.parametrize("seed", [1009, 1011, 1018])
 def test_a_random_robot_is_found(seed: int, tmp_path: Path) -> None:
-    joints, sim = recorded(seed, (2, 9), "all" if seed % 2 else "one", 6, tmp_path)
+    joints, sim = recorded(seed, (2, 9), "all" if seed % 2 else "one", 4, tmp_path)
     found = calibrate(retimed(sim.recording))
     assert found.model.tree.n_joints == len(joints)
     assert found.quality == "good"

@@ -41,7 +41,7 @@ RESTING = 0.7
 
 
 @cache
-def log(lacks: tuple[str, ...] = (), n_poses: int = 5) -> Simulation:
+def log(lacks: tuple[str, ...] = (), n_poses: int = 4) -> Simulation:
     """A log without some joints, which rest; SUs and sensors are the same in all of them."""
     robot = robot_of((*STEM, *BRANCH), Path(mkdtemp()), SKIN)
     robot = replace(robot, locked=dict.fromkeys(lacks, RESTING))
@@ -78,7 +78,7 @@ def test_joints_that_a_log_lacks_may_rest_anywhere(
 ) -> None:
     # Both ways through once: with all samples after the patterns where no SU is left out.
     settings = PATTERNS if unused else None
-    found = calibrate([log().recording, log(lacks, 6).recording], settings)
+    found = calibrate([log().recording, log(lacks).recording], settings)
     check(found, tmp_path)
     tree, features = found.model.tree, found.features
     use = usable(features, tree)[features.log == 1].any(axis=0)
@@ -91,7 +91,7 @@ def test_joints_that_a_log_lacks_may_rest_anywhere(
 
 
 def test_each_log_may_hold_other_sus(tmp_path: Path) -> None:
-    first, second = log().recording, log(("k0", "k1"), 6).recording
+    first, second = log().recording, log(("k0", "k1")).recording
     found = calibrate(
         [
             with_sus_on(first, {"j0", "j1", "j2", "k0", "k1"}),
@@ -106,7 +106,7 @@ def test_each_log_may_hold_other_sus(tmp_path: Path) -> None:
 def test_what_no_log_holds_together_is_said() -> None:
     """j0 moves in the first log alone, the branch's SUs are in the second alone."""
     first = with_sus_on(log().recording, {"j0", "j1", "j2", "j3"})
-    second = with_sus_on(log(("j0",), 6).recording, {"j2", "j3", "k0", "k1"})
+    second = with_sus_on(log(("j0",)).recording, {"j2", "j3", "k0", "k1"})
     found = calibrate([first, second], PATTERNS)
     assert found.estimate.cost_per_dof < 2.0
     sus = log().truth.sus

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -18,6 +18,7 @@ from skin2urdf.estimation.problem.state import (
     Step,
     joint_motion,
     local_motion,
+    sensor_matrices,
     turn_basis,
     turned_up,
 )
@@ -107,15 +108,13 @@ class Cost:
     def at(self, state: State, step: Step | None = None) -> Evaluation:
         """Evaluate the cost at ``state`` moved by ``step``, with derivatives in the step."""
         blocks = self.blocks
-        if step is None:
-            step = self.zero_step()
-        T_joint, joint_basis = joint_motion(step.joints)
-        T_su, su_basis = local_motion(step.sus[:, :N_PLACEMENT])
+        motions = self._still if step is None else _motions(step)
+        (T_joint, joint_basis), (T_su, su_basis), turns = motions
+        step = step or self.zero_step()
         T_parent_joint = state.T_parent_joint @ T_joint
         T_joint_su = state.T_joint_su @ T_su
         up = turned_up(state.up, step.logs) * self.priors.gravity
         bias, shape = state.bias + step.sus[:, 6:9], state.shape + step.sus[:, 9:15]
-        M = State(T_parent_joint, T_joint_su, up, bias, shape).sensor_matrix()
         self._pinocchio.write_joints(T_parent_joint)
         R, p = self._pinocchio.joint_frames(blocks.q)
         R_zero, p_zero = zero_frames(R, p, blocks.q, self.tree.prismatic)
@@ -127,14 +126,14 @@ class Cost:
             joint_basis=joint_basis,
             up=up[blocks.log],
             log=blocks.log,
-            turns=turn_basis(step.logs),
+            turns=turns,
             prismatic=self.tree.prismatic,
             T_joint_su=T_joint_su,
             su_basis=su_basis,
             bias=bias,
-            sensor=M,
+            sensor=sensor_matrices(shape),
         )
-        prior = np.concatenate([bias, shape], axis=1) * self._prior
+        prior = self._prior_residual(bias, shape)
         offsets = (
             T_parent_joint[:, :3, 3] / self.priors.position,
             T_joint_su[:, :3, 3] / self.priors.position,
@@ -143,10 +142,33 @@ class Cost:
         groups = tuple(group.at(point) for group in self._groups)
         return Evaluation(self, groups, point, frames, prior, offsets)
 
+    def with_sensors(self, here: Evaluation, bias: F64, shape: F64) -> Evaluation:
+        """An evaluation with other biases (U, 3) [m/s^2] and shapes (U, 6) of the sensors."""
+        point = replace(here.point, bias=bias, sensor=sensor_matrices(shape))
+        groups = tuple(each.group.read(point, each.kin, each.Y) for each in here.groups)
+        prior = self._prior_residual(bias, shape)
+        return Evaluation(self, groups, point, here.frames, prior, here.offsets)
+
+    def _prior_residual(self, bias: F64, shape: F64) -> F64:
+        return np.asarray(np.concatenate([bias, shape], axis=1) * self._prior)
+
+    @cached_property
+    def _still(self) -> _Motions:
+        return _motions(self.zero_step())
+
     def zero_step(self) -> Step:
         """A step of zeros, of this problem's shapes."""
         D, U = self.tree.n_joints, self.tree.n_sus
         return Step(np.zeros((D, N_JOINT)), np.zeros((self.n_logs - 1, 2)), np.zeros((U, N_SU)))
+
+
+_Motions = tuple[tuple[F64, F64], tuple[F64, F64], F64]
+"""Transforms and twists of joints and of SUs, and turns of gravity."""
+
+
+def _motions(step: Step) -> _Motions:
+    su = local_motion(step.sus[:, :N_PLACEMENT])
+    return joint_motion(step.joints), su, turn_basis(step.logs)
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,21 +178,23 @@ class Evaluation:
     Attributes:
         cost: the cost it belongs to.
         groups: residuals of the SUs, group by group.
+        point: where it is.
+        frames: (D, 3, 3) and (U, 3, 3) orientations that a step moves the offsets in.
         prior: (U, 9) residuals of bias and shape against their priors.
         offsets: (D, 3) and (U, 3) residuals of the offsets against theirs.
     """
 
     cost: Cost
     groups: tuple[Residuals, ...]
-    _point: Point
-    _frames: tuple[F64, F64]
+    point: Point
+    frames: tuple[F64, F64]
     prior: F64
     offsets: tuple[F64, F64]
 
     @cached_property
     def whole(self) -> Residuals:
         """Residuals of all SUs in arrays of one length."""
-        return self.cost.whole.at(self._point)
+        return self.cost.whole.at(self.point)
 
     @property
     def residual(self) -> F64:
@@ -198,7 +222,7 @@ class Evaluation:
 
     def gradient(self) -> Step:
         """Gradient of chi2 / 2 in the step's coordinates, in time linear in chain lengths."""
-        point, tree = self._point, self.cost.tree
+        point, tree = self.point, self.cost.tree
         wrench = np.zeros((*point.p.shape[:2], 6))
         gravity = np.zeros_like(point.up)
         sus = np.zeros((tree.n_sus, N_SU))
@@ -289,4 +313,4 @@ class Evaluation:
     def _offset_rows(self) -> tuple[F64, F64]:
         """Derivatives of the offset residuals in tx, ty (D, 3, 2) and tx, ty, tz (U, 3, 3)."""
         scale = 1 / self.cost.priors.position
-        return self._frames[0][..., :2] * scale, self._frames[1] * scale
+        return self.frames[0][..., :2] * scale, self.frames[1] * scale

@@ -100,7 +100,10 @@ class SuGroup:
         """Residuals at a point."""
         T = point.T_joint_su[self.sus]
         kin = su_kinematics(self.chains, self.su_joint, point.R, point.p, T, point.up)
-        Y = kin.features()
+        return self.read(point, kin, kin.features())
+
+    def read(self, point: Point, kin: SuKinematics, Y: F64) -> Residuals:
+        """Residuals of features Y (P, u, m, 3), which its kinematics make, in the sensors."""
         GT = np.swapaxes(point.sensor[self.sus], -1, -2) * self.weight[:, :, None, :]
         shift = (point.bias[self.sus] * self.weight)[:, :, None]
         residual = self.W @ (Y @ GT) - self.target + self.W[..., :1] * shift

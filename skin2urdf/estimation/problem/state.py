@@ -55,10 +55,15 @@ class State:
 
     def sensor_matrix(self) -> F64:
         """(U, 3, 3) symmetric matrices M."""
-        M = np.zeros((*self.shape.shape[:-1], 3, 3))
-        for i, (a, b) in enumerate(_SHAPE_INDEX):
-            M[..., a, b] = M[..., b, a] = self.shape[..., i]
-        return M + np.eye(3)
+        return sensor_matrices(self.shape)
+
+
+def sensor_matrices(shape: F64) -> F64:
+    """(..., 3, 3) symmetric matrices M of scale and cross-axis errors (..., 6)."""
+    M = np.zeros((*shape.shape[:-1], 3, 3))
+    for i, (a, b) in enumerate(_SHAPE_INDEX):
+        M[..., a, b] = M[..., b, a] = shape[..., i]
+    return M + np.eye(3)
 
 
 @dataclass(frozen=True, eq=False)

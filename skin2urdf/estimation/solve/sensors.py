@@ -32,20 +32,22 @@ def sensors_refitted(cost: Cost, state: State, free: Free) -> tuple[State, Evalu
     moving = free.sus[:, N_PLACEMENT:]
     if not moving.any():
         return state, here
-    H = np.zeros((cost.tree.n_sus, N_INTRINSIC, N_INTRINSIC))
+    deviations = cost.priors.deviations
+    known = np.divide(1.0, deviations, out=np.zeros(N_INTRINSIC), where=deviations > 0)
+    H = np.tile(np.diag(known**2), (cost.tree.n_sus, 1, 1))
+    g = here.prior * known
     for part in here.groups:
         group = part.group
         Z = np.concatenate([group.W[..., :1], group.W @ part.Y], axis=-1)
         gram = np.swapaxes(Z, -1, -2) @ Z
+        pull = np.swapaxes(Z, -1, -2) @ part.residual
         for axis, index in enumerate(_OF_AXIS):
             rows = (group.sus[:, None, None], index[:, None], index)
-            H[rows] += np.einsum("pu,puij->uij", group.weight[:, :, axis] ** 2, gram)
-    deviations = cost.priors.deviations
-    known = np.divide(1.0, deviations, out=np.zeros(N_INTRINSIC), where=deviations > 0)
-    H += np.diag(known**2)
-    g = here.gradient().sus[:, N_PLACEMENT:]
+            weight = group.weight[:, :, axis]
+            H[rows] += np.einsum("pu,puij->uij", weight**2, gram)
+            g[group.sus[:, None], index] += np.einsum("pu,pui->ui", weight, pull[..., axis])
     H = np.where(moving[:, :, None] & moving[:, None], H, np.eye(N_INTRINSIC))
     x = np.linalg.solve(H, -np.where(moving, g, 0.0)[..., None])[..., 0]
     refitted = replace(state, bias=state.bias + x[:, :3], shape=state.shape + x[:, 3:])
-    there = cost.at(refitted)
+    there = cost.with_sensors(here, refitted.bias, refitted.shape)
     return (refitted, there) if there.chi2 < here.chi2 else (state, here)

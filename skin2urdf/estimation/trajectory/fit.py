@@ -17,9 +17,13 @@ from skin2urdf.estimation.trajectory.state import MotionState
 
 _HUBER = 3.0
 """Residual, in standard deviations, beyond which a sample counts less; noise is one in 400."""
-_DAMPING = 1e-4
-"""Share of its own information by which each coordinate is held at first; it falls by ten with
-every step that succeeds."""
+_DAMPING, _FALL = 1e-4, 10.0
+"""Share of its own information by which each coordinate is held at first. It grows by ten with
+every step that fails, and falls by ten with every one that succeeds at once: what had to be held
+back to succeed would fail again."""
+_SHORT = 0.1
+"""Length of a step, over that of a last one, from which it is worth taking. Shorter ones lead
+nowhere: there is nothing to gain, or only for steps that are held back to nothing."""
 _ROUGHLY = 30.0
 """Length of a step, in standard deviations, from which all coordinates may move."""
 _QUIET = 1e-5
@@ -133,24 +137,28 @@ def _descend(
     damping = _DAMPING
     for i in range(iterations):
         equations = problem.equations(state, predicted, weights)
+        at_once = True
         while True:
             system = eliminated(equations, free_joint, free_su, damping)
             joint, sus = newton_step(system, free_joint)
+            length = _length(equations, joint, sus)
+            if not length >= _SHORT * tolerance:  # NaN is not
+                tell(1.0)
+                return problem, Fitted(state, noise, weights, predicted, equations, cost)
             about, trial = follow(problem, problem.layout.moved(state, joint, sus))
             ahead = tuple(about.predict(trial, g) for g in range(len(problem.logs)))
             trial, ahead = about.refit_sensors(trial, ahead, weights, free_su)
             there = _cost(about, trial, ahead, weights)
             if there <= cost:
                 break
-            damping *= 10
-            if damping > 1e6:
-                return problem, Fitted(state, noise, weights, predicted, equations, cost)
-        length = _length(equations, joint, sus)
+            damping *= _FALL
+            at_once = False
         if far and damping > _DAMPING:
             length = np.inf  # a step that was held back says nothing of how far it still is
         gain = (cost - there) / max(cost, 1e-12)
         problem, state, predicted = about, trial, ahead
-        damping = max(damping / 10, 1e-12)
+        if at_once:
+            damping = max(damping / _FALL, 1e-12)
         noise, weights = _noise(problem, state, predicted)
         cost = _cost(problem, state, predicted, weights)
         tell((i + 1) / iterations)

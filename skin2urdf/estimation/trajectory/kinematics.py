@@ -22,6 +22,7 @@ where s is that of a constant turn about its axis z (the pattern's s_d and tau_d
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -48,6 +49,20 @@ class FrameMotion:
     f: F64
     R_frame_base: F64
 
+    @cached_property
+    def A(self) -> F64:
+        """(3, 3, K) specific force per position of a point that moves along [1/s^2]."""
+        A = self.w[:, None] * self.w
+        A[range(3), range(3)] -= (self.w * self.w).sum(axis=0)
+        x, y, z = self.a
+        A[0, 1] -= z
+        A[0, 2] += y
+        A[1, 0] += z
+        A[1, 2] -= x
+        A[2, 0] -= y
+        A[2, 1] += x
+        return A
+
 
 @dataclass(frozen=True, eq=False)
 class Path:
@@ -68,9 +83,10 @@ class Path:
 
 def cross(a: F64, b: F64) -> F64:
     """(3, K) cross product of (3, K) or (3, 1) vectors."""
-    return np.stack(
-        [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
-    )
+    x = a[1] * b[2] - a[2] * b[1]
+    out = np.empty((3, *x.shape))
+    out[0], out[1], out[2] = x, a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+    return out
 
 
 def base_motion(up: F64, n: int) -> FrameMotion:
@@ -176,34 +192,24 @@ def placement_columns(motion: FrameMotion, path: Path, axes: tuple[int, ...]) ->
     Returns:
         (len(axes), 3, K) in the SU's frame [m/s^2 per m or rad].
     """
-    w, a = motion.w, motion.a
-    r, rd, rdd = path.r, path.rd, path.rdd
-    w2 = (w * w).sum(axis=0)
-
-    def felt(x: F64) -> F64:
-        return np.asarray(cross(a, x) + w * (w * x).sum(axis=0) - x * w2)
-
-    # Of a turn about unit axis i, i x x is a permutation of x.
-    def about(i: int, x: F64) -> F64:
-        j, k = (i + 1) % 3, (i + 2) % 3
-        out = np.zeros_like(x)
-        out[j], out[k] = -x[k], x[j]
-        return out
-
-    n = r.shape[1]
-    rest = None
-    out = np.empty((len(axes), 3, n))
-    for column, axis in enumerate(axes):
+    A, w, r, rd = motion.A, motion.w, path.r, path.rd
+    out = np.empty((len(axes), 3, r.shape[1]))
+    if max(axes) >= 3:
+        along = 2 * (w * rd).sum(axis=0)
+        # r'' - F, where r'' is a part of F.
+        rest = -motion.f - (A[:, 0] * r[0] + A[:, 1] * r[1] + A[:, 2] * r[2]) - 2 * cross(w, rd)
+    for column, axis in zip(out, axes, strict=True):
         if axis < 3:
-            unit = np.zeros((3, n))
-            unit[axis] = 1.0
-            out[column] = felt(unit)
+            column[:] = A[:, axis]
             continue
-        if rest is None:
-            force = motion.f + felt(r) + 2 * cross(w, rd) + rdd
-            rest = rdd - force
+        # Of a turn about unit axis i, i x x is a permutation of x, and w x (i x x) is
+        # i (w . x) - x w_i.
         i = axis - 3
-        out[column] = felt(about(i, r)) + 2 * cross(w, about(i, rd)) + about(i, rest)
+        j, k = (i + 1) % 3, (i + 2) % 3
+        column[:] = A[:, k] * r[j] - A[:, j] * r[k] - 2 * w[i] * rd
+        column[i] += along
+        column[j] -= rest[k]
+        column[k] += rest[j]
     return in_su(path.R_frame_su, out)
 
 

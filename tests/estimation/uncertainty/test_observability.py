@@ -192,7 +192,7 @@ def test_the_arrow_form_is_the_inverse_of_the_whole_information() -> None:
 @pytest.mark.parametrize("tilt", [0.6, 0.0], ids=["tilted", "upright"])
 def test_bounds_agree_with_the_errors_of_many_runs(tmp_path: Path, tilt: float) -> None:
     """The stated deviations against what the comparison with the truth measures."""
-    state, runs = robot(5, tilt), 40
+    state, runs = robot(5, tilt), 24
     limits = np.tile([-1.5, 1.5], (TREE.n_joints, 1))
     truth = tmp_path / "truth.urdf"
     truth.write_text(emit(canonical(state.model(TREE)), name="truth", limits=limits))

@@ -17,14 +17,17 @@ from skin2urdf.arrays import F64, Bool
 from skin2urdf.cli.main import main
 from skin2urdf.errors import ModelMismatchError, UnreadableInputError
 from skin2urdf.geometry.se3 import inverse, log
+from skin2urdf.output import save_on_model
+from skin2urdf.page.advice import advice
 from skin2urdf.page.contents import load_contents
 from skin2urdf.recording.description import robot_descriptions
 from skin2urdf.recording.records import Recording
 from skin2urdf.recording.writing import write
 from skin2urdf.report.model_document import as_document
-from skin2urdf.report.on_model import as_text
+from skin2urdf.report.on_model import as_text, model_verdict
 from skin2urdf.signals.motion import joint_motion
 from skin2urdf.signals.poses import find_rests
+from skin2urdf.signals.records import SuClock
 from skin2urdf.urdf.loading import Robot, configuration
 from skin2urdf.vendor.calibrate import calibrate_with_model
 from skin2urdf.vendor.description import describe
@@ -198,6 +201,28 @@ def forward(robot: Robot, positions: Mapping[str, float]) -> dict[str, F64]:
         for i, frame in enumerate(robot.model.frames)
         if frame.type == pin.FrameType.BODY
     }
+
+
+def test_of_one_su_alone_what_its_sensor_hides_asks_for_its_data_sheet(
+    toy: Recorded, tmp_path: Path
+) -> None:
+    tip = next(su for su in toy.recording.sus if toy.link[su.name] == "three")
+    found = calibrate_with_model(replace(toy.recording, sus=(tip,)), model())
+    assert model_verdict(found).startswith("fair: 1 SU on ")
+    # What its sensor is like may be all that is open: no motion helps then.
+    (urdf, _) = save_on_model(found, tmp_path / "tip.urdf")
+    remedies = [each.remedy for each in advice(load_contents(urdf).document)]
+    assert len(remedies) == 1
+    assert "--cross" in remedies[0]
+
+
+def test_a_clock_that_is_off_is_told_in_the_document_as_well(calibrated: Calibrate) -> None:
+    found = calibrated(URDF, Correction())
+    name = found.tree.su_names[0]
+    late = replace(found, clocks=((SuClock(name, 0.084, 1e-4, 0.0, 1e-6, 15.0),),))
+    told = as_document(late)["notes"]
+    assert any(name in note and "84" in note for note in told)
+    assert all(note in as_text(late) for note in told)
 
 
 def test_a_log_without_a_rest_does_and_what_it_leaves_open_is_named(toy: Recorded) -> None:

@@ -71,7 +71,7 @@ class Recorded:
 
 
 @cache
-def recorded(folder: Path, **options: Any) -> Recorded:
+def recorded(folder: Path, sus_on_base: int = 0, **options: Any) -> Recorded:
     """Half a minute of ordinary moves with an SU on every moving link."""
     path = folder / "toy.urdf"
     path.write_bytes(URDF.encode())
@@ -79,7 +79,7 @@ def recorded(folder: Path, **options: Any) -> Recorded:
         name="toy",
         urdf=path,
         locked={"grip": 0.0},
-        skin=SkinLayout(sus_per_segment=1, sus_on_base=0),
+        skin=SkinLayout(sus_per_segment=1, sus_on_base=sus_on_base),
     )
     settings = {"excite": "none", "minutes": 0.5, "seed": 2, "base_rpy": (0.02, -0.01, 0.0)}
     done = simulate(spec, SimulationSettings(**{**settings, **options}))

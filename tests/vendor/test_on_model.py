@@ -225,6 +225,28 @@ def test_a_clock_that_is_off_is_told_in_the_document_as_well(calibrated: Calibra
     assert all(note in as_text(late) for note in told)
 
 
+def test_rests_at_both_ends_of_a_log_are_no_gaps(toy: Recorded) -> None:
+    motion = joint_motion(toy.recording)
+    time = motion.grid.time
+    first, _, last = find_rests(motion)[:3]
+    # Nothing is compared at the ends: filters reach beyond them.
+    recording = between(toy.recording, time[first.end] - 0.4, time[last.begin] + 0.4)
+    assert len(find_rests(joint_motion(recording))) == 3
+    found = calibrate_with_model(recording, model())
+    assert found.links == tuple(toy.link[name] for name in found.tree.su_names)
+
+
+def test_an_su_on_a_tilted_base_is_told_from_a_dead_one_on_a_link(
+    tmp_path_factory: pytest.TempPathFactory,
+) -> None:
+    tilted = recorded(
+        tmp_path_factory.mktemp("tilted"), sus_on_base=1, base_rpy=(0.25, 0.0, 0.0), grade="bma150"
+    )
+    found = calibrate_with_model(tilted.recording, model())
+    assert found.links == tuple(tilted.link[name] for name in found.tree.su_names)
+    assert not any(found.instead)
+
+
 def test_a_log_without_a_rest_does_and_what_it_leaves_open_is_named(toy: Recorded) -> None:
     recording = between(toy.recording, 21.35, 27.35)
     assert not find_rests(joint_motion(recording))

@@ -16,7 +16,7 @@ from vendor.model_robot import URDF, Recorded, model, recorded, with_zero
 from skin2urdf.arrays import F64, Bool
 from skin2urdf.cli.main import main
 from skin2urdf.errors import ModelMismatchError, UnreadableInputError
-from skin2urdf.geometry.se3 import inverse, log
+from skin2urdf.geometry.se3 import exp, inverse, log
 from skin2urdf.output import save_on_model
 from skin2urdf.page.advice import advice
 from skin2urdf.page.contents import load_contents
@@ -31,6 +31,7 @@ from skin2urdf.signals.records import SuClock
 from skin2urdf.urdf.loading import Robot, configuration
 from skin2urdf.vendor.calibrate import calibrate_with_model
 from skin2urdf.vendor.description import describe
+from skin2urdf.vendor.editing import with_additions
 from skin2urdf.vendor.matching import match
 from skin2urdf.vendor.output import model_urdf
 from skin2urdf.vendor.records import Correction, ModelCalibration
@@ -318,11 +319,25 @@ def test_the_noise_of_sensors_is_told_as_densities(calibrated: Calibrate) -> Non
         assert su["topic"]
 
 
-def test_a_joint_that_sits_elsewhere_is_named(calibrated: Calibrate) -> None:
-    text = URDF.replace('<origin xyz="0.02 0 0.2"/>', '<origin xyz="0.02 0 0.24" rpy="0.1 0 0"/>')
+@pytest.mark.parametrize(
+    ("joint", "xi"),
+    [
+        ("lift", [0.04, 0.0, 0.0, 0.1, 0.0, 0.0]),
+        # The zero of the joint before, and smaller shifts of both, would explain it nearly as well.
+        ("roll", [0.042, -0.026, 0.0, -0.093, -0.074, 0.0]),
+    ],
+)
+def test_a_joint_that_sits_elsewhere_is_named(
+    joint: str, xi: list[float], calibrated: Calibrate
+) -> None:
+    chassis = match(describe(model()), ["turn", "lift", "roll"])
+    j = [each.name for each in chassis.joints].index(joint)
+    T = np.array(chassis.T_parent_joint)
+    T[j] = T[j] @ exp(np.array(xi))
+    text = with_additions(URDF, "toy.urdf", [], {joint: chassis.origins(T)[j]})
     with pytest.raises(ModelMismatchError) as error:
         calibrated(text, Correction())
-    assert error.value.joints == ("lift",)
+    assert error.value.joints == (joint,)
 
 
 def test_a_mount_that_was_turned_is_told(

@@ -15,6 +15,7 @@ import numpy as np
 
 from skin2urdf.arrays import Bool
 from skin2urdf.calibration.result import GOOD_FIT
+from skin2urdf.estimation.problem.state import State
 from skin2urdf.estimation.trajectory.blueprint import Blueprint
 from skin2urdf.estimation.trajectory.estimate import MotionEstimate
 from skin2urdf.signals.trajectory import in_order
@@ -22,7 +23,7 @@ from skin2urdf.vendor.counting import count_otherwise
 from skin2urdf.vendor.deviating import other_zeros, placed_otherwise, strange
 from skin2urdf.vendor.explained import GROSS, Explained, placed_again
 from skin2urdf.vendor.fitting import Bench
-from skin2urdf.vendor.placing import Placed, placed_from
+from skin2urdf.vendor.placing import Placed, placed_elsewhere, placed_from
 from skin2urdf.vendor.records import Correction
 from skin2urdf.vendor.refusing import another_placement, another_robot, another_sense, another_zero
 
@@ -54,18 +55,52 @@ def explain(
     sensors = bench.settings.estimation.priors
     asked = bench.blueprint(correction, placed.up[0])
     found = Explained(bench, placed, asked, bench.fit(placed, asked, sensors, tell=tell), {}, {})
+    found = _decided(found)
     if not found.fits and correction.what != "none":
         found = placed_again(found)
     if not found.fits or (correction.what != "none" and strange(found)):
         found = _cause(found, correction)
-    found = _with_doubts(found)
-    learnt = found.bench.learnt(found.along, sensors)
-    if learnt == sensors:
+    found = _looked_further(_with_doubts(found), found.along.state)
+    allowed = found.blueprint.deviations.any() and not asked.deviations.any()
+    if allowed and found.along.causes and not found.offsets:
+        # What real robots have beside may be all there is: then nothing of the model deviates.
+        as_given = replace(found.along.state, T_parent_joint=asked.T_parent_joint)
+        kept = _looked_further(replace(found, blueprint=asked), as_given)
+        return kept if kept.fits else found
+    return found
+
+
+def _looked_further(found: Explained, start: State) -> Explained:
+    """The same with what all sensors are like, and with what real robots have and ideal ones not.
+
+    Where little is left, it may still be other from place to place, and outlast spans of time.
+    """
+    bench = found.bench
+    learnt = bench.learnt(found.along, bench.settings.estimation.priors)
+    along = bench.fit(
+        found.placed, found.blueprint, learnt, start,
+        look_further=found.fits or _looked(found.along),
+    )  # fmt: skip
+    return replace(found, along=along)
+
+
+def _decided(found: Explained) -> Explained:
+    """The same with SUs on other segments where all samples contradict the ones that they are on.
+
+    A joint that is vertical, or moves little, makes a difference that rough fits do not see.
+    """
+    odd = [
+        u
+        for u, others in enumerate(found.placed.instead)
+        if others and not found.left.ratio[u] <= GOOD_FIT
+    ]
+    if not odd:
         return found
-    again = found.bench.fit(
-        found.placed, found.blueprint, learnt, found.along.state, look_further=_looked(found.along)
-    )
-    return replace(found, along=again)
+    bench, sensors = found.bench, found.bench.settings.estimation.priors
+    placed = placed_elsewhere(bench.chassis, bench.logs, found.placed, odd, sensors)
+    along = bench.fit(placed, found.blueprint, sensors)
+    again = replace(found, placed=placed, along=along)
+    return again if again.left.mean < found.left.mean else found
 
 
 def _looked(along: MotionEstimate) -> bool:

@@ -9,7 +9,7 @@ since no joint between them moved, are told.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.special import chdtri
@@ -149,6 +149,30 @@ def placed_from(chassis: Chassis, logs: Sequence[Trajectory], up: F64, priors: P
     return _with_alternatives(
         _settled(moments, up, logs[0].readings.shape[1], priors), moments, priors
     )
+
+
+def placed_elsewhere(
+    chassis: Chassis, logs: Sequence[Trajectory], placed: Placed, sus: Sequence[int], priors: Priors
+) -> Placed:
+    """The same with some SUs on the best of the segments that no rough fit told from their own.
+
+    Args:
+        chassis: the model.
+        logs: trajectories in its order.
+        placed: where the SUs sit.
+        sus: which of them; each has such segments.
+        priors: of the sensors.
+    """
+    moments = _of_segments(chassis.tree((), ()), chassis.T_parent_joint, logs)
+    su_joint, fits, instead = np.array(placed.su_joint), list(placed.fits), list(placed.instead)
+    for u in sus:
+        there = {
+            j: fitted(sums_of(moments[j], u, placed.up), moments[j], u, priors) for j in instead[u]
+        }
+        best = min(there, key=lambda j: there[j].cost)
+        instead[u] = tuple(j for j in instead[u] if j != best)
+        su_joint[u], fits[u] = best, there[best]
+    return replace(placed, su_joint=su_joint, fits=tuple(fits), instead=tuple(instead))
 
 
 def turned_up(chassis: Chassis, logs: Sequence[Trajectory], placed: Placed, priors: Priors) -> F64:

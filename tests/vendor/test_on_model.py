@@ -8,6 +8,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -34,6 +35,7 @@ from skin2urdf.vendor.description import describe
 from skin2urdf.vendor.editing import with_additions
 from skin2urdf.vendor.matching import match
 from skin2urdf.vendor.output import model_urdf
+from skin2urdf.vendor.placing import Placed, place_sus
 from skin2urdf.vendor.records import Correction, ModelCalibration
 from skin2urdf.vendor.source import read_model
 
@@ -246,6 +248,22 @@ def test_an_su_on_a_tilted_base_is_told_from_a_dead_one_on_a_link(
     found = calibrate_with_model(tilted.recording, model())
     assert found.links == tuple(tilted.link[name] for name in found.tree.su_names)
     assert not any(found.instead)
+
+
+def test_all_samples_decide_where_a_rough_look_left_two_links(
+    toy: Recorded, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def undecided(*arguments: Any) -> Placed:
+        placed = place_sus(*arguments)
+        first = list(placed.su_joint).index(0)
+        instead = [(0,) if u == first else () for u in range(len(placed.su_joint))]
+        on_base = np.where(placed.su_joint == 0, -1, placed.su_joint)
+        return replace(placed, su_joint=on_base, instead=tuple(instead))
+
+    monkeypatch.setattr("skin2urdf.vendor.calibrate.place_sus", undecided)
+    found = calibrate_with_model(toy.recording, model())
+    assert found.links == tuple(toy.link[name] for name in found.tree.su_names)
+    assert not found.deviates
 
 
 def test_a_log_without_a_rest_does_and_what_it_leaves_open_is_named(toy: Recorded) -> None:

@@ -28,8 +28,9 @@ from skin2urdf.vendor.records import Correction
 from skin2urdf.vendor.refusing import another_placement, another_robot, another_sense, another_zero
 
 _YIELDING = 0.5
-"""The same with gears that yield, under loads that are known [m/s^2]: those of 5 mrad per hundred
-newton metres leave 0.08 on an arm of 18 kg, and no gear yields by more than a few times that."""
+"""The same as GROSS with gears that yield, under loads that are known [m/s^2]: those of 5 mrad per
+hundred newton metres leave 0.08 on an arm of 18 kg, and no gear yields by more than a few times
+that."""
 _FAR = 8.0
 """What an SU leaves over what the median SU does, from which it is the SU that does not fit."""
 

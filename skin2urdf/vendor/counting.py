@@ -35,16 +35,37 @@ class _Change(NamedTuple):
     zero: float | None
 
 
-def count_otherwise(kept: Explained, common: Blueprint) -> tuple[list[str], Explained] | None:
+class Counted(NamedTuple):
+    """Encoders that count otherwise.
+
+    Attributes:
+        senses: joints that count the other way.
+        found: the fit with them turned, and with zeros anywhere that were changed.
+        alike: joints of which another change in place of the last one explains as much.
+    """
+
+    senses: tuple[str, ...]
+    found: Explained
+    alike: tuple[str, ...]
+
+
+def count_otherwise(kept: Explained, common: Blueprint) -> Counted | None:
     """The model with other senses and zeros of few joints, found by what rough fits leave.
 
+    Of changes that explain all, a sense comes before a zero, which has a number to choose: the one
+    of a joint between two axes that are parallel at its zero is the other's half turn.
+
+    Args:
+        kept: the model as it is.
+        common: the same with what is common allowed for.
+
     Returns:
-        Joints that count the other way, and the fit with them turned and zeros anywhere that were
-        changed; None where no change is worth a look.
+        What was changed; None where no change is worth a look.
     """
     bench = kept.bench
     changes: list[_Change] = []
     found: Explained | None = None
+    alike: list[int] = []
     least = _rough(bench, changes)
     for _ in range(FEW):
         known = {change.joint for change in changes}
@@ -61,15 +82,22 @@ def count_otherwise(kept: Explained, common: Blueprint) -> tuple[list[str], Expl
         if not best:
             break
         tried = {i: _followed(kept, common, [*changes, some[i]]) for i in best}
-        i = min(tried, key=lambda k: tried[k].left.mean)
+        i = min(tried, key=lambda k: _order(tried[k]))
         found, least = tried[i], scores[i]
         changes.append(some[i])
         if found.fits:
+            alike = [some[k].joint for k in tried if k != i and tried[k].fits]
             break
     if found is None:
         return None
     names = [joint.name for joint in bench.chassis.joints]
-    return [names[change.joint] for change in changes if change.zero is None], found
+    senses = tuple(names[change.joint] for change in changes if change.zero is None)
+    return Counted(senses, found, tuple(dict.fromkeys(names[j] for j in alike)))
+
+
+def _order(found: Explained) -> tuple[bool, int, float]:
+    """What fits comes first, and of that what has fewer zeros."""
+    return not found.fits, len(found.offsets) if found.fits else 0, found.left.mean
 
 
 def _rough(bench: Bench, changes: Sequence[_Change]) -> float:

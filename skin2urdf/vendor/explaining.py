@@ -167,12 +167,11 @@ def _another_count(
         ModelMismatchError: it does, and may not be corrected.
     """
     changed = count_otherwise(kept, common)
-    if changed is None or not changed[1].settles(least):
+    if changed is None or not changed.found.settles(least):
         return None
-    senses, there = changed
-    if senses:
-        raise another_sense(senses, there, kept)
-    return _allowed(there, kept, correction)
+    if changed.senses:
+        raise another_sense(changed.senses, changed.found, kept, changed.alike)
+    return _allowed(changed.found, kept, correction)
 
 
 def _yielding(tried: Sequence[Explained]) -> Iterator[Explained]:

@@ -39,13 +39,23 @@ def another_placement(joint: int, there: Explained, kept: Explained) -> ModelMis
     )
 
 
-def another_sense(joints: Sequence[str], there: Explained, kept: Explained) -> ModelMismatchError:
-    """Why the model does not fit: encoders that count the other way."""
+def another_sense(
+    joints: Sequence[str], there: Explained, kept: Explained, alike: Sequence[str]
+) -> ModelMismatchError:
+    """Why the model does not fit: encoders that count the other way.
+
+    Args:
+        joints: they.
+        there: the fit with them turned.
+        kept: the fit of the model as it is.
+        alike: joints of which another zero or sense would explain as much.
+    """
     plural = len(joints) > 1
+    or_else = f" (another zero or sense of {', '.join(alike)} would explain as much)"
     return ModelMismatchError(
         f"{_source(kept)}: {', '.join(joints)} count{'' if plural else 's'} the other way than in "
         f"the model; turned, what is left of the readings falls from {kept.left.mean:.3g} to "
-        f"{there.left.mean:.2g} times noise",
+        f"{there.left.mean:.2g} times noise{or_else * bool(alike)}",
         f"turn the axis of {'these joints' if plural else 'that joint'} in the model, or the sign "
         "in the driver",
         joints=tuple(joints),

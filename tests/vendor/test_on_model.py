@@ -136,6 +136,24 @@ def test_a_joint_of_the_other_sense_is_named(calibrated: Calibrate) -> None:
     assert error.value.joints == ("lift",)
 
 
+def test_a_sense_is_named_before_a_half_turn_of_an_axis_beyond(
+    tmp_path_factory: pytest.TempPathFactory,
+) -> None:
+    # Where the axes on both sides of a joint meet in it and are parallel, both are the same.
+    text = URDF.replace('xyz="0.02 0 0.2"', 'xyz="0 0 0.2"').replace('"2 0 1"', '"0 0 1"')
+    text = text.replace('xyz="0.3 0.01 0" rpy="0.2 0 0"', 'xyz="0 0 0.3"')
+    text = text.replace('"prismatic"', '"revolute"').replace('upper="0.04"', 'upper="1.5"')
+    text = text.replace('velocity="0.1"', 'velocity="3"')
+    wrist = recorded(
+        tmp_path_factory.mktemp("wrist"), text=text, minutes=0.25, base_rpy=(0.0, 0.0, 0.0)
+    )
+    reversed_ = text.replace('<axis xyz="0 1 0"/><limit low', '<axis xyz="0 -1 0"/><limit low', 1)
+    with pytest.raises(ModelMismatchError) as error:
+        calibrate_with_model(wrist.recording, model(reversed_))
+    assert error.value.joints == ("lift",)
+    assert "roll" in str(error.value)
+
+
 def test_a_model_without_a_joint_of_that_name_is_refused(calibrated: Calibrate) -> None:
     text = URDF.replace('"lift"', '"a"').replace('"turn"', '"b"').replace('"roll"', '"c"')
     with pytest.raises(ModelMismatchError) as error:

@@ -70,11 +70,10 @@ def placed_otherwise(specimen: Explained) -> tuple[int, Explained] | None:
             begin = replace(begin, bias=fresh[0], shape=fresh[1])
             along = found.bench.fit(found.placed, blueprint, sensors, begin)
             found = placed_again(replace(found, along=along))
-            if found.fits:
-                break
-        others = np.delete(_all_pulls(found), j, axis=0)
-        if found.fits and not others.max(initial=0.0) > _USUAL:
-            return int(j), found
+            others = np.delete(_all_pulls(found), j, axis=0)
+            # What others had taken up they give back last, by what is common alone.
+            if found.fits and not others.max(initial=0.0) > _USUAL:
+                return int(j), found
     return None
 
 

@@ -6,7 +6,9 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from skin2urdf.report.words import more
+import numpy as np
+
+from skin2urdf.report.words import CROSS_REMEDY, more
 
 _EXACT_GRAVITY = 2e-3
 """Standard deviation of gravity up to which its size is known from the site [m/s^2]."""
@@ -51,10 +53,13 @@ def _asked(document: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
         if joint["verdict"] == "weak":
             yield more([name]), f"the axis of {name}, which is known weakly"
     for name, su in document["sus"].items():
-        if su["verdict"] == "weak":
-            chain = chain_to(document, su["joint"])
-            if chain:
-                yield more(chain), f"the placement of {name}, which is known weakly"
+        chain = chain_to(document, su["joint"])
+        if su["verdict"] != "weak" or not chain:
+            continue
+        if _hidden(document, su):
+            yield CROSS_REMEDY, f"how {name} is turned, of which its cross-axis error hides most"
+        else:
+            yield more(chain), f"the placement of {name}, which is known weakly"
     # A given model has its own lengths, and no poses of it are left out.
     if "model" in document:
         return
@@ -70,6 +75,15 @@ def _asked(document: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
             )
     if document["goodness"]["prediction"] is None:
         yield "record more poses, ten or so", "whether stated errors can be believed"
+
+
+def _hidden(document: Mapping[str, Any], su: Mapping[str, Any]) -> bool:
+    """Whether what cross-axis errors hide makes most of what is not known of an SU.
+
+    No motion tells it.
+    """
+    variance = np.linalg.eigvalsh(np.array(su["covariance"], dtype=np.float64))[-1]
+    return bool(2 * document["observability"]["hidden_rotation_rad"] ** 2 > variance)
 
 
 def _unknowns(document: Mapping[str, Any]) -> Iterator[Mapping[str, str]]:

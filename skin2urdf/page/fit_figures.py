@@ -16,6 +16,11 @@ _ROW = 19
 """Height of a bar [px]."""
 _CELL = 18
 """Height of a cell of the activity matrix [px]."""
+_LETTER = 9
+"""Width of a letter of a name at most, on average over names [px]: plotly leaves no room for names
+that are longer than the figure is high."""
+_GAP = 10
+"""Room beside axes and names [px]."""
 _AROUND = 70
 """Room for axes and their titles [px]."""
 
@@ -69,6 +74,7 @@ def activity_figure(document: Mapping[str, Any]) -> go.Figure:
         ]
         for r, su in enumerate(rows)
     ]
+    above = _LETTER * max(map(len, columns), default=0) + _GAP
     figure = go.Figure(
         go.Heatmap(
             z=matrix.astype(np.int8),
@@ -83,7 +89,7 @@ def activity_figure(document: Mapping[str, Any]) -> go.Figure:
             xgap=1,
             ygap=1,
         ),
-        layout=_layout(_CELL * len(rows) + _AROUND + 110),
+        layout=_layout(_CELL * len(rows) + _AROUND + above, above),
     )
     figure.update_xaxes(
         tickvals=list(range(len(columns))), ticktext=[in_words(n) for n in columns],
@@ -183,13 +189,14 @@ def _poses(poses: Sequence[Mapping[str, Any]], held_out: Sequence[Mapping[str, A
     return figure
 
 
-def _layout(height: int) -> dict[str, Any]:
+def _layout(height: int, above: int = _GAP) -> dict[str, Any]:
+    """A figure of some height, with room above the axes [px]."""
     return {
         "height": height,
         "font": {"family": style.FONT, "color": style.INK, "size": 12},
         "paper_bgcolor": "#ffffff",
         "plot_bgcolor": "#ffffff",
-        "margin": {"l": 10, "r": 10, "t": 10, "b": 40},
+        "margin": {"l": 10, "r": 10, "t": above, "b": 40},
         "bargap": 0.25,
         "xaxis": {"gridcolor": style.GRID, "automargin": True, "fixedrange": True},
         "yaxis": {"gridcolor": style.GRID, "automargin": True, "fixedrange": True},

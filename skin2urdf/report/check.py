@@ -10,7 +10,7 @@ import numpy as np
 from skin2urdf.report.document import fault_document, to_plain, versions
 from skin2urdf.report.faults import fault_words
 from skin2urdf.report.notes import note_documents, note_words
-from skin2urdf.report.tables import bullets, number, table
+from skin2urdf.report.tables import bullets, count, number, table
 from skin2urdf.vendor.checking import Checked, SuCheck
 
 SCHEMA = "skin2urdf/check/1"
@@ -34,7 +34,8 @@ def _verdict(checked: Checked) -> str:
     changed = [su.name for su in checked.sus if su.changed]
     open_ = [su.name for su in checked.sus if su.what == "open"]
     n, source = len(checked.sus), checked.skin.description.text.source
-    told = f"{n - len(changed) - len(open_)} of {n} SUs are where they were"
+    same = n - len(changed) - len(open_)
+    told = f"{same} of {count(n, 'SU')} {'is where it was' if same == 1 else 'are where they were'}"
     tail = f"; the log does not tell of {', '.join(open_)}" if open_ else ""
     left = f"(what is left of the readings is {checked.left.mean:.2g} times noise)"
     if not changed:

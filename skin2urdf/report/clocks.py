@@ -14,13 +14,22 @@ _LEAST = 1e-3, 1e-5
 """Latency [s] and drift [s/s] by which clocks differ at least to be told apart."""
 
 
-def clock_notes(clocks: Sequence[SuClock], log: str = "") -> list[str]:
-    """What was found of the clocks of one log, SUs with the same clock in one sentence.
+def clock_notes(logs: Sequence[Sequence[SuClock]]) -> list[str]:
+    """What was found of the clocks of each log, SUs with the same clock in one sentence.
 
     Args:
-        clocks: the clocks that are off.
-        log: how to call the log, where there are several.
+        logs: by log, the clocks that are off.
     """
+    names = [f" in log {i + 1}" if len(logs) > 1 else "" for i in range(len(logs))]
+    return [
+        f"{words}{name}; the samples were set right"
+        for clocks, name in zip(logs, names, strict=True)
+        for words in _of_one_log(clocks)
+    ]
+
+
+def _of_one_log(clocks: Sequence[SuClock]) -> list[str]:
+    """SUs with the same clock in one sentence."""
     groups: list[list[SuClock]] = []
     for clock in clocks:
         for group in groups:
@@ -29,8 +38,7 @@ def clock_notes(clocks: Sequence[SuClock], log: str = "") -> list[str]:
                 break
         else:
             groups.append([clock])
-    where = f" in {log}" if log else ""
-    return [f"{_words(group)}{where}; the samples were set right" for group in groups]
+    return [_words(group) for group in groups]
 
 
 def _alike(a: SuClock, b: SuClock) -> bool:

@@ -20,7 +20,8 @@ from skin2urdf.model.records import OpenDirection
 from skin2urdf.report.faults import fault_words
 from skin2urdf.report.findings import Findings, findings
 from skin2urdf.report.gyros import gyro_document
-from skin2urdf.report.notes import note_documents, note_words
+from skin2urdf.report.notes import note_documents
+from skin2urdf.report.summary import all_notes
 from skin2urdf.report.words import NO_POSITIONS, Unknown
 from skin2urdf.signals.records import Features
 from skin2urdf.structure.activity import Activity
@@ -77,7 +78,7 @@ def as_document(calibration: Calibration) -> dict[str, Any]:
             "joints": [n for n in calibration.activity.dof_names if n not in tree.joint_names],
         },
         "faults": [fault_document(fault, len(calibration.sources)) for fault in calibration.faults],
-        "notes": note_words(calibration.notes),
+        "notes": all_notes(calibration),
         "noted": note_documents(calibration.notes),
         "clocks": [[asdict(clock) for clock in clocks] for clocks in calibration.clocks],
         "seconds": calibration.seconds,

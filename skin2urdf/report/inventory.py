@@ -203,5 +203,5 @@ def _notes(surveyed: Surveyed) -> list[str]:
     for stage in (surveyed.recording, surveyed.sampled, surveyed.features):
         notes += [note for note in note_words(stage.notes if stage else ()) if note not in notes]
     if surveyed.sampled is not None:
-        notes += clock_notes(surveyed.sampled.clocks)
+        notes += clock_notes([surveyed.sampled.clocks])
     return notes

@@ -18,8 +18,8 @@ from skin2urdf.report.document import (
     versions,
 )
 from skin2urdf.report.gyros import gyro_document
-from skin2urdf.report.notes import note_documents, note_words
-from skin2urdf.report.on_model import deviations, model_verdict, stiffness
+from skin2urdf.report.notes import note_documents
+from skin2urdf.report.on_model import all_notes, deviations, model_verdict, stiffness
 from skin2urdf.report.words import unknowns
 from skin2urdf.vendor.records import ModelCalibration
 
@@ -104,7 +104,7 @@ def as_document(result: ModelCalibration) -> dict[str, Any]:
             "joints": list(chassis.extra),
         },
         "faults": [fault_document(fault, len(result.sources)) for fault in result.faults],
-        "notes": note_words(result.notes),
+        "notes": all_notes(result),
         "noted": note_documents(result.notes),
         "clocks": [[asdict(clock) for clock in clocks] for clocks in result.clocks],
         "seconds": result.seconds,

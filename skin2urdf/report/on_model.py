@@ -12,7 +12,7 @@ from skin2urdf.report.clocks import clock_notes
 from skin2urdf.report.faults import fault_words
 from skin2urdf.report.notes import note_words
 from skin2urdf.report.summary import sensor_notes
-from skin2urdf.report.tables import bullets, number, table
+from skin2urdf.report.tables import bullets, count, number, table
 from skin2urdf.report.words import unknowns
 from skin2urdf.vendor.records import ModelCalibration
 
@@ -42,26 +42,18 @@ def as_text(result: ModelCalibration) -> str:
         *bullets("Stiffness of the joints under the loads that the model knows", stiffness(result)),
         *bullets("Not observable from this log", not_known(result)),
         *bullets("Faults", _faults(result)),
-        *bullets(
-            "Notes",
-            [
-                *note_words(result.notes),
-                *_clocks(result),
-                *sensor_notes(result.along, _determined(result)),
-            ],
-        ),
+        *bullets("Notes", all_notes(result)),
     ]
     return "\n".join(lines) + "\n"
 
 
 def model_verdict(result: ModelCalibration) -> str:
     """The outcome in one line that says how far it can be believed."""
-    tree = result.tree
+    tree, robot = result.tree, result.chassis.description.name or "the"
     how = "explains the readings" if result.misfit <= GOOD_FIT else "explains the readings in part"
     parts = [
-        f"{result.quality}: {len(tree.su_names)} SUs on {result.chassis.description.name or 'the'} "
-        f"model's links; the vendor's model {how} (what is left of them is {result.misfit:.2g} "
-        "times noise)"
+        f"{result.quality}: {count(tree.n_sus, 'SU')} on {robot} model's links; the vendor's model "
+        f"{how} (what is left of them is {result.misfit:.2g} times noise)"
     ]
     if result.turned:
         parts.append(f"the robot is mounted turned by {np.rad2deg(result.tilt):.0f} deg")
@@ -81,8 +73,8 @@ def model_verdict(result: ModelCalibration) -> str:
     ]
     if open_:
         are = "is" if len(open_) == 1 else "are"
-        of = f"{len(open_)} of {len(tree.su_names)} SUs"
-        but.append(f"{of} {are} not determined ({_listed(open_)})")
+        of = count(tree.n_sus, "SU")
+        but.append(f"{len(open_)} of {of} {are} not determined ({_listed(open_)})")
     several = [n for n, others in zip(tree.su_names, result.instead, strict=True) if others]
     if several:
         but.append(f"the log does not tell the link of {_listed(several)}")
@@ -231,19 +223,19 @@ def _faults(result: ModelCalibration) -> list[str]:
     return [*(str(fault_words(fault, n)) for fault in result.faults), *odd, *gone]
 
 
+def all_notes(result: ModelCalibration) -> list[str]:
+    """What else was found: of the logs, of clocks and sensors."""
+    return [
+        *note_words(result.notes),
+        *clock_notes(result.clocks),
+        *sensor_notes(result.along, _determined(result)),
+    ]
+
+
 def _determined(result: ModelCalibration) -> list[str]:
     """SUs whose placements, and so what their sensors are like, the log shows."""
     rows = zip(result.tree.su_names, result.observability.su_verdict, strict=True)
     return [name for name, verdict in rows if verdict == "determined"]
-
-
-def _clocks(result: ModelCalibration) -> list[str]:
-    several = len(result.clocks) > 1
-    return [
-        note
-        for i, clocks in enumerate(result.clocks)
-        for note in clock_notes(clocks, f"log {i + 1}" if several else "")
-    ]
 
 
 def _listed(names: list[str]) -> str:

@@ -57,7 +57,7 @@ def as_text(calibration: Calibration) -> str:
             "Not observable from this log", _not_known(calibration.model.tree.su_names, found)
         ),
         *bullets("Faults", _faults(calibration)),
-        *bullets("Notes", _notes(calibration)),
+        *bullets("Notes", all_notes(calibration)),
     ]
     return "\n".join(lines) + "\n"
 
@@ -199,11 +199,11 @@ _NAME = "\0"
 """Stands for an SU's name; no name holds it."""
 
 
-def _notes(calibration: Calibration) -> list[str]:
+def all_notes(calibration: Calibration) -> list[str]:
     """What else was found: of the logs, of clocks, sensors and gyroscopes."""
     return [
         *note_words(calibration.notes),
-        *_clocks(calibration),
+        *clock_notes(calibration.clocks),
         *sensor_notes(calibration.along),
         *gyro_notes(calibration),
     ]
@@ -270,13 +270,3 @@ def _largest(tree: KinematicTree, deflections: F64) -> str:
         for name, e, slides in zip(tree.joint_names, deflections, tree.prismatic, strict=True)
         if e > 0
     )
-
-
-def _clocks(calibration: Calibration) -> list[str]:
-    """What was found of the clocks of each log."""
-    several = len(calibration.clocks) > 1
-    return [
-        note
-        for i, clocks in enumerate(calibration.clocks)
-        for note in clock_notes(clocks, f"log {i + 1}" if several else "")
-    ]

@@ -139,6 +139,11 @@ def number(value: float, digits: int = 2) -> str:
     return f"{round(value, digits) + 0.0:.{digits}f}" if np.isfinite(value) else "-"
 
 
+def count(n: int, noun: str) -> str:
+    """So many of something, as ``1 SU`` or ``2 SUs``."""
+    return f"{n} {noun}" if n == 1 else f"{n} {noun}s"
+
+
 def span(low: float, high: float, digits: int = 0) -> str:
     """A range, as ``-90 .. 45``."""
     return f"{number(low, digits)} .. {number(high, digits)}"

@@ -11,7 +11,7 @@ from skin2urdf.estimation.uncertainty.narrow import narrow_priors
 from skin2urdf.estimation.uncertainty.observability import Verdict
 from skin2urdf.recording.naming import shortened
 from skin2urdf.report.limbs import OpenLimb
-from skin2urdf.report.tables import number
+from skin2urdf.report.tables import count, number
 
 _MM, _DEG = 1e3, float(np.rad2deg(1.0))
 _NAMED = 3
@@ -37,7 +37,7 @@ def verdict(
     """
     tree = calibration.model.tree
     parts = [
-        f"{calibration.quality}: {_count(tree.n_joints, 'joint')}, {_count(tree.n_sus, 'SU')}",
+        f"{calibration.quality}: {count(tree.n_joints, 'joint')}, {count(tree.n_sus, 'SU')}",
         _fit(calibration),
     ]
     if calibration.quality != "bad" and np.isfinite(worst_position):
@@ -71,7 +71,7 @@ def _doubts(calibration: Calibration) -> list[str]:
     doubts = []
     if calibration.faults:
         kinds = dict.fromkeys(f"{fault.subject} {fault.kind}" for fault in calibration.faults)
-        doubts.append(f"{_count(len(kinds), 'fault')}: {shortened(list(kinds), _NAMED)}")
+        doubts.append(f"{count(len(kinds), 'fault')}: {shortened(list(kinds), _NAMED)}")
     if calibration.base_gives_way:
         doubts.append(
             "the base gives way: lengths along the first axis may be off by more than is stated "
@@ -85,7 +85,7 @@ def _doubts(calibration: Calibration) -> list[str]:
         doubts.append(f"{shortened(odd, _NAMED)} {fit} far worse than the other SUs")
     poses = calibration.unlike_poses.odd
     if poses.any():
-        doubts.append(f"{poses.sum()} of {_count(len(poses), 'pose')} do not fit the others")
+        doubts.append(f"{poses.sum()} of {count(len(poses), 'pose')} do not fit the others")
     if calibration.goodness.prediction > GOOD_FIT:
         times = float(np.sqrt(calibration.goodness.prediction))
         doubts.append(f"poses that are left out are predicted {times:.1f} times worse than stated")
@@ -118,7 +118,7 @@ def _missing(calibration: Calibration) -> list[str]:
     joints = _with_verdict(tree.joint_names, seen.joint_verdict, ("not observable",))
     sus = _with_verdict(tree.su_names, seen.su_verdict, ("not observable", "weak"))
     missing = []
-    for names, all_ in ((joints, _count(tree.n_joints, "joint")), (sus, _count(tree.n_sus, "SU"))):
+    for names, all_ in ((joints, count(tree.n_joints, "joint")), (sus, count(tree.n_sus, "SU"))):
         if names:
             are = "is" if len(names) == 1 else "are"
             which = shortened(names, _NAMED)
@@ -130,7 +130,3 @@ def _with_verdict(
     names: Sequence[str], verdicts: Sequence[Verdict], wanted: Sequence[Verdict]
 ) -> list[str]:
     return [name for name, found in zip(names, verdicts, strict=True) if found in wanted]
-
-
-def _count(n: int, noun: str) -> str:
-    return f"{n} {noun}" if n == 1 else f"{n} {noun}s"

@@ -20,6 +20,7 @@ VERTICAL = np.deg2rad(15.0)
 """Angle up to which an axis counts as vertical [rad]."""
 
 TILT_REMEDY = "record a second log with the base tilted by 20 degrees or more"
+CROSS_REMEDY = "say how large the sensors' cross-axis errors are by their data sheet (--cross)"
 
 
 @dataclass(frozen=True)

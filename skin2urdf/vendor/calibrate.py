@@ -111,8 +111,11 @@ def _paths(recordings: Sequence[Recording]) -> list[str]:
 
 
 def _whole(log: Trajectory, sampled: Sampled) -> bool:
-    """Whether some SU has samples to compare in most of the rests of a log."""
-    there = log.kept[log.valid.any(axis=1)]
+    """Whether some SU has samples to compare along most of a log, or in most of its rests."""
+    compared = np.asarray(log.valid.any(axis=1))
+    if 2 * compared.sum() > compared.size:
+        return True
+    there = log.kept[compared]
     ends = np.searchsorted(there, [(rest.begin, rest.end) for rest in sampled.rests])
     return bool(len(there) and 2 * (ends[:, 1] > ends[:, 0]).sum() >= len(ends))
 
@@ -141,8 +144,8 @@ def _trajectories(logs: Logs, chassis: Chassis, heard: Int) -> list[Trajectory]:
     found = [chassis.along(trajectory(s, g, REACH), heard) for g, s in enumerate(logs.sampled)]
     if not any(_whole(log, s) for log, s in zip(found, logs.sampled, strict=True)):
         raise InsufficientDataError(
-            "the log has no samples to compare along most of its rests: it was recorded rest by "
-            "rest, or has gaps everywhere",
+            "the log has no samples to compare along most of it, nor in most of its rests: it was "
+            "recorded rest by rest, or has gaps everywhere",
             "record ten seconds or more of motion in one go",
         )
     return found

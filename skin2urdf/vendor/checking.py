@@ -28,13 +28,14 @@ from skin2urdf.geometry.se3 import inverse, log
 from skin2urdf.notes import Note
 from skin2urdf.recording.records import Recording
 from skin2urdf.signals.trajectory import trajectory
-from skin2urdf.vendor.explaining import GROSS, Explained, another_robot
+from skin2urdf.vendor.explained import GROSS, Explained
 from skin2urdf.vendor.fitting import REACH, Bench
 from skin2urdf.vendor.known_skin import KnownSkin, KnownSu, load_skin
 from skin2urdf.vendor.leftover import Leftover
 from skin2urdf.vendor.matching import Chassis, match
 from skin2urdf.vendor.placing import Placed, placed_from, turned_up
 from skin2urdf.vendor.records import Correction
+from skin2urdf.vendor.refusing import another_robot
 from skin2urdf.vendor.rigid import Fit
 
 What = Literal["as it was", "moved", "elsewhere", "exchanged", "gone", "open", "does not fit"]

@@ -9,9 +9,10 @@ since no joint between them moved, are told.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.special import chdtri
 
 from skin2urdf.arrays import F64, Int, frozen
 from skin2urdf.estimation.problem.cost import Priors
@@ -34,6 +35,7 @@ from skin2urdf.vendor.rigid import (
     linear,
     linear_ridge,
     place_deviations,
+    sensor_chi2,
     sums_of,
     up_equations,
 )
@@ -45,6 +47,9 @@ _FOLLOWED = 3
 _CLEAR = 4.0
 """Difference of what two explanations leave, summed over spans of time, over its own scatter, from
 which the lesser is the right one: chance exceeds it once in 30,000 (Vuong 1989)."""
+_NO_SENSOR = float(chdtri(9, 3e-5))
+"""By how much more squared errors of a sensor, over what is known of them, make it one that can
+not be: chance exceeds it as seldom. A sensor that reads nothing would explain any rest."""
 _TIMES = 4.0
 """Sum of squares over another from which the lesser is the right one whatever spans scatter: few
 moves may make most of the difference."""
@@ -144,6 +149,30 @@ def placed_from(chassis: Chassis, logs: Sequence[Trajectory], up: F64, priors: P
     return _with_alternatives(
         _settled(moments, up, logs[0].readings.shape[1], priors), moments, priors
     )
+
+
+def placed_elsewhere(
+    chassis: Chassis, logs: Sequence[Trajectory], placed: Placed, sus: Sequence[int], priors: Priors
+) -> Placed:
+    """The same with some SUs on the best of the segments that no rough fit told from their own.
+
+    Args:
+        chassis: the model.
+        logs: trajectories in its order.
+        placed: where the SUs sit.
+        sus: which of them; each has such segments.
+        priors: of the sensors.
+    """
+    moments = _of_segments(chassis.tree((), ()), chassis.T_parent_joint, logs)
+    su_joint, fits, instead = np.array(placed.su_joint), list(placed.fits), list(placed.instead)
+    for u in sus:
+        there = {
+            j: fitted(sums_of(moments[j], u, placed.up), moments[j], u, priors) for j in instead[u]
+        }
+        best = min(there, key=lambda j: there[j].cost)
+        instead[u] = tuple(j for j in instead[u] if j != best)
+        su_joint[u], fits[u] = best, there[best]
+    return replace(placed, su_joint=su_joint, fits=tuple(fits), instead=tuple(instead))
 
 
 def turned_up(chassis: Chassis, logs: Sequence[Trajectory], placed: Placed, priors: Priors) -> F64:
@@ -330,7 +359,8 @@ def _with_alternatives(found: Placed, moments: list[list[Moments]], priors: Prio
             if linear(sums, priors.bias)[1] > 4 * fit.cost:
                 continue
             there = fitted(sums, moments[other], u, priors)
-            if not clearly_less(fit.rss, there.rss):
+            strange = sensor_chi2(there, priors) - sensor_chi2(fit, priors) > _NO_SENSOR
+            if not (strange or clearly_less(fit.rss, there.rss)):
                 alike[other] = there
         # Where no joint between moved at all, the one nearest to the base.
         least = min(each.cost for each in alike.values())

@@ -17,6 +17,8 @@ NOISE = 0.05
 sensors of 5 mg leave is enough for that."""
 _LAG = 0.02
 """Standard deviation of a lag [s]; longer ones were taken off the clocks before."""
+_LEAST = 1e-6
+"""Deviation of a sensor's error that is taken as none [m/s^2 or 1]."""
 _SHAPE = ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))
 _SHAPE_UNITS = np.zeros((6, 3, 3))
 for _k, (_a, _b) in enumerate(_SHAPE):
@@ -195,6 +197,12 @@ def place_deviations(fit: Fit, sums: Sums, priors: Priors, noise: float) -> F64:
     return np.asarray(np.sqrt(np.linalg.eigvalsh(covariance[3:6, 3:6]).clip(min=0.0)))
 
 
+def sensor_chi2(fit: Fit, priors: Priors) -> float:
+    """Squared errors of an SU's sensor over what is known of them before; of 9 numbers."""
+    errors = np.concatenate([fit.bias, fit.shape])
+    return float(((errors / np.maximum(priors.deviations, _LEAST)) ** 2).sum())
+
+
 def up_equations(fit: Fit, sums: Sums, axes: F64, priors: Priors) -> tuple[F64, F64]:
     """Information on turns of each log's gravity, and its gradient, whatever the SU's numbers are.
 
@@ -284,7 +292,7 @@ def _numbers(point: _Point, up: F64) -> tuple[F64, F64]:
 def _prior(priors: Priors) -> F64:
     """(16,) information of what is known before, times the noise's variance."""
     deviations = np.concatenate(
-        [[np.inf] * 3, [priors.position] * 3, np.maximum(priors.deviations, 1e-6), [_LAG]]
+        [[np.inf] * 3, [priors.position] * 3, np.maximum(priors.deviations, _LEAST), [_LAG]]
     )
     return np.asarray(NOISE**2 / deviations**2)
 

@@ -20,6 +20,7 @@ from skin2urdf.output import save
 from skin2urdf.page import html
 from skin2urdf.page.advice import advice
 from skin2urdf.page.contents import Contents, load_contents
+from skin2urdf.page.fit_figures import activity_figure
 from skin2urdf.page.html import as_page
 from skin2urdf.page.robot_figure import robot_figure
 from skin2urdf.recording.reading import read
@@ -170,6 +171,14 @@ def test_a_foreign_log_is_refused(urdf: Path, tmp_path: Path) -> None:
     write(simulation().recording, log)
     assert main(["report", str(urdf), "--log", str(log), "-o", str(tmp_path / "a.html")]) == 2
     assert not (tmp_path / "a.html").exists()
+
+
+def test_names_of_joints_have_room_above_who_moves_with_whom(contents: Contents) -> None:
+    long = {name: name + "_of_a_very_long_name" * 3 for name in contents.document["joints"]}
+    figure = activity_figure(renamed(contents.document, long))
+    # A letter of 12 px is about 7 px wide.
+    assert figure.layout.margin.t > 7 * max(map(len, long.values()))
+    assert figure.layout.height > figure.layout.margin.t + figure.layout.margin.b
 
 
 def test_advice_names_each_remedy_once(contents: Contents) -> None:

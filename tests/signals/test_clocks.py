@@ -103,7 +103,7 @@ def test_the_two_ways_between_clocks_are_inverse() -> None:
 
 def test_sus_on_one_clock_are_told_together() -> None:
     one = SuClock("su_a", 0.17, 1e-4, 3e-4, 1e-6, 40.0)
-    notes = clock_notes([one, replace(one, su="su_b"), replace(one, su="su_c", latency=0.9)])
+    notes = clock_notes([[one, replace(one, su="su_b"), replace(one, su="su_c", latency=0.9)]])
     assert len(notes) == 2
     assert "su_a" in notes[0]
     assert "su_b" in notes[0]

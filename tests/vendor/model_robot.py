@@ -71,15 +71,15 @@ class Recorded:
 
 
 @cache
-def recorded(folder: Path, **options: Any) -> Recorded:
-    """Half a minute of ordinary moves with an SU on every moving link."""
+def recorded(folder: Path, sus_on_base: int = 0, text: str = URDF, **options: Any) -> Recorded:
+    """Half a minute of ordinary moves with an SU on every moving link; a sliding finger rests."""
     path = folder / "toy.urdf"
-    path.write_bytes(URDF.encode())
+    path.write_bytes(text.encode())
     spec = RobotSpec(
         name="toy",
         urdf=path,
-        locked={"grip": 0.0},
-        skin=SkinLayout(sus_per_segment=1, sus_on_base=0),
+        locked={"grip": 0.0} if "prismatic" in text else {},
+        skin=SkinLayout(sus_per_segment=1, sus_on_base=sus_on_base),
     )
     settings = {"excite": "none", "minutes": 0.5, "seed": 2, "base_rpy": (0.02, -0.01, 0.0)}
     done = simulate(spec, SimulationSettings(**{**settings, **options}))

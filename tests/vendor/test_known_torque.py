@@ -23,6 +23,8 @@ def test_stiffness_is_found_and_sus_are_where_they_are(tmp_path: Path) -> None:
     near, far = 3000.0, 500.0
     gears = recorded(tmp_path, minutes=0.25, defects=(ElasticGears(near, far),))
     found = calibrate_with_model(gears.recording, model())
+    # What yields is no deviation of the model's geometry.
+    assert not found.deviates
     compliance, deviation = found.compliance
     stiff = dict(zip(found.tree.joint_names, zip(compliance, deviation, strict=True), strict=True))
     # The load of the vertical axis is its inertia alone, and says less.

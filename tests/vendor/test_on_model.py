@@ -8,6 +8,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,20 +17,25 @@ from vendor.model_robot import URDF, Recorded, model, recorded, with_zero
 from skin2urdf.arrays import F64, Bool
 from skin2urdf.cli.main import main
 from skin2urdf.errors import ModelMismatchError, UnreadableInputError
-from skin2urdf.geometry.se3 import inverse, log
+from skin2urdf.geometry.se3 import exp, inverse, log
+from skin2urdf.output import save_on_model
+from skin2urdf.page.advice import advice
 from skin2urdf.page.contents import load_contents
 from skin2urdf.recording.description import robot_descriptions
 from skin2urdf.recording.records import Recording
 from skin2urdf.recording.writing import write
 from skin2urdf.report.model_document import as_document
-from skin2urdf.report.on_model import as_text
+from skin2urdf.report.on_model import as_text, model_verdict
 from skin2urdf.signals.motion import joint_motion
 from skin2urdf.signals.poses import find_rests
+from skin2urdf.signals.records import SuClock
 from skin2urdf.urdf.loading import Robot, configuration
 from skin2urdf.vendor.calibrate import calibrate_with_model
 from skin2urdf.vendor.description import describe
+from skin2urdf.vendor.editing import with_additions
 from skin2urdf.vendor.matching import match
 from skin2urdf.vendor.output import model_urdf
+from skin2urdf.vendor.placing import Placed, place_sus
 from skin2urdf.vendor.records import Correction, ModelCalibration
 from skin2urdf.vendor.source import read_model
 
@@ -130,6 +136,24 @@ def test_a_joint_of_the_other_sense_is_named(calibrated: Calibrate) -> None:
     assert error.value.joints == ("lift",)
 
 
+def test_a_sense_is_named_before_a_half_turn_of_an_axis_beyond(
+    tmp_path_factory: pytest.TempPathFactory,
+) -> None:
+    # Where the axes on both sides of a joint meet in it and are parallel, both are the same.
+    text = URDF.replace('xyz="0.02 0 0.2"', 'xyz="0 0 0.2"').replace('"2 0 1"', '"0 0 1"')
+    text = text.replace('xyz="0.3 0.01 0" rpy="0.2 0 0"', 'xyz="0 0 0.3"')
+    text = text.replace('"prismatic"', '"revolute"').replace('upper="0.04"', 'upper="1.5"')
+    text = text.replace('velocity="0.1"', 'velocity="3"')
+    wrist = recorded(
+        tmp_path_factory.mktemp("wrist"), text=text, minutes=0.25, base_rpy=(0.0, 0.0, 0.0)
+    )
+    reversed_ = text.replace('<axis xyz="0 1 0"/><limit low', '<axis xyz="0 -1 0"/><limit low', 1)
+    with pytest.raises(ModelMismatchError) as error:
+        calibrate_with_model(wrist.recording, model(reversed_))
+    assert error.value.joints == ("lift",)
+    assert "roll" in str(error.value)
+
+
 def test_a_model_without_a_joint_of_that_name_is_refused(calibrated: Calibrate) -> None:
     text = URDF.replace('"lift"', '"a"').replace('"turn"', '"b"').replace('"roll"', '"c"')
     with pytest.raises(ModelMismatchError) as error:
@@ -198,6 +222,66 @@ def forward(robot: Robot, positions: Mapping[str, float]) -> dict[str, F64]:
         for i, frame in enumerate(robot.model.frames)
         if frame.type == pin.FrameType.BODY
     }
+
+
+def test_of_one_su_alone_what_its_sensor_hides_asks_for_its_data_sheet(
+    toy: Recorded, tmp_path: Path
+) -> None:
+    tip = next(su for su in toy.recording.sus if toy.link[su.name] == "three")
+    found = calibrate_with_model(replace(toy.recording, sus=(tip,)), model())
+    assert model_verdict(found).startswith("fair: 1 SU on ")
+    # What its sensor is like may be all that is open: no motion helps then.
+    (urdf, _) = save_on_model(found, tmp_path / "tip.urdf")
+    remedies = [each.remedy for each in advice(load_contents(urdf).document)]
+    assert len(remedies) == 1
+    assert "--cross" in remedies[0]
+
+
+def test_a_clock_that_is_off_is_told_in_the_document_as_well(calibrated: Calibrate) -> None:
+    found = calibrated(URDF, Correction())
+    name = found.tree.su_names[0]
+    late = replace(found, clocks=((SuClock(name, 0.084, 1e-4, 0.0, 1e-6, 15.0),),))
+    told = as_document(late)["notes"]
+    assert any(name in note and "84" in note for note in told)
+    assert all(note in as_text(late) for note in told)
+
+
+def test_rests_at_both_ends_of_a_log_are_no_gaps(toy: Recorded) -> None:
+    motion = joint_motion(toy.recording)
+    time = motion.grid.time
+    first, _, last = find_rests(motion)[:3]
+    # Nothing is compared at the ends: filters reach beyond them.
+    recording = between(toy.recording, time[first.end] - 0.4, time[last.begin] + 0.4)
+    assert len(find_rests(joint_motion(recording))) == 3
+    found = calibrate_with_model(recording, model())
+    assert found.links == tuple(toy.link[name] for name in found.tree.su_names)
+
+
+def test_an_su_on_a_tilted_base_is_told_from_a_dead_one_on_a_link(
+    tmp_path_factory: pytest.TempPathFactory,
+) -> None:
+    tilted = recorded(
+        tmp_path_factory.mktemp("tilted"), sus_on_base=1, base_rpy=(0.25, 0.0, 0.0), grade="bma150"
+    )
+    found = calibrate_with_model(tilted.recording, model())
+    assert found.links == tuple(tilted.link[name] for name in found.tree.su_names)
+    assert not any(found.instead)
+
+
+def test_all_samples_decide_where_a_rough_look_left_two_links(
+    toy: Recorded, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def undecided(*arguments: Any) -> Placed:
+        placed = place_sus(*arguments)
+        first = list(placed.su_joint).index(0)
+        instead = [(0,) if u == first else () for u in range(len(placed.su_joint))]
+        on_base = np.where(placed.su_joint == 0, -1, placed.su_joint)
+        return replace(placed, su_joint=on_base, instead=tuple(instead))
+
+    monkeypatch.setattr("skin2urdf.vendor.calibrate.place_sus", undecided)
+    found = calibrate_with_model(toy.recording, model())
+    assert found.links == tuple(toy.link[name] for name in found.tree.su_names)
+    assert not found.deviates
 
 
 def test_a_log_without_a_rest_does_and_what_it_leaves_open_is_named(toy: Recorded) -> None:
@@ -271,11 +355,25 @@ def test_the_noise_of_sensors_is_told_as_densities(calibrated: Calibrate) -> Non
         assert su["topic"]
 
 
-def test_a_joint_that_sits_elsewhere_is_named(calibrated: Calibrate) -> None:
-    text = URDF.replace('<origin xyz="0.02 0 0.2"/>', '<origin xyz="0.02 0 0.24" rpy="0.1 0 0"/>')
+@pytest.mark.parametrize(
+    ("joint", "xi"),
+    [
+        ("lift", [0.04, 0.0, 0.0, 0.1, 0.0, 0.0]),
+        # The zero of the joint before, and smaller shifts of both, would explain it nearly as well.
+        ("roll", [0.042, -0.026, 0.0, -0.093, -0.074, 0.0]),
+    ],
+)
+def test_a_joint_that_sits_elsewhere_is_named(
+    joint: str, xi: list[float], calibrated: Calibrate
+) -> None:
+    chassis = match(describe(model()), ["turn", "lift", "roll"])
+    j = [each.name for each in chassis.joints].index(joint)
+    T = np.array(chassis.T_parent_joint)
+    T[j] = T[j] @ exp(np.array(xi))
+    text = with_additions(URDF, "toy.urdf", [], {joint: chassis.origins(T)[j]})
     with pytest.raises(ModelMismatchError) as error:
         calibrated(text, Correction())
-    assert error.value.joints == ("lift",)
+    assert error.value.joints == (joint,)
 
 
 def test_a_mount_that_was_turned_is_told(

@@ -25,6 +25,11 @@ from skin2urdf.signals.trajectory import Trajectory
 _EVERY = 10
 """Kept samples of which one stands for all: some three a second, in which a robot hardly turns."""
 
+_MOST = 1.25
+"""Squared residuals of an SU over what they were, from which a step took off more than was there.
+Noise of variance C beside motion of S shortens by C / (S + C), which is at most half the noise
+(S = C) in what is predicted, and so at most a quarter of what noise leaves."""
+
 
 def without_shortening(problem: MotionProblem, fitted: Fitted) -> Fitted:
     """A fit without what the noise of encoders does to it.
@@ -34,7 +39,8 @@ def without_shortening(problem: MotionProblem, fitted: Fitted) -> Fitted:
         fitted: its optimum.
 
     Returns:
-        The fit, some standard deviations away at most.
+        The fit, some standard deviations away; the same where one step would not take it off, as in
+        a log of motion so slow that it is lost in the noise.
     """
     noise = [log.noise for log in problem.logs if log.noise is not None]
     if len(noise) < len(problem.logs):
@@ -76,7 +82,19 @@ def without_shortening(problem: MotionProblem, fitted: Fitted) -> Fitted:
             su[:, layout.front] += shaken[:, None] * np.array([-0.5, 1.0])
     equations = replace(fitted.equations, joint_gradient=joint, su_gradient=su)
     system = eliminated(equations, problem.free_joint, problem.free_su)
-    return held(problem, layout.moved(fitted.state, *newton_step(system, problem.free_joint)))
+    taken_off = held(problem, layout.moved(fitted.state, *newton_step(system, problem.free_joint)))
+    left = _left(fitted, fitted)
+    small = bool((_left(taken_off, fitted) <= _MOST * left).all())
+    return taken_off if small else fitted
+
+
+def _left(found: Fitted, weighed: Fitted) -> F64:
+    """(U,) squared residuals of each SU, with the weights of a fit."""
+    by_log = [
+        np.einsum("kuc,ku->u", w[..., :3] * p.residual**2, p.measured)
+        for w, p in zip(weighed.weights, found.predicted, strict=True)
+    ]
+    return np.asarray(np.sum(by_log, axis=0))
 
 
 def _gradients(

@@ -10,6 +10,7 @@ from simulated import held_against
 
 from skin2urdf import calibrate
 from skin2urdf.calibration.settings import CalibrationSettings
+from skin2urdf.estimation.trajectory.encoder_noise import without_shortening
 from skin2urdf.estimation.trajectory.fit import fit
 from skin2urdf.model.canonical import canonical
 from skin2urdf.simulation import SimulationSettings, simulate
@@ -19,6 +20,20 @@ ARM = (
     Joint("first", -1, "revolute", rpy=(1.2, 0.3, 0.0)),
     Joint("second", 0, "revolute", xyz=(0.3, 0.0, 0.1), rpy=(1.4, 0.0, 0.0)),
 )
+
+
+def test_noise_in_which_motion_is_lost_is_left_alone(tmp_path: Path) -> None:
+    layout = SkinLayout(sus_per_segment=1, sus_on_base=1)
+    settings = SimulationSettings(n_poses=4, seed=3, excite="all")
+    simulation = simulate(robot_of(ARM, tmp_path, layout), settings)
+    along = calibrate(simulation.recording).along
+    assert along is not None
+    known = along.problem
+    assert without_shortening(known, along.fitted) is not along.fitted
+    logs = [
+        replace(log, noise=None if log.noise is None else 1e5 * log.noise) for log in known.logs
+    ]
+    assert without_shortening(known.again(logs=logs), along.fitted) is along.fitted
 
 
 def test_what_coarse_encoders_do_to_lengths_is_taken_off(tmp_path: Path) -> None:

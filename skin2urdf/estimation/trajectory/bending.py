@@ -211,7 +211,9 @@ def followed(
         loads, effects = _under_loads(tree, state, g, gravity, log, moved, along, entries, x[:P])
         effects["deflection"] = deflection
         effects["rate"] = first_derivative(deflection, log.rate)
-        effects["acceleration"] = filtered(second_derivative(deflection, log.rate), log.taps)
+        if found.base:
+            acceleration = second_derivative(deflection, log.rate)
+            effects["acceleration"] = filtered(acceleration, log.taps)
         others = [e.factor * effects[e.of][:, e.part] for e in entries[loads.shape[1] :]]
         motions.append(np.column_stack([loads, *others]))
     along = replace(

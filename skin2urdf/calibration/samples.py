@@ -175,7 +175,8 @@ def _anything_stands_out(along: MotionEstimate) -> bool:
     again, and rings on.
     """
     problem, fitted = along.problem, along.fitted
-    stiff = replace(fitted.state, unseen=np.zeros_like(fitted.state.unseen))
+    unseen = problem.unseen
+    stiff = replace(fitted.state, unseen=unseen.origin) if unseen else fitted.state
     for g, (log, p) in enumerate(zip(problem.logs, fitted.predicted, strict=True)):
         size = max(1, round(_MOMENT * len(log.kept) / float(log.time[-1] - log.time[0])))
         first = np.arange(0, len(log.kept), size)
@@ -183,7 +184,7 @@ def _anything_stands_out(along: MotionEstimate) -> bool:
 
         noise = _usual(along, g)
         left = _mean_squares(p.residual / noise, p.measured, first, count)
-        if len(stiff.unseen):
+        if unseen:
             by_spring = (problem.predict(stiff, g).residual - p.residual) / noise
             bent = _mean_squares(by_spring, p.measured, first, count)
             before = np.concatenate([bent[:1], bent[:-1]])

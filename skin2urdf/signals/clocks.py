@@ -404,7 +404,8 @@ def _left(segment: F64, basis: F64) -> tuple[F64, Bool, F64]:
     steps = (np.diff(segment, axis=0) ** 2).sum(axis=(0, 2))
     values = 3 * length / np.pi * np.sqrt(steps / np.maximum(squares[-1], 1e-12))
     free = np.maximum(values - 3 * (basis.shape[1] - 1), 0.0)
-    return 0.5 * np.log(rest / level + _MODEL), felt & explained, free
+    # Of what is felt at each lag: one that leads to a rest leaves little, and explains nothing.
+    return 0.5 * np.log(rest / centred + _MODEL), felt & explained, free
 
 
 def _best(

@@ -38,6 +38,25 @@ def test_a_sound_log_has_no_clocks_to_set() -> None:
     assert su_clocks(recording.sus, joint_motion(recording)) == ()
 
 
+def test_where_little_is_felt_is_no_better_lag() -> None:
+    simulated = simulation("ur5")
+    joint = {su.name: su.joint for su in simulated.truth.sus}
+    shaken = next(su for su in simulated.recording.sus if joint[su.name] == 1)
+    noise = 1 + 2.0 * np.random.default_rng(1).standard_normal((len(shaken.time), 1))
+
+    def shakes_as_well(su: SuStream) -> SuStream:
+        """The base, while the robot moves, in a way that its motion explains in part."""
+        if joint[su.name] >= 0:
+            return su
+        felt = shaken.specific_force - np.median(shaken.specific_force, axis=0)
+        felt = 0.2 * noise * felt
+        more = np.stack([np.interp(su.time, shaken.time, f) for f in felt.T], axis=1)
+        return replace(su, specific_force=su.specific_force + more)
+
+    recording = changed_sus(simulated.recording, shakes_as_well)
+    assert su_clocks(recording.sus, joint_motion(recording)) == ()
+
+
 @pytest.mark.parametrize(
     ("latency", "drift"),
     [(0.08, 0.0), (0.17, 0.0), (2.0, 0.0), (-0.5, 1e-4), (0.0, 1e-3), (0.3, 3.3e-3), (1.0, -9e-3)],

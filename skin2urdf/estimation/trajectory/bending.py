@@ -8,9 +8,11 @@ on it, ``e = C tau`` with a symmetric C. So few numbers make all deflections: th
 some motion, and how much each part yields. As nobody knows the masses, only products of both tell.
 
 The products are linear in either, and Newton's steps are taken in both: what a step has found
-becomes the next one's known half (:func:`followed`). Two more effects go with the deflections that
-were found: a damped spring is late, ``K e + d e' = -tau``, to first order ``e - (d / K) e'``; and
-where the base turns about a point that is off its frame by h, this shifts by ``e x h``.
+becomes the next one's known half (:func:`followed`). More goes with the deflections that were
+found: a damped spring is late, ``K e + d e' = -tau``; a base has inertia of its own, which makes
+this ``K e + d e' + J e'' = -tau``; and where the base turns about a point from which its frame is
+off by h, this shifts by ``e x h``, and what the robot's forces f on the frame add to the moment is
+``h x f``.
 """
 
 from __future__ import annotations
@@ -27,7 +29,8 @@ from skin2urdf.estimation.problem.state import State
 from skin2urdf.estimation.trajectory.skeleton import N_HINGES, shift, turn
 from skin2urdf.estimation.trajectory.torques import N_INERTIAL, inertial_sizes, regressors
 from skin2urdf.estimation.trajectory.unseen import Unseen
-from skin2urdf.signals.filters import filtered, first_derivative
+from skin2urdf.geometry.so3 import skew
+from skin2urdf.signals.filters import filtered, first_derivative, second_derivative
 from skin2urdf.signals.trajectory import Trajectory
 from skin2urdf.structure.records import KinematicTree
 
@@ -51,10 +54,14 @@ about its own."""
 LATE = 1e-2
 """Standard deviation of the time by which deflections lag behind torques [s]: that of a resonance
 at 8 Hz, damped to a quarter of the critical."""
+_SWING = (2 * np.pi * 25.0) ** -2
+"""Standard deviation of the base's own inertia over its stiffness [s^2]: that of a resonance at
+25 Hz without the robot."""
 _DEPTH = 0.5
 """Standard deviation of the distance between the base's frame and the point about which the base
 turns [m]: that of a stand."""
 _PAIRS = ((0, 1), (0, 2), (1, 2))
+_TENSOR = ((0, 0), (1, 1), (2, 2), *_PAIRS)
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,7 +70,9 @@ class Bending(Unseen):
 
     Its numbers are, in this order, the loads; the logarithms of what each part yields above
     ``compliance``; three shares of the base's turns by moments about other axes, if the base
-    yields; R times by which deflections are late [s]; three levers of the base [m].
+    yields; R times by which deflections are late [s]; if the base yields, its own moments and
+    products of inertia over its stiffness [s^2], and how far its frame is from the point about
+    which it turns, along its axes [m].
 
     Attributes:
         parts: (R,) joints and turns of the base that yield.
@@ -96,8 +105,13 @@ class Bending(Unseen):
             known += [np.full(3, _CROSS)]
         known += [np.full(R, LATE)]
         if self.base:
-            known += [np.full(3, _DEPTH)]
+            known += [np.full(len(_TENSOR), _SWING), np.full(3, _DEPTH)]
         return np.concatenate(known)
+
+    @property
+    def lever(self) -> F64:
+        """(3,) how far the base's frame is from the point about which it turns [m]."""
+        return np.array(self.origin[-3:]) if self.base else np.zeros(3)
 
     @property
     def base(self) -> bool:
@@ -181,30 +195,32 @@ def followed(
     """
     P, R = len(found.basis), len(found.parts)
     C = _compliance(found, x)
-    x = np.array(x)
-    x[P : P + R + 3 * found.base] = 0.0
     links = [found.moved(log, g, x) if len(found.joint) else log for g, log in enumerate(logs)]
     deflections = [
         _beyond(tree, log, moved)[:, found.parts] for log, moved in zip(logs, links, strict=True)
     ]
     most = int(np.argmax(np.max([np.ptp(e, axis=0) for e in deflections], axis=0)))
-    entries = _entries(tree, found, C, most)
+    x, origin = np.array(x), np.zeros(found.n_numbers)
+    x[P : P + R + 3 * found.base] = 0.0
+    if found.base:
+        origin[-3:] = x[-3:]
+    along = replace(found, compliance=C, origin=origin)
+    entries = _entries(tree, along, most)
     motions = []
     for g, (log, moved, deflection) in enumerate(zip(logs, links, deflections, strict=True)):
-        loads, torques = _under_loads(tree, state, g, gravity, log, moved, found, entries, C, x[:P])
-        effects = {
-            "torque": torques,
-            "rate": first_derivative(deflection, log.rate),
-            "deflection": deflection,
-        }
+        loads, effects = _under_loads(tree, state, g, gravity, log, moved, along, entries, x[:P])
+        effects["deflection"] = deflection
+        effects["rate"] = first_derivative(deflection, log.rate)
+        if found.base:
+            acceleration = second_derivative(deflection, log.rate)
+            effects["acceleration"] = filtered(acceleration, log.taps)
         others = [e.factor * effects[e.of][:, e.part] for e in entries[loads.shape[1] :]]
         motions.append(np.column_stack([loads, *others]))
     along = replace(
-        found,
+        along,
         joint=np.array([e.joint for e in entries]),
         motions=tuple(motions),
         number=np.array([e.number for e in entries]),
-        compliance=C,
     )
     return along, x
 
@@ -218,7 +234,10 @@ def _beyond(tree: KinematicTree, log: Trajectory, moved: Trajectory) -> F64:
 
 
 class _Entry(NamedTuple):
-    """What makes one motion: a load (its number) on a part, or what was found of a part."""
+    """What makes one motion: a load (its number) on a part, or what was found of a part.
+
+    Of loads, the parts R and on are the shifts of the base's frame.
+    """
 
     joint: int
     number: int
@@ -227,33 +246,78 @@ class _Entry(NamedTuple):
     factor: float
 
 
-def _entries(tree: KinematicTree, found: Bending, C: F64, most: int) -> list[_Entry]:
+def _entries(tree: KinematicTree, found: Bending, most: int) -> list[_Entry]:
     """All motions of a bending robot, those by loads first.
 
     What one part yields is the scale of all: that of the part which yields ``most``.
     """
     D, P, R = tree.n_joints, len(found.basis), len(found.parts)
-    parts, root = found.parts.tolist(), np.sqrt(np.diag(C))
+    parts, C = found.parts.tolist(), found.compliance
     moments = np.abs(found.basis).reshape(P, D, N_INERTIAL).max(axis=2, initial=0.0)
     out = []
     for r, k in enumerate(parts):
         carried = [j for j in range(D) if k >= D or k in tree.chain(j)]
         does = moments[:, carried].max(axis=1, initial=0.0) > _NOTHING * moments.max(axis=1)
         out += [_Entry(k, int(p), "load", r, 1.0) for p in np.flatnonzero(does)]
-    out += [_Entry(k, P + r, "torque", r, -C[r, r] * (r != most)) for r, k in enumerate(parts)]
-    number, turns = P + R, range(R - 3, R)
-    for i, j in _PAIRS if found.base else ():
+    if found.lever.any():
+        out += [_Entry(shift(tree, i), p, "load", R + i, 1.0) for i in range(3) for p in range(P)]
+    number = P
+    others = [
+        _Entry(k, number + r, "torque", r, -C[r, r] * (r != most)) for r, k in enumerate(parts)
+    ]
+    number += R + 3 * found.base
+    others += [_Entry(k, number + r, "rate", r, -1.0) for r, k in enumerate(parts)]
+    if found.base:
+        others += _of_base(tree, found, P + R, number + R)
+        others += _shifts(tree, found, others)
+    return out + others
+
+
+def _shifts(tree: KinematicTree, found: Bending, others: Sequence[_Entry]) -> list[_Entry]:
+    """Shifts of the base's frame by all that turns it."""
+    by_turn = skew(found.lever).T
+    return [
+        each._replace(
+            joint=shift(tree, i), factor=each.factor * by_turn[i, each.joint - turn(tree, 0)]
+        )
+        for each in others
+        if each.joint >= turn(tree, 0)
+        for i in range(3)
+    ]
+
+
+def _of_base(tree: KinematicTree, found: Bending, cross: int, tensor: int) -> list[_Entry]:
+    """Motions of the base by what is its own.
+
+    Args:
+        tree: the structure.
+        found: what yields.
+        cross: the first number of turns by moments about other axes.
+        tensor: the first one of the base's inertia.
+    """
+    R = len(found.parts)
+    parts, C, turns = found.parts.tolist(), found.compliance, range(R - 3, R)
+    root = np.sqrt(np.diag(C))
+    out = []
+    for n, (i, j) in enumerate(_PAIRS):
         for one, other in ((turns[i], turns[j]), (turns[j], turns[i])):
             factor = -float(root[one] * root[other])
-            out.append(_Entry(parts[one], number, "torque", other, factor))
-        number += 1
-    out += [_Entry(k, number + r, "rate", r, -1.0) for r, k in enumerate(parts)]
-    number += R
-    for h in range(3 if found.base else 0):
-        # e x h shifts along the two other axes.
-        i, j = (h + 1) % 3, (h + 2) % 3
-        out.append(_Entry(shift(tree, i), number + h, "deflection", turns[j], 1.0))
-        out.append(_Entry(shift(tree, j), number + h, "deflection", turns[i], -1.0))
+            out.append(_Entry(parts[one], cross + n, "torque", other, factor))
+    for n, (i, j) in enumerate(_TENSOR):
+        for one, other in {(turns[i], turns[j]), (turns[j], turns[i])}:
+            size = float(root[one] * root[other])
+            out += [
+                _Entry(parts[r], tensor + n, "acceleration", other, -C[r, one] / size)
+                for r in turns
+            ]
+    for h in range(3):
+        # h x f turns, and e x h shifts, along the two other axes.
+        i, j, number = (h + 1) % 3, (h + 2) % 3, tensor + len(_TENSOR) + h
+        for r in turns:
+            out.append(_Entry(parts[r], number, "force", j, C[r, turns[i]]))
+            out.append(_Entry(parts[r], number, "force", i, -C[r, turns[j]]))
+        out.append(_Entry(shift(tree, i), number, "deflection", turns[j], 1.0))
+        out.append(_Entry(shift(tree, j), number, "deflection", turns[i], -1.0))
     return out
 
 
@@ -266,20 +330,36 @@ def _under_loads(
     moved: Trajectory,
     found: Bending,
     entries: Sequence[_Entry],
-    C: F64,
     loads: F64,
-) -> tuple[F64, F64]:
-    """Deflections (N, entries) per unit of each load, and torques (N, R) of all together."""
+) -> tuple[F64, dict[str, F64]]:
+    """What loads do along the motion of the links.
+
+    Returns:
+        Deflections (N, entries) per unit of each load, and torques (N, R) and forces (N, 3) on the
+        base's frame of all together.
+    """
     of_loads = [e for e in entries if e.of == "load"]
     part, number = [e.part for e in of_loads], [e.number for e in of_loads]
+    C, about = found.compliance, skew(found.lever)
     per_unit = np.empty((len(log.q), len(of_loads)))
     torques = np.empty((len(log.q), len(found.parts)))
+    forces = np.zeros((len(log.q), 3))
     for Y, at in regressors(tree, state, g, gravity, moved, base=found.base):
         tau = Y[:, found.parts] @ found.basis.T
+        if found.base:
+            force = Y[:, shift(tree, 0) : shift(tree, 3)] @ found.basis.T
+            tau[:, -3:] += np.einsum("ij,njp->nip", about, force)
+            forces[at] = force @ loads
         torques[at] = tau @ loads
-        per_unit[at] = -np.einsum("rs,nsp->nrp", C, tau, optimize=True)[:, part, number]
+        bent = -np.einsum("rs,nsp->nrp", C, tau, optimize=True)
+        if found.base:
+            bent = np.concatenate([bent, np.einsum("ji,njp->nip", about, bent[:, -3:])], axis=1)
+        per_unit[at] = bent[:, part, number]
     # Above the low-pass, accelerations are noise, and more so with every differentiation.
-    return filtered(per_unit, log.taps), filtered(torques, log.taps)
+    return filtered(per_unit, log.taps), {
+        "torque": filtered(torques, log.taps),
+        "force": filtered(forces, log.taps),
+    }
 
 
 def _compliance(found: Bending, x: F64) -> F64:

@@ -129,9 +129,10 @@ class MotionProblem:
         su[:, :N_SU] = placements.sus
         su[:, N_PLACEMENT:N_SU] &= priors.sensors.deviations > 0
         su[:, layout.front] = priors.front[1] > 0
-        resting = tree.su_joint < 0
-        # On a base that gives way, an SU shows where it is.
-        su[resting, :3] |= self.skeleton.tree is not tree
+        # On a base that gives way, an SU shows where it is, and when it reads and how.
+        resting = (tree.su_joint < 0) & (self.skeleton.tree is tree)
+        if self.skeleton.tree is not tree:
+            su[:, :3] = True
         for g in range(layout.n_logs):
             su[:, layout.clock(g)] = np.array([priors.lag > 0, priors.drift > 0])
             su[resting, layout.clock(g)] = False

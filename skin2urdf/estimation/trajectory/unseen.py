@@ -1,8 +1,9 @@
 """Motion of joints that their encoders do not see, as few numbers that make it.
 
 Gears that twist, teeth that are not even, play: all leave a link by some e(t) beyond what its
-encoder says, ``q = theta + sum_s x_s d_s(t)``, with motions d_s that are known and numbers x_s that
-are found along with the placements. One number may move several joints, as a mass does.
+encoder says, ``q = theta + sum_s (x_s - o_s) d_s(t)``, with motions d_s that are known and numbers
+x_s that are found along with the placements. One number may move several joints, as a mass does.
+The o_s are 0, but where other motions are known about some number already.
 """
 
 from __future__ import annotations
@@ -28,17 +29,21 @@ class Unseen:
         motions: per log (N, E) by how much its link is beyond its encoder [rad or m per unit],
             low-passed as the positions.
         number: (E,) the number that makes the motion; by default each entry has its own.
+        origin: (S,) numbers that make no motion; by default 0.
     """
 
     joint: Int
     motions: tuple[F64, ...]
     number: Int = field(default_factory=lambda: np.zeros(0, dtype=np.int64), kw_only=True)
+    origin: F64 = field(default_factory=lambda: np.zeros(0), kw_only=True)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "joint", frozen(self.joint, np.int64))
         object.__setattr__(self, "motions", tuple(frozen(d) for d in self.motions))
         number = self.number if len(self.number) else np.arange(len(self.joint))
         object.__setattr__(self, "number", frozen(number, np.int64))
+        origin = self.origin if len(self.origin) else np.zeros(self.n_numbers)
+        object.__setattr__(self, "origin", frozen(origin))
 
     @property
     def n_numbers(self) -> int:
@@ -72,7 +77,7 @@ class Unseen:
         n_joints = log.q.shape[1]
         hinges = np.zeros((len(log.q), N_HINGES if self.moves_base(n_joints) else 0))
         of_joint = np.zeros((len(self.joint), n_joints + hinges.shape[1]))
-        of_joint[np.arange(len(self.joint)), self.joint] = x[self.number]
+        of_joint[np.arange(len(self.joint)), self.joint] = (x - self.origin)[self.number]
         e = self.motions[g] @ of_joint
         return replace(
             log,
@@ -96,4 +101,5 @@ def together(several: Sequence[Unseen]) -> Unseen:
             for parts in zip(*(e.motions for e in several), strict=True)
         ),
         number=np.concatenate([e.number + n for e, n in zip(several, first[:-1], strict=True)]),
+        origin=np.concatenate([each.origin for each in several]),
     )

@@ -88,6 +88,11 @@ class Trajectory:
         """(K,) times of the kept samples since the log's first one [s]."""
         return np.asarray(self.kept / self.rate)
 
+    @property
+    def every(self) -> int:
+        """Grid samples from one kept sample to the next."""
+        return int(self.kept[1] - self.kept[0]) if len(self.kept) > 1 else 1
+
 
 def trajectory(sampled: Sampled, log: int, reach: float = 0.0) -> Trajectory:
     """Low-pass a log's motion and readings for comparison along the whole of it.

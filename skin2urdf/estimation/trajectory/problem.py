@@ -17,18 +17,20 @@ from skin2urdf.estimation.problem.state import (
     identifiable,
 )
 from skin2urdf.estimation.trajectory.blueprint import ALONG_AXIS, further_columns, turn_axes
-from skin2urdf.estimation.trajectory.front_end import front_end
+from skin2urdf.estimation.trajectory.front_end import front_end, front_end_slopes
 from skin2urdf.estimation.trajectory.gyro import predicted_turning, rate_columns, with_gyros
 from skin2urdf.estimation.trajectory.kinematics import (
     FrameMotion,
     Path,
     frame_motions,
     joint_columns,
+    own_columns,
     placed,
     placement_columns,
     seen_before_joint,
     seen_from_parent,
 )
+from skin2urdf.estimation.trajectory.points import SharedPoints, shared_points
 from skin2urdf.estimation.trajectory.priors import (
     MotionPriors,
     prior_chi2,
@@ -40,6 +42,7 @@ from skin2urdf.estimation.trajectory.records import Equations, Predicted, Spans,
 from skin2urdf.estimation.trajectory.skeleton import N_HINGES, Skeleton
 from skin2urdf.estimation.trajectory.state import N_GYRO, Layout, MotionState
 from skin2urdf.estimation.trajectory.unseen import Unseen
+from skin2urdf.model.records import KinematicModel
 from skin2urdf.model.specific_force import specific_forces
 from skin2urdf.signals.filters import filtered, first_derivative, taken_at
 from skin2urdf.signals.trajectory import Trajectory
@@ -155,22 +158,57 @@ class MotionProblem:
     def predict(self, state: MotionState, g: int) -> Predicted:
         """Residuals of one log."""
         log, places = self.moved(state, g), state.placements
-        model = self.skeleton.model(places.T_parent_joint, places.T_joint_su)
-        q, qd, qdd = (x[:, self.skeleton.numbers] for x in (log.q, log.qd, log.qdd))
-        ideal = specific_forces(model, q, qd, qdd, places.up[g] * state.gravity)
-        ideal = filtered(ideal * sense(self.priors, state), log.taps)
-        read = (ideal.swapaxes(0, 1) @ state.placements.sensor_matrix()).swapaxes(0, 1)
-        read, by_front = front_end(read, state.front, log.rate, len(log.taps))
-        rates = np.stack([first_derivative(read, log.rate), *by_front])[:, log.kept]
-        predicted = read[log.kept] + state.placements.bias
-        predicted += np.einsum("kb,bui->kui", self.knot_shares(g), state.knots[g])
-        at = log.kept[:, None] + log.rate * self.lags(state, g)
-        residual = np.empty_like(predicted)
-        for u in range(self.tree.n_sus):
-            residual[:, u] = taken_at(log.readings[:, u], at[:, u]) - predicted[:, u]
+        felt = self._felt_by_points(state, log, g)
+        lags, shares = self.lags(state, g), self.knot_shares(g)
+        at = log.kept[:, None] + log.rate * lags
+        residual = np.empty((len(log.kept), self.tree.n_sus, 3))
+        matrices = places.sensor_matrix()
+        within, rate, margin = _compared(log)
+        for link in self.points(state):
+            for some in link.parts():
+                read = some.read(matrices[some.sus], felt[:, :3])
+                read = front_end(read, state.front[some.sus], rate, margin)[..., within]
+                for u, mine in zip(some.sus, read, strict=True):
+                    bias = places.bias[u] + shares @ state.knots[g][:, u]
+                    residual[:, u] = taken_at(log.readings[:, u], at[:, u]) - mine.T - bias
         measured = log.valid & np.isfinite(residual).all(axis=2)
-        turned = predicted_turning(model, log, (q, qd), state, g, self.lags(state, g))
-        return Predicted(residual, measured, ideal[log.kept], rates, turned)
+        links = self.skeleton.numbers
+        turned = predicted_turning(
+            self.skeleton.model(places.T_parent_joint, places.T_joint_su),
+            log, (log.q[:, links], log.qd[:, links]), state, g, lags,
+        )  # fmt: skip
+        return Predicted(residual, measured, felt, turned=turned)
+
+    def points(self, state: MotionState) -> tuple[SharedPoints, ...]:
+        """The links of the tree with hinges that carry SUs, and the points that stand for them."""
+        T = self.skeleton.su_placements(state.placements.T_joint_su)
+        return shared_points(self.skeleton.tree.su_joint, T)
+
+    def _felt_by_points(self, state: MotionState, log: Trajectory, g: int) -> F64:
+        """(P, 6, M) specific force at all points and its derivative, M from end to end of a log."""
+        places, tree, links = state.placements, self.skeleton.tree, self.points(state)
+        T = np.tile(np.eye(4), (links[-1].at.stop, 1, 1))
+        for link in links:
+            T[link.at, :3, 3] = link.arms
+        carried_by = np.repeat([link.joint for link in links], [len(link.arms) for link in links])
+        tree = replace(tree, su_names=tuple(map(str, range(len(T)))), su_joint=carried_by)
+        model = KinematicModel(tree, self.skeleton.placements(places.T_parent_joint), T)
+        q, qd, qdd = (x[:, self.skeleton.numbers] for x in (log.q, log.qd, log.qdd))
+        force = specific_forces(model, q, qd, qdd, places.up[g] * state.gravity)
+        force = filtered(force * sense(self.priors, state), log.taps)
+        both = np.concatenate([force, first_derivative(force, log.rate)], axis=2)
+        # Low-passed, nothing is lost at the rate of the samples that are compared.
+        coarse = both[int(log.kept[0]) % log.every :: log.every]
+        return np.ascontiguousarray(np.moveaxis(coarse, 0, 2))
+
+    def ideal(self, state: MotionState, g: int, predicted: Predicted) -> Iterator[tuple[int, F64]]:
+        """What perfect sensors in the SUs' places would read, SU by SU: (3, K) [m/s^2]."""
+        within, _, _ = _compared(self.logs[g])
+        perfect = np.broadcast_to(np.eye(3), (self.tree.n_sus, 3, 3))
+        felt = predicted.felt[:, :3, within]
+        for link in self.points(state):
+            for some in link.parts():
+                yield from zip(some.sus, some.read(perfect[some.sus], felt), strict=True)
 
     def moved(self, state: MotionState, g: int) -> Trajectory:
         """A log with the motion of the links, of which encoders do not see all."""
@@ -221,24 +259,28 @@ class MotionProblem:
         at = slice(N_PLACEMENT, N_SU)
         free = free_su[:, at]
         _, prior, _, gradient = self.prior_information(state)
-        H, g = prior[:, at, at].copy(), gradient[:, at].copy()
-        columns = [sensor_columns(p.ideal) for p in predicted]
-        for A, p, w in zip(columns, predicted, weights, strict=True):
-            w, r = w[..., :3], np.where(p.measured[..., None], p.residual, 0.0)
-            H += np.einsum("kucx,kux,kudx->ucd", A, w, A, optimize=True)
-            g += np.einsum("kucx,kux->uc", A, w * r)
+        H, b = prior[:, at, at].copy(), gradient[:, at].copy()
+        for g, (p, w) in enumerate(zip(predicted, weights, strict=True)):
+            for u, ideal in self.ideal(state, g, p):
+                root = np.sqrt(w[:, u, :3].T)
+                A = (sensor_columns(ideal) * root).reshape(len(b[u]), -1)
+                r = np.where(p.measured[:, u], p.residual[:, u].T, 0.0) * root
+                H[u] += A @ A.T
+                b[u] += A @ r.ravel()
         H = np.where(free[:, :, None] & free[:, None], H, 0.0) + np.eye(H.shape[1]) * ~free[:, None]
-        x = np.linalg.solve(H, np.where(free, g, 0.0)[..., None])[..., 0]
+        x = np.linalg.solve(H, np.where(free, b, 0.0)[..., None])[..., 0]
         places = replace(
             state.placements,
             bias=state.placements.bias + x[:, :3],
             shape=state.placements.shape + x[:, 3:],
         )
-        moved = tuple(
-            replace(p, residual=p.residual - np.einsum("kucx,uc->kux", A, x))
-            for A, p in zip(columns, predicted, strict=True)
-        )
-        return replace(state, placements=places), moved
+        moved = []
+        for g, p in enumerate(predicted):
+            residual = np.array(p.residual)
+            for u, ideal in self.ideal(state, g, p):
+                residual[:, u] -= np.tensordot(sensor_columns(ideal), x[u], (0, 0)).T
+            moved.append(replace(p, residual=residual))
+        return replace(state, placements=places), tuple(moved)
 
     def lags(self, state: MotionState, g: int) -> F64:
         """(K, U) by how much the readings of a log are late [s]."""
@@ -380,17 +422,40 @@ class MotionProblem:
         """Whitened derivatives (C + n, 3, K) and residuals (3, K) of every log and SU."""
         for g in range(len(self.logs)):
             motion, frames = self._frames(state, g)
-            for u in range(self.tree.n_sus):
-                A = self._columns(state, g, u, frames, motion, predicted[g].rates[:, :, u])
-                root = np.sqrt(weights[g][:, u, :3].T)
-                residual = np.where(predicted[g].measured[:, u], predicted[g].residual[:, u].T, 0.0)
-                yield g, u, self._joint_columns(u, g), A * root, residual * root
-                turned = predicted[g].turned
-                if turned is None or not self.gyros[u]:
-                    continue
-                A = self._gyro_columns(state, g, u, frames, turned)
-                root = np.sqrt(weights[g][:, u, 3:].T)
-                yield g, u, self._joint_columns(u, g), A * root, turned.residual[:, u].T * root
+            p, matrices = predicted[g], state.placements.sensor_matrix()
+            for link in self.points(state):
+                columns = self._joint_columns(int(link.sus[0]), g)
+                of_points = self._columns_of_points(state, g, link, frames, motion)
+                for some in link.parts():
+                    # A reading is that of a perfect sensor times its sensitivity.
+                    weight = some.sensed(matrices[some.sus] * sense(self.priors, state))
+                    rates = self._rates(state, g, some, p)
+                    for u, mine, rate in zip(some.sus, weight, rates, strict=True):
+                        root = np.sqrt(weights[g][:, u, :3].T)
+                        residual = np.where(p.measured[:, u], p.residual[:, u].T, 0.0)
+                        A = np.empty((len(columns) + self.layout.n_su, 3, residual.shape[1]))
+                        by_joints = (mine @ of_points).reshape(3, len(columns), -1)
+                        np.multiply(by_joints.swapaxes(0, 1), root, out=A[: len(columns)])
+                        here = placed(frames[1][link.joint], self._su_placement(state, u))
+                        own = self._own_columns(state, g, u, here, rate)
+                        np.multiply(own, root, out=A[len(columns) :])
+                        yield g, int(u), columns, A, residual * root
+                        if p.turned is None or not self.gyros[u]:
+                            continue
+                        A = self._gyro_columns(state, g, int(u), frames, p.turned)
+                        root = np.sqrt(weights[g][:, u, 3:].T)
+                        yield g, int(u), columns, A * root, p.turned.residual[:, u].T * root
+
+    def _rates(self, state: MotionState, g: int, some: SharedPoints, predicted: Predicted) -> F64:
+        """(S, 3, 3, K) derivatives of the readings of some SUs in time and in their front ends."""
+        if predicted.rates is not None:
+            return predicted.rates[:, :, some.sus].transpose(2, 0, 3, 1)
+        within, rate, margin = _compared(self.logs[g])
+        matrices, front = state.placements.sensor_matrix()[some.sus], state.front[some.sus]
+        read, slope = (some.read(matrices, x) for x in np.split(predicted.felt, 2, axis=1))
+        in_time = front_end(slope, front, rate, margin)
+        by_front = front_end_slopes(read, front, rate, margin)
+        return np.concatenate([in_time[None], by_front])[..., within].swapaxes(0, 1)
 
     def _joint_columns(self, u: int, g: int) -> list[int]:
         """Columns of the joint part that an SU's readings in a log depend on."""
@@ -444,24 +509,50 @@ class MotionProblem:
         slopes = turned.slope[:, u], turned.bend[:, u], self._since_middle(g)
         return rate_columns(self.tree, state, self.layout, g, u, of_number, slides, unseen, slopes)
 
-    def _columns(
+    def _columns_of_points(
+        self,
+        state: MotionState,
+        g: int,
+        link: SharedPoints,
+        frames: tuple[list[FrameMotion], list[FrameMotion]],
+        motion: tuple[F64, F64, F64],
+    ) -> F64:
+        """(3 p, C K) derivatives of what a link's points feel in the joint part, in its frame."""
+        u, (fixed, carried) = int(link.sus[0]), frames
+        pull = np.einsum(
+            "ijk,j->ik", carried[link.joint].R_frame_base, state.placements.up[g] * state.gravity
+        )
+        C, K = len(self._joint_columns(u, g)), pull.shape[1]
+        out = np.empty((len(link.arms), 3, C, K))
+        for i, arm in enumerate(link.arms):
+            T = np.eye(4)
+            T[:3, 3] = arm
+            here = placed(carried[link.joint], T)
+            before, behind = self._columns_of_path(state, g, u, fixed, motion, here.R_frame_base, T)
+            # With gravity grow the accelerations that a reading stands for.
+            rows = [*before, (pull - here.f)[None], *behind]
+            np.concatenate(rows, out=out[i].swapaxes(0, 1))
+        return out.reshape(-1, C * K)
+
+    def _columns_of_path(
         self,
         state: MotionState,
         g: int,
         u: int,
-        frames: tuple[list[FrameMotion], list[FrameMotion]],
+        fixed: list[FrameMotion],
         motion: tuple[F64, F64, F64],
-        rates: F64,
-    ) -> F64:
-        """(C + n, 3, K) derivatives of an SU's prediction, joint columns first."""
+        R_link_base: F64,
+        T: F64,
+    ) -> tuple[list[F64], list[F64]]:
+        """Derivatives (c, 3, K) of what is felt at T (4, 4) of an SU's link, in its frame.
+
+        Returns:
+            In the coordinates before the size of gravity, and in those behind it.
+        """
         layout, places = self.layout, state.placements
         tree, numbers = self.skeleton.tree, self.skeleton.numbers
         q, qd, qdd = motion
         K = q.shape[1]
-        fixed, carried = frames
-        M, sensed = places.sensor_matrix()[u], sense(self.priors, state)
-        T = self.skeleton.su_placements(places.T_joint_su)[u]
-        here = placed(carried[int(tree.su_joint[u])], T)
         rows: list[F64] = []
         by_joint: dict[int, F64] = {}
         path = _fixed_path(T, K)
@@ -481,13 +572,10 @@ class MotionProblem:
                 by_joint[int(numbers[j])] = joint_columns(fixed[j], path, slides)
             path = seen_from_parent(path, placements[j])
         rows.reverse()
-        R_su_base = here.R_frame_base
         if g > 0:
             turn = np.cross(np.eye(3)[:2], places.up[g]) * state.gravity
-            rows.append(np.einsum("ijk,cj->cik", R_su_base, turn))
-        pull = np.einsum("ijk,j->ik", R_su_base, places.up[g] * state.gravity)
-        # With gravity grow the accelerations that a reading stands for.
-        rows.append((pull - here.f)[None])
+            rows.append(np.einsum("ijk,cj->cik", R_link_base, turn))
+        behind: list[F64] = []
         if self.unseen:
             felt = self._moving(u)
             beyond = np.zeros((len(felt), 3, K))
@@ -496,27 +584,42 @@ class MotionProblem:
                 number = np.searchsorted(felt, self.unseen.number[of_joint])
                 e = self._motions[g][:, of_joint]
                 np.add.at(beyond, number, np.einsum("dck,dsk->sck", columns, e))
-            rows.append(beyond)
+            behind.append(beyond)
         if known:
             if g == 0:
                 turn = np.cross(turn_axes(places.up[0]).T, places.up[0]) * state.gravity
-                rows.append(np.einsum("ijk,cj->cik", R_su_base, turn))
-            rows += reversed(along_axis)
-        rows.append(placement_columns(here, _fixed_path(np.eye(4), K), tuple(range(N_PLACEMENT))))
-        ideal = np.concatenate(rows)
-        C = len(ideal) - N_PLACEMENT
-        out = np.zeros((C + layout.n_su, 3, K))
-        out[: C + N_PLACEMENT] = np.einsum("ij,cjk->cik", M * sensed, ideal)
-        own = out[C:]
-        own[N_PLACEMENT:N_SU] = sensor_columns(here.f.T[:, None] * sensed)[:, 0].transpose(1, 2, 0)
-        own[layout.front] = rates[1:].swapaxes(1, 2)
-        late = -rates[0].T
-        own[layout.clock(g)] = late, self._since_middle(g) * late
+                behind.append(np.einsum("ijk,cj->cik", R_link_base, turn))
+            behind += reversed(along_axis)
+        return rows, behind
+
+    def _su_placement(self, state: MotionState, u: int) -> F64:
+        """(4, 4) placement of an SU on the tree with hinges."""
+        return np.asarray(self.skeleton.su_placements(state.placements.T_joint_su)[u])
+
+    def _own_columns(
+        self, state: MotionState, g: int, u: int, here: FrameMotion, rates: F64
+    ) -> F64:
+        """(n, 3, K) derivatives of an SU's prediction in its own coordinates.
+
+        Args:
+            state: where.
+            g: number of the log.
+            u: the SU.
+            here: its motion.
+            rates: (3, 3, K) derivatives in time and in its front end.
+        """
+        layout, sensed = self.layout, sense(self.priors, state)
+        out = np.zeros((layout.n_su, 3, here.f.shape[1]))
+        matrix = state.placements.sensor_matrix()[u] * sensed
+        out[:N_PLACEMENT] = matrix @ own_columns(here)
+        out[N_PLACEMENT:N_SU] = sensor_columns(here.f * sensed)
+        out[layout.front] = rates[1:]
+        out[layout.clock(g)] = -rates[0], self._since_middle(g) * -rates[0]
         shares = self.knot_shares(g)
-        knots = np.zeros((shares.shape[1], 3, 3, K))
+        knots = np.zeros((shares.shape[1], 3, *out.shape[1:]))
         for i in range(3):
             knots[:, i, i] = shares.T
-        own[layout.knots(g)] = knots.reshape(-1, 3, K)
+        out[layout.knots(g)] = knots.reshape(-1, *out.shape[1:])
         return out
 
     def prior_information(self, state: MotionState) -> tuple[F64, F64, F64, F64]:
@@ -535,14 +638,25 @@ def _fixed_path(T: F64, n: int) -> Path:
 
 
 def sensor_columns(ideal: F64) -> F64:
-    """(K, U, 9, 3) derivatives of readings in bias and shape.
+    """(9, 3, K) derivatives of an SU's readings in bias and shape.
 
     Args:
-        ideal: (K, U, 3) what perfect sensors would read [m/s^2].
+        ideal: (3, K) what a perfect sensor would read [m/s^2].
     """
-    out = np.zeros((*ideal.shape[:2], 9, 3))
-    out[..., range(3), range(3)] = 1.0
+    out = np.zeros((9, *ideal.shape))
+    out[range(3), range(3)] = 1.0
     for i, (a, b) in enumerate(_SHAPE):
-        out[..., 3 + i, a] = ideal[..., b]
-        out[..., 3 + i, b] = ideal[..., a]
+        out[3 + i, a] = ideal[b]
+        out[3 + i, b] = ideal[a]
     return out
+
+
+def _compared(log: Trajectory) -> tuple[slice, float, int]:
+    """Of samples from end to end of a log at the rate of those that are compared: which these are.
+
+    Returns:
+        Where they are, their rate [Hz], and for how many of them the low-pass is felt.
+    """
+    first = int(log.kept[0]) // log.every
+    margin = -(-len(log.taps) // log.every)
+    return slice(first, first + len(log.kept)), log.rate / log.every, margin

@@ -15,7 +15,7 @@ import numpy as np
 from skin2urdf.arrays import F64, Int
 
 N_POINTS = 4
-_TOGETHER = 8
+_TOGETHER = 4
 """SUs that are worked out at once: as many as caches hold."""
 
 

@@ -8,29 +8,25 @@ from itertools import pairwise
 
 import numpy as np
 
-from skin2urdf.arrays import F64, Bool, Int
+from skin2urdf.arrays import F64, Bool
 from skin2urdf.estimation.problem.state import (
-    JOINT_COORDINATES,
-    N_JOINT,
     N_PLACEMENT,
     N_SU,
     identifiable,
 )
-from skin2urdf.estimation.trajectory.blueprint import ALONG_AXIS, further_columns, turn_axes
-from skin2urdf.estimation.trajectory.front_end import front_end, front_end_slopes
-from skin2urdf.estimation.trajectory.gyro import predicted_turning, rate_columns, with_gyros
+from skin2urdf.estimation.trajectory.derivatives import (
+    Derivatives,
+    compared,
+    fixed_path,
+    sensor_columns,
+)
+from skin2urdf.estimation.trajectory.front_end import front_end
+from skin2urdf.estimation.trajectory.gyro import predicted_turning
 from skin2urdf.estimation.trajectory.kinematics import (
-    FrameMotion,
-    Path,
-    frame_motions,
     joint_columns,
-    own_columns,
-    placed,
-    placement_columns,
     seen_before_joint,
     seen_from_parent,
 )
-from skin2urdf.estimation.trajectory.points import SharedPoints, shared_points
 from skin2urdf.estimation.trajectory.priors import (
     MotionPriors,
     prior_chi2,
@@ -38,20 +34,18 @@ from skin2urdf.estimation.trajectory.priors import (
     sense,
     with_priors,
 )
-from skin2urdf.estimation.trajectory.records import Equations, Predicted, Spans, Turned
-from skin2urdf.estimation.trajectory.skeleton import N_HINGES, Skeleton
-from skin2urdf.estimation.trajectory.state import N_GYRO, Layout, MotionState
+from skin2urdf.estimation.trajectory.records import Equations, Predicted, Spans
+from skin2urdf.estimation.trajectory.skeleton import N_HINGES
+from skin2urdf.estimation.trajectory.state import N_GYRO, MotionState
 from skin2urdf.estimation.trajectory.unseen import Unseen
 from skin2urdf.model.records import KinematicModel
 from skin2urdf.model.specific_force import specific_forces
-from skin2urdf.signals.filters import filtered, first_derivative, taken_at
+from skin2urdf.signals.filters import filtered, first_derivative
 from skin2urdf.signals.trajectory import Trajectory
 from skin2urdf.structure.records import KinematicTree
 
-_SHAPE = ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))
 
-
-class MotionProblem:
+class MotionProblem(Derivatives):
     """Chi-squared of all samples of all logs.
 
     Args:
@@ -70,21 +64,7 @@ class MotionProblem:
         n_knots: Sequence[int] | None = None,
         unseen: Unseen | None = None,
     ) -> None:
-        self.tree, self.logs, self.priors = tree, tuple(logs), priors
-        self.unseen = unseen
-        self.skeleton = Skeleton.of(tree, unseen.joint if unseen else ())
-        self._motions = unseen.at_kept(self.logs) if unseen else ()
-        self._seconds = tuple(float(log.time[-1] - log.time[0]) for log in self.logs)
-        knots = tuple(n_knots or [0] * len(self.logs))
-        self.gyros = with_gyros(tree, self.logs)
-        self.layout = Layout(
-            tree.n_joints,
-            len(self.logs),
-            knots,
-            len(priors.unseen),
-            any(log.rates is not None for log in self.logs),
-            priors.blueprint.n_coordinates if priors.blueprint else 0,
-        )
+        super().__init__(tree, logs, priors, n_knots, unseen)
         self.free_joint, self.free_su = self._free()
 
     def again(
@@ -147,14 +127,6 @@ class MotionProblem:
             su[:, layout.gyro] = self.gyros[:, None] & (known > 0)
         return joint, su
 
-    def knot_shares(self, g: int) -> F64:
-        """(K, B) how much each knot counts at the kept samples of a log; linear in between."""
-        n, time = self.layout.n_knots[g], self.logs[g].time
-        if not n:
-            return np.zeros((len(time), 0))
-        at = (time - time[0]) / (time[-1] - time[0]) * (n - 1)
-        return np.asarray(np.maximum(0.0, 1 - np.abs(at[:, None] - np.arange(n))))
-
     def predict(self, state: MotionState, g: int) -> Predicted:
         """Residuals of one log."""
         log, places = self.moved(state, g), state.placements
@@ -162,27 +134,22 @@ class MotionProblem:
         lags, shares = self.lags(state, g), self.knot_shares(g)
         at = log.kept[:, None] + log.rate * lags
         residual = np.empty((len(log.kept), self.tree.n_sus, 3))
-        matrices = places.sensor_matrix()
-        within, rate, margin = _compared(log)
+        matrices, splines = places.sensor_matrix(), self.logs[g].splines
+        within, rate, margin = compared(log)
         for link in self.points(state):
             for some in link.parts():
                 read = some.read(matrices[some.sus], felt[:, :3])
                 read = front_end(read, state.front[some.sus], rate, margin)[..., within]
                 for u, mine in zip(some.sus, read, strict=True):
                     bias = places.bias[u] + shares @ state.knots[g][:, u]
-                    residual[:, u] = taken_at(log.readings[:, u], at[:, u]) - mine.T - bias
+                    residual[:, u] = splines[u].at(at[:, u]) - mine.T - bias
         measured = log.valid & np.isfinite(residual).all(axis=2)
         links = self.skeleton.numbers
         turned = predicted_turning(
             self.skeleton.model(places.T_parent_joint, places.T_joint_su),
-            log, (log.q[:, links], log.qd[:, links]), state, g, lags,
+            self.logs[g], (log.q[:, links], log.qd[:, links]), state, g, lags,
         )  # fmt: skip
         return Predicted(residual, measured, felt, turned=turned)
-
-    def points(self, state: MotionState) -> tuple[SharedPoints, ...]:
-        """The links of the tree with hinges that carry SUs, and the points that stand for them."""
-        T = self.skeleton.su_placements(state.placements.T_joint_su)
-        return shared_points(self.skeleton.tree.su_joint, T)
 
     def _felt_by_points(self, state: MotionState, log: Trajectory, g: int) -> F64:
         """(P, 6, M) specific force at all points and its derivative, M from end to end of a log."""
@@ -203,17 +170,12 @@ class MotionProblem:
 
     def ideal(self, state: MotionState, g: int, predicted: Predicted) -> Iterator[tuple[int, F64]]:
         """What perfect sensors in the SUs' places would read, SU by SU: (3, K) [m/s^2]."""
-        within, _, _ = _compared(self.logs[g])
+        within, _, _ = compared(self.logs[g])
         perfect = np.broadcast_to(np.eye(3), (self.tree.n_sus, 3, 3))
         felt = predicted.felt[:, :3, within]
         for link in self.points(state):
             for some in link.parts():
                 yield from zip(some.sus, some.read(perfect[some.sus], felt), strict=True)
-
-    def moved(self, state: MotionState, g: int) -> Trajectory:
-        """A log with the motion of the links, of which encoders do not see all."""
-        log = self.logs[g]
-        return self.unseen.moved(log, g, state.unseen) if self.unseen else log
 
     def bent(self, state: MotionState) -> tuple[F64, ...]:
         """Per log (K, D + 6) what is beyond encoders of joints, and of the base [rad or m]."""
@@ -281,16 +243,6 @@ class MotionProblem:
                 residual[:, u] -= np.tensordot(sensor_columns(ideal), x[u], (0, 0)).T
             moved.append(replace(p, residual=residual))
         return replace(state, placements=places), tuple(moved)
-
-    def lags(self, state: MotionState, g: int) -> F64:
-        """(K, U) by how much the readings of a log are late [s]."""
-        lag, drift = state.clock[g].T
-        return np.asarray(lag + drift * self._since_middle(g)[:, None])
-
-    def _since_middle(self, g: int) -> F64:
-        """(K,) times since the middle of a log [s]."""
-        time = self.logs[g].time
-        return np.asarray(time - 0.5 * (time[0] + time[-1]))
 
     def equations(
         self, state: MotionState, predicted: Sequence[Predicted], weights: Sequence[F64]
@@ -393,7 +345,7 @@ class MotionProblem:
                 root = np.sqrt(weights[g][:, u, :3].T)
                 p = predicted[g]
                 r = np.where(p.measured[:, u], p.residual[:, u].T, 0.0) * root
-                path = _fixed_path(T[u], K)
+                path = fixed_path(T[u], K)
                 for k in reversed(self.tree.chain(int(self.tree.su_joint[u]))):
                     slides = bool(self.tree.prismatic[k])
                     path = seen_before_joint(path, slides, *(x[first + k] for x in motion))
@@ -405,223 +357,6 @@ class MotionProblem:
             out.append((G, H))
         return out
 
-    def _frames(
-        self, state: MotionState, g: int
-    ) -> tuple[tuple[F64, F64, F64], tuple[list[FrameMotion], list[FrameMotion]]]:
-        """Motion (H + D, K) of hinges and joints at the samples compared, and of their frames."""
-        log, skeleton = self.moved(state, g), self.skeleton
-        at = np.ix_(log.kept, skeleton.numbers)
-        q, qd, qdd = (np.ascontiguousarray(x[at].T) for x in (log.q, log.qd, log.qdd))
-        up = state.placements.up[g] * state.gravity
-        T = skeleton.placements(state.placements.T_parent_joint)
-        return (q, qd, qdd), frame_motions(skeleton.tree, T, up, q, qd, qdd)
-
-    def _rows(
-        self, state: MotionState, predicted: Sequence[Predicted], weights: Sequence[F64]
-    ) -> Iterator[tuple[int, int, list[int], F64, F64]]:
-        """Whitened derivatives (C + n, 3, K) and residuals (3, K) of every log and SU."""
-        for g in range(len(self.logs)):
-            motion, frames = self._frames(state, g)
-            p, matrices = predicted[g], state.placements.sensor_matrix()
-            for link in self.points(state):
-                columns = self._joint_columns(int(link.sus[0]), g)
-                of_points = self._columns_of_points(state, g, link, frames, motion)
-                for some in link.parts():
-                    # A reading is that of a perfect sensor times its sensitivity.
-                    weight = some.sensed(matrices[some.sus] * sense(self.priors, state))
-                    rates = self._rates(state, g, some, p)
-                    for u, mine, rate in zip(some.sus, weight, rates, strict=True):
-                        root = np.sqrt(weights[g][:, u, :3].T)
-                        residual = np.where(p.measured[:, u], p.residual[:, u].T, 0.0)
-                        A = np.empty((len(columns) + self.layout.n_su, 3, residual.shape[1]))
-                        by_joints = (mine @ of_points).reshape(3, len(columns), -1)
-                        np.multiply(by_joints.swapaxes(0, 1), root, out=A[: len(columns)])
-                        here = placed(frames[1][link.joint], self._su_placement(state, u))
-                        own = self._own_columns(state, g, u, here, rate)
-                        np.multiply(own, root, out=A[len(columns) :])
-                        yield g, int(u), columns, A, residual * root
-                        if p.turned is None or not self.gyros[u]:
-                            continue
-                        A = self._gyro_columns(state, g, int(u), frames, p.turned)
-                        root = np.sqrt(weights[g][:, u, 3:].T)
-                        yield g, int(u), columns, A * root, p.turned.residual[:, u].T * root
-
-    def _rates(self, state: MotionState, g: int, some: SharedPoints, predicted: Predicted) -> F64:
-        """(S, 3, 3, K) derivatives of the readings of some SUs in time and in their front ends."""
-        if predicted.rates is not None:
-            return predicted.rates[:, :, some.sus].transpose(2, 0, 3, 1)
-        within, rate, margin = _compared(self.logs[g])
-        matrices, front = state.placements.sensor_matrix()[some.sus], state.front[some.sus]
-        read, slope = (some.read(matrices, x) for x in np.split(predicted.felt, 2, axis=1))
-        in_time = front_end(slope, front, rate, margin)
-        by_front = front_end_slopes(read, front, rate, margin)
-        return np.concatenate([in_time[None], by_front])[..., within].swapaxes(0, 1)
-
-    def _joint_columns(self, u: int, g: int) -> list[int]:
-        """Columns of the joint part that an SU's readings in a log depend on."""
-        layout, chain = self.layout, self.tree.chain(int(self.tree.su_joint[u]))
-        columns = [N_JOINT * k + i for k in chain for i in range(N_JOINT)]
-        if g > 0:
-            columns += range(layout.logs.start + 2 * (g - 1), layout.logs.start + 2 * g)
-        columns.append(layout.gravity)
-        if self.unseen:
-            columns += list(layout.unseen.start + self._moving(u))
-        if self.priors.blueprint:
-            columns += further_columns(layout.further.start, chain, g)
-        return columns
-
-    def _moving(self, u: int) -> Int:
-        """Which of the numbers that make unseen motion an SU feels."""
-        if self.unseen is None:
-            return np.zeros(0, dtype=np.int64)
-        return np.unique(self.unseen.number[self._felt(self.unseen, u)])
-
-    def _felt(self, unseen: Unseen, u: int) -> Bool:
-        """(E,) entries of unseen motion that an SU feels."""
-        carried_by = self.skeleton.numbers[list(self._chain(u))]
-        return np.asarray(np.isin(unseen.joint, carried_by))
-
-    def _chain(self, u: int) -> tuple[int, ...]:
-        """What carries an SU, from the ground on: places in the tree with hinges."""
-        return self.skeleton.tree.chain(int(self.skeleton.tree.su_joint[u]))
-
-    def _gyro_columns(
-        self,
-        state: MotionState,
-        g: int,
-        u: int,
-        frames: tuple[list[FrameMotion], list[FrameMotion]],
-        turned: Turned,
-    ) -> F64:
-        """(C + n, 3, K) derivatives of what an SU's gyroscope is predicted to read."""
-        fixed, carried = frames
-        tree, numbers = self.skeleton.tree, self.skeleton.numbers
-        T = self.skeleton.su_placements(state.placements.T_joint_su)[u]
-        here = placed(carried[int(tree.su_joint[u])], T)
-        none = np.zeros(0, dtype=np.int64)
-        unseen = none, none, np.zeros((2, 0, here.w.shape[1]))
-        if self.unseen:
-            felt = self._felt(self.unseen, u)
-            number = np.searchsorted(self._moving(u), self.unseen.number[felt])
-            unseen = self.unseen.joint[felt], number, self._motions[g][:2, felt]
-        slides = dict(zip(numbers.tolist(), tree.prismatic.tolist(), strict=True))
-        of_number = dict(zip(numbers.tolist(), fixed, strict=True)), here
-        slopes = turned.slope[:, u], turned.bend[:, u], self._since_middle(g)
-        return rate_columns(self.tree, state, self.layout, g, u, of_number, slides, unseen, slopes)
-
-    def _columns_of_points(
-        self,
-        state: MotionState,
-        g: int,
-        link: SharedPoints,
-        frames: tuple[list[FrameMotion], list[FrameMotion]],
-        motion: tuple[F64, F64, F64],
-    ) -> F64:
-        """(3 p, C K) derivatives of what a link's points feel in the joint part, in its frame."""
-        u, (fixed, carried) = int(link.sus[0]), frames
-        pull = np.einsum(
-            "ijk,j->ik", carried[link.joint].R_frame_base, state.placements.up[g] * state.gravity
-        )
-        C, K = len(self._joint_columns(u, g)), pull.shape[1]
-        out = np.empty((len(link.arms), 3, C, K))
-        for i, arm in enumerate(link.arms):
-            T = np.eye(4)
-            T[:3, 3] = arm
-            here = placed(carried[link.joint], T)
-            before, behind = self._columns_of_path(state, g, u, fixed, motion, here.R_frame_base, T)
-            # With gravity grow the accelerations that a reading stands for.
-            rows = [*before, (pull - here.f)[None], *behind]
-            np.concatenate(rows, out=out[i].swapaxes(0, 1))
-        return out.reshape(-1, C * K)
-
-    def _columns_of_path(
-        self,
-        state: MotionState,
-        g: int,
-        u: int,
-        fixed: list[FrameMotion],
-        motion: tuple[F64, F64, F64],
-        R_link_base: F64,
-        T: F64,
-    ) -> tuple[list[F64], list[F64]]:
-        """Derivatives (c, 3, K) of what is felt at T (4, 4) of an SU's link, in its frame.
-
-        Returns:
-            In the coordinates before the size of gravity, and in those behind it.
-        """
-        layout, places = self.layout, state.placements
-        tree, numbers = self.skeleton.tree, self.skeleton.numbers
-        q, qd, qdd = motion
-        K = q.shape[1]
-        rows: list[F64] = []
-        by_joint: dict[int, F64] = {}
-        path = _fixed_path(T, K)
-        # A known robot may also deviate along and about its axes.
-        known = self.priors.blueprint is not None
-        wanted = JOINT_COORDINATES + ALONG_AXIS if known else JOINT_COORDINATES
-        along_axis: list[F64] = []
-        placements = self.skeleton.placements(places.T_parent_joint)
-        for j in reversed(self._chain(u)):
-            slides = bool(tree.prismatic[j])
-            path = seen_before_joint(path, slides, q[j], qd[j], qdd[j])
-            if numbers[j] < layout.n_joints:
-                columns = placement_columns(fixed[j], path, wanted)
-                rows.append(columns[: len(JOINT_COORDINATES)])
-                along_axis.append(columns[len(JOINT_COORDINATES) :])
-            if self.unseen:
-                by_joint[int(numbers[j])] = joint_columns(fixed[j], path, slides)
-            path = seen_from_parent(path, placements[j])
-        rows.reverse()
-        if g > 0:
-            turn = np.cross(np.eye(3)[:2], places.up[g]) * state.gravity
-            rows.append(np.einsum("ijk,cj->cik", R_link_base, turn))
-        behind: list[F64] = []
-        if self.unseen:
-            felt = self._moving(u)
-            beyond = np.zeros((len(felt), 3, K))
-            for k, columns in by_joint.items():
-                of_joint = np.flatnonzero(self.unseen.joint == k)
-                number = np.searchsorted(felt, self.unseen.number[of_joint])
-                e = self._motions[g][:, of_joint]
-                np.add.at(beyond, number, np.einsum("dck,dsk->sck", columns, e))
-            behind.append(beyond)
-        if known:
-            if g == 0:
-                turn = np.cross(turn_axes(places.up[0]).T, places.up[0]) * state.gravity
-                behind.append(np.einsum("ijk,cj->cik", R_link_base, turn))
-            behind += reversed(along_axis)
-        return rows, behind
-
-    def _su_placement(self, state: MotionState, u: int) -> F64:
-        """(4, 4) placement of an SU on the tree with hinges."""
-        return np.asarray(self.skeleton.su_placements(state.placements.T_joint_su)[u])
-
-    def _own_columns(
-        self, state: MotionState, g: int, u: int, here: FrameMotion, rates: F64
-    ) -> F64:
-        """(n, 3, K) derivatives of an SU's prediction in its own coordinates.
-
-        Args:
-            state: where.
-            g: number of the log.
-            u: the SU.
-            here: its motion.
-            rates: (3, 3, K) derivatives in time and in its front end.
-        """
-        layout, sensed = self.layout, sense(self.priors, state)
-        out = np.zeros((layout.n_su, 3, here.f.shape[1]))
-        matrix = state.placements.sensor_matrix()[u] * sensed
-        out[:N_PLACEMENT] = matrix @ own_columns(here)
-        out[N_PLACEMENT:N_SU] = sensor_columns(here.f * sensed)
-        out[layout.front] = rates[1:]
-        out[layout.clock(g)] = -rates[0], self._since_middle(g) * -rates[0]
-        shares = self.knot_shares(g)
-        knots = np.zeros((shares.shape[1], 3, *out.shape[1:]))
-        for i in range(3):
-            knots[:, i, i] = shares.T
-        out[layout.knots(g)] = knots.reshape(-1, *out.shape[1:])
-        return out
-
     def prior_information(self, state: MotionState) -> tuple[F64, F64, F64, F64]:
         """Information (J,) and (U, n, n) of the priors and their gradients (J,) and (U, n)."""
         return prior_information(self.priors, self.layout, self._seconds, state)
@@ -629,34 +364,3 @@ class MotionProblem:
     def prior_chi2(self, state: MotionState) -> float:
         """Chi-squared of the priors at a state."""
         return prior_chi2(self.priors, self.layout, self._seconds, state)
-
-
-def _fixed_path(T: F64, n: int) -> Path:
-    """Path of n samples of an SU that is fixed to a frame by T (4, 4)."""
-    still = np.zeros((3, n))
-    return Path(still + T[:3, 3:4], still, still, np.repeat(T[:3, :3, None], n, axis=2))
-
-
-def sensor_columns(ideal: F64) -> F64:
-    """(9, 3, K) derivatives of an SU's readings in bias and shape.
-
-    Args:
-        ideal: (3, K) what a perfect sensor would read [m/s^2].
-    """
-    out = np.zeros((9, *ideal.shape))
-    out[range(3), range(3)] = 1.0
-    for i, (a, b) in enumerate(_SHAPE):
-        out[3 + i, a] = ideal[b]
-        out[3 + i, b] = ideal[a]
-    return out
-
-
-def _compared(log: Trajectory) -> tuple[slice, float, int]:
-    """Of samples from end to end of a log at the rate of those that are compared: which these are.
-
-    Returns:
-        Where they are, their rate [Hz], and for how many of them the low-pass is felt.
-    """
-    first = int(log.kept[0]) // log.every
-    margin = -(-len(log.taps) // log.every)
-    return slice(first, first + len(log.kept)), log.rate / log.every, margin

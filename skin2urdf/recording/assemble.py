@@ -238,9 +238,11 @@ def recorded(
         key = id(stream.time)
         if key not in seconds:
             seconds[key] = shelf.put((stream.time + (shifts[key] - start)) / 1e9)
+            seconds[key].flags.writeable = False
             put_away(stream.time)
-        # Nothing else holds the arrays: as records have them they need not be copied.
-        for array in (seconds[key], stream.values, stream.rates):
+    # Nothing else holds the readings: as records have them they need not be copied.
+    for su in sus:
+        for array in (su.values, su.rates):
             if array is not None:
                 array.flags.writeable = False
     extra = (

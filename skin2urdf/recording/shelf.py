@@ -100,8 +100,10 @@ def _file_of(array: NDArray[Any]) -> mmap.mmap | None:
 
 def _new_file(size: int) -> mmap.mmap | None:
     """A file of so many bytes, None where there is no room for it."""
-    # Folders for what is temporary may lie in memory; that for what lasts longer does not.
-    folders = (None,) if "TMPDIR" in os.environ else ("/var/tmp", None)  # noqa: S108  (files there have no name)
+    # Folders for what is temporary may lie in memory; that for what lasts longer does not. Files
+    # there have no name that others could foresee.
+    lasting = "/var/tmp"  # noqa: S108
+    folders = (None,) if "TMPDIR" in os.environ else (lasting, None)
     for folder in folders:
         with (
             contextlib.suppress(OSError, AttributeError),

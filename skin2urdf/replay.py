@@ -20,7 +20,6 @@ from skin2urdf.estimation.trajectory.records import Predicted
 from skin2urdf.estimation.trajectory.state import MotionState
 from skin2urdf.recording.reading import read
 from skin2urdf.recording.records import Recording
-from skin2urdf.signals.filters import taken_at
 from skin2urdf.signals.sampling import sampled_together
 from skin2urdf.signals.trajectory import in_order, trajectory
 from skin2urdf.structure.ordering import places_of
@@ -195,7 +194,7 @@ def _traces(
         whole = np.flatnonzero(predicted.measured[:, u])
         if not len(whole):
             continue
-        reading = taken_at(path.readings[:, u], at[:, u])[whole]
+        reading = path.splines[u].at(at[:, u])[whole]
         left = predicted.residual[whole, u]
         kept = _telling(path.time[whole], reading, left)
         rms = float(np.sqrt(np.mean(left**2)))

@@ -64,7 +64,7 @@ def fit_samples(
     trajectories = []
     for log, sampled in enumerate(logs.sampled):
         dofs = places_of(tree.joint_names, sampled.motion.dof_names)
-        whole = in_order(trajectory(sampled, log, reach), dofs, sus)
+        whole = in_order(trajectory(sampled, log, reach, sus), dofs, np.arange(tree.n_sus))
         mine = features.log == log
         # What lies beyond a joint whose position the log lacks tells nothing.
         tells = use[mine].any(axis=0) if mine.any() else np.ones(tree.n_sus, dtype=bool)

@@ -125,7 +125,9 @@ def known_before(
         gyro=np.zeros((U, 0)),
     )
     nothing = np.zeros((1, U, 3))
-    still = Predicted(nothing, np.ones((1, U), dtype=bool), nothing, np.zeros((3, 1, U, 3)))
+    still = Predicted(
+        nothing, np.ones((1, U), dtype=bool), np.zeros((0, 6, 1)), np.zeros((3, 1, U, 3))
+    )
     start = problem.equations(state, [still], [nothing])
     H, S = np.array(start.joint), np.array(start.su)
     if joint is not None:
@@ -179,7 +181,7 @@ def pattern_information(
     front = np.zeros(2), np.full(2, _SLOWEST_POLE**2)
     problem = MotionProblem(tree, [log], motion_priors(Priors(), gravity=0.02, front=front))
     predicted = Predicted(
-        np.zeros_like(here), np.ones(here.shape[:2], dtype=bool), here,
+        np.zeros_like(here), np.ones(here.shape[:2], dtype=bool), np.zeros((0, 6, 1)),
         np.stack([speed, 0.5 * bend, -bend]),
     )  # fmt: skip
     # The drift of a clock is told by the log as a whole, whose middle this is.

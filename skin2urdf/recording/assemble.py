@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from skin2urdf.arrays import F64, Int, frozen
+from skin2urdf.arrays import F64, Int
 from skin2urdf.recording.credibility import (
     FORCES_APART,
     POSITIONS_APART,
@@ -18,6 +18,7 @@ from skin2urdf.recording.credibility import (
 from skin2urdf.recording.holding import held_notes, measurements
 from skin2urdf.recording.naming import shortened, su_names, writable
 from skin2urdf.recording.records import JointStream, Recording, SuStream
+from skin2urdf.recording.shelf import Shelf, put_away
 from skin2urdf.recording.streams import Samples
 from skin2urdf.recording.timing import Chosen, sample_times
 
@@ -102,13 +103,14 @@ def timed_joints(
 
 
 def timed_sus(
-    gathered: dict[tuple[str, str], Samples],
+    gathered: dict[tuple[str, str], Samples], shelf: Shelf
 ) -> tuple[list[TimedStream], list[str]]:
     """Name the SUs and time their samples.
 
     Args:
         gathered: readings by topic and frame_id; emptied on the way, as what is not needed any
             more is as large as what is kept.
+        shelf: where the streams are kept.
 
     Returns:
         One stream per SU, sorted by name, and notes for the user.
@@ -153,7 +155,14 @@ def timed_sus(
                 values=stream.values[~alone],
                 rates=None if stream.rates is None else stream.rates[~alone],
             )
-        streams.append(stream)
+        streams.append(
+            stream._replace(
+                time=shelf.put(stream.time),
+                values=shelf.put(stream.values),
+                rates=None if stream.rates is None else shelf.put(stream.rates),
+            )
+        )
+        shelf.put_away()
     notes += held_notes(repeating)
     if few:
         notes.append(f"left out, with fewer than two usable samples: {shortened(few)}")
@@ -191,6 +200,7 @@ def timing_notes(streams: Sequence[TimedStream]) -> list[str]:
 def recorded(
     joints: Sequence[TimedStream],
     sus: Sequence[TimedStream],
+    shelf: Shelf,
     *,
     source: str,
     digest: str,
@@ -201,6 +211,7 @@ def recorded(
     Args:
         joints: at least one joint, sorted by name.
         sus: at least one SU, sorted by name.
+        shelf: where the times are kept.
         source: where the log came from.
         digest: SHA-256 of the log (hex).
         notes: notes for the user so far.
@@ -226,11 +237,14 @@ def recorded(
     for stream in (*joints, *sus):
         key = id(stream.time)
         if key not in seconds:
-            seconds[key] = frozen((stream.time + (shifts[key] - start)) / 1e9)
-        # Nothing else holds the values: as records have them they need not be copied.
-        for values in (stream.values, stream.rates):
-            if values is not None and values.base is None:
-                values.flags.writeable = False
+            seconds[key] = shelf.put((stream.time + (shifts[key] - start)) / 1e9)
+            seconds[key].flags.writeable = False
+            put_away(stream.time)
+    # Nothing else holds the readings: as records have them they need not be copied.
+    for su in sus:
+        for array in (su.values, su.rates):
+            if array is not None:
+                array.flags.writeable = False
     extra = (
         [f"the clock of {', '.join(sorted(moved))} is not the joints'; matched by log times"]
         if moved

@@ -7,7 +7,7 @@ motion of a step everywhere.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -71,7 +71,7 @@ def measurements(values: F64) -> Held:
     return Held(np.repeat(start, number) + np.rint(times * within).astype(np.int64), times)
 
 
-def as_measured(sus: Sequence[SuStream]) -> tuple[list[SuStream], list[str]]:
+def as_measured(sus: Iterable[SuStream]) -> tuple[list[SuStream], list[str]]:
     """Leave the repetitions out of streams.
 
     Args:
@@ -88,6 +88,7 @@ def as_measured(sus: Sequence[SuStream]) -> tuple[list[SuStream], list[str]]:
             repeating[su.name] = held.times
             su = su.at(held.kept)
         out.append(su)
+        su.put_away()
     return out, held_notes(repeating)
 
 

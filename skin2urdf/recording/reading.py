@@ -20,6 +20,7 @@ from skin2urdf.recording.naming import shortened
 from skin2urdf.recording.progress import Share
 from skin2urdf.recording.records import Recording
 from skin2urdf.recording.segments import on_one_clock
+from skin2urdf.recording.shelf import Shelf
 from skin2urdf.recording.streams import Collector
 
 __all__ = ["inventory", "read"]
@@ -48,7 +49,8 @@ def read(
     log = LogFiles(
         source, lambda channel: role_of(channel.ros_type) != "ignored", progress, with_digest
     )
-    collector = Collector(log.channels)
+    shelf = Shelf()
+    collector = Collector(log.channels, shelf)
     for block in log.blocks():
         collector.add(block)
     positions, forces = collector.joints(), collector.accelerations()
@@ -60,12 +62,12 @@ def read(
     joints, joint_notes = timed_joints(dict(zip(positions, samples, strict=False)))
     forces = dict(zip(forces, samples[len(positions) :], strict=True))
     del samples
-    sus, su_notes = timed_sus(forces)
+    sus, su_notes = timed_sus(forces, shelf)
     notes = [*log.notes, *_passed_notes(collector), *clock_notes, *joint_notes, *su_notes]
     if not joints or not sus:
         raise _missing(source, log, notes, "joints" if not joints else "SUs")
     notes.extend(timing_notes([*joints, *sus]))
-    return recorded(joints, sus, source=str(path), digest=log.digest, notes=notes)
+    return recorded(joints, sus, shelf, source=str(path), digest=log.digest, notes=notes)
 
 
 def inventory(path: str | Path) -> LogInventory:

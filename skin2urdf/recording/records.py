@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from skin2urdf.arrays import F64, Bool, Int, frozen
+from skin2urdf.recording.shelf import put_away
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,6 +57,10 @@ class SuStream:
         object.__setattr__(self, "specific_force", frozen(self.specific_force))
         if self.angular_velocity is not None:
             object.__setattr__(self, "angular_velocity", frozen(self.angular_velocity))
+
+    def put_away(self) -> None:
+        """Tell the system that the samples are not needed soon, where they are not in memory."""
+        put_away(self.time, self.specific_force, self.angular_velocity)
 
     def at(self, rows: Int | Bool | slice) -> SuStream:
         """The stream with some of its samples.

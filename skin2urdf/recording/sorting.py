@@ -1,4 +1,7 @@
-"""Sort the samples of many sources by source while they come in, without a second copy of all."""
+"""Sort the samples of many sources by source while they come in, without a second copy of all.
+
+What is sorted is put on a shelf, so that it need not stay in memory.
+"""
 
 from __future__ import annotations
 
@@ -9,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skin2urdf.arrays import F64, Int
+from skin2urdf.recording.shelf import Shelf
 
 # Samples that are sorted at once: some 10 MB, and hundreds of each of a thousand sources.
 GROUP = 1 << 18
@@ -43,8 +47,13 @@ class Columns(NamedTuple):
 
 @dataclass(eq=False)
 class SortedSamples:
-    """Takes in samples as they come, and gives back those of each source in their order."""
+    """Takes in samples as they come, and gives back those of each source in their order.
 
+    Attributes:
+        shelf: where they are kept.
+    """
+
+    shelf: Shelf = field(default_factory=Shelf)
     _waiting: list[Part] = field(default_factory=list)
     _count: int = 0
     _bounds: list[Int] = field(default_factory=list)
@@ -69,7 +78,7 @@ class SortedSamples:
             counts[: bounds.size - 1] += np.diff(bounds)
         constant = _constant([group.rates for group in self._groups])
         # Pages that nothing was written to take no memory: these fill as the groups are given up.
-        found = [_empty(int(count), constant) for count in counts]
+        found = [self._empty(int(count), constant) for count in counts]
         done = np.zeros(sources, np.int64)
         for bounds in self._bounds:
             group = self._groups.pop(0)
@@ -83,6 +92,7 @@ class SortedSamples:
                 if constant is None and whole.rates is not None:
                     whole.rates[here] = np.nan if group.rates is None else group.rates[rows]
                 done[k] = here.stop
+            self.shelf.put_away()
         self._bounds = []
         return found
 
@@ -98,24 +108,38 @@ class SortedSamples:
         self._bounds.append(np.concatenate([[0], np.cumsum(np.bincount(source))]))
         self._groups.append(
             Columns(
-                np.concatenate([part.stamp for part in parts])[order],
-                np.concatenate([part.log_time for part in parts])[order],
-                np.concatenate([part.vector for part in parts])[order],
-                _sorted_rates(parts, order),
+                self.shelf.put(np.concatenate([part.stamp for part in parts])[order]),
+                self.shelf.put(np.concatenate([part.log_time for part in parts])[order]),
+                self.shelf.put(np.concatenate([part.vector for part in parts])[order]),
+                self._sorted_rates(parts, order),
             )
         )
+        self.shelf.put_away()
 
+    def _sorted_rates(self, parts: list[Part], order: Int) -> F64 | None:
+        """Angular velocities of some parts; those that never change take no memory."""
+        if all(part.rates is None for part in parts):
+            return None
+        rates = np.concatenate(
+            [
+                np.full(part.vector.shape, np.nan) if part.rates is None else part.rates
+                for part in parts
+            ]
+        )
+        if np.array_equal(rates, np.broadcast_to(rates[0], rates.shape), equal_nan=True):
+            return np.broadcast_to(rates[0], rates.shape)
+        return self.shelf.put(rates[order])
 
-def _empty(count: int, constant: F64 | None) -> Columns:
-    """Room for so many samples; rates that never change (none if NaN) take none."""
-    if constant is None:
-        rates = np.empty((count, 3))
-    elif np.isnan(constant).all():
-        rates = None
-    else:
-        rates = np.broadcast_to(constant, (count, 3))
-    stamp, log_time = np.empty(count, np.int64), np.empty(count, np.int64)
-    return Columns(stamp, log_time, np.empty((count, 3)), rates)
+    def _empty(self, count: int, constant: F64 | None) -> Columns:
+        """Room for so many samples; rates that never change (none if NaN) take none."""
+        if constant is None:
+            rates = self.shelf.empty((count, 3))
+        elif np.isnan(constant).all():
+            rates = None
+        else:
+            rates = np.broadcast_to(constant, (count, 3))
+        stamp, log_time = (self.shelf.empty((count,), np.int64) for _ in range(2))
+        return Columns(stamp, log_time, self.shelf.empty((count, 3)), rates)
 
 
 def _constant(rates: list[F64 | None]) -> F64 | None:
@@ -127,15 +151,3 @@ def _constant(rates: list[F64 | None]) -> F64 | None:
     if constant and all(np.array_equal(row, rows[0], equal_nan=True) for row in rows):
         return rows[0]
     return None
-
-
-def _sorted_rates(parts: list[Part], order: Int) -> F64 | None:
-    """Angular velocities of some parts; those that never change take no memory."""
-    if all(part.rates is None for part in parts):
-        return None
-    rates = np.concatenate(
-        [np.full(part.vector.shape, np.nan) if part.rates is None else part.rates for part in parts]
-    )
-    if np.array_equal(rates, np.broadcast_to(rates[0], rates.shape), equal_nan=True):
-        return np.broadcast_to(rates[0], rates.shape)
-    return rates[order]

@@ -21,6 +21,7 @@ from skin2urdf.recording.messages import (
     role_of,
 )
 from skin2urdf.recording.repeated import Layouts
+from skin2urdf.recording.shelf import Shelf, put_away
 from skin2urdf.recording.sorting import Part, SortedSamples
 
 
@@ -64,16 +65,21 @@ class Collector:
 
     Attributes:
         channels: the channels of the log.
+        shelf: where samples are kept.
         passed: per topic, why messages were passed over (reason: messages).
     """
 
     channels: Channels
+    shelf: Shelf
     passed: defaultdict[str, Counter[str]] = field(default_factory=lambda: defaultdict(Counter))
     _sources: dict[tuple[str, str], int] = field(default_factory=dict)
     _layouts: Layouts = field(default_factory=Layouts)
-    _sorted: SortedSamples = field(default_factory=SortedSamples)
+    _sorted: SortedSamples = field(init=False)
     _joints: dict[tuple[str, tuple[str, ...]], list[Arrived]] = field(default_factory=dict)
     _arrived: int = 0
+
+    def __post_init__(self) -> None:
+        self._sorted = SortedSamples(self.shelf)
 
     def add(self, block: Block) -> None:
         """Take in the messages of one block.
@@ -152,6 +158,7 @@ class Collector:
             found[key] = Samples(
                 stamp, log_time, vector, None if rates is None else real_rates(rates)
             )
+            put_away(rates)
         return found
 
     def joints(self) -> dict[tuple[str, tuple[str, ...]], Samples]:

@@ -131,12 +131,11 @@ def _clocks(
 ) -> list[SuClock]:
     """The line of each SU; its deviation is infinite where no motion is felt."""
     clocks = [SuClock(su.name, 0.0, np.inf, 0.0, np.inf, middle) for su in sus]
-    integrals = [_Integral.of(su) for su in sus]
     rate, span = motion.grid.rate / _EVERY, motion.grid.size / motion.grid.rate
     reach, steep, open_ = LARGEST_OFFSET, LARGEST_DRIFT, list(range(len(sus)))
     looked_at = stretches[::2] if len(stretches) >= 4 * _FEWEST else stretches
     for _ in range(_PASSES):
-        means = [integrals[u].means(clocks[u], motion) for u in open_]
+        means = [_means(sus[u], clocks[u], motion) for u in open_]
         readings = np.stack([values for values, _ in means], axis=1)
         valid = np.stack([whole for _, whole in means], axis=1)
         again = []
@@ -311,6 +310,13 @@ class _Integral:
         for begin, end in self.gaps:
             valid &= (edges[1:] < begin) | (edges[:-1] > end)
         return np.diff(at, axis=0) / np.diff(edges)[:, None], valid
+
+
+def _means(su: SuStream, clock: SuClock, motion: Motion) -> tuple[F64, Bool]:
+    """See :meth:`_Integral.means`; integrals are as large as streams, and are not kept."""
+    means = _Integral.of(su).means(clock, motion)
+    su.put_away()
+    return means
 
 
 def _lines(

@@ -6,11 +6,12 @@ regression's coefficients are constant, so filtering both sides alike adds no bi
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft
-from scipy.ndimage import convolve1d, map_coordinates, minimum_filter1d
+from scipy.ndimage import convolve1d, minimum_filter1d, spline_filter1d
 
 from skin2urdf.arrays import F64, Bool
 
@@ -105,7 +106,7 @@ def _sample_regular(
     first = (lead + half) // factor
     coarse = _decimated(padded, taps, factor, first, len(kept))
     index = np.interp(grid.time, kept, np.arange(len(kept)))
-    return _interpolated(coarse, index), half * period
+    return Spline(coarse).within(index), half * period
 
 
 def _sample_irregular(
@@ -149,14 +150,51 @@ def _decimated(values: F64, taps: F64, factor: int, first: int, size: int) -> F6
     return np.ascontiguousarray(windows[middle - half + ends[0]] @ taps[::-1])
 
 
-def _interpolated(values: F64, index: F64) -> F64:
-    """Values (M, C) at fractional positions (N,) in [0, M - 1], by quintic splines."""
-    # Reflected in its end points a signal goes on smoothly; a spline feels no more than this.
-    margin = 24
-    ends = ((margin, margin), (0, 0))
-    padded = np.pad(values, ends, mode="reflect", reflect_type="odd")
-    at = index[None] + margin
-    return np.stack([map_coordinates(c, at, order=5, mode="mirror") for c in padded.T], axis=1)
+class Spline:
+    """Quintic splines through samples (M, C), to be taken anywhere between them.
+
+    Args:
+        values: (M, C) samples.
+    """
+
+    def __init__(self, values: F64) -> None:
+        # Reflected in its end points a signal goes on smoothly; a spline feels no more than this.
+        ends = ((_MARGIN, _MARGIN), (0, 0))
+        padded = np.pad(values, ends, mode="reflect", reflect_type="odd")
+        self._size = len(values)
+        self._coefficients = spline_filter1d(padded.T, order=5, axis=1, mode="mirror")
+
+    def at(self, index: F64) -> F64:
+        """Values (K, C) at fractional positions (K,); NaN beyond the ends."""
+        outside = (index < 0) | (index > self._size - 1)
+        out = self.within(np.clip(index, 0, self._size - 1))
+        out[outside] = np.nan
+        return out
+
+    def within(self, index: F64) -> F64:
+        """Values (K, C) at fractional positions (K,) in [0, M - 1]."""
+        before = index.astype(np.int64)
+        t = index - before
+        first = before + _MARGIN - 2
+        out = np.zeros((len(self._coefficients), len(index)))
+        for k, weight in enumerate(_quintic(t)):
+            out += weight * self._coefficients[:, first + k]
+        return out.T
+
+
+_MARGIN = 24
+"""Samples by which splines are carried on."""
+
+
+def _quintic(t: F64) -> Iterator[F64]:
+    """Weights of the six samples around the fractional positions ``2 + t``, t in [0, 1)."""
+    s = 1 - t
+    yield s**5 / 120
+    yield (26 + t * (-50 + t * (20 + t * (20 + t * (-20 + 5 * t))))) / 120
+    yield (66 + t * t * (-60 + t * t * (30 - 10 * t))) / 120
+    yield (66 + s * s * (-60 + s * s * (30 - 10 * s))) / 120
+    yield (26 + s * (-50 + s * (20 + s * (20 + s * (-20 + 5 * s))))) / 120
+    yield t**5 / 120
 
 
 def spread(time: F64, samples: Bool, grid: Grid) -> Bool:
@@ -224,12 +262,4 @@ def shifted(values: F64, rate: float, delay: float) -> F64:
     if delay == 0.0:
         return values
     last = len(values) - 1
-    return _interpolated(values, np.clip(np.arange(last + 1) + delay * rate, 0, last))
-
-
-def taken_at(values: F64, index: F64) -> F64:
-    """Values (N, C) at fractional indices (K,), by quintic splines; NaN beyond the ends."""
-    outside = (index < 0) | (index > len(values) - 1)
-    out = _interpolated(values, np.clip(index, 0, len(values) - 1))
-    out[outside] = np.nan
-    return out
+    return Spline(values).within(np.clip(np.arange(last + 1) + delay * rate, 0, last))

@@ -78,9 +78,12 @@ def checked(
         span: begin and end of the joints' streams [s].
         pauses: begin and end of the times at which no joints were recorded either [s].
     """
-    still = [_within(su.time, rests) for su in sus]
-    at_rest = np.array([_repeated(su.specific_force[s]) for su, s in zip(sus, still, strict=True)])
-    noise = np.array([rest_noise(su.specific_force, s) for su, s in zip(sus, still, strict=True)])
+    still, at_rest, noise = list[Bool](), np.zeros(len(sus)), np.zeros(len(sus))
+    for u, su in enumerate(sus):
+        still.append(_within(su.time, rests))
+        at_rest[u] = _repeated(su.specific_force[still[u]])
+        noise[u] = rest_noise(su.specific_force, still[u])
+        su.put_away()
     out = []
     for u, su in enumerate(sus):
         others = np.delete(at_rest, u)
@@ -95,6 +98,7 @@ def checked(
         if share := float(clipped.mean()) if len(clipped) else 0.0:
             faults = [*faults, Fault("saturated", su.name, size=share)]
         out.append(Checked(whole, clipped, tuple(faults)))
+        su.put_away()
     return out
 
 

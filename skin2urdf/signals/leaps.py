@@ -7,6 +7,7 @@ anybody's guess, so that the mean over it has the variance ``h^2 / 12``.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -41,12 +42,14 @@ class Leaps:
             object.__setattr__(self, name, frozen(getattr(self, name)))
 
     @classmethod
-    def of(cls, motion: Motion, readings: F64, period: F64, taps: F64, kept: Int) -> Leaps:
+    def of(
+        cls, motion: Motion, readings: Iterable[F64], period: F64, taps: F64, kept: Int
+    ) -> Leaps:
         """Look for leaps.
 
         Args:
             motion: of the joints, on N samples of a grid.
-            readings: (N, U, 3) on the same [m/s^2].
+            readings: of each SU (N, 3), on the same [m/s^2].
             period: (U,) time between two readings of an SU [s].
             taps: of the low-pass that both go through twice.
             kept: (K,) samples that are wanted.
@@ -57,16 +60,16 @@ class Leaps:
         spread = np.maximum(1.0, rate / motion.raw_rate)
         joints = _steps(motion.qdd, taps)
         joints = spread * np.where(np.abs(joints) > _CLEAR * noise, joints, 0.0)
-        steps = _steps(readings, taps)
-        usual = np.median(np.abs(steps), axis=0) / 0.6745
-        steps = np.where(np.abs(steps) > _CLEAR * usual, steps, 0.0)
         ratio = rate * period
-        felt = np.where(ratio > 1, (steps**2).mean(axis=2), 0.0)
-        return cls(
-            _low_passed(joints**2, taps)[kept],
-            _low_passed(felt, taps)[kept] * ratio**2,
-            ratio,
-        )
+        felt = np.zeros((len(kept), len(ratio)))
+        for u, read in enumerate(readings):
+            # Those that are read more often than the grid has samples are low-passed to it.
+            if ratio[u] > 1:
+                steps = _steps(read, taps)
+                usual = np.median(np.abs(steps), axis=0) / 0.6745
+                clear = np.where(np.abs(steps) > _CLEAR * usual, steps, 0.0)
+                felt[:, u] = ratio[u] ** 2 * _low_passed((clear**2).mean(axis=1), taps)[kept]
+        return cls(_low_passed(joints**2, taps)[kept], felt, ratio)
 
     def ordered(self, dofs: Int, sus: Int) -> Leaps:
         """The same with other columns."""

@@ -120,7 +120,7 @@ def sample_recording(
     grid = motion.grid
     at_rest = [(grid.start + r.begin / grid.rate, grid.start + r.end / grid.rate) for r in rests]
     span = (grid.start, grid.start + grid.size / grid.rate)
-    measured, held = as_measured([_without_spikes(su) for su in recording.sus])
+    measured, held = as_measured(_without_spikes(su) for su in recording.sus)
     clocks = {clock.su: clock for clock in su_clocks(measured, motion)}
     sus = [_on_time(su, clocks.get(su.name)) for su in measured]
     streams = {c.stream.name: c for c in checked(sus, at_rest, span, _pauses(motion))}
@@ -141,6 +141,7 @@ def sample_recording(
         readings[:, u], ok = sample(stream.time, stream.specific_force, grid)
         period[u] = np.median(np.diff(stream.time)) if len(stream.time) > 1 else 0.0
         valid[:, u] = ok & motion.valid & ~spread(stream.time, found.clipped, grid)
+        stream.put_away()
         factor = _unit(readings[still & valid[:, u], u])
         if factor != 1.0:
             readings[:, u] *= factor

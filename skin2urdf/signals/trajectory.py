@@ -8,11 +8,13 @@ differentiated and the prediction once more after it, the readings twice.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
 from skin2urdf.arrays import F64, Bool, Int, frozen
 from skin2urdf.signals.filters import (
+    Spline,
     eroded,
     filtered,
     first_derivative,
@@ -87,8 +89,25 @@ class Trajectory:
         """(K,) times of the kept samples since the log's first one [s]."""
         return np.asarray(self.kept / self.rate)
 
+    @cached_property
+    def splines(self) -> tuple[Spline, ...]:
+        """The readings of each of the U SUs, to be taken at fractional positions on the grid."""
+        return tuple(Spline(column) for column in self.readings.swapaxes(0, 1))
 
-def trajectory(sampled: Sampled, log: int, reach: float = 0.0) -> Trajectory:
+    @cached_property
+    def rate_splines(self) -> tuple[Spline, ...]:
+        """The same of gyroscopes; none where there are none."""
+        return tuple(Spline(x) for x in self.rates.swapaxes(0, 1)) if self.rates is not None else ()
+
+    @property
+    def every(self) -> int:
+        """Grid samples from one kept sample to the next."""
+        return int(self.kept[1] - self.kept[0]) if len(self.kept) > 1 else 1
+
+
+def trajectory(
+    sampled: Sampled, log: int, reach: float = 0.0, sus: Int | None = None
+) -> Trajectory:
     """Low-pass a log's motion and readings for comparison along the whole of it.
 
     Args:
@@ -96,21 +115,26 @@ def trajectory(sampled: Sampled, log: int, reach: float = 0.0) -> Trajectory:
         log: its number.
         reach: how far readings may still be shifted in time [s]; nothing is compared so near to
             a gap.
+        sus: (U,) which of the log's SUs, in which order; all of them by default.
     """
+    sus = np.arange(sampled.valid.shape[1]) if sus is None else sus
     motion, rate = sampled.motion, sampled.motion.grid.rate
     taps = low_pass(sampled.cutoff, rate)
     half = len(taps) // 2
     q = filtered(motion.q, taps)
-    readings = filtered(filtered(sampled.readings, taps), taps)
     every = max(1, int(rate / (_RATE_OVER_CUTOFF * sampled.cutoff)))
     kept = np.arange(half, motion.grid.size - half, every)
-    whole = sampled.valid & ~sampled.computed & motion.valid[:, None]
+    readings = np.empty((motion.grid.size, len(sus), 3))
+    for u, column in enumerate(sus):
+        readings[:, u] = filtered(filtered(sampled.readings[:, column], taps), taps)
+    readings.flags.writeable = False  # of which the record then needs no copy
+    whole = (sampled.valid & ~sampled.computed & motion.valid[:, None])[:, sus]
     margin = 2 * half + int(np.ceil(reach * rate))
     valid = np.stack([eroded(column, margin) for column in whole.T], axis=1)[kept]
     rates, turning = None, None
     if sampled.turning is not None:
-        rates = filtered(filtered(sampled.turning.rates, taps), taps)
-        there = sampled.turning.valid & motion.valid[:, None]
+        rates = filtered(filtered(sampled.turning.rates[:, sus], taps), taps)
+        there = (sampled.turning.valid & motion.valid[:, None])[:, sus]
         turning = np.stack([eroded(column, margin) for column in there.T], axis=1)[kept]
     twice = np.convolve(taps, taps)
     return Trajectory(
@@ -128,7 +152,9 @@ def trajectory(sampled: Sampled, log: int, reach: float = 0.0) -> Trajectory:
         noise=_noise(motion, taps),
         rates=rates,
         turning=turning,
-        leaps=Leaps.of(motion, sampled.readings, sampled.period, taps, kept),
+        leaps=Leaps.of(
+            motion, (sampled.readings[:, u] for u in sus), sampled.period[sus], taps, kept
+        ),
     )
 
 
@@ -149,14 +175,22 @@ def in_order(log: Trajectory, dofs: Int, sus: Int) -> Trajectory:
         dofs: (D,) which of its joints, in which order.
         sus: (U,) which of its SUs.
     """
+    if log.leaps is not None:
+        log = replace(log, leaps=log.leaps.ordered(dofs, sus))
+    if not np.array_equal(dofs, np.arange(log.q.shape[1])):
+        log = replace(
+            log,
+            q=log.q[:, dofs],
+            qd=log.qd[:, dofs],
+            qdd=log.qdd[:, dofs],
+            moving=log.moving[:, dofs],
+            noise=None if log.noise is None else log.noise[dofs],
+        )
+    # What stays in its order, as mostly, is not copied.
+    if np.array_equal(sus, np.arange(log.readings.shape[1])):
+        return log
     return replace(
         log,
-        q=log.q[:, dofs],
-        qd=log.qd[:, dofs],
-        qdd=log.qdd[:, dofs],
-        moving=log.moving[:, dofs],
-        noise=None if log.noise is None else log.noise[dofs],
-        leaps=None if log.leaps is None else log.leaps.ordered(dofs, sus),
         readings=log.readings[:, sus],
         valid=log.valid[:, sus],
         rates=None if log.rates is None else log.rates[:, sus],

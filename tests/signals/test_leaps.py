@@ -24,7 +24,7 @@ def motion_of(position: F64, time: F64) -> Motion:
 def leaps_of(motion: Motion, readings: F64, period: float) -> Leaps:
     taps = low_pass(CUTOFF, motion.grid.rate)
     kept = np.arange(motion.grid.size)
-    return Leaps.of(motion, readings, np.array([period]), taps, kept)
+    return Leaps.of(motion, readings.swapaxes(0, 1), np.array([period]), taps, kept)
 
 
 def test_smooth_motion_does_not_leap() -> None:

@@ -24,29 +24,49 @@ _SMALL = 1e-12
 """Square of a lag below which it is none [s^2]: a microsecond."""
 
 
-def front_end(read: F64, front: F64, rate: float, margin: int) -> tuple[F64, F64]:
-    """Readings behind their sensors' front ends, and their derivatives in the coordinates.
+def front_end(read: F64, front: F64, rate: float, margin: int) -> F64:
+    """Readings behind their sensors' front ends.
 
     Args:
-        read: (N, U, 3) readings without a front end, on a grid.
+        read: (U, C, N) readings without a front end, N samples at one rate.
         front: (U, 2) p and r of each SU [s^2].
         rate: samples per second [Hz].
         margin: samples by which the ends are carried on.
-
-    Returns:
-        (N, U, 3) readings and (2, N, U, 3) derivatives [1/s^2 times the readings' unit].
     """
-    n = len(read)
-    padded = np.pad(read, ((margin, margin), (0, 0), (0, 0)), mode="reflect", reflect_type="odd")
-    length = next_fast_len(len(padded), real=True)
-    spectrum = rfft(padded, length, axis=0)
-    H, slopes = transfer(2 * np.pi * rfftfreq(length, 1 / rate), front)
+    spectrum = _Spectrum(read, rate, margin)
+    return spectrum.line + spectrum.times(transfer(spectrum.w, front)[0])
 
-    def back(gain: F64) -> F64:
-        out = irfft(spectrum * gain[..., None], length, axis=0)
-        return np.asarray(out[margin : margin + n])
 
-    return back(H), np.stack([back(slope) for slope in slopes])
+def front_end_slopes(read: F64, front: F64, rate: float, margin: int) -> F64:
+    """(2, U, C, N) derivatives of :func:`front_end` in the coordinates [1/s^2 times the unit]."""
+    spectrum = _Spectrum(read, rate, margin)
+    return np.stack([spectrum.times(slope) for slope in transfer(spectrum.w, front)[1]])
+
+
+class _Spectrum:
+    """Signals (U, C, N) as straight lines, which no front end changes, and Fourier series.
+
+    Without its line a signal would step from its end to its beginning, and ring about both.
+
+    Attributes:
+        line: (U, C, N) the lines.
+        w: (F,) angular frequencies of the series [rad/s].
+    """
+
+    def __init__(self, signals: F64, rate: float, margin: int) -> None:
+        n = signals.shape[-1]
+        self._size = next_fast_len(n + 2 * margin, real=True)
+        self._inner = slice(margin, margin + n)
+        ends = ((0, 0), (0, 0), (margin, self._size - n - margin))
+        padded = np.pad(signals, ends, mode="reflect", reflect_type="odd")
+        first, last = padded[..., :1], padded[..., -1:]
+        line = first + (last - first) * np.linspace(0.0, 1.0, self._size)
+        self.line, self._series = line[..., self._inner], rfft(padded - line)
+        self.w = 2 * np.pi * rfftfreq(self._size, 1 / rate)
+
+    def times(self, gain: F64) -> F64:
+        """(U, C, N) the series with gains (F, U)."""
+        return np.asarray(irfft(self._series * gain.T[:, None], self._size)[..., self._inner])
 
 
 def transfer(w: F64, front: F64) -> tuple[F64, F64]:

@@ -35,7 +35,7 @@ from skin2urdf.estimation.trajectory.state import (
 )
 from skin2urdf.model.records import KinematicModel
 from skin2urdf.model.specific_force import angular_velocities
-from skin2urdf.signals.filters import filtered, first_derivative, second_derivative, taken_at
+from skin2urdf.signals.filters import filtered, first_derivative, second_derivative
 from skin2urdf.signals.trajectory import Trajectory
 from skin2urdf.structure.records import KinematicTree
 
@@ -126,9 +126,9 @@ def predicted_turning(
     bend = second_derivative(read, log.rate)[log.kept]
     predicted = read[log.kept] + droop[:, None] * bend + gyro_bias(state, g)
     at = log.kept[:, None] + log.rate * (lags + late)
-    residual = np.zeros_like(predicted)
+    residual, splines = np.zeros_like(predicted), log.rate_splines
     for u in np.flatnonzero(log.turning.any(axis=0)):
-        residual[:, u] = taken_at(log.rates[:, u], at[:, u]) - predicted[:, u]
+        residual[:, u] = splines[u].at(at[:, u]) - predicted[:, u]
     measured = log.turning & np.isfinite(residual).all(axis=2)
     return Turned(np.where(measured[..., None], residual, 0.0), measured, slope, bend)
 

@@ -27,13 +27,14 @@ def turned_as_the_base(problem: MotionProblem, state: MotionState, seconds: floa
         return state
     seen = [problem.predict(state, g) for g in range(len(problem.logs))]
     matrix, T = state.placements.sensor_matrix(), np.array(state.placements.T_joint_su)
-    for u in np.flatnonzero(problem.tree.su_joint < 0):
+    felt = [dict(problem.ideal(state, g, p)) for g, p in enumerate(seen)]
+    for u in np.flatnonzero(problem.tree.su_joint < 0).tolist():
         ideal, read = [], []
-        for log, p in zip(problem.logs, seen, strict=True):
+        for log, p, f in zip(problem.logs, seen, felt, strict=True):
             n = max(1, int((log.time[-1] - log.time[0]) / seconds))
             for span in np.array_split(np.flatnonzero(p.measured[:, u]), n):
                 if len(span):
-                    ideal.append(p.ideal[span, u].mean(axis=0))
+                    ideal.append(f[u][:, span].mean(axis=1))
                     read.append(ideal[-1] @ matrix[u] + p.residual[span, u].mean(axis=0))
         if len(ideal) > 1:
             turn, _ = Rotation.align_vectors(read, ideal)

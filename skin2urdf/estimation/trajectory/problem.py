@@ -8,24 +8,22 @@ from itertools import pairwise
 
 import numpy as np
 
-from skin2urdf.arrays import F64, Bool, Int
+from skin2urdf.arrays import F64, Bool
 from skin2urdf.estimation.problem.state import (
-    JOINT_COORDINATES,
-    N_JOINT,
     N_PLACEMENT,
     N_SU,
     identifiable,
 )
-from skin2urdf.estimation.trajectory.blueprint import ALONG_AXIS, further_columns, turn_axes
+from skin2urdf.estimation.trajectory.derivatives import (
+    Derivatives,
+    compared,
+    fixed_path,
+    sensor_columns,
+)
 from skin2urdf.estimation.trajectory.front_end import front_end
-from skin2urdf.estimation.trajectory.gyro import predicted_turning, rate_columns, with_gyros
+from skin2urdf.estimation.trajectory.gyro import predicted_turning
 from skin2urdf.estimation.trajectory.kinematics import (
-    FrameMotion,
-    Path,
-    frame_motions,
     joint_columns,
-    placed,
-    placement_columns,
     seen_before_joint,
     seen_from_parent,
 )
@@ -36,19 +34,18 @@ from skin2urdf.estimation.trajectory.priors import (
     sense,
     with_priors,
 )
-from skin2urdf.estimation.trajectory.records import Equations, Predicted, Spans, Turned
-from skin2urdf.estimation.trajectory.skeleton import N_HINGES, Skeleton
-from skin2urdf.estimation.trajectory.state import N_GYRO, Layout, MotionState
+from skin2urdf.estimation.trajectory.records import Equations, Predicted, Spans
+from skin2urdf.estimation.trajectory.skeleton import N_HINGES
+from skin2urdf.estimation.trajectory.state import N_GYRO, MotionState
 from skin2urdf.estimation.trajectory.unseen import Unseen
+from skin2urdf.model.records import KinematicModel
 from skin2urdf.model.specific_force import specific_forces
-from skin2urdf.signals.filters import filtered, first_derivative, taken_at
+from skin2urdf.signals.filters import filtered, first_derivative
 from skin2urdf.signals.trajectory import Trajectory
 from skin2urdf.structure.records import KinematicTree
 
-_SHAPE = ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))
 
-
-class MotionProblem:
+class MotionProblem(Derivatives):
     """Chi-squared of all samples of all logs.
 
     Args:
@@ -67,21 +64,7 @@ class MotionProblem:
         n_knots: Sequence[int] | None = None,
         unseen: Unseen | None = None,
     ) -> None:
-        self.tree, self.logs, self.priors = tree, tuple(logs), priors
-        self.unseen = unseen
-        self.skeleton = Skeleton.of(tree, unseen.joint if unseen else ())
-        self._motions = unseen.at_kept(self.logs) if unseen else ()
-        self._seconds = tuple(float(log.time[-1] - log.time[0]) for log in self.logs)
-        knots = tuple(n_knots or [0] * len(self.logs))
-        self.gyros = with_gyros(tree, self.logs)
-        self.layout = Layout(
-            tree.n_joints,
-            len(self.logs),
-            knots,
-            len(priors.unseen),
-            any(log.rates is not None for log in self.logs),
-            priors.blueprint.n_coordinates if priors.blueprint else 0,
-        )
+        super().__init__(tree, logs, priors, n_knots, unseen)
         self.free_joint, self.free_su = self._free()
 
     def again(
@@ -145,38 +128,55 @@ class MotionProblem:
             su[:, layout.gyro] = self.gyros[:, None] & (known > 0)
         return joint, su
 
-    def knot_shares(self, g: int) -> F64:
-        """(K, B) how much each knot counts at the kept samples of a log; linear in between."""
-        n, time = self.layout.n_knots[g], self.logs[g].time
-        if not n:
-            return np.zeros((len(time), 0))
-        at = (time - time[0]) / (time[-1] - time[0]) * (n - 1)
-        return np.asarray(np.maximum(0.0, 1 - np.abs(at[:, None] - np.arange(n))))
-
     def predict(self, state: MotionState, g: int) -> Predicted:
         """Residuals of one log."""
         log, places = self.moved(state, g), state.placements
-        model = self.skeleton.model(places.T_parent_joint, places.T_joint_su)
-        q, qd, qdd = (x[:, self.skeleton.numbers] for x in (log.q, log.qd, log.qdd))
-        ideal = specific_forces(model, q, qd, qdd, places.up[g] * state.gravity)
-        ideal = filtered(ideal * sense(self.priors, state), log.taps)
-        read = (ideal.swapaxes(0, 1) @ state.placements.sensor_matrix()).swapaxes(0, 1)
-        read, by_front = front_end(read, state.front, log.rate, len(log.taps))
-        rates = np.stack([first_derivative(read, log.rate), *by_front])[:, log.kept]
-        predicted = read[log.kept] + state.placements.bias
-        predicted += np.einsum("kb,bui->kui", self.knot_shares(g), state.knots[g])
-        at = log.kept[:, None] + log.rate * self.lags(state, g)
-        residual = np.empty_like(predicted)
-        for u in range(self.tree.n_sus):
-            residual[:, u] = taken_at(log.readings[:, u], at[:, u]) - predicted[:, u]
+        felt = self._felt_by_points(state, log, g)
+        lags, shares = self.lags(state, g), self.knot_shares(g)
+        at = log.kept[:, None] + log.rate * lags
+        residual = np.empty((len(log.kept), self.tree.n_sus, 3))
+        matrices, splines = places.sensor_matrix(), self.logs[g].splines
+        within, rate, margin = compared(log)
+        for link in self.points(state):
+            for some in link.parts():
+                read = some.read(matrices[some.sus], felt[:, :3])
+                read = front_end(read, state.front[some.sus], rate, margin)[..., within]
+                for u, mine in zip(some.sus, read, strict=True):
+                    bias = places.bias[u] + shares @ state.knots[g][:, u]
+                    residual[:, u] = splines[u].at(at[:, u]) - mine.T - bias
         measured = log.valid & np.isfinite(residual).all(axis=2)
-        turned = predicted_turning(model, log, (q, qd), state, g, self.lags(state, g))
-        return Predicted(residual, measured, ideal[log.kept], rates, turned)
+        links = self.skeleton.numbers
+        turned = predicted_turning(
+            self.skeleton.model(places.T_parent_joint, places.T_joint_su),
+            self.logs[g], (log.q[:, links], log.qd[:, links]), state, g, lags,
+        )  # fmt: skip
+        return Predicted(residual, measured, felt, turned=turned)
 
-    def moved(self, state: MotionState, g: int) -> Trajectory:
-        """A log with the motion of the links, of which encoders do not see all."""
-        log = self.logs[g]
-        return self.unseen.moved(log, g, state.unseen) if self.unseen else log
+    def _felt_by_points(self, state: MotionState, log: Trajectory, g: int) -> F64:
+        """(P, 6, M) specific force at all points and its derivative, M from end to end of a log."""
+        places, tree, links = state.placements, self.skeleton.tree, self.points(state)
+        T = np.tile(np.eye(4), (links[-1].at.stop, 1, 1))
+        for link in links:
+            T[link.at, :3, 3] = link.arms
+        carried_by = np.repeat([link.joint for link in links], [len(link.arms) for link in links])
+        tree = replace(tree, su_names=tuple(map(str, range(len(T)))), su_joint=carried_by)
+        model = KinematicModel(tree, self.skeleton.placements(places.T_parent_joint), T)
+        q, qd, qdd = (x[:, self.skeleton.numbers] for x in (log.q, log.qd, log.qdd))
+        force = specific_forces(model, q, qd, qdd, places.up[g] * state.gravity)
+        force = filtered(force * sense(self.priors, state), log.taps)
+        both = np.concatenate([force, first_derivative(force, log.rate)], axis=2)
+        # Low-passed, nothing is lost at the rate of the samples that are compared.
+        coarse = both[int(log.kept[0]) % log.every :: log.every]
+        return np.ascontiguousarray(np.moveaxis(coarse, 0, 2))
+
+    def ideal(self, state: MotionState, g: int, predicted: Predicted) -> Iterator[tuple[int, F64]]:
+        """What perfect sensors in the SUs' places would read, SU by SU: (3, K) [m/s^2]."""
+        within, _, _ = compared(self.logs[g])
+        perfect = np.broadcast_to(np.eye(3), (self.tree.n_sus, 3, 3))
+        felt = predicted.felt[:, :3, within]
+        for link in self.points(state):
+            for some in link.parts():
+                yield from zip(some.sus, some.read(perfect[some.sus], felt), strict=True)
 
     def bent(self, state: MotionState) -> tuple[F64, ...]:
         """Per log (K, D + 6) what is beyond encoders of joints, and of the base [rad or m]."""
@@ -222,34 +222,28 @@ class MotionProblem:
         at = slice(N_PLACEMENT, N_SU)
         free = free_su[:, at]
         _, prior, _, gradient = self.prior_information(state)
-        H, g = prior[:, at, at].copy(), gradient[:, at].copy()
-        columns = [sensor_columns(p.ideal) for p in predicted]
-        for A, p, w in zip(columns, predicted, weights, strict=True):
-            w, r = w[..., :3], np.where(p.measured[..., None], p.residual, 0.0)
-            H += np.einsum("kucx,kux,kudx->ucd", A, w, A, optimize=True)
-            g += np.einsum("kucx,kux->uc", A, w * r)
+        H, b = prior[:, at, at].copy(), gradient[:, at].copy()
+        for g, (p, w) in enumerate(zip(predicted, weights, strict=True)):
+            for u, ideal in self.ideal(state, g, p):
+                root = np.sqrt(w[:, u, :3].T)
+                A = (sensor_columns(ideal) * root).reshape(len(b[u]), -1)
+                r = np.where(p.measured[:, u], p.residual[:, u].T, 0.0) * root
+                H[u] += A @ A.T
+                b[u] += A @ r.ravel()
         H = np.where(free[:, :, None] & free[:, None], H, 0.0) + np.eye(H.shape[1]) * ~free[:, None]
-        x = np.linalg.solve(H, np.where(free, g, 0.0)[..., None])[..., 0]
+        x = np.linalg.solve(H, np.where(free, b, 0.0)[..., None])[..., 0]
         places = replace(
             state.placements,
             bias=state.placements.bias + x[:, :3],
             shape=state.placements.shape + x[:, 3:],
         )
-        moved = tuple(
-            replace(p, residual=p.residual - np.einsum("kucx,uc->kux", A, x))
-            for A, p in zip(columns, predicted, strict=True)
-        )
-        return replace(state, placements=places), moved
-
-    def lags(self, state: MotionState, g: int) -> F64:
-        """(K, U) by how much the readings of a log are late [s]."""
-        lag, drift = state.clock[g].T
-        return np.asarray(lag + drift * self._since_middle(g)[:, None])
-
-    def _since_middle(self, g: int) -> F64:
-        """(K,) times since the middle of a log [s]."""
-        time = self.logs[g].time
-        return np.asarray(time - 0.5 * (time[0] + time[-1]))
+        moved = []
+        for g, p in enumerate(predicted):
+            residual = np.array(p.residual)
+            for u, ideal in self.ideal(state, g, p):
+                residual[:, u] -= np.tensordot(sensor_columns(ideal), x[u], (0, 0)).T
+            moved.append(replace(p, residual=residual))
+        return replace(state, placements=places), tuple(moved)
 
     def equations(
         self, state: MotionState, predicted: Sequence[Predicted], weights: Sequence[F64]
@@ -352,7 +346,7 @@ class MotionProblem:
                 root = np.sqrt(weights[g][:, u, :3].T)
                 p = predicted[g]
                 r = np.where(p.measured[:, u], p.residual[:, u].T, 0.0) * root
-                path = _fixed_path(T[u], K)
+                path = fixed_path(T[u], K)
                 for k in reversed(self.tree.chain(int(self.tree.su_joint[u]))):
                     slides = bool(self.tree.prismatic[k])
                     path = seen_before_joint(path, slides, *(x[first + k] for x in motion))
@@ -364,162 +358,6 @@ class MotionProblem:
             out.append((G, H))
         return out
 
-    def _frames(
-        self, state: MotionState, g: int
-    ) -> tuple[tuple[F64, F64, F64], tuple[list[FrameMotion], list[FrameMotion]]]:
-        """Motion (H + D, K) of hinges and joints at the samples compared, and of their frames."""
-        log, skeleton = self.moved(state, g), self.skeleton
-        at = np.ix_(log.kept, skeleton.numbers)
-        q, qd, qdd = (np.ascontiguousarray(x[at].T) for x in (log.q, log.qd, log.qdd))
-        up = state.placements.up[g] * state.gravity
-        T = skeleton.placements(state.placements.T_parent_joint)
-        return (q, qd, qdd), frame_motions(skeleton.tree, T, up, q, qd, qdd)
-
-    def _rows(
-        self, state: MotionState, predicted: Sequence[Predicted], weights: Sequence[F64]
-    ) -> Iterator[tuple[int, int, list[int], F64, F64]]:
-        """Whitened derivatives (C + n, 3, K) and residuals (3, K) of every log and SU."""
-        for g in range(len(self.logs)):
-            motion, frames = self._frames(state, g)
-            for u in range(self.tree.n_sus):
-                A = self._columns(state, g, u, frames, motion, predicted[g].rates[:, :, u])
-                root = np.sqrt(weights[g][:, u, :3].T)
-                residual = np.where(predicted[g].measured[:, u], predicted[g].residual[:, u].T, 0.0)
-                yield g, u, self._joint_columns(u, g), A * root, residual * root
-                turned = predicted[g].turned
-                if turned is None or not self.gyros[u]:
-                    continue
-                A = self._gyro_columns(state, g, u, frames, turned)
-                root = np.sqrt(weights[g][:, u, 3:].T)
-                yield g, u, self._joint_columns(u, g), A * root, turned.residual[:, u].T * root
-
-    def _joint_columns(self, u: int, g: int) -> list[int]:
-        """Columns of the joint part that an SU's readings in a log depend on."""
-        layout, chain = self.layout, self.tree.chain(int(self.tree.su_joint[u]))
-        columns = [N_JOINT * k + i for k in chain for i in range(N_JOINT)]
-        if g > 0:
-            columns += range(layout.logs.start + 2 * (g - 1), layout.logs.start + 2 * g)
-        columns.append(layout.gravity)
-        if self.unseen:
-            columns += list(layout.unseen.start + self._moving(u))
-        if self.priors.blueprint:
-            columns += further_columns(layout.further.start, chain, g)
-        return columns
-
-    def _moving(self, u: int) -> Int:
-        """Which of the numbers that make unseen motion an SU feels."""
-        if self.unseen is None:
-            return np.zeros(0, dtype=np.int64)
-        return np.unique(self.unseen.number[self._felt(self.unseen, u)])
-
-    def _felt(self, unseen: Unseen, u: int) -> Bool:
-        """(E,) entries of unseen motion that an SU feels."""
-        carried_by = self.skeleton.numbers[list(self._chain(u))]
-        return np.asarray(np.isin(unseen.joint, carried_by))
-
-    def _chain(self, u: int) -> tuple[int, ...]:
-        """What carries an SU, from the ground on: places in the tree with hinges."""
-        return self.skeleton.tree.chain(int(self.skeleton.tree.su_joint[u]))
-
-    def _gyro_columns(
-        self,
-        state: MotionState,
-        g: int,
-        u: int,
-        frames: tuple[list[FrameMotion], list[FrameMotion]],
-        turned: Turned,
-    ) -> F64:
-        """(C + n, 3, K) derivatives of what an SU's gyroscope is predicted to read."""
-        fixed, carried = frames
-        tree, numbers = self.skeleton.tree, self.skeleton.numbers
-        T = self.skeleton.su_placements(state.placements.T_joint_su)[u]
-        here = placed(carried[int(tree.su_joint[u])], T)
-        none = np.zeros(0, dtype=np.int64)
-        unseen = none, none, np.zeros((2, 0, here.w.shape[1]))
-        if self.unseen:
-            felt = self._felt(self.unseen, u)
-            number = np.searchsorted(self._moving(u), self.unseen.number[felt])
-            unseen = self.unseen.joint[felt], number, self._motions[g][:2, felt]
-        slides = dict(zip(numbers.tolist(), tree.prismatic.tolist(), strict=True))
-        of_number = dict(zip(numbers.tolist(), fixed, strict=True)), here
-        slopes = turned.slope[:, u], turned.bend[:, u], self._since_middle(g)
-        return rate_columns(self.tree, state, self.layout, g, u, of_number, slides, unseen, slopes)
-
-    def _columns(
-        self,
-        state: MotionState,
-        g: int,
-        u: int,
-        frames: tuple[list[FrameMotion], list[FrameMotion]],
-        motion: tuple[F64, F64, F64],
-        rates: F64,
-    ) -> F64:
-        """(C + n, 3, K) derivatives of an SU's prediction, joint columns first."""
-        layout, places = self.layout, state.placements
-        tree, numbers = self.skeleton.tree, self.skeleton.numbers
-        q, qd, qdd = motion
-        K = q.shape[1]
-        fixed, carried = frames
-        M, sensed = places.sensor_matrix()[u], sense(self.priors, state)
-        T = self.skeleton.su_placements(places.T_joint_su)[u]
-        here = placed(carried[int(tree.su_joint[u])], T)
-        rows: list[F64] = []
-        by_joint: dict[int, F64] = {}
-        path = _fixed_path(T, K)
-        # A known robot may also deviate along and about its axes.
-        known = self.priors.blueprint is not None
-        wanted = JOINT_COORDINATES + ALONG_AXIS if known else JOINT_COORDINATES
-        along_axis: list[F64] = []
-        placements = self.skeleton.placements(places.T_parent_joint)
-        for j in reversed(self._chain(u)):
-            slides = bool(tree.prismatic[j])
-            path = seen_before_joint(path, slides, q[j], qd[j], qdd[j])
-            if numbers[j] < layout.n_joints:
-                columns = placement_columns(fixed[j], path, wanted)
-                rows.append(columns[: len(JOINT_COORDINATES)])
-                along_axis.append(columns[len(JOINT_COORDINATES) :])
-            if self.unseen:
-                by_joint[int(numbers[j])] = joint_columns(fixed[j], path, slides)
-            path = seen_from_parent(path, placements[j])
-        rows.reverse()
-        R_su_base = here.R_frame_base
-        if g > 0:
-            turn = np.cross(np.eye(3)[:2], places.up[g]) * state.gravity
-            rows.append(np.einsum("ijk,cj->cik", R_su_base, turn))
-        pull = np.einsum("ijk,j->ik", R_su_base, places.up[g] * state.gravity)
-        # With gravity grow the accelerations that a reading stands for.
-        rows.append((pull - here.f)[None])
-        if self.unseen:
-            felt = self._moving(u)
-            beyond = np.zeros((len(felt), 3, K))
-            for k, columns in by_joint.items():
-                of_joint = np.flatnonzero(self.unseen.joint == k)
-                number = np.searchsorted(felt, self.unseen.number[of_joint])
-                e = self._motions[g][:, of_joint]
-                np.add.at(beyond, number, np.einsum("dck,dsk->sck", columns, e))
-            rows.append(beyond)
-        if known:
-            if g == 0:
-                turn = np.cross(turn_axes(places.up[0]).T, places.up[0]) * state.gravity
-                rows.append(np.einsum("ijk,cj->cik", R_su_base, turn))
-            rows += reversed(along_axis)
-        rows.append(placement_columns(here, _fixed_path(np.eye(4), K), tuple(range(N_PLACEMENT))))
-        ideal = np.concatenate(rows)
-        C = len(ideal) - N_PLACEMENT
-        out = np.zeros((C + layout.n_su, 3, K))
-        out[: C + N_PLACEMENT] = np.einsum("ij,cjk->cik", M * sensed, ideal)
-        own = out[C:]
-        own[N_PLACEMENT:N_SU] = sensor_columns(here.f.T[:, None] * sensed)[:, 0].transpose(1, 2, 0)
-        own[layout.front] = rates[1:].swapaxes(1, 2)
-        late = -rates[0].T
-        own[layout.clock(g)] = late, self._since_middle(g) * late
-        shares = self.knot_shares(g)
-        knots = np.zeros((shares.shape[1], 3, 3, K))
-        for i in range(3):
-            knots[:, i, i] = shares.T
-        own[layout.knots(g)] = knots.reshape(-1, 3, K)
-        return out
-
     def prior_information(self, state: MotionState) -> tuple[F64, F64, F64, F64]:
         """Information (J,) and (U, n, n) of the priors and their gradients (J,) and (U, n)."""
         return prior_information(self.priors, self.layout, self._seconds, state)
@@ -527,23 +365,3 @@ class MotionProblem:
     def prior_chi2(self, state: MotionState) -> float:
         """Chi-squared of the priors at a state."""
         return prior_chi2(self.priors, self.layout, self._seconds, state)
-
-
-def _fixed_path(T: F64, n: int) -> Path:
-    """Path of n samples of an SU that is fixed to a frame by T (4, 4)."""
-    still = np.zeros((3, n))
-    return Path(still + T[:3, 3:4], still, still, np.repeat(T[:3, :3, None], n, axis=2))
-
-
-def sensor_columns(ideal: F64) -> F64:
-    """(K, U, 9, 3) derivatives of readings in bias and shape.
-
-    Args:
-        ideal: (K, U, 3) what perfect sensors would read [m/s^2].
-    """
-    out = np.zeros((*ideal.shape[:2], 9, 3))
-    out[..., range(3), range(3)] = 1.0
-    for i, (a, b) in enumerate(_SHAPE):
-        out[..., 3 + i, a] = ideal[..., b]
-        out[..., 3 + i, b] = ideal[..., a]
-    return out

@@ -16,16 +16,17 @@ class Predicted:
     Attributes:
         residual: (K, U, 3) readings less prediction [m/s^2].
         measured: (K, U) where there is something to compare.
-        ideal: (K, U, 3) what perfect sensors in the SUs' places would read, as predicted [m/s^2].
+        felt: (P, 6, M) specific force [m/s^2] at the points of all links and its derivative in time
+            [m/s^3], in the links' frames, low-passed, at the rate of the samples that are compared.
         rates: (3, K, U, 3) derivatives of predicted readings in time, and in the coordinates of the
-            sensors' front ends.
+            sensors' front ends; None where what is felt tells them.
         turned: the same of gyroscopes; None where the log has none.
     """
 
     residual: F64
     measured: Bool
-    ideal: F64
-    rates: F64
+    felt: F64
+    rates: F64 | None = None
     turned: Turned | None = None
 
 

@@ -1,0 +1,366 @@
+"""Derivatives of all that SUs are predicted to read along the logs, in all coordinates of a fit."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import TypeAlias
+
+import numpy as np
+
+from skin2urdf.arrays import F64, Bool, Int
+from skin2urdf.estimation.problem.state import (
+    JOINT_COORDINATES,
+    N_JOINT,
+    N_PLACEMENT,
+    N_SU,
+)
+from skin2urdf.estimation.trajectory.blueprint import ALONG_AXIS, further_columns, turn_axes
+from skin2urdf.estimation.trajectory.front_end import front_end, front_end_slopes
+from skin2urdf.estimation.trajectory.gyro import rate_columns, with_gyros
+from skin2urdf.estimation.trajectory.kinematics import (
+    FrameMotion,
+    Path,
+    frame_motions,
+    joint_columns,
+    own_columns,
+    placed,
+    placement_columns,
+    seen_before_joint,
+    seen_from_parent,
+)
+from skin2urdf.estimation.trajectory.points import SharedPoints, shared_points
+from skin2urdf.estimation.trajectory.priors import (
+    MotionPriors,
+    sense,
+)
+from skin2urdf.estimation.trajectory.records import Predicted, Turned
+from skin2urdf.estimation.trajectory.skeleton import Skeleton
+from skin2urdf.estimation.trajectory.state import Layout, MotionState
+from skin2urdf.estimation.trajectory.unseen import Unseen
+from skin2urdf.signals.trajectory import Trajectory
+from skin2urdf.structure.records import KinematicTree
+
+Row: TypeAlias = tuple[int, int, list[int], F64, F64]
+"""Number of a log and of an SU, the C columns of the joint part that its readings depend on, and
+whitened derivatives (C + n, 3, K) and residuals (3, K)."""
+_SHAPE = ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))
+
+
+class Derivatives:
+    """Logs, what is estimated of them, and derivatives of what is predicted.
+
+    Args:
+        tree: D joints and U SUs.
+        logs: trajectories, with columns in the tree's order.
+        priors: what is known before.
+        n_knots: moments between which biases are linear in each log.
+        unseen: what encoders do not see; of as many numbers as ``priors.unseen`` has.
+    """
+
+    def __init__(
+        self,
+        tree: KinematicTree,
+        logs: Sequence[Trajectory],
+        priors: MotionPriors,
+        n_knots: Sequence[int] | None = None,
+        unseen: Unseen | None = None,
+    ) -> None:
+        self.tree, self.logs, self.priors = tree, tuple(logs), priors
+        self.unseen = unseen
+        self.skeleton = Skeleton.of(tree, unseen.joint if unseen else ())
+        self._motions = unseen.at_kept(self.logs) if unseen else ()
+        self._seconds = tuple(float(log.time[-1] - log.time[0]) for log in self.logs)
+        knots = tuple(n_knots or [0] * len(self.logs))
+        self.gyros = with_gyros(tree, self.logs)
+        self.layout = Layout(
+            tree.n_joints,
+            len(self.logs),
+            knots,
+            len(priors.unseen),
+            any(log.rates is not None for log in self.logs),
+            priors.blueprint.n_coordinates if priors.blueprint else 0,
+        )
+
+    def knot_shares(self, g: int) -> F64:
+        """(K, B) how much each knot counts at the kept samples of a log; linear in between."""
+        n, time = self.layout.n_knots[g], self.logs[g].time
+        if not n:
+            return np.zeros((len(time), 0))
+        at = (time - time[0]) / (time[-1] - time[0]) * (n - 1)
+        return np.asarray(np.maximum(0.0, 1 - np.abs(at[:, None] - np.arange(n))))
+
+    def points(self, state: MotionState) -> tuple[SharedPoints, ...]:
+        """The links of the tree with hinges that carry SUs, and the points that stand for them."""
+        T = self.skeleton.su_placements(state.placements.T_joint_su)
+        return shared_points(self.skeleton.tree.su_joint, T)
+
+    def moved(self, state: MotionState, g: int) -> Trajectory:
+        """A log with the motion of the links, of which encoders do not see all."""
+        log = self.logs[g]
+        return self.unseen.moved(log, g, state.unseen) if self.unseen else log
+
+    def lags(self, state: MotionState, g: int) -> F64:
+        """(K, U) by how much the readings of a log are late [s]."""
+        lag, drift = state.clock[g].T
+        return np.asarray(lag + drift * self._since_middle(g)[:, None])
+
+    def _since_middle(self, g: int) -> F64:
+        """(K,) times since the middle of a log [s]."""
+        time = self.logs[g].time
+        return np.asarray(time - 0.5 * (time[0] + time[-1]))
+
+    def _frames(
+        self, state: MotionState, g: int
+    ) -> tuple[tuple[F64, F64, F64], tuple[list[FrameMotion], list[FrameMotion]]]:
+        """Motion (H + D, K) of hinges and joints at the samples compared, and of their frames."""
+        log, skeleton = self.moved(state, g), self.skeleton
+        at = np.ix_(log.kept, skeleton.numbers)
+        q, qd, qdd = (np.ascontiguousarray(x[at].T) for x in (log.q, log.qd, log.qdd))
+        up = state.placements.up[g] * state.gravity
+        T = skeleton.placements(state.placements.T_parent_joint)
+        return (q, qd, qdd), frame_motions(skeleton.tree, T, up, q, qd, qdd)
+
+    def _rows(
+        self, state: MotionState, predicted: Sequence[Predicted], weights: Sequence[F64]
+    ) -> Iterator[Row]:
+        """Whitened derivatives and residuals of every log and SU."""
+        for g, (p, w) in enumerate(zip(predicted, weights, strict=True)):
+            motion, frames = self._frames(state, g)
+            for link in self.points(state):
+                columns = self._joint_columns(int(link.sus[0]), g)
+                of_points = self._columns_of_points(state, g, link, frames, motion)
+                for some in link.parts():
+                    yield from self._rows_of(state, g, some, (columns, of_points), frames, p, w)
+
+    def _rows_of(
+        self,
+        state: MotionState,
+        g: int,
+        some: SharedPoints,
+        of_joints: tuple[list[int], F64],
+        frames: tuple[list[FrameMotion], list[FrameMotion]],
+        predicted: Predicted,
+        weights: F64,
+    ) -> Iterator[Row]:
+        """The rows of some SUs of a link, given columns of the joint part and its points' rows."""
+        (columns, of_points), C = of_joints, len(of_joints[0])
+        matrices = state.placements.sensor_matrix()[some.sus] * sense(self.priors, state)
+        placements = self.skeleton.su_placements(state.placements.T_joint_su)
+        rates = self._rates(state, g, some, predicted)
+        for u, mine, rate in zip(some.sus.tolist(), some.sensed(matrices), rates, strict=True):
+            root = np.sqrt(weights[:, u, :3].T)
+            residual = np.where(predicted.measured[:, u], predicted.residual[:, u].T, 0.0)
+            A = np.empty((C + self.layout.n_su, 3, residual.shape[1]))
+            by_joints = (mine @ of_points).reshape(3, C, -1)
+            np.multiply(by_joints.swapaxes(0, 1), root, out=A[:C])
+            here = placed(frames[1][some.joint], placements[u])
+            np.multiply(self._own_columns(state, g, u, here, rate), root, out=A[C:])
+            yield g, u, columns, A, residual * root
+            turned = predicted.turned
+            if turned is not None and self.gyros[u]:
+                A = self._gyro_columns(state, g, u, frames, turned)
+                root = np.sqrt(weights[:, u, 3:].T)
+                yield g, u, columns, A * root, turned.residual[:, u].T * root
+
+    def _rates(self, state: MotionState, g: int, some: SharedPoints, predicted: Predicted) -> F64:
+        """(S, 3, 3, K) derivatives of the readings of some SUs in time and in their front ends."""
+        if predicted.rates is not None:
+            return predicted.rates[:, :, some.sus].transpose(2, 0, 3, 1)
+        within, rate, margin = compared(self.logs[g])
+        matrices, front = state.placements.sensor_matrix()[some.sus], state.front[some.sus]
+        read, slope = (some.read(matrices, x) for x in np.split(predicted.felt, 2, axis=1))
+        in_time = front_end(slope, front, rate, margin)
+        by_front = front_end_slopes(read, front, rate, margin)
+        return np.concatenate([in_time[None], by_front])[..., within].swapaxes(0, 1)
+
+    def _joint_columns(self, u: int, g: int) -> list[int]:
+        """Columns of the joint part that an SU's readings in a log depend on."""
+        layout, chain = self.layout, self.tree.chain(int(self.tree.su_joint[u]))
+        columns = [N_JOINT * k + i for k in chain for i in range(N_JOINT)]
+        if g > 0:
+            columns += range(layout.logs.start + 2 * (g - 1), layout.logs.start + 2 * g)
+        columns.append(layout.gravity)
+        if self.unseen:
+            columns += list(layout.unseen.start + self._moving(u))
+        if self.priors.blueprint:
+            columns += further_columns(layout.further.start, chain, g)
+        return columns
+
+    def _moving(self, u: int) -> Int:
+        """Which of the numbers that make unseen motion an SU feels."""
+        if self.unseen is None:
+            return np.zeros(0, dtype=np.int64)
+        return np.unique(self.unseen.number[self._felt(self.unseen, u)])
+
+    def _felt(self, unseen: Unseen, u: int) -> Bool:
+        """(E,) entries of unseen motion that an SU feels."""
+        carried_by = self.skeleton.numbers[list(self._chain(u))]
+        return np.asarray(np.isin(unseen.joint, carried_by))
+
+    def _chain(self, u: int) -> tuple[int, ...]:
+        """What carries an SU, from the ground on: places in the tree with hinges."""
+        return self.skeleton.tree.chain(int(self.skeleton.tree.su_joint[u]))
+
+    def _gyro_columns(
+        self,
+        state: MotionState,
+        g: int,
+        u: int,
+        frames: tuple[list[FrameMotion], list[FrameMotion]],
+        turned: Turned,
+    ) -> F64:
+        """(C + n, 3, K) derivatives of what an SU's gyroscope is predicted to read."""
+        fixed, carried = frames
+        tree, numbers = self.skeleton.tree, self.skeleton.numbers
+        T = self.skeleton.su_placements(state.placements.T_joint_su)[u]
+        here = placed(carried[int(tree.su_joint[u])], T)
+        none = np.zeros(0, dtype=np.int64)
+        unseen = none, none, np.zeros((2, 0, here.w.shape[1]))
+        if self.unseen:
+            felt = self._felt(self.unseen, u)
+            number = np.searchsorted(self._moving(u), self.unseen.number[felt])
+            unseen = self.unseen.joint[felt], number, self._motions[g][:2, felt]
+        slides = dict(zip(numbers.tolist(), tree.prismatic.tolist(), strict=True))
+        of_number = dict(zip(numbers.tolist(), fixed, strict=True)), here
+        slopes = turned.slope[:, u], turned.bend[:, u], self._since_middle(g)
+        return rate_columns(self.tree, state, self.layout, g, u, of_number, slides, unseen, slopes)
+
+    def _columns_of_points(
+        self,
+        state: MotionState,
+        g: int,
+        link: SharedPoints,
+        frames: tuple[list[FrameMotion], list[FrameMotion]],
+        motion: tuple[F64, F64, F64],
+    ) -> F64:
+        """(3 p, C K) derivatives of what a link's points feel in the joint part, in its frame."""
+        u, (fixed, carried) = int(link.sus[0]), frames
+        pull = np.einsum(
+            "ijk,j->ik", carried[link.joint].R_frame_base, state.placements.up[g] * state.gravity
+        )
+        C, K = len(self._joint_columns(u, g)), pull.shape[1]
+        out = np.empty((len(link.arms), 3, C, K))
+        for i, arm in enumerate(link.arms):
+            T = np.eye(4)
+            T[:3, 3] = arm
+            here = placed(carried[link.joint], T)
+            before, behind = self._columns_of_path(state, g, u, fixed, motion, here.R_frame_base, T)
+            # With gravity grow the accelerations that a reading stands for.
+            rows = [*before, (pull - here.f)[None], *behind]
+            np.concatenate(rows, out=out[i].swapaxes(0, 1))
+        return out.reshape(-1, C * K)
+
+    def _columns_of_path(
+        self,
+        state: MotionState,
+        g: int,
+        u: int,
+        fixed: list[FrameMotion],
+        motion: tuple[F64, F64, F64],
+        R_link_base: F64,
+        T: F64,
+    ) -> tuple[list[F64], list[F64]]:
+        """Derivatives (c, 3, K) of what is felt at T (4, 4) of an SU's link, in its frame.
+
+        Returns:
+            In the coordinates before the size of gravity, and in those behind it.
+        """
+        layout, places = self.layout, state.placements
+        tree, numbers = self.skeleton.tree, self.skeleton.numbers
+        q, qd, qdd = motion
+        K = q.shape[1]
+        rows: list[F64] = []
+        by_joint: dict[int, F64] = {}
+        path = fixed_path(T, K)
+        # A known robot may also deviate along and about its axes.
+        known = self.priors.blueprint is not None
+        wanted = JOINT_COORDINATES + ALONG_AXIS if known else JOINT_COORDINATES
+        along_axis: list[F64] = []
+        placements = self.skeleton.placements(places.T_parent_joint)
+        for j in reversed(self._chain(u)):
+            slides = bool(tree.prismatic[j])
+            path = seen_before_joint(path, slides, q[j], qd[j], qdd[j])
+            if numbers[j] < layout.n_joints:
+                columns = placement_columns(fixed[j], path, wanted)
+                rows.append(columns[: len(JOINT_COORDINATES)])
+                along_axis.append(columns[len(JOINT_COORDINATES) :])
+            if self.unseen:
+                by_joint[int(numbers[j])] = joint_columns(fixed[j], path, slides)
+            path = seen_from_parent(path, placements[j])
+        rows.reverse()
+        if g > 0:
+            turn = np.cross(np.eye(3)[:2], places.up[g]) * state.gravity
+            rows.append(np.einsum("ijk,cj->cik", R_link_base, turn))
+        behind: list[F64] = []
+        if self.unseen:
+            felt = self._moving(u)
+            beyond = np.zeros((len(felt), 3, K))
+            for k, columns in by_joint.items():
+                of_joint = np.flatnonzero(self.unseen.joint == k)
+                number = np.searchsorted(felt, self.unseen.number[of_joint])
+                e = self._motions[g][:, of_joint]
+                np.add.at(beyond, number, np.einsum("dck,dsk->sck", columns, e))
+            behind.append(beyond)
+        if known:
+            if g == 0:
+                turn = np.cross(turn_axes(places.up[0]).T, places.up[0]) * state.gravity
+                behind.append(np.einsum("ijk,cj->cik", R_link_base, turn))
+            behind += reversed(along_axis)
+        return rows, behind
+
+    def _own_columns(
+        self, state: MotionState, g: int, u: int, here: FrameMotion, rates: F64
+    ) -> F64:
+        """(n, 3, K) derivatives of an SU's prediction in its own coordinates.
+
+        Args:
+            state: where.
+            g: number of the log.
+            u: the SU.
+            here: its motion.
+            rates: (3, 3, K) derivatives in time and in its front end.
+        """
+        layout, sensed = self.layout, sense(self.priors, state)
+        out = np.zeros((layout.n_su, 3, here.f.shape[1]))
+        matrix = state.placements.sensor_matrix()[u] * sensed
+        out[:N_PLACEMENT] = matrix @ own_columns(here)
+        out[N_PLACEMENT:N_SU] = sensor_columns(here.f * sensed)
+        out[layout.front] = rates[1:]
+        out[layout.clock(g)] = -rates[0], self._since_middle(g) * -rates[0]
+        shares = self.knot_shares(g)
+        knots = np.zeros((shares.shape[1], 3, *out.shape[1:]))
+        for i in range(3):
+            knots[:, i, i] = shares.T
+        out[layout.knots(g)] = knots.reshape(-1, *out.shape[1:])
+        return out
+
+
+def fixed_path(T: F64, n: int) -> Path:
+    """Path of n samples of an SU that is fixed to a frame by T (4, 4)."""
+    still = np.zeros((3, n))
+    return Path(still + T[:3, 3:4], still, still, np.repeat(T[:3, :3, None], n, axis=2))
+
+
+def sensor_columns(ideal: F64) -> F64:
+    """(9, 3, K) derivatives of an SU's readings in bias and shape.
+
+    Args:
+        ideal: (3, K) what a perfect sensor would read [m/s^2].
+    """
+    out = np.zeros((9, *ideal.shape))
+    out[range(3), range(3)] = 1.0
+    for i, (a, b) in enumerate(_SHAPE):
+        out[3 + i, a] = ideal[b]
+        out[3 + i, b] = ideal[a]
+    return out
+
+
+def compared(log: Trajectory) -> tuple[slice, float, int]:
+    """Of samples from end to end of a log at the rate of those that are compared: which these are.
+
+    Returns:
+        Where they are, their rate [Hz], and for how many of them the low-pass is felt.
+    """
+    first = int(log.kept[0]) // log.every
+    margin = -(-len(log.taps) // log.every)
+    return slice(first, first + len(log.kept)), log.rate / log.every, margin

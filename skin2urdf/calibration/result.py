@@ -13,6 +13,7 @@ from skin2urdf.calibration.settings import CalibrationSettings
 from skin2urdf.estimation.solve.estimate import Estimate
 from skin2urdf.estimation.trajectory.estimate import MotionEstimate
 from skin2urdf.estimation.uncertainty.goodness import Goodness
+from skin2urdf.estimation.uncertainty.health import is_plausible
 from skin2urdf.estimation.uncertainty.observability import Observability
 from skin2urdf.estimation.uncertainty.outliers import (
     Unlike,
@@ -168,8 +169,9 @@ class Calibration:
         """How far the result can be trusted: whether the model explains the readings, and more.
 
         It is good only if poses are predicted as well as stated, nothing is wrong with an SU, a
-        pose or an encoder, no joint is weak, half of the joints are determined, and the base stands
-        still, since lengths along the first axis may else be off by more than is stated. It is bad
+        pose or an encoder, no sensor would need an error that none has, no joint is weak, half of
+        the joints are determined, and the base stands still, since lengths along the first axis may
+        else be off by more than is stated. It is bad
         where the readings are not explained, or only in part while all SUs beyond the first joint
         are weak. What no recording can tell must not spoil it, such as where branches that meet in
         one joint sit along its axis.
@@ -183,7 +185,7 @@ class Calibration:
         verdicts = self.observability.joint_verdict
         known = "weak" not in verdicts and 2 * verdicts.count("determined") >= len(verdicts)
         known &= not self.mostly_open
-        sound = not self.faults and not self.base_gives_way
+        sound = not self.faults and not self.base_gives_way and is_plausible(self.estimate.state)
         return "good" if explained and alike and known and sound else "fair"
 
     @property

@@ -22,6 +22,7 @@ from skin2urdf.estimation.trajectory.estimate import (
 from skin2urdf.estimation.trajectory.front_end import common_front_end
 from skin2urdf.estimation.trajectory.kinematics import levers
 from skin2urdf.estimation.trajectory.priors import MotionPriors
+from skin2urdf.estimation.uncertainty.health import is_plausible
 from skin2urdf.faults import Fault
 from skin2urdf.signals.records import SuClock
 from skin2urdf.signals.sampling import Sampled
@@ -152,12 +153,13 @@ def is_explained_by_physics(along: MotionEstimate) -> bool:
     Features are of second order in the patterns, and tell less of abrupt ones than samples do. An
     elastic gear, an uneven one or a drifting bias makes patterns look as if joints were hit or
     encoders bent; so these are tried before anything is said to be wrong. Slack from place to place
-    explains nothing by a cause, and what stands out at some moment is left to the search.
+    explains nothing by a cause, nor does a sensor with a scale that none has, as a mirrored one
+    seems to; what stands out at some moment is left to the search.
 
     Args:
         along: the fit of all samples of logs that nothing was mended in.
     """
-    if "slack" in along.causes:
+    if "slack" in along.causes or not is_plausible(along.state):
         return False
     return along.misfit <= GOOD_FIT and not _anything_stands_out(along)
 

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from skin2urdf.estimation.problem.state import State
 from skin2urdf.estimation.solve.estimate import Estimate
 from skin2urdf.estimation.start.inward import inward_starts
 from skin2urdf.estimation.uncertainty.goodness import Goodness, by_block
@@ -44,6 +45,12 @@ def mirrored_sus(estimate: Estimate) -> tuple[int, ...]:
     if mirrored.sum() * 2 > told.sum():
         mirrored = told & ~mirrored
     return tuple(int(u) for u in np.flatnonzero(mirrored))
+
+
+def is_plausible(state: State) -> bool:
+    """Whether every sensor has a bias, scale and cross-axis errors as working sensors have."""
+    shape, bias = np.abs(state.shape).max(initial=0.0), np.abs(state.bias).max(initial=0.0)
+    return bool(shape <= _IMPLAUSIBLE_SHAPE and bias <= _IMPLAUSIBLE_BIAS)
 
 
 def unlike_the_rest(estimate: Estimate) -> tuple[int, ...]:

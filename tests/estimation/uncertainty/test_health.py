@@ -9,7 +9,7 @@ from calibrated import calibration
 
 from skin2urdf.arrays import F64
 from skin2urdf.estimation.uncertainty.goodness import Goodness, Share
-from skin2urdf.estimation.uncertainty.health import health_notes, unlike_the_rest
+from skin2urdf.estimation.uncertainty.health import health_notes, is_plausible, unlike_the_rest
 from skin2urdf.notes import Note, of_kind
 
 
@@ -50,3 +50,15 @@ def test_poses_with_patterns_are_told_from_rests() -> None:
     excited = calibration().goodness.patterned
     assert excited.sum() == 3
     assert not excited[:-3].any()
+
+
+def test_no_result_with_a_sensor_that_counts_one_axis_the_other_way_is_good() -> None:
+    """A scale of -1 explains its readings as well as a left-handed frame does."""
+    sound = calibration()
+    assert sound.quality == "good"
+    assert is_plausible(sound.estimate.state)
+    shape = np.array(sound.estimate.state.shape)
+    shape[2, 2] = -2.0
+    state = replace(sound.estimate.state, shape=shape)
+    assert not is_plausible(state)
+    assert replace(sound, estimate=replace(sound.estimate, state=state)).quality == "fair"

@@ -6,12 +6,11 @@ regression's coefficients are constant, so filtering both sides alike adds no bi
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft
-from scipy.ndimage import convolve1d, minimum_filter1d, spline_filter1d
+from scipy.ndimage import convolve1d, map_coordinates, minimum_filter1d, spline_filter1d
 
 from skin2urdf.arrays import F64, Bool
 
@@ -173,28 +172,16 @@ class Spline:
 
     def within(self, index: F64) -> F64:
         """Values (K, C) at fractional positions (K,) in [0, M - 1]."""
-        before = index.astype(np.int64)
-        t = index - before
-        first = before + _MARGIN - 2
-        out = np.zeros((len(self._coefficients), len(index)))
-        for k, weight in enumerate(_quintic(t)):
-            out += weight * self._coefficients[:, first + k]
-        return out.T
+        at = index[None] + _MARGIN
+        columns = (
+            map_coordinates(c, at, order=5, mode="mirror", prefilter=False)
+            for c in self._coefficients
+        )
+        return np.stack(list(columns), axis=1)
 
 
 _MARGIN = 24
 """Samples by which splines are carried on."""
-
-
-def _quintic(t: F64) -> Iterator[F64]:
-    """Weights of the six samples around the fractional positions ``2 + t``, t in [0, 1)."""
-    s = 1 - t
-    yield s**5 / 120
-    yield (26 + t * (-50 + t * (20 + t * (20 + t * (-20 + 5 * t))))) / 120
-    yield (66 + t * t * (-60 + t * t * (30 - 10 * t))) / 120
-    yield (66 + s * s * (-60 + s * s * (30 - 10 * s))) / 120
-    yield (26 + s * (-50 + s * (20 + s * (20 + s * (-20 + 5 * s))))) / 120
-    yield t**5 / 120
 
 
 def spread(time: F64, samples: Bool, grid: Grid) -> Bool:

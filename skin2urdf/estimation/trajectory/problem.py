@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
@@ -37,35 +38,24 @@ from skin2urdf.estimation.trajectory.priors import (
 from skin2urdf.estimation.trajectory.records import Equations, Predicted, Spans
 from skin2urdf.estimation.trajectory.skeleton import N_HINGES
 from skin2urdf.estimation.trajectory.state import N_GYRO, MotionState
-from skin2urdf.estimation.trajectory.unseen import Unseen
 from skin2urdf.model.records import KinematicModel
 from skin2urdf.model.specific_force import specific_forces
 from skin2urdf.signals.filters import filtered, first_derivative
 from skin2urdf.signals.trajectory import Trajectory
-from skin2urdf.structure.records import KinematicTree
 
 
 class MotionProblem(Derivatives):
-    """Chi-squared of all samples of all logs.
+    """Chi-squared of all samples of all logs, of what :class:`Derivatives` takes."""
 
-    Args:
-        tree: D joints and U SUs.
-        logs: trajectories, with columns in the tree's order.
-        priors: what is known before.
-        n_knots: moments between which biases are linear in each log.
-        unseen: what encoders do not see; of as many numbers as ``priors.unseen`` has.
-    """
+    @property
+    def free_joint(self) -> Bool:
+        """(J,) coordinates of the joint part that are estimated."""
+        return self._free[0]
 
-    def __init__(
-        self,
-        tree: KinematicTree,
-        logs: Sequence[Trajectory],
-        priors: MotionPriors,
-        n_knots: Sequence[int] | None = None,
-        unseen: Unseen | None = None,
-    ) -> None:
-        super().__init__(tree, logs, priors, n_knots, unseen)
-        self.free_joint, self.free_su = self._free()
+    @property
+    def free_su(self) -> Bool:
+        """(U, n) coordinates of the SUs that are estimated."""
+        return self._free[1]
 
     def again(
         self, *, logs: Sequence[Trajectory] | None = None, priors: MotionPriors | None = None
@@ -99,6 +89,7 @@ class MotionProblem(Derivatives):
             su[:, layout.gyro.start + N_GYRO : layout.gyro.stop] = True
         return joint, su & self.free_su
 
+    @cached_property
     def _free(self) -> tuple[Bool, Bool]:
         layout, tree, priors = self.layout, self.tree, self.priors
         placements = identifiable(tree, len(self.logs), True)

@@ -1,0 +1,1 @@
+"""What results do when one constant of the code is another: see ``scripts/sensitivity.py``."""

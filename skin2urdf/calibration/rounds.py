@@ -18,6 +18,7 @@ from skin2urdf.calibration.settings import CalibrationSettings
 from skin2urdf.errors import InsufficientDataError, StructureError
 from skin2urdf.estimation.problem.state import State
 from skin2urdf.estimation.solve.estimate import Estimate, estimate
+from skin2urdf.estimation.start.from_rests import state_of
 from skin2urdf.estimation.start.order import ordered
 from skin2urdf.estimation.start.starts import felt_up
 from skin2urdf.estimation.uncertainty.health import unlike_the_rest
@@ -30,6 +31,7 @@ from skin2urdf.signals.records import Features
 from skin2urdf.signals.sampling import Sampled, sampled_together
 from skin2urdf.structure.activity import Activity, activity
 from skin2urdf.structure.first_features import first_features
+from skin2urdf.structure.from_motion import trees_from_motion
 from skin2urdf.structure.records import KinematicTree
 from skin2urdf.structure.tree import kinematic_tree
 
@@ -175,7 +177,31 @@ def estimate_robot(
     if structure.tree is None:
         return None
     found, refined = relinearise(logs, structure.tree, features, clock)
+    if is_hopeless(found):
+        led = _led_by_motion(logs, found, features, clock)
+        if led is not None and led[0].misfit < found.misfit:
+            found, refined = led
     return Solution(logs, structure.seen, found, refined)
+
+
+def _led_by_motion(
+    logs: Logs, found: Estimate, features: Features, clock: Clock
+) -> tuple[Estimate, Features] | None:
+    """The estimate that starts from directions by rests and moves; None where they deny the tree.
+
+    Starts from patterns find one joint after the other, each by those before it: few patterns, a
+    bare segment or a mirrored SU lead them astray. Gravity along the whole log shows axes better.
+    """
+    try:
+        best, *_ = clock.run(
+            "structure", lambda _: trees_from_motion(logs.sampled, logs.su_names, found.tree)
+        )
+    except (StructureError, InsufficientDataError):
+        return None
+    if not alike(best.tree, found.tree):
+        return None
+    tree = replace(best.tree, notes=found.tree.notes)
+    return relinearise(logs, tree, features, clock, start=state_of(best))
 
 
 def settle(
@@ -258,6 +284,7 @@ def relinearise(
     features: Features,
     clock: Clock,
     *,
+    start: State | None = None,
     hopeless: Callable[[Estimate], bool] | None = None,
 ) -> tuple[Estimate, Features]:
     """Estimate, take the features again with what the estimate predicts, until it settles.
@@ -267,9 +294,10 @@ def relinearise(
         tree: the structure.
         features: the features to begin with.
         clock: runs the stages.
+        start: a state of the tree to begin from, beside those that the features show.
         hopeless: where only an explanation is of use, tells of an estimate that leads to none.
     """
-    found = estimate_once(logs, tree, features, None, clock)
+    found = estimate_once(logs, tree, features, start, clock)
     if len(logs.sampled) > 1 and is_hopeless(found):
         found = _led_by_the_first_log(logs, found, features, clock)
     if hopeless is not None and hopeless(found):

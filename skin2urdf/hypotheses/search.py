@@ -26,6 +26,7 @@ from skin2urdf.calibration.rounds import (
     Logs,
     Solution,
     Structure,
+    alike,
     find_structure,
     leads_nowhere,
     relinearise,
@@ -41,6 +42,7 @@ from skin2urdf.faults import Fault
 from skin2urdf.hypotheses.records import Amendment, Attempt, Candidate
 from skin2urdf.recording.records import Recording
 from skin2urdf.signals.records import Features
+from skin2urdf.structure.records import KinematicTree
 
 T = TypeVar("T")
 
@@ -130,12 +132,13 @@ class Search:
             self._known[key] = work()
         return self._known[key]  # type: ignore[return-value]
 
-    def attempt(self, amendments: tuple[Amendment, ...], before: float = np.inf) -> Attempt:
+    def attempt(self, amendments: tuple[Amendment, ...], beside: Attempt | None) -> Attempt:
         """Explain the raw logs with some amendments.
 
         Args:
             amendments: what is allowed for.
-            before: misfit that the attempt has to fall below to be of use.
+            beside: the attempt that this one has to be better than to be of use; it may start where
+                that one ended.
 
         Raises:
             InsufficientDataError: the logs lack what a calibration needs.
@@ -157,8 +160,11 @@ class Search:
             known = dict(zip(features.su_names, features.latency, strict=True))
             latency = np.array([known.get(name, 0.0) for name in calm.su_names])
             features = take_features(calm, clock, latency=latency)
+        other = None if beside is None else beside.solution.found
+        before = np.inf if other is None else other.misfit
         found, refined = relinearise(
             calm, tree, features, clock,
+            start=None if other is None or not _is_the_same(tree, other.tree) else other.state,
             hopeless=lambda seen: leads_nowhere(seen) and seen.misfit > before,
         )  # fmt: skip
         found, refined = _settled(calm, found, refined, clock)
@@ -191,6 +197,11 @@ def _settled(
 ) -> tuple[Estimate, Features]:
     """An estimate that explains the logs, with joints found that no SU seemed to feel."""
     return settle(logs, found, features, clock) if explains(found) else (found, features)
+
+
+def _is_the_same(a: KinematicTree, b: KinematicTree) -> bool:
+    """Whether two trees are alike down to the order of joints and SUs, so that states fit both."""
+    return alike(a, b) and (a.joint_names, a.su_names) == (b.joint_names, b.su_names)
 
 
 def _calm(logs: Logs, amendments: Sequence[Amendment]) -> Logs:
@@ -361,7 +372,7 @@ def _with(
     if now is not None and amendments == before:
         return None
     try:
-        return search.attempt(amendments, np.inf if now is None else now.solution.found.misfit)
+        return search.attempt(amendments, now)
     except (InsufficientDataError, StructureError):
         return None
 
@@ -378,7 +389,7 @@ def _pruned(search: Search, first: Attempt | None, last: Attempt | None) -> Atte
             without = first
         else:
             try:
-                without = search.attempt(rest, last.solution.found.misfit)
+                without = search.attempt(rest, last)
             except (InsufficientDataError, StructureError):
                 continue
         if without is None:

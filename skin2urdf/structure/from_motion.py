@@ -70,13 +70,17 @@ class MotionTree:
 
 
 def trees_from_motion(
-    sampled: Sequence[Sampled], su_names: Sequence[str], seed: int = 0
+    sampled: Sequence[Sampled],
+    su_names: Sequence[str],
+    known: KinematicTree | None = None,
+    seed: int = 0,
 ) -> tuple[MotionTree, ...]:
     """Trees that explain what the SUs feel, best first.
 
     Args:
         sampled: the logs on their grids, with the same joints and SUs.
         su_names: U SU names.
+        known: a tree whose order of joints is right, where there is one: none other is then tried.
         seed: of the random axes from which chains are searched where segments carry no SU.
 
     Returns:
@@ -91,7 +95,7 @@ def trees_from_motion(
     # Rests show gravity alone; where there are few, moves show it beside accelerations.
     for windows in (gravity_windows(sampled, su_names), moments(sampled, su_names)):
         try:
-            grown.append(_grown_from(windows, samples, sampled, seed))
+            grown.append(_grown_from(windows, samples, sampled, known, seed))
         except StructureError as lack:
             missing = missing or lack
     if not grown:
@@ -100,7 +104,11 @@ def trees_from_motion(
 
 
 def _grown_from(
-    windows: GravityWindows, samples: Along, sampled: Sequence[Sampled], seed: int
+    windows: GravityWindows,
+    samples: Along,
+    sampled: Sequence[Sampled],
+    known: KinematicTree | None,
+    seed: int,
 ) -> tuple[MotionTree, ...]:
     """Trees that some windows show, best first.
 
@@ -108,7 +116,8 @@ def _grown_from(
         StructureError: they show none.
     """
     moved = moved_joints(sampled)
-    growth = Growth(windows, tuple(np.flatnonzero(moved)), np.random.default_rng(seed))
+    before = None if known is None else _joints_before(known, windows.dof_names)
+    growth = Growth(windows, tuple(np.flatnonzero(moved)), np.random.default_rng(seed), before)
     growth.grow()
     if (growth.n > 0).any() and not (growth.explained() & (growth.n > 0)).any():
         raise StructureError(
@@ -131,6 +140,12 @@ def _grown_from(
     )
     notes = (*best.tree.notes, *(_doubt(best.tree, other.tree) for other in others))
     return replace(best, tree=replace(best.tree, notes=notes)), *others
+
+
+def _joints_before(tree: KinematicTree, names: Sequence[str]) -> dict[int, int]:
+    """The joint before each one of a tree, -1 for the RS, by their places among some names."""
+    place = [names.index(name) for name in tree.joint_names]
+    return {place[j]: -1 if before < 0 else place[before] for j, before in enumerate(tree.parent)}
 
 
 def _unexplained(tree: MotionTree, samples: Along, su_names: Sequence[str]) -> float:

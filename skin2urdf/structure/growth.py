@@ -13,9 +13,9 @@ and the accelerations by which they are felt belong to the fits; else what moves
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from itertools import permutations
+from itertools import pairwise, permutations
 
 import numpy as np
 
@@ -119,12 +119,25 @@ class Growth:
         windows: the measurements.
         up: (G, 3) upward unit vectors of the logs in the base frame; NaN where not known yet.
         segments: the known segments, the RS first; parents come before their children.
+
+    Args:
+        windows: the measurements.
+        moved: the joints that moved.
+        rng: draws axes from which chains of several joints are searched.
+        before: the joint before each one, -1 for the RS, where the structure is known already.
     """
 
-    def __init__(self, windows: GravityWindows, moved: Sequence[int], rng: np.random.Generator):
+    def __init__(
+        self,
+        windows: GravityWindows,
+        moved: Sequence[int],
+        rng: np.random.Generator,
+        before: Mapping[int, int] | None = None,
+    ):
         self.windows = windows
         self._moved = tuple(moved)
         self._rng = rng
+        self._before = before
         self._grid = fibonacci_sphere(_GRID)
         logs = int(windows.log.max(initial=0)) + 1
         # The log that holds most of the motion shows the first joints.
@@ -280,7 +293,7 @@ class Growth:
         for s, segment in enumerate(self.segments):
             gravity = self._gravity(segment.R)
             for d in free:
-                if (s, d) not in self._losses:
+                if (s, d) not in self._losses and self._may_follow(segment.dof, d):
                     losses = np.full((len(now), len(self._grid)), np.inf)
                     losses[open_] = axis_losses(
                         self.windows.q[:, d], gravity, self.windows.reading[:, open_],
@@ -300,6 +313,10 @@ class Growth:
     def _left(self, option: _Extension) -> tuple[float, float]:
         """What to compare extensions by: misfit per measurement, then gain."""
         return option.misfit / max(float(self.n[option.su]), 1.0), -option.gain
+
+    def _may_follow(self, dof: int, other: int) -> bool:
+        """Whether a joint (-1: the RS) may carry the segment that another one moves."""
+        return self._before is None or self._before.get(other) == dof
 
     def _fit_most_promising(self, free: Sequence[int]) -> None:
         """Fit the extensions of one joint that promise most, until the best are fitted."""
@@ -404,15 +421,20 @@ class Growth:
     ) -> _Extension | None:
         """The best extension by several joints of one SU: from random axes, in two rounds."""
         segments = np.argsort([s.misfit[su] for s in self.segments], kind="stable")[:_NEAR]
-        # Each joint of a chain explains something by itself, wherever it is put.
-        alone = [min(float(self._losses[s, d][su].min()) for s in segments) for d in free]
-        likely = [free[i] for i in np.argsort(alone, kind="stable")[: _LIKELY[length]]]
+        likely = list(free)
+        if self._before is None:
+            # Each joint of a chain explains something by itself, wherever it is put.
+            alone = [min(float(self._losses[s, d][su].min()) for s in segments) for d in free]
+            likely = [free[i] for i in np.argsort(alone, kind="stable")[: _LIKELY[length]]]
         problems: list[_Problem] = [
             (su, int(s), dofs)
             for s in segments
             for dofs in permutations(likely, length)
+            if all(self._may_follow(a, b) for a, b in pairwise((self.segments[s].dof, *dofs)))
             for _ in range(_RANDOM_STARTS[length])
         ]
+        if not problems:
+            return None
         axes = self._rng.standard_normal((len(problems), length, 3))
         axes /= np.linalg.norm(axes, axis=-1, keepdims=True)
         heaviest = np.argsort(-self._rough[:, su], kind="stable")[: 2 * _SEARCHED]

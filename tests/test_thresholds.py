@@ -1,56 +1,49 @@
-"""No constant of structure and estimation without its reason."""
+"""No constant that decides something without its reason, and none that is another one than told."""
 
 from __future__ import annotations
 
-import ast
-import re
 from collections.abc import Iterator
-from pathlib import Path
 
-PACKAGE = Path(__file__).resolve().parents[1] / "skin2urdf"
+import pytest
+from sensitive.constants import PACKAGE, constants
+
 GUIDE = PACKAGE / "guides" / "thresholds.md"
 ROOMS = (
+    "signals",
     "structure",
     *(f"estimation/{part}" for part in ("problem", "start", "solve", "trajectory", "uncertainty")),
+    "hypotheses",
 )
-FILES = [
-    *(path for room in ROOMS for path in sorted((PACKAGE / room).glob("*.py"))),
-    PACKAGE / "signals" / "features.py",
-    PACKAGE / "signals" / "pose_fit.py",
-]
 
 
-def numbers(path: Path) -> Iterator[str]:
-    """Names of a module's constants that are numbers; N_JOINT and its like count things."""
-    for node in ast.parse(path.read_text(encoding="utf-8")).body:
-        if not isinstance(node, ast.Assign):
-            continue
-        for target in node.targets:
-            pairs = (
-                zip(target.elts, node.value.elts, strict=True)
-                if isinstance(target, ast.Tuple) and isinstance(node.value, ast.Tuple)
-                else [(target, node.value)]
+def rows() -> Iterator[tuple[str, str, str]]:
+    """Module, name and value of the constants in the guide's table."""
+    for line in GUIDE.read_text(encoding="utf-8").splitlines():
+        cells = [cell.strip(" `") for cell in line.split("|")]
+        if len(cells) == 7 and "/" in cells[3]:
+            names, values = cells[1].split(","), cells[2].split(",")
+            if len(values) != len(names):
+                values = [""] * len(names)
+            yield from (
+                (cells[3], n.strip(), v.strip()) for n, v in zip(names, values, strict=True)
             )
-            for name, value in pairs:
-                text = ast.unparse(value)
-                counts = ast.unparse(name).lstrip("_").startswith("N_") or text == "-1"
-                is_number = re.fullmatch(r"[\w.*/ ()+-]*(\d|np\.pi)[\w.*/ ()+-]*", text)
-                if is_number and not counts:
-                    yield ast.unparse(name)
 
 
-def test_every_threshold_stands_in_the_guide() -> None:
-    rows = [line.split("|")[1:] for line in GUIDE.read_text(encoding="utf-8").splitlines()[1:]]
-    told = {
-        (name.strip(), row[2].strip(" `"))
-        for row in rows
-        if len(row) > 4
-        for name in row[0].strip(" `").split(",")
-    }
-    constants = {
-        (name, str(path.relative_to(PACKAGE).with_suffix("")))
-        for path in FILES
-        for name in numbers(path)
-    }
-    assert len(constants) > 60
-    assert constants - told == set()
+def test_every_constant_stands_in_the_guide() -> None:
+    found = constants(ROOMS)
+    assert len(found) > 300
+    told = {(module, name) for module, name, _ in rows()}
+    assert {(constant.module, constant.name) for constant in found} - told == set()
+
+
+def test_values_are_those_of_the_code() -> None:
+    values = {(module, name): value for module, name, value in rows()}
+    compared = 0
+    for constant in constants(ROOMS):
+        try:
+            told = float(values[constant.module, constant.name])
+        except (KeyError, ValueError):
+            continue  # With a unit, or in words; or it stands in no row, which is another test's.
+        assert told == pytest.approx(constant.value, rel=1e-2), constant
+        compared += 1
+    assert compared > 150

@@ -32,6 +32,7 @@ _PLACED = 0.01
 _LEAST_TURN, _LEAST_SHIFT = np.deg2rad(0.05), 0.3e-3
 """What a slip exceeds in one or the other [rad, m]."""
 _TICK = 1e-6
+"""Time [s] by which moments are apart: far less than samples, far more than rounding."""
 
 
 @dataclass(frozen=True)

@@ -23,6 +23,8 @@ normal noise, one in a hundred thousand samples exceeds it by 1.34."""
 _STEPS = 3.5
 """Encoder steps that rounding alone can make of one smooth motion between samples, and more."""
 _NEARBY = 4
+"""Samples to either side whose usual step a leap is compared with: a median of nine passes over one
+that leaps, and over its neighbour."""
 _MOST = 20
 """Leaps of one joint beyond which they are its way of moving, or noise."""
 

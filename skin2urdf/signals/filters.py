@@ -22,6 +22,7 @@ _LINEAR_RATE = 1300.0
 _UNEVEN = 1e-4
 """Relative change from one period to the next up to which a stream is regular."""
 _STOPBAND = 100.0
+"""Attenuation beyond a low-pass [dB]: gravity of 10 m/s^2 leaves 0.1 mm/s^2, below any noise."""
 
 
 @dataclass(frozen=True)

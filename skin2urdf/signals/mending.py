@@ -26,6 +26,7 @@ from skin2urdf.signals.poses import Neighbourhood
 _LEAST = 0.3
 """Share of a window's samples that must be there."""
 _SAMPLES_PER_COLUMN = 5
+"""Measured samples for each regressor that missing ones are computed from, at least."""
 _LEVERAGE = 0.5
 """Variance of a computed sample, over that of a measured one, from which it stays missing."""
 _STILL = 1e-6

@@ -22,7 +22,6 @@ from skin2urdf.signals.filters import sample, spread
 from skin2urdf.signals.health import clipping
 from skin2urdf.signals.motion import Motion
 
-_DEGREES = 180 / np.pi
 _TOO_FAST = 5.0
 """Rate of an SU, over the sum of the speeds of all joints, from which it is in deg/s: in rad/s it
 is at most 1, in deg/s 57 where the joint that turns fastest carries the SU."""
@@ -94,7 +93,7 @@ def sampled_turning(
         clipped = spread(time, clipping(values, at_rest), grid)
         valid[:, u] = whole & motion.valid & ~clipped
         if _in_degrees(rates[valid[:, u], u], motion.qd[valid[:, u]]):
-            rates[:, u] /= _DEGREES
+            rates[:, u] = np.deg2rad(rates[:, u])
             notes.append(Note("unit deg/s", (name,)))
     return Turning(rates, valid), tuple(notes)
 

@@ -9,6 +9,7 @@ import numpy as np
 from skin2urdf.recording.records import JointStream
 
 TURN = 2 * np.pi
+"""A turn [rad]."""
 
 _FASTEST = 30.0
 """Speed that no joint reaches in a log with rests and patterns [rad/s]."""

@@ -26,6 +26,7 @@ _RIPPLES = np.arange(20, 642)
 """Errors per turn that are looked for: once and twice per turn of motors that are geared down by up
 to 320; below 20 there is no such gear."""
 _AT_ONCE = 32
+"""Ripples that are looked at together; it decides about memory alone."""
 _STANDS_OUT = 30.0
 """Pull of a ripple, over the median of all of its joint's, from which it is one.
 

@@ -178,30 +178,38 @@ def estimate_robot(
         return None
     found, refined = relinearise(logs, structure.tree, features, clock)
     if is_hopeless(found):
-        led = _led_by_motion(logs, found, features, clock)
-        if led is not None and led[0].misfit < found.misfit:
-            found, refined = led
+        found, refined = _led_by_motion(logs, found, refined, features, clock)
     return Solution(logs, structure.seen, found, refined)
 
 
 def _led_by_motion(
-    logs: Logs, found: Estimate, features: Features, clock: Clock
-) -> tuple[Estimate, Features] | None:
-    """The estimate that starts from directions by rests and moves; None where they deny the tree.
+    logs: Logs, found: Estimate, refined: Features, features: Features, clock: Clock
+) -> tuple[Estimate, Features]:
+    """The estimate that starts from directions by rests and moves, where that explains more.
 
     Starts from patterns find one joint after the other, each by those before it: few patterns, a
     bare segment or a mirrored SU lead them astray. Gravity along the whole log shows axes better.
+
+    Args:
+        logs: the logs.
+        found: an estimate of the right tree that explains nothing.
+        refined: its features.
+        features: the first features.
+        clock: runs the stages.
     """
     try:
         best, *_ = clock.run(
             "structure", lambda _: trees_from_motion(logs.sampled, logs.su_names, found.tree)
         )
     except (StructureError, InsufficientDataError):
-        return None
+        return found, refined
     if not alike(best.tree, found.tree):
-        return None
+        return found, refined
     tree = replace(best.tree, notes=found.tree.notes)
-    return relinearise(logs, tree, features, clock, start=state_of(best))
+    led = estimate_once(logs, tree, features, state_of(best), clock, search=False)
+    if led.misfit >= found.misfit:
+        return found, refined
+    return relinearise(logs, tree, features, clock, start=led.state)
 
 
 def settle(

@@ -9,6 +9,7 @@ from __future__ import annotations
 import warnings
 import xml.etree.ElementTree as ET
 from collections.abc import Collection, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -349,8 +350,9 @@ def _simplify(geometry: Any, most: int) -> None:
     for shape in geometry.geometryObjects:
         mesh = shape.geometry
         if getattr(mesh, "num_tris", 0) > most:
-            mesh.buildConvexHull(True, "Qt")
-            shape.geometry = mesh.convex or mesh
+            with suppress(RuntimeError):  # a corner of a hull may have 255 neighbours at most
+                mesh.buildConvexHull(True, "Qt")
+                shape.geometry = mesh.convex or mesh
 
 
 def _in_halves(n: int) -> Iterator[int]:

@@ -11,7 +11,7 @@ if there are more.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -70,7 +70,10 @@ class MotionTree:
 
 
 def trees_from_motion(
-    sampled: Sequence[Sampled], su_names: Sequence[str], seed: int = 0
+    sampled: Sequence[Sampled],
+    su_names: Sequence[str],
+    seed: int = 0,
+    tell: Callable[[float], None] = lambda _: None,
 ) -> tuple[MotionTree, ...]:
     """Trees that explain what the SUs feel, best first.
 
@@ -78,6 +81,7 @@ def trees_from_motion(
         sampled: the logs on their grids, with the same joints and SUs.
         su_names: U SU names.
         seed: of the random axes from which chains are searched where segments carry no SU.
+        tell: told the share of the work that is done.
 
     Returns:
         The best tree, and those that the log does not tell from it for certain.
@@ -89,9 +93,14 @@ def trees_from_motion(
     grown: list[tuple[MotionTree, ...]] = []
     missing: StructureError | None = None
     # Rests show gravity alone; where there are few, moves show it beside accelerations.
-    for windows in (gravity_windows(sampled, su_names), moments(sampled, su_names)):
+    kinds = gravity_windows(sampled, su_names), moments(sampled, su_names)
+    for i, windows in enumerate(kinds):
+
+        def part(share: float, i: int = i) -> None:
+            tell((i + share) / len(kinds))
+
         try:
-            grown.append(_grown_from(windows, samples, sampled, seed))
+            grown.append(_grown_from(windows, samples, sampled, seed, part))
         except StructureError as lack:
             missing = missing or lack
     if not grown:
@@ -100,7 +109,11 @@ def trees_from_motion(
 
 
 def _grown_from(
-    windows: GravityWindows, samples: Along, sampled: Sequence[Sampled], seed: int
+    windows: GravityWindows,
+    samples: Along,
+    sampled: Sequence[Sampled],
+    seed: int,
+    tell: Callable[[float], None],
 ) -> tuple[MotionTree, ...]:
     """Trees that some windows show, best first.
 
@@ -109,7 +122,7 @@ def _grown_from(
     """
     moved = moved_joints(sampled)
     growth = Growth(windows, tuple(np.flatnonzero(moved)), np.random.default_rng(seed))
-    growth.grow()
+    growth.grow(tell)
     if (growth.n > 0).any() and not (growth.explained() & (growth.n > 0)).any():
         raise StructureError(
             "no order of the joints explains the gravity that the SUs feel: too many joints move "

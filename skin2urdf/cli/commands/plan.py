@@ -166,7 +166,9 @@ def run(options: argparse.Namespace) -> int:
     if options.plot:
         from skin2urdf.report.plan_figure import draw_plan
 
-        draw_plan(plan, options.plot)
+        with progress_bar(options.quiet) as bar:
+            bar("drawing", 0.0)
+            draw_plan(plan, options.plot)
     _tell(options, robot, plan, accuracy, shrinks, advice)
     if not (options.quiet or options.json):
         print(f"wrote {' and '.join(map(shown, targets))}")

@@ -118,7 +118,9 @@ def explore(
     seen = activity(features, threshold)
     tell("structure", 0.0)
     explored = (
-        _from_patterns(seen, features) if seen.patterns_felt else _from_motion(seen, sampled, sus)
+        _from_patterns(seen, features)
+        if seen.patterns_felt
+        else _from_motion(seen, sampled, sus, lambda share: tell("structure", share))
     )
     tell("structure", 1.0)
     return replace(explored, notes=tuple(dict.fromkeys((*features.notes, *explored.notes))))
@@ -134,10 +136,15 @@ def _from_patterns(seen: Activity, features: Features) -> Explored:
     return Explored(seen, steps, tree, None, tree.notes)
 
 
-def _from_motion(seen: Activity, sampled: Sequence[Sampled], su_names: Sequence[str]) -> Explored:
+def _from_motion(
+    seen: Activity,
+    sampled: Sequence[Sampled],
+    su_names: Sequence[str],
+    tell: Callable[[float], None],
+) -> Explored:
     """The tree that explains gravity at rest and the accelerations of moves."""
     try:
-        tree = trees_from_motion(sampled, su_names)[0].tree
+        tree = trees_from_motion(sampled, su_names, tell=tell)[0].tree
     except StructureError as error:
         return Explored(seen, _exploration(seen), None, error, (), from_motion=True)
     matrix = np.zeros_like(seen.matrix)

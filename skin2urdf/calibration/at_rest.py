@@ -22,7 +22,9 @@ def estimate_at_rest(logs: Logs, structure: Structure, clock: Clock) -> Solution
         InsufficientDataError: the logs lack what directions need.
         StructureError: no SU feels any joint move.
     """
-    best = clock.run("structure", lambda _: trees_from_motion(logs.sampled, logs.su_names))[0]
+    best, *_ = clock.run(
+        "structure", lambda tell: trees_from_motion(logs.sampled, logs.su_names, tell=tell)
+    )
     features = gravity_features(gravity_windows(logs.sampled, logs.su_names), logs.sampled)
     settings = logs.settings.estimation
     found = clock.run(

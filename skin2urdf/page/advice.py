@@ -33,9 +33,10 @@ def advice(document: Mapping[str, Any]) -> list[Advice]:
     Args:
         document: the JSON.
     """
-    by_remedy: dict[str, list[str]] = {}
+    by_remedy: dict[str, dict[str, None]] = {}
     for remedy, learns in _asked(document):
-        by_remedy.setdefault(remedy, []).append(learns)
+        # What is open of a limb is open of all its SUs; once is enough.
+        by_remedy.setdefault(remedy, {})[learns] = None
     return [Advice(remedy, tuple(learns)) for remedy, learns in by_remedy.items()]
 
 
@@ -96,6 +97,23 @@ def _unknowns(document: Mapping[str, Any]) -> Iterator[Mapping[str, str]]:
         yield from su["words"]
     if not observability["positions_open"]:
         yield from (between["words"] for between in observability["between_branches"])
+
+
+def limb_by_limb(document: Mapping[str, Any]) -> list[str]:
+    """Names of all joints of the tree, each limb to its end before the next one begins.
+
+    Args:
+        document: a calibration's JSON.
+    """
+    after: dict[str | None, list[str]] = {}
+    for joint in document["tree"]["joints"]:
+        after.setdefault(joint["parent"], []).append(joint["name"])
+    names: list[str] = []
+    todo = after.get(None, [])[::-1]
+    while todo:
+        names.append(todo.pop())
+        todo += after.get(names[-1], [])[::-1]
+    return names
 
 
 def chain_to(document: Mapping[str, Any], joint: str | None) -> list[str]:

@@ -9,7 +9,7 @@ import numpy as np
 import plotly.graph_objects as go
 
 from skin2urdf.page import style
-from skin2urdf.page.advice import chain_to
+from skin2urdf.page.advice import chain_to, limb_by_limb
 from skin2urdf.page.labels import in_words
 
 _ROW = 19
@@ -50,7 +50,7 @@ def activity_figure(document: Mapping[str, Any]) -> go.Figure:
         document: a calibration's JSON.
     """
     activity = document["activity"]
-    joints = [joint["name"] for joint in document["tree"]["joints"]]
+    joints = limb_by_limb(document)
     columns = [*joints, *(name for name in activity["dofs"] if name not in joints)]
     inside = [name for name in _in_tree_order(document) if name in activity["sus"]]
     rows = [*inside, *(name for name in activity["sus"] if name not in inside)]
@@ -109,7 +109,7 @@ def _times(evidence: float) -> str:
 
 def _in_tree_order(document: Mapping[str, Any]) -> list[str]:
     """Names of the SUs from the base outwards."""
-    joints = [joint["name"] for joint in document["tree"]["joints"]]
+    joints = limb_by_limb(document)
     place = {None: -1} | {name: j for j, name in enumerate(joints)}
     sus = document["tree"]["sus"]
     return sorted(sus, key=lambda name: place[sus[name]])

@@ -21,6 +21,9 @@ _LINE = 0.12
 """Length of an open direction either way, over the robot's extent."""
 _THICKEST = 1 / 70
 """Radius of links, over the robot's extent, beyond which they hide what they carry."""
+_FORWARD = 8.0
+"""How far names stand before their SUs, in radii of links: no link of usual size hides them, as it
+would from where the figure is first seen."""
 _BOX = 1.2
 """Diagonal of the box around the robot, in the units of the camera's distance."""
 _HIGHEST = 0.8
@@ -65,6 +68,10 @@ def robot_figure(contents: Contents) -> tuple[go.Figure, float]:
         if chosen:
             figure.add_trace(_open(words, chosen, _LINE * extent))
     figure.add_traces(_other(contents, frames, radius))
+    seen_from = _view(figure)["camera"]["eye"]
+    eye = np.array([seen_from[axis] for axis in "xyz"])
+    forward = _FORWARD * radius * eye / np.linalg.norm(eye)
+    figure.add_trace(_su_names(document["sus"], frames, forward))
     figure.update_layout(scene=_view(figure))
     return figure, times if of_sus or of_joints else 0.0
 
@@ -144,8 +151,22 @@ def _sus(
     words = [_su_words(name, sus[name]) for name in names]
     return [
         _surface(meshes, "SUs", style.SU, legendgroup="sus"),
-        _labels("SUs", names, words, frames, style.SU, legendgroup="sus", showlegend=False),
-    ]
+        _labels(
+            "SUs", names, words, frames, style.SU,
+            mode="markers", legendgroup="sus", showlegend=False,
+        ),
+    ]  # fmt: skip
+
+
+def _su_names(sus: Mapping[str, Any], frames: Mapping[str, F64], forward: F64) -> go.BaseTraceType:
+    """Names of the SUs, a little towards the eye [m]."""
+    before = {name: frames[name].copy() for name in sus if name in frames}
+    for T in before.values():
+        T[:3, 3] += forward
+    return _labels(
+        "SUs", list(before), [""] * len(before), before, style.SU,
+        mode="text", legendgroup="sus", showlegend=False, hoverinfo="skip",
+    )  # fmt: skip
 
 
 def _su_words(name: str, su: Mapping[str, Any]) -> str:
@@ -181,15 +202,14 @@ def _labels(
 ) -> go.Scatter3d:
     """Names in space, and words for the pointer."""
     x, y, z = np.array([frames[name][:3, 3] for name in names]).reshape(-1, 3).astype(np.float32).T
-    return go.Scatter3d(
-        x=x, y=y, z=z,
-        mode="markers+text", name=title,
-        text=[in_space(name) for name in names], textposition="top center",
-        textfont={"size": 11, "color": colour, "family": "Arial, sans-serif"},
-        marker={"size": 3, "color": colour},
-        hovertext=list(words), hoverinfo="text",
-        **more,
-    )  # fmt: skip
+    usual = {
+        "mode": "markers+text", "name": title,
+        "text": [in_space(name) for name in names], "textposition": "top center",
+        "textfont": {"size": 11, "color": colour, "family": "Arial, sans-serif"},
+        "marker": {"size": 3, "color": colour},
+        "hovertext": list(words), "hoverinfo": "text",
+    }  # fmt: skip
+    return go.Scatter3d(x=x, y=y, z=z, **{**usual, **more})
 
 
 def _ellipsoids(title: str, colour: str, found: Sequence[Cloud], times: float) -> go.Mesh3d:

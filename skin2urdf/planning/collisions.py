@@ -8,14 +8,15 @@ from __future__ import annotations
 
 import warnings
 import xml.etree.ElementTree as ET
-from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from skin2urdf.arrays import F64
+from skin2urdf.arrays import F64, Int
 from skin2urdf.planning.trajectory import JointTrajectory
 
 MARGIN = 0.01
@@ -26,6 +27,10 @@ touching."""
 _POSES = 100
 _FINE_MESH = 5000
 """Triangles from which a mesh is replaced by its convex hull."""
+_NAMED = 4
+"""Pairs that are named in words, at most."""
+_LOOKS = 15
+"""Instants of a piece that are looked at first, since one that touches is found at once."""
 _FLOOR = "the floor"
 _FINE = 5e-3
 """Time between samples that the length of a path is measured at [s]."""
@@ -41,6 +46,12 @@ class CollisionChecker:
         locked: positions of all others [rad or m].
         limits: (lower, upper) positions (D,) that random poses are drawn from.
         floor: height in the base frame that no moving body goes below [m]; None without a floor.
+        may_touch: pairs of links that are not kept apart.
+
+    Attributes:
+        n_pairs: pairs of bodies that are kept apart.
+        notes: which are not, though nobody said so.
+        crowded: those that are near each other in most of random poses, in words.
 
     Raises:
         ValueError, RuntimeError: shapes can not be read, as meshes that are not there.
@@ -54,6 +65,7 @@ class CollisionChecker:
         locked: Mapping[str, float],
         limits: tuple[F64, F64],
         floor: float | None = None,
+        may_touch: Collection[frozenset[str]] = (),
     ) -> None:
         import pinocchio as pin
 
@@ -65,95 +77,126 @@ class CollisionChecker:
             self._geometry = pin.buildGeomFromUrdfString(
                 self._model, text, pin.GeometryType.COLLISION, package_dirs=folders
             )
-        _simplify(self._geometry)
+        _simplify(self._geometry, _FINE_MESH)
         self._names = tuple(joint_names)
+        self._columns = _Columns.of(self._model, self._names)
         self._base = self._configuration(locked)
         if floor is not None:
             self._add_floor(floor)
         self.notes: list[str] = []
-        self.n_pairs = self._choose_pairs(limits)
+        self.crowded: tuple[str, ...] = ()
+        self.n_pairs = self._choose_pairs(limits, may_touch)
         self._reach = self._reaches()
+        self._hulls = self._geometry.copy()
+        _simplify(self._hulls, 0)
+        self._bare: Any = pin.GeometryData(self._hulls), pin.GeometryData(self._geometry)
+        self._within: Any = pin.GeometryData(self._hulls)
+        for request in self._within.collisionRequests:
+            request.security_margin = MARGIN
 
     def is_free(self, q: F64) -> bool:
         """Whether nothing comes nearer than the margin in a pose (D,)."""
         import pinocchio as pin
 
-        full = self._placed(q)
-        return not pin.computeCollisions(
-            self._model, self._data, self._geometry, self._shapes, full, True
+        full = self._placed(q[None])[0]
+        return not all(
+            pin.computeCollisions(self._model, self._data, geometry, shapes, full, True)
+            for geometry, shapes in ((self._hulls, self._within), (self._geometry, self._shapes))
         )
 
     def touches(self, q: F64) -> bool:
         """Whether bodies touch in a pose (D,), whatever the margin."""
         import pinocchio as pin
 
-        shapes = pin.GeometryData(self._geometry)
-        full = self._placed(q)
-        return bool(
-            pin.computeCollisions(self._model, self._data, self._geometry, shapes, full, True)
+        full = self._placed(q[None])[0]
+        return all(
+            pin.computeCollisions(self._model, self._data, geometry, shapes, full, True)
+            for geometry, shapes in zip((self._hulls, self._geometry), self._bare, strict=True)
         )
 
     def is_path_free(self, piece: JointTrajectory) -> bool:
         """Whether nothing touches along a piece of motion, between samples as well.
 
         No point of a body moves further relative to another than the sum, over the joints between
-        them, of what each turns times its reach. So one look at a pair tells that it does not touch
-        as long as it moves less than it is apart. The middle is looked at first, and then halves,
-        with the pairs that it leaves open.
+        them, of what each turns times its reach. So one look at a pair tells of all instants in
+        which the joints are so near to where they were looked at that it moves less than it is
+        apart: of all of a pattern that swings about a pose, often. Instants are looked at in
+        halves of halves, each with the pairs that are left open there.
         """
-        import pinocchio as pin
-
         if not self.n_pairs:
             return True
         time = np.append(np.arange(0.0, piece.duration, _FINE), piece.duration)
-        moved = np.abs(np.diff(piece.at(time)[0], axis=0)) @ self._reach.max(axis=0)
+        fine = piece.at(time)[0]
+        told = fine[len(time) // 2]
+        apart = self._apart(self._placed(told[None])[0], np.arange(self.n_pairs))
+        if apart is None:
+            return False
+        # A pair that none of the joints can bring together needs no further look.
+        pairs = np.flatnonzero(self._reach @ np.abs(fine - told).max(axis=0) > apart)
+        if not len(pairs):
+            return True
+        coarse = self._placed(fine[:: max(1, len(time) // _LOOKS)])
+        if any(self._apart(coarse[i], pairs) is None for i in _in_halves(len(coarse))):
+            return False
+        reach = self._reach[pairs]
+        moved = (np.abs(np.diff(fine, axis=0)) @ np.unique(reach, axis=0).T).max(axis=1)
         length = np.concatenate([[0.0], np.cumsum(moved)])
         n = int(np.ceil(length[-1] / (2 * MARGIN))) + 1
         at = np.interp(np.linspace(0.0, length[-1], n + 1), length, time)
         q = piece.at(at)[0]
-        turned = np.concatenate([np.zeros((1, q.shape[1])), np.abs(np.diff(q, axis=0))])
-        way = np.cumsum(turned, axis=0) @ self._reach.T
-        open_ = deque([(0, n, np.arange(self.n_pairs))])
-        while open_:
-            first, last, pairs = open_.popleft()
-            middle = (first + last) // 2
-            pin.updateGeometryPlacements(
-                self._model, self._data, self._geometry, self._shapes, self._placed(q[middle])
-            )
-            apart = np.empty(len(pairs))
-            for i, pair in enumerate(pairs.tolist()):
-                if pin.computeCollision(self._geometry, self._shapes, pair):
-                    return False
-                # Bounds are on what is left beyond the margin.
-                apart[i] = MARGIN + self._shapes.collisionResults[pair].distance_lower_bound
-            here = way[middle, pairs]
-            for a, b in ((first, middle - 1), (middle + 1, last)):
-                if a <= b:
-                    farthest = np.maximum(np.abs(way[a, pairs] - here), way[b, pairs] - here)
-                    left = pairs[farthest > apart]
-                    if len(left):
-                        open_.append((a, b, left))
+        full = self._placed(q)
+        # What lies between two instants is told with the nearer one, half of the way to it.
+        step = np.abs(np.diff(q, axis=0, prepend=q[:1], append=q[-1:]))
+        beside = reach @ (0.5 * np.maximum(step[:-1], step[1:])).T
+        is_open = reach @ np.abs(q - told).T + beside > apart[pairs, None]
+        for i in _in_halves(n + 1):
+            open_ = np.flatnonzero(is_open[:, i])
+            if not len(open_):
+                continue
+            found = self._apart(full[i], pairs[open_])
+            if found is None:
+                return False
+            away = reach[open_] @ np.abs(q - q[i]).T
+            is_open[open_] &= away + beside[open_] > found[:, None]
+            is_open[open_, i] = False
         return True
+
+    def _apart(self, full: F64, pairs: Int) -> F64 | None:
+        """(n,) distances [m] that n pairs have at least in a configuration; None where one touches.
+
+        Hulls are looked at first: that they are apart is found faster, and their bodies are at
+        least as far from each other.
+        """
+        import pinocchio as pin
+
+        pin.updateGeometryPlacements(self._model, self._data, self._hulls, self._within, full)
+        apart = np.empty(len(pairs))
+        exact = False
+        for k, pair in enumerate(pairs.tolist()):
+            shapes = self._within
+            if pin.computeCollision(self._hulls, shapes, pair):
+                shapes = self._shapes
+                if not exact:
+                    pin.updateGeometryPlacements(self._model, self._data, self._geometry, shapes)
+                    exact = True
+                if pin.computeCollision(self._geometry, shapes, pair):
+                    return None
+            # Bounds are on what is left beyond the margin.
+            apart[k] = MARGIN + shapes.collisionResults[pair].distance_lower_bound
+        return apart
 
     def _configuration(self, positions: Mapping[str, float]) -> F64:
         import pinocchio as pin
 
-        q = np.array(pin.neutral(self._model))
-        for name, value in positions.items():
-            self._put(q, name, value)
-        return q
-
-    def _put(self, q: F64, name: str, value: float) -> None:
-        joint = self._model.joints[self._model.getJointId(name)]
-        if joint.nv == 1 and joint.nq == 2:
-            q[joint.idx_q : joint.idx_q + 2] = np.cos(value), np.sin(value)
-        elif joint.nv == 1:
-            q[joint.idx_q] = value
+        full = np.array(pin.neutral(self._model))[None]
+        columns = _Columns.of(self._model, tuple(positions))
+        columns.fill(full, np.array([[*positions.values()]], dtype=np.float64))
+        return np.asarray(full[0])
 
     def _placed(self, q: F64) -> F64:
-        full = self._base.copy()
-        for name, value in zip(self._names, q, strict=True):
-            self._put(full, name, float(value))
+        """(N, nq) configurations of the whole model from positions (N, D)."""
+        full = np.tile(self._base, (len(q), 1))
+        self._columns.fill(full, q)
         return full
 
     def _moving_ancestor(self, joint: int) -> int:
@@ -170,10 +213,11 @@ class CollisionChecker:
         at = pin.SE3(np.eye(3), np.array([0.0, 0.0, height]))
         self._geometry.addGeometryObject(pin.GeometryObject(_FLOOR, 0, 0, at, below))
 
-    def _choose_pairs(self, limits: tuple[F64, F64]) -> int:
+    def _choose_pairs(self, limits: tuple[F64, F64], may_touch: Collection[frozenset[str]]) -> int:
         import pinocchio as pin
 
         objects = list(self._geometry.geometryObjects)
+        link = [str(self._model.frames[int(o.parentFrame)].name) for o in objects]
         group = [self._moving_ancestor(int(o.parentJoint)) for o in objects]
         before = {g: self._moving_ancestor(int(self._model.parents[g])) if g else -1 for g in group}
         pairs = [
@@ -183,7 +227,7 @@ class CollisionChecker:
             if group[b] not in (group[a], before[group[a]])
             and before[group[b]] != group[a]
             and before[group[a]] != group[b]
-            and before[group[b]] != group[a]
+            and frozenset((link[a], link[b])) not in may_touch
         ]
         self._geometry.removeAllCollisionPairs()
         for a, b in pairs:
@@ -194,22 +238,27 @@ class CollisionChecker:
         neutral = np.clip(np.zeros(len(self._names)), *limits)
         poses = [neutral, *rng.uniform(low, high, (_POSES, len(self._names)))]
         touches = np.array([self._touching(q) for q in poses], dtype=bool)
-        always = touches[0] & (touches[1:].mean(axis=0) >= _NEARLY_ALL)
+        often = touches[1:].mean(axis=0)
+        always = touches[0] & (often >= _NEARLY_ALL)
         self._geometry.removeAllCollisionPairs()
         for (a, b), drop in zip(pairs, always, strict=True):
             if not drop:
                 self._geometry.addCollisionPair(pin.CollisionPair(a, b))
         self._ready()
+        if len(pairs):
+            worst = np.argsort(-np.where(always, 0.0, often), kind="stable")[:_NAMED]
+            self.crowded = tuple(
+                f"{_both(link, pairs[k])} in {100 * often[k]:.0f} % of random poses"
+                for k in worst.tolist()
+                if not always[k] and often[k] > 0
+            )
         if always.any():
-            named = [
-                f"{objects[a].name} and {objects[b].name}"
-                for (a, b), drop in zip(pairs, always, strict=True)
-                if drop
-            ]
-            more = f" and {len(named) - 4} more pairs" if len(named) > 4 else ""
+            named = [_both(link, pair) for pair, drop in zip(pairs, always, strict=True) if drop]
+            rest = len(named) - _NAMED
+            more = f" and {rest} more pairs" if rest > 0 else ""
             self.notes.append(
                 f"not kept apart, for they touch in the neutral pose and nearly everywhere: "
-                f"{', '.join(named[:4])}{more}"
+                f"{', '.join(named[:_NAMED])}{more}"
             )
         return int(len(pairs) - always.sum())
 
@@ -224,7 +273,7 @@ class CollisionChecker:
     def _touching(self, q: F64) -> list[bool]:
         import pinocchio as pin
 
-        full = self._placed(q)
+        full = self._placed(q[None])[0]
         pin.computeCollisions(self._model, self._data, self._geometry, self._shapes, full, False)
         return [bool(result.isCollision()) for result in self._shapes.collisionResults]
 
@@ -260,13 +309,60 @@ class CollisionChecker:
         return np.where((a > 0) & (b > 0), 0.0, a + b)
 
 
-def _simplify(geometry: Any) -> None:
-    """Put convex hulls in the place of fine meshes, which they contain and are faster than."""
+@dataclass(frozen=True, eq=False)
+class _Columns:
+    """Where positions of joints of one DoF stand in a configuration of the whole model.
+
+    Attributes:
+        plain: pairs of (position, column), and
+        turning: those of joints that turn without end, whose cosine stands there and sine behind.
+    """
+
+    plain: tuple[Int, Int]
+    turning: tuple[Int, Int]
+
+    @classmethod
+    def of(cls, model: Any, names: Sequence[str]) -> _Columns:
+        joints = [model.joints[model.getJointId(name)] for name in names]
+
+        def where(nq: int) -> tuple[Int, Int]:
+            own = [(d, j.idx_q) for d, j in enumerate(joints) if (j.nv, j.nq) == (1, nq)]
+            position, column = np.array(own, dtype=np.int64).reshape(-1, 2).T
+            return position, column
+
+        return cls(where(1), where(2))
+
+    def fill(self, full: F64, q: F64) -> None:
+        """Write positions (N, D) into configurations (N, nq)."""
+        position, column = self.plain
+        full[:, column] = q[:, position]
+        position, column = self.turning
+        full[:, column], full[:, column + 1] = np.cos(q[:, position]), np.sin(q[:, position])
+
+
+def _both(links: Sequence[str], pair: tuple[int, int]) -> str:
+    """Names of the links of a pair."""
+    return f"{links[pair[0]]} and {links[pair[1]]}"
+
+
+def _simplify(geometry: Any, most: int) -> None:
+    """Put convex hulls in the place of meshes of more triangles, which they contain."""
     for shape in geometry.geometryObjects:
         mesh = shape.geometry
-        if getattr(mesh, "num_tris", 0) > _FINE_MESH:
-            mesh.buildConvexHull(True, "Qt")
-            shape.geometry = mesh.convex or mesh
+        if getattr(mesh, "num_tris", 0) > most:
+            with suppress(RuntimeError):  # a corner of a hull may have 255 neighbours at most
+                mesh.buildConvexHull(True, "Qt")
+                shape.geometry = mesh.convex or mesh
+
+
+def _in_halves(n: int) -> Iterator[int]:
+    """0 .. n - 1, the middle first, then the middles of both halves, and so on."""
+    spans = [(0, n)]
+    for first, end in spans:
+        if first < end:
+            middle = (first + end) // 2
+            yield middle
+            spans += [(first, middle), (middle + 1, end)]
 
 
 def _slides(joint: Any) -> bool:

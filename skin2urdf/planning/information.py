@@ -7,7 +7,7 @@ that poses are chosen without predicting anything anew.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -288,7 +288,13 @@ def merits(known: Known, told: Information, which: Int, criterion: Criterion) ->
     return np.asarray(-np.log(np.maximum(-merit, 1e-300)))
 
 
-def spread_out(poses: F64, number: int, accept: Callable[[int], bool], span: F64) -> list[int]:
+def spread_out(
+    poses: F64,
+    number: int,
+    accept: Callable[[int], bool],
+    span: F64,
+    before: Sequence[int] = (),
+) -> list[int]:
     """Candidates that fill the joints' ranges, where no model tells what they are worth.
 
     The first is the one nearest to the middle; each further one is farthest from all before.
@@ -298,14 +304,17 @@ def spread_out(poses: F64, number: int, accept: Callable[[int], bool], span: F64
         number: how many to choose.
         accept: whether a candidate will do at all.
         span: (D,) ranges [rad or m].
+        before: candidates that are chosen already.
     """
     unit = poses / span
     distance = -np.linalg.norm(unit - unit.mean(axis=0), axis=1)
     chosen: list[int] = []
     nearest = np.full(len(poses), np.inf)
+    for c in before:
+        nearest = np.minimum(nearest, np.linalg.norm(unit - unit[c], axis=1))
     open_ = np.ones(len(poses), dtype=bool)
     while len(chosen) < number and open_.any():
-        merit = np.where(open_, nearest if chosen else distance, -np.inf)
+        merit = np.where(open_, nearest if chosen or before else distance, -np.inf)
         c = int(np.argmax(merit))
         open_[c] = False
         if accept(c):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import cache
 
 import numpy as np
 
@@ -15,6 +16,7 @@ from skin2urdf.planning.collisions import CollisionChecker
 from skin2urdf.planning.earlier import Earlier
 from skin2urdf.planning.information import (
     Criterion,
+    Known,
     choose,
     known_before,
     pattern_information,
@@ -48,6 +50,9 @@ _STEP = (0.9, 0.2)
 """Structural move [rad, m]: gravity turns by most of its size."""
 _LEAST_STEP = 0.3
 """Least share of it."""
+_SHARES = (1.0, 0.6, 0.3)
+"""Sizes of patterns that are tried where something would touch, over the largest: what they tell
+falls with the square, and with the last to what a short pattern of full size tells."""
 _START = 0
 """Index of the pose that structural moves end in among those of the roadmap."""
 _HOMES = 12
@@ -112,7 +117,7 @@ class _Planner:
         low, high = pose_range(self.limits, self.settings, swing)
         many = self.limits.n_joints >= _MANY
         number = self.settings.candidates // (2 if many else 1)
-        candidates = free_poses(low, high, number, self._is_free, self.rng)
+        candidates = free_poses(low, high, number, self._is_free, self.rng, self._crowded)
         tell(0.2)
         if self.earlier is None:
             moves = self._structural(candidates, low, high)
@@ -132,6 +137,11 @@ class _Planner:
 
     def _is_free(self, q: F64) -> bool:
         return self.checker is None or self.checker.is_free(q)
+
+    @property
+    def _crowded(self) -> str:
+        """Which bodies are in each other's way most, in brackets; empty where none is."""
+        return f" ({', '.join(self.checker.crowded)})" if self.checker else ""
 
     def _is_path_free(self, piece: JointTrajectory) -> bool:
         return self.checker is None or self.checker.is_path_free(piece)
@@ -232,35 +242,54 @@ class _Planner:
         self, roadmap: Roadmap, nodes: F64, amplitude: F64, count: int, length: float
     ) -> list[int]:
         """Indices of the poses that tell most, among those that can be reached."""
-        will_do: dict[int, bool] = {}
-
-        def accept(c: int) -> bool:
-            if c not in will_do:
-                piece = self._pattern(nodes[c], amplitude[c], length)
-                will_do[c] = self._is_path_free(piece) and roadmap.way(_START, c) is not None
-            return will_do[c]
-
-        if self.model is None:
-            span = np.ptp(nodes, axis=0)
-            chosen = spread_out(nodes, count, accept, np.maximum(span, 1e-9))
-        else:
+        chosen: list[int] = []
+        known: Known | None = None
+        if self.model is not None:
             before = self.earlier.information if self.earlier else (None, None)
             _, state, known = known_before(self.model, *before)
-            told = pattern_information(
-                self.model, state, nodes, self.tones, amplitude, length,
-                self.settings.ramp, self.rng,
-            )  # fmt: skip
-            criterion: Criterion = "trace" if self.earlier else "determinant"
-            exchanges = 0 if self.limits.n_joints >= _MANY else 2
-            chosen = choose(known, told, count, criterion, accept, exchanges)
+        for share in _SHARES:
+            scaled_by = np.where(np.isin(np.arange(len(nodes)), chosen), 1.0, share)[:, None]
+            accept = self._accept(roadmap, nodes, scaled_by * amplitude, length, chosen)
+            left = count - len(chosen)
+            if known is None or self.model is None:
+                span = np.maximum(np.ptp(nodes, axis=0), 1e-9)
+                more = spread_out(nodes, left, accept, span, chosen)
+            else:
+                told = pattern_information(
+                    self.model, state, nodes, self.tones, scaled_by * amplitude, length,
+                    self.settings.ramp, self.rng,
+                )  # fmt: skip
+                criterion: Criterion = "trace" if self.earlier else "determinant"
+                exchanges = 0 if self.limits.n_joints >= _MANY else 2
+                more = choose(known, told, left, criterion, accept, exchanges)
+                for c in more:
+                    known = known.plus(told, c)
+            amplitude[more] *= share
+            chosen += more
+            if len(chosen) >= count or self.checker is None:
+                break
         if len(chosen) < self.fewest:
             raise PlanError(
                 f"only {len(chosen)} of {len(nodes)} poses have room for a pattern, and a way "
                 "there, without anything touching",
-                "check the shapes in the URDF's <collision>, or plan without them "
-                "(--no-collisions)",
+                f"check the shapes in the URDF's <collision>{self._crowded}, name links that may "
+                "touch (--srdf), or plan without shapes (--no-collisions)",
             )
         return chosen
+
+    def _accept(
+        self, roadmap: Roadmap, nodes: F64, amplitude: F64, length: float, taken: list[int]
+    ) -> Callable[[int], bool]:
+        """Whether a pose is not taken yet, can be reached, and has room for its pattern."""
+
+        @cache
+        def accept(c: int) -> bool:
+            if c in taken:
+                return False
+            piece = self._pattern(nodes[c], amplitude[c], length)
+            return self._is_path_free(piece) and roadmap.way(_START, c) is not None
+
+        return accept
 
     def _pattern(self, pose: F64, amplitude: F64, length: float) -> JointTrajectory:
         """A pattern within the limits, whose peaks depend a little on its length."""
@@ -327,7 +356,7 @@ class _Planner:
 
     def _free_pattern(self, pose: F64, amplitude: F64, length: float) -> JointTrajectory:
         """The pattern, smaller where something would touch; in the end none at all."""
-        for share in (1.0, 0.6, 0.3, 0.0):
+        for share in (*_SHARES, 0.0):
             piece = self._pattern(pose, share * amplitude, length)
             if self._is_path_free(piece):
                 return piece

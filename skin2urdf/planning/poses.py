@@ -43,7 +43,14 @@ def pose_range(limits: Limits, settings: PlanSettings, swing: F64) -> tuple[F64,
     return middle - half, middle + half
 
 
-def free_poses(low: F64, high: F64, number: int, is_free: IsFree, rng: np.random.Generator) -> F64:
+def free_poses(
+    low: F64,
+    high: F64,
+    number: int,
+    is_free: IsFree,
+    rng: np.random.Generator,
+    crowded: str = "",
+) -> F64:
     """Random poses in which nothing touches.
 
     Where nearly all poses of the whole range are free they are drawn from it. Limbs of a humanoid
@@ -56,6 +63,7 @@ def free_poses(low: F64, high: F64, number: int, is_free: IsFree, rng: np.random
         number: how many.
         is_free: tells free poses.
         rng: draws them.
+        crowded: what is in the way most, for the words of the error.
 
     Returns:
         (number, D) poses.
@@ -63,7 +71,7 @@ def free_poses(low: F64, high: F64, number: int, is_free: IsFree, rng: np.random
     Raises:
         PlanError: none is found.
     """
-    here = _first(low, high, is_free, rng)
+    here = _first(low, high, is_free, rng, crowded)
     out = np.empty((number, len(low)))
     easy = True
     for i in range(number):
@@ -78,7 +86,7 @@ def free_poses(low: F64, high: F64, number: int, is_free: IsFree, rng: np.random
     return out
 
 
-def _first(low: F64, high: F64, is_free: IsFree, rng: np.random.Generator) -> F64:
+def _first(low: F64, high: F64, is_free: IsFree, rng: np.random.Generator, crowded: str) -> F64:
     """A free pose: the middle of the ranges, or near zero, or one further and further from them."""
     middle, zero = 0.5 * (low + high), np.clip(0.0, low, high)
     for i in range(_TRIES):
@@ -89,8 +97,8 @@ def _first(low: F64, high: F64, is_free: IsFree, rng: np.random.Generator) -> F6
             return pose
     raise PlanError(
         f"the robot touches itself, or what is around it, in all of {_TRIES} poses",
-        "check the shapes in the URDF's <collision>, lock joints, or plan without shapes "
-        "(--no-collisions)",
+        f"check the shapes in the URDF's <collision>{crowded}, name links that may touch (--srdf), "
+        "lock joints, or plan without shapes (--no-collisions)",
     )
 
 

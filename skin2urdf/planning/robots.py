@@ -93,6 +93,7 @@ class Told:
         sus: shell pattern of the links of the model that are SUs; None for one on every segment.
         floor: height in the base frame that nothing goes below [m]; None without a floor.
         collisions: whether shapes of the model are looked at.
+        may_touch: pairs of links that are not kept apart.
     """
 
     limits: Mapping[str, Given] = field(default_factory=dict)
@@ -101,6 +102,7 @@ class Told:
     sus: str | None = None
     floor: float | None = None
     collisions: bool = True
+    may_touch: frozenset[frozenset[str]] = frozenset()
 
     @property
     def R_world_base(self) -> F64:
@@ -183,7 +185,7 @@ def robot_of_model(
         try:
             checker = CollisionChecker(
                 xml, urdf, limits.joint_names, joints.locked,
-                (limits.lower, limits.upper), told.floor,
+                (limits.lower, limits.upper), told.floor, told.may_touch,
             )  # fmt: skip
         except (ValueError, RuntimeError) as error:
             raise UsageError(

@@ -192,7 +192,10 @@ def _alike_together(names: Sequence[str], unknown: Sequence[Sequence[Unknown]]) 
         whole = re.compile(rf"(?<![\w/-]){re.escape(name)}(?![\w/-])")
         for one in of_su:
             groups.setdefault(whole.sub(_NAME, str(one)), []).append(name)
-    return [text.replace(_NAME, shortened(members, 4)) for text, members in groups.items()]
+    return [
+        text.replace(_NAME, ("each of " if len(members) > 1 else "") + shortened(members, 4))
+        for text, members in groups.items()
+    ]
 
 
 _NAME = "\0"

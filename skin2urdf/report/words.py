@@ -85,7 +85,7 @@ def _of_reference(name: str, count: int) -> tuple[Unknown, ...]:
     """What is not known of an SU that no joint moves; gravity alone shows up to two turns of it."""
     if not count:
         return ()
-    moves = f"{name} does not move with any joint"
+    moves = "no joint moves it"
     if count == 6:
         return (
             Unknown(
@@ -212,7 +212,7 @@ def largest_angle(up: F64, axis: F64) -> float:
 
 def _tilt(name: str, names: Sequence[str]) -> Unknown:
     """An SU in which gravity never turns, so that its bias and scale look like a tilt."""
-    why = f"gravity keeps its direction in {name} whatever {listed(names)} does, and so does bias"
+    why = f"gravity keeps its direction in it whatever {listed(names)} does, and so does bias"
     return Unknown(f"tilt of {name}", why, TILT_REMEDY)
 
 

@@ -11,7 +11,7 @@ if there are more.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -74,6 +74,7 @@ def trees_from_motion(
     su_names: Sequence[str],
     known: KinematicTree | None = None,
     seed: int = 0,
+    tell: Callable[[float], None] = lambda _: None,
 ) -> tuple[MotionTree, ...]:
     """Trees that explain what the SUs feel, best first.
 
@@ -82,6 +83,7 @@ def trees_from_motion(
         su_names: U SU names.
         known: a tree whose order of joints is right, where there is one: none other is then tried.
         seed: of the random axes from which chains are searched where segments carry no SU.
+        tell: told the share of the work that is done.
 
     Returns:
         The best tree, and those that the log does not tell from it for certain.
@@ -93,9 +95,14 @@ def trees_from_motion(
     grown: list[tuple[MotionTree, ...]] = []
     missing: StructureError | None = None
     # Rests show gravity alone; where there are few, moves show it beside accelerations.
-    for windows in (gravity_windows(sampled, su_names), moments(sampled, su_names)):
+    kinds = gravity_windows(sampled, su_names), moments(sampled, su_names)
+    for i, windows in enumerate(kinds):
+
+        def part(share: float, i: int = i) -> None:
+            tell((i + share) / len(kinds))
+
         try:
-            grown.append(_grown_from(windows, samples, sampled, known, seed))
+            grown.append(_grown_from(windows, samples, sampled, known, seed, part))
         except StructureError as lack:
             missing = missing or lack
     if not grown:
@@ -109,6 +116,7 @@ def _grown_from(
     sampled: Sequence[Sampled],
     known: KinematicTree | None,
     seed: int,
+    tell: Callable[[float], None],
 ) -> tuple[MotionTree, ...]:
     """Trees that some windows show, best first.
 
@@ -118,7 +126,7 @@ def _grown_from(
     moved = moved_joints(sampled)
     before = None if known is None else _joints_before(known, windows.dof_names)
     growth = Growth(windows, tuple(np.flatnonzero(moved)), np.random.default_rng(seed), before)
-    growth.grow()
+    growth.grow(tell)
     if (growth.n > 0).any() and not (growth.explained() & (growth.n > 0)).any():
         raise StructureError(
             "no order of the joints explains the gravity that the SUs feel: too many joints move "

@@ -13,7 +13,7 @@ and the accelerations by which they are felt belong to the fits; else what moves
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise, permutations
 
@@ -174,9 +174,14 @@ class Growth:
         n = np.maximum(self.n[sus], 1.0)
         return np.asarray(n / 2 * np.log1p(chi2 / n))
 
-    def grow(self) -> None:
-        """Add joints until none is worth its parameters."""
+    def grow(self, tell: Callable[[float], None] = lambda _: None) -> None:
+        """Add joints until none is worth its parameters.
+
+        Args:
+            tell: told the share of the joints that are placed.
+        """
         while True:
+            tell(1.0 - len(self.unplaced) / max(len(self._moved), 1))
             found = self._next()
             if found is None:
                 return

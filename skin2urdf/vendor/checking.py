@@ -16,7 +16,7 @@ import numpy as np
 from scipy.special import chdtrc, chdtri
 
 from skin2urdf.arrays import F64, Bool, frozen
-from skin2urdf.calibration.clock import Clock, Progress
+from skin2urdf.calibration.clock import Clock, Progress, Tell
 from skin2urdf.calibration.pipeline import recordings_of
 from skin2urdf.calibration.result import GOOD_FIT, Source
 from skin2urdf.calibration.rounds import sample_logs
@@ -201,7 +201,7 @@ def check(
     names = tuple(sampled.su_names[u] for u in heard)
     bench = Bench(chassis, trajectories, names, settings)
     before = [known[name] for name in names]
-    found = clock.run("all samples", lambda _: _fitted(bench, before, skin.up))
+    found = clock.run("all samples", lambda tell: _fitted(bench, before, skin.up, tell))
     streams = [replace(f, log=g) for g, s in enumerate(sampled.sampled) for f in s.faults]
     sus = clock.run("tests", lambda _: _compared(found, before, skin))
     return Checked(
@@ -218,8 +218,10 @@ def check(
     )
 
 
-def _fitted(bench: Bench, before: Sequence[KnownSu], up: F64) -> Explained:
+def _fitted(bench: Bench, before: Sequence[KnownSu], up: F64, tell: Tell) -> Explained:
     """All samples, SUs beginning where they were; those that can not be there, wherever they fit.
+
+    There are two fits at least, and a third where an SU is elsewhere.
 
     Raises:
         ModelMismatchError: most SUs fit nowhere.
@@ -236,7 +238,7 @@ def _fitted(bench: Bench, before: Sequence[KnownSu], up: F64) -> Explained:
     ups = np.tile(up, (len(bench.logs), 1))
     there = Placed(segments, tuple(fits), ups, ((),) * len(fits), np.zeros(len(fits)))
     there = replace(there, up=turned_up(chassis, bench.logs, there, sensors))
-    found = _explained(bench, there)
+    found = _explained(bench, there, lambda share: tell(0.5 * share))
     odd = _odd(found)
     if odd.any():
         anywhere = placed_from(chassis, bench.logs, there.up, sensors)
@@ -249,11 +251,15 @@ def _fitted(bench: Bench, before: Sequence[KnownSu], up: F64) -> Explained:
             su_joint=np.array([joint for joint, _ in mixed]),
             fits=tuple(fit for _, fit in mixed),
         )
-        found = _explained(bench, again)
+        found = _explained(bench, again, lambda share: tell(0.5 + 0.25 * share))
     if np.nanmedian(found.left.rms) > GROSS:
         raise another_robot(found)
     learnt = bench.learnt(found.along, sensors)
-    along = bench.fit(found.placed, found.blueprint, learnt, found.along.state)
+    begin = 0.75 if odd.any() else 0.5
+    along = bench.fit(
+        found.placed, found.blueprint, learnt, found.along.state,
+        tell=lambda share: tell(begin + (1.0 - begin) * share),
+    )  # fmt: skip
     return replace(found, along=along)
 
 
@@ -275,10 +281,11 @@ def _segment(chassis: Chassis, index: dict[str, int], su: KnownSu) -> int:
     return index[name] if name is not None else -1
 
 
-def _explained(bench: Bench, placed: Placed) -> Explained:
+def _explained(bench: Bench, placed: Placed, tell: Tell) -> Explained:
     sensors = bench.settings.estimation.priors
     blueprint = bench.blueprint(Correction(), placed.up[0])
-    return Explained(bench, placed, blueprint, bench.fit(placed, blueprint, sensors), {}, {})
+    along = bench.fit(placed, blueprint, sensors, tell=tell)
+    return Explained(bench, placed, blueprint, along, {}, {})
 
 
 def _compared(found: Explained, before: Sequence[KnownSu], skin: KnownSkin) -> tuple[SuCheck, ...]:

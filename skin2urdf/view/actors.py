@@ -91,6 +91,13 @@ def load_play(urdf: str | Path, other: str | Path | None = None) -> Play:
     named = None if document is None else set(document["sus"])
     parts = segments(robot, named)
     limits = {name: _range(robot, name) for name in robot.joint_types}
+    if document is not None:
+        # The limits in the URDF of a calibration are placeholders; its JSON has what the log saw.
+        limits |= {
+            name: (float(joint["limits"][0]), float(joint["limits"][1]))
+            for name, joint in document["joints"].items()
+            if name in limits
+        }
     middle = {name: 0.5 * (low + high) for name, (low, high) in limits.items()}
     own = placed(robot, middle)
     chain = chains(parts)

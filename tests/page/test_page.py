@@ -138,6 +138,20 @@ def test_ellipsoids_are_as_large_as_said(contents: Contents) -> None:
     assert own[own < 1.5 * times * largest].max() == pytest.approx(times * largest, rel=0.1)
 
 
+def test_names_of_all_sus_lie_in_the_box_and_before_their_sus(contents: Contents) -> None:
+    figure, _ = robot_figure(contents)
+    (names,) = [t for t in figure.data if getattr(t, "mode", "") == "text"]
+    assert len(names.text) == len(contents.document["sus"])
+    at = np.stack([names.x, names.y, names.z], axis=1)
+    scene = figure.layout.scene
+    box = np.array([scene[f"{axis}axis"].range for axis in "xyz"])
+    assert (box[:, 0] < at).all()
+    assert (at < box[:, 1]).all()
+    eye = np.array([scene.camera.eye[axis] for axis in "xyz"])
+    sus = np.array([contents.frames()[name][:3, 3] for name in contents.document["sus"]])
+    assert ((at - sus) @ eye > 0).all()
+
+
 def test_the_estimate_lies_on_the_truth(contents: Contents) -> None:
     assert contents.other is not None
     frames = contents.frames()
@@ -191,7 +205,9 @@ def test_advice_names_each_remedy_once(contents: Contents) -> None:
         for words in su["words"]
         if words["remedy"]
     ]
-    assert len(told) >= len(asked) > 0
+    assert asked
+    assert {f"{words['what']}: {words['why']}" for words in asked} <= set(told)
+    assert len(set(told)) == len(told)
 
 
 def test_the_command_writes_a_page_beside_the_urdf(

@@ -26,13 +26,16 @@ from skin2urdf.planning.information import (
     spread_out,
 )
 from skin2urdf.planning.limits import read_limits
-from skin2urdf.planning.patterns import draw_tones
+from skin2urdf.planning.patterns import draw_tones, pattern
 from skin2urdf.planning.pieces import strain, transfer
+from skin2urdf.planning.plan import make_plan
 from skin2urdf.planning.poses import free_poses
-from skin2urdf.planning.records import Limits, Plan
+from skin2urdf.planning.records import Limits, Plan, PlanSettings
 from skin2urdf.planning.roadmap import Roadmap
+from skin2urdf.planning.srdf import links_that_may_touch
 from skin2urdf.planning.trajectory import JointTrajectory
-from skin2urdf.simulation.mechanism import Mechanism
+from skin2urdf.simulation.mechanism import Mechanism, read_urdf
+from skin2urdf.simulation.robots import load_robot
 
 FOLDED = np.array([0.0, 2.85, 2.85])
 """The hand in the upper arm or the base."""
@@ -90,10 +93,76 @@ def test_ways_are_free_where_all_poses_along_them_are(
     assert 3 < sum(verdicts) < len(verdicts) - 3
 
 
-def test_a_floor_keeps_the_arm_above_it(arm: Path, mechanism: Mechanism, limits: Limits) -> None:
-    from skin2urdf.simulation.mechanism import read_urdf
-    from skin2urdf.simulation.robots import load_robot
+def test_patterns_are_free_where_all_poses_along_them_are(
+    checker: CollisionChecker, limits: Limits
+) -> None:
+    rng = np.random.default_rng(5)
+    tones = draw_tones(3, (0.6, 2.6), rng)
+    beside = np.array([0.0, -2.45, -2.6])
+    verdicts = []
+    for _ in range(30):
+        pose = beside + rng.uniform(-0.2, 0.2, 3)
+        size = rng.choice([-3.0, 3.0], 3) * rng.uniform(0.2, 1.0, 3)
+        piece = pattern(pose, tones, size, 6.0, 0.5, limits)
+        along = piece.at(np.linspace(0.0, piece.duration, 2000))[0]
+        verdicts.append(checker.is_path_free(piece))
+        if verdicts[-1]:
+            assert not any(checker.touches(q) for q in along)
+        else:
+            assert not all(checker.is_free(q) for q in along)
+    assert 3 < sum(verdicts) < len(verdicts) - 3
 
+
+def test_links_that_may_touch_are_not_kept_apart(
+    arm: Path, mechanism: Mechanism, limits: Limits, checker: CollisionChecker, tmp_path: Path
+) -> None:
+    srdf = tmp_path / "arm.srdf"
+    srdf.write_text('<robot name="a"><disable_collisions link1="hand" link2="base"/></robot>')
+    may_touch = links_that_may_touch(srdf)
+    xml = read_urdf(load_robot(arm))
+    loose = CollisionChecker(
+        xml, arm, mechanism.joint_names, {}, (limits.lower, limits.upper), may_touch=may_touch
+    )
+    assert loose.n_pairs == checker.n_pairs - 1
+    assert any("base" in words and "hand" in words for words in checker.crowded)
+    assert not any("base" in words and "hand" in words for words in loose.crowded)
+
+
+@pytest.mark.parametrize(
+    "text", ["no xml", "<mujoco/>", '<robot><disable_collisions link1="a"/></robot>']
+)
+def test_what_is_no_srdf_is_refused(text: str, tmp_path: Path) -> None:
+    (tmp_path / "bad.srdf").write_text(text)
+    with pytest.raises(UnreadableInputError):
+        links_that_may_touch(tmp_path / "bad.srdf")
+
+
+class Narrow(CollisionChecker):
+    """Has no room for swings of more than a third of a radian."""
+
+    def is_path_free(self, piece: JointTrajectory) -> bool:
+        """Whether a piece goes somewhere, or swings little."""
+        swings = np.ptp(piece.position, axis=0).max()
+        leads_back = np.allclose(piece.position[0], piece.position[-1])
+        return not leads_back or bool(swings < 0.35)
+
+
+def test_where_there_is_no_room_for_whole_patterns_they_are_smaller(
+    arm: Path, mechanism: Mechanism, limits: Limits, model: KinematicModel, plan: Plan
+) -> None:
+    xml = read_urdf(load_robot(arm))
+    narrow = Narrow(xml, arm, mechanism.joint_names, {}, (limits.lower, limits.upper))
+    settings = PlanSettings(minutes=1.0, candidates=40)
+    for known in (model, None):
+        found = make_plan(limits, settings, known, narrow)
+        assert len(found.poses) == len(plan.poses)
+        for phase in found.phases:
+            if phase.kind == "pattern":
+                time = np.arange(phase.start, phase.end, 0.01)
+                assert 0.05 < np.ptp(found.trajectory.at(time)[0], axis=0).max() < 0.35
+
+
+def test_a_floor_keeps_the_arm_above_it(arm: Path, mechanism: Mechanism, limits: Limits) -> None:
     xml = read_urdf(load_robot(arm))
     above = CollisionChecker(
         xml, arm, mechanism.joint_names, {}, (limits.lower, limits.upper), floor=0.25
@@ -343,6 +412,7 @@ def test_the_command_line_refuses_in_words(
         ["--after", str(tight)],
         ["--limits", str(tmp_path / "none.yaml")],
         [*model, "--csv", out],
+        [*model, "--srdf", str(arm.with_name("none.srdf"))],
     ):
         assert main(["plan", "-o", out, *words]) == 2, words
         told = capsys.readouterr()

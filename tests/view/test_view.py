@@ -58,6 +58,11 @@ def test_both_robots_stand_on_each_other_in_any_configuration(play: Play) -> Non
             assert np.linalg.norm(here - there) < 3e-3
 
 
+def test_sliders_have_the_ranges_that_the_log_saw(play: Play) -> None:
+    for name, seen in zip(calibration().model.tree.joint_names, calibration().limits, strict=True):
+        assert play.limits[name] == pytest.approx(tuple(seen), abs=1e-6)
+
+
 def test_an_su_tells_where_it_sits_and_how_well_that_is_known(play: Play) -> None:
     for lines in play.about.values():
         assert lines[0].startswith("on ")

@@ -94,6 +94,11 @@ def declare(command: Parser) -> None:
     )
     add_number(model, "--floor", None, "height in the base frame that nothing goes below [m]")
     model.add_argument(
+        "--srdf",
+        metavar="FILE",
+        help="links that may touch, as MoveIt has them (disable_collisions)",
+    )
+    model.add_argument(
         "--no-collisions", action="store_true", help="do not look at the shapes of the URDF"
     )
     model.add_argument(
@@ -121,7 +126,7 @@ def run(options: argparse.Namespace) -> int:
             "a plan needs a model, limits, or an earlier calibration",
             "give --model robot.urdf, --limits joint_limits.yaml, or --after robot.json",
         )
-    inputs = [p for p in (options.model, options.limits, options.after) if p]
+    inputs = [p for p in (options.model, options.limits, options.after, options.srdf) if p]
     refuse_to_overwrite(inputs, *targets)
     from dataclasses import replace
 
@@ -161,7 +166,9 @@ def run(options: argparse.Namespace) -> int:
     if options.plot:
         from skin2urdf.report.plan_figure import draw_plan
 
-        draw_plan(plan, options.plot)
+        with progress_bar(options.quiet) as bar:
+            bar("drawing", 0.0)
+            draw_plan(plan, options.plot)
     _tell(options, robot, plan, accuracy, shrinks, advice)
     if not (options.quiet or options.json):
         print(f"wrote {' and '.join(map(shown, targets))}")
@@ -197,6 +204,7 @@ def _robot(options: argparse.Namespace, earlier: Earlier | None) -> PlannedRobot
         robot_of_limits,
         robot_of_model,
     )
+    from skin2urdf.planning.srdf import links_that_may_touch
 
     r, p, y = map(radians, options.base_rpy)
     told = Told(
@@ -206,6 +214,7 @@ def _robot(options: argparse.Namespace, earlier: Earlier | None) -> PlannedRobot
         sus=options.sus,
         floor=options.floor,
         collisions=not options.no_collisions,
+        may_touch=links_that_may_touch(options.srdf) if options.srdf else frozenset(),
     )
     if options.model:
         from skin2urdf.simulation import load_robot

@@ -171,7 +171,8 @@ def estimate_along(
         unseen=np.zeros(problem.layout.n_unseen),
         gyro=np.zeros((U, problem.layout.gyro.stop - problem.layout.gyro.start)),
     )
-    fitted = fit(problem, begin, iterations=iterations, tell=tell)
+    # Of the work, a fit takes half or so, and what it is worth a quarter.
+    fitted = fit(problem, begin, iterations=iterations, tell=lambda share: tell(0.5 * share))
     problem, fitted, contradict = listened(problem, fitted)
     logs = problem.logs
     found = Explained(problem, fitted)
@@ -184,7 +185,9 @@ def estimate_along(
     lasting = max(1.0, misfit_of(problem, fitted, _LONG) / max(left, 1.0))
     seconds = max(float(log.time[-1] - log.time[0]) for log in logs)
     spans = int(np.clip(seconds / SPAN, _FEWEST, _MOST))
+    tell(0.75)
     information = motion_information(problem, fitted, spans, lasting)
+    tell(1.0)
     gyros = found_gyros(problem, fitted, contradict)
     what = found.causes, found.tried, found.under_known
     return MotionEstimate(problem, fitted, information, left, gyros, *what)

@@ -81,9 +81,15 @@ def fit(
     """
     if not near:
         first = problem.coarse(unseen=far)
-        start = _descend(problem, start, first, _ROUGHLY, iterations, tell, far)[1].state
+        start = _descend(
+            problem, start, first, _ROUGHLY, iterations, lambda share: tell(0.5 * share), far
+        )[1].state
+    begin = 0.0 if near else 0.5
     free = problem.free_joint, problem.free_su
-    return _descend(problem, start, free, tolerance, iterations, tell, far)[1]
+    return _descend(
+        problem, start, free, tolerance, iterations,
+        lambda share: tell(begin + (1.0 - begin) * share), far,
+    )[1]  # fmt: skip
 
 
 Follow = Callable[[MotionProblem, MotionState], tuple[MotionProblem, MotionState]]
@@ -135,7 +141,8 @@ def _descend(
     noise, weights = _noise(problem, state, predicted)
     cost = _cost(problem, state, predicted, weights)
     damping = _DAMPING
-    for i in range(iterations):
+    longest = 0.0
+    for _ in range(iterations):
         equations = problem.equations(state, predicted, weights)
         at_once = True
         while True:
@@ -161,7 +168,10 @@ def _descend(
             damping = max(damping / _FALL, 1e-12)
         noise, weights = _noise(problem, state, predicted)
         cost = _cost(problem, state, predicted, weights)
-        tell((i + 1) / iterations)
+        longest = max(longest, length) if length < np.inf else longest
+        if tolerance < length < longest:
+            # Steps become shorter by a factor each time: what counts is how many such are left.
+            tell(float(np.log(longest / length) / np.log(longest / tolerance)))
         if length < tolerance or gain < _NO_GAIN:
             break
     equations = problem.equations(state, predicted, weights)

@@ -136,6 +136,27 @@ def test_a_joint_of_the_other_sense_is_named(calibrated: Calibrate) -> None:
     assert error.value.joints == ("lift",)
 
 
+@pytest.mark.parametrize(
+    ("joint", "axis", "seed", "roll"),
+    [
+        # Little shows the sense of a vertical joint, and none of another joint's is better.
+        ("turn", "0 0 1", 21, 0.02),
+        # The mount that goes with the wrong sense is upright.
+        ("roll", "2 0 1", 20, np.pi),
+    ],
+)
+def test_a_sense_is_named_that_rough_fits_hardly_see(
+    joint: str, axis: str, seed: int, roll: float, tmp_path: Path
+) -> None:
+    robot = recorded(tmp_path, minutes=0.25, seed=seed, base_rpy=(roll, 0.0, 0.0))
+    other = " ".join(str(-int(word)) for word in axis.split())
+    text = URDF.replace(f'<axis xyz="{axis}"/>', f'<axis xyz="{other}"/>')
+    with pytest.raises(ModelMismatchError) as error:
+        calibrate_with_model(robot.recording, model(text))
+    assert error.value.joints == (joint,)
+    assert error.value.remedy
+
+
 def test_a_sense_is_named_before_a_half_turn_of_an_axis_beyond(
     tmp_path_factory: pytest.TempPathFactory,
 ) -> None:

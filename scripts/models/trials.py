@@ -225,8 +225,9 @@ def _compared(
     right, errors, covariances = [], [], []
     for u, name in enumerate(found.tree.su_names):
         link, T = places[name]
-        # Where it may sit on several, all of these are told.
-        right.append(link in (found.links[u], *map(found.chassis.link, found.instead[u])))
+        # Where it may sit on several, all of these are told; links fixed to each other are one.
+        joint, _ = found.chassis.carried[link]
+        right.append(joint in (found.tree.su_joint[u], *found.instead[u]))
         if found.links[u] == link and found.observability.su_verdict[u] == "determined":
             errors.append(log(inverse(T) @ found.T_link_su[u]))
             covariances.append(found.observability.su_covariance[u])

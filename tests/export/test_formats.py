@@ -301,6 +301,13 @@ def test_mjcf_has_the_same_kinematics_and_feels_gravity(source: Source) -> None:
         np.testing.assert_allclose(data.sensor(name).data, up, atol=1e-6)
 
 
+def test_mjcf_has_gravity_as_the_robot_is_mounted(source: Source) -> None:
+    assert source.document is not None
+    hung = replace(source, document={**source.document, "gravity_up": [[0.0, 0.6, -0.8]]})
+    read = mujoco.MjModel.from_xml_string(to_mjcf(hung))
+    np.testing.assert_allclose(read.opt.gravity, [0.0, -5.886, 7.848], rtol=1e-3)
+
+
 VENDOR = """\
 <robot name="v">
   <link name="base"/><link name="a"/><link name="flange"><inertial><mass value="0.1"/>

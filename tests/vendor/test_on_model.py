@@ -127,6 +127,7 @@ def test_a_zero_far_off_is_named_and_found_where_asked(calibrated: Calibrate) ->
     with pytest.raises(ModelMismatchError) as error:
         calibrated(text, Correction())
     assert error.value.joints == ("lift",)
+    assert error.value.remedy
     assert error.value.exit_status == 1
 
 
@@ -395,6 +396,48 @@ def test_a_joint_that_sits_elsewhere_is_named(
     with pytest.raises(ModelMismatchError) as error:
         calibrated(text, Correction())
     assert error.value.joints == (joint,)
+    assert error.value.remedy
+
+
+@pytest.fixture(scope="module")
+def short(tmp_path_factory: pytest.TempPathFactory) -> Recorded:
+    return recorded(tmp_path_factory.mktemp("short"), minutes=0.25)
+
+
+def renamed(recording: Recording, joint: str) -> Recording:
+    """The recording with one of its joints called head."""
+    joints = [replace(x, name="head") if x.name == joint else x for x in recording.joints]
+    return replace(recording, joints=tuple(joints))
+
+
+def test_joints_that_log_or_model_lack_are_told_and_what_they_move_is_named(
+    short: Recorded,
+) -> None:
+    found = calibrate_with_model(renamed(short.recording, "roll"), model())
+    told = as_document(found)["model"]
+    assert told["joints_the_log_lacks"].keys() == {"roll", "grip"}
+    assert list(told["joints_the_model_lacks"]) == ["head"]
+    assert {short.link[name] for name in found.odd} == {"three"}
+    assert found.to_repair
+
+
+def test_where_nothing_fits_joints_of_other_names_are_named(short: Recorded) -> None:
+    with pytest.raises(ModelMismatchError) as error:
+        calibrate_with_model(renamed(short.recording, "turn"), model())
+    assert {"head", "turn"} <= set(re.findall(r"\w+", error.value.remedy))
+
+
+def test_another_robot_is_named(short: Recorded) -> None:
+    chassis = match(describe(model()), ["turn", "lift", "roll"])
+    rng = np.random.default_rng(1)
+    far = np.concatenate([rng.normal(0, 0.1, (3, 3)), rng.normal(0, 1.0, (3, 3))], axis=1)
+    new = chassis.origins(chassis.T_parent_joint @ exp(far))
+    origins = {joint.name: T for joint, T in zip(chassis.joints, new, strict=True)}
+    other = with_additions(URDF, "toy.urdf", [], origins)
+    with pytest.raises(ModelMismatchError) as error:
+        calibrate_with_model(short.recording, model(other))
+    assert error.value.joints == ("turn", "lift", "roll")
+    assert error.value.remedy
 
 
 def test_a_mount_that_was_turned_is_told(

@@ -46,11 +46,11 @@ def _slip(text: str) -> tuple[float, float]:
 
 
 def cases_of(options: argparse.Namespace) -> list[Slip]:
-    """Every trial that was asked for, seed by seed."""
-    every = product(options.robots, batch_options.seeds(options), options.slips)
+    """Every trial that was asked for, seed by seed, those of one recording in a row."""
+    every = product(batch_options.seeds(options), options.robots, options.slips)
     return [
         Slip(robot, seed, shift, turn, options.seconds, options.grade)
-        for robot, seed, (shift, turn) in every
+        for seed, robot, (shift, turn) in every
     ]
 
 

@@ -45,14 +45,14 @@ def parser() -> argparse.ArgumentParser:
 
 
 def cases_of(options: argparse.Namespace) -> list[Trial]:
-    """Every trial that was asked for, seed by seed.
+    """Every trial that was asked for, seed by seed, those of one recording in a row.
 
     Raises:
         UsageError: an option can not be used.
     """
     robots = [Case(name, 0, Circumstance()).robot_or_path for name in robots_named(options.robots)]
-    every = product(batch_options.seeds(options), options.kinds, robots)
-    return [Trial(robot, kind, seed, options.minutes, options.grade) for seed, kind, robot in every]
+    every = product(batch_options.seeds(options), robots, options.kinds)
+    return [Trial(robot, kind, seed, options.minutes, options.grade) for seed, robot, kind in every]
 
 
 def _passed(runs: Sequence[Run]) -> bool:

@@ -7,7 +7,7 @@ import tempfile
 import time
 import xml.etree.ElementTree as ET
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -113,7 +113,7 @@ def _places(truth: str) -> list[tuple[str, str, F64]]:
 
 
 def perform(trial: Slip) -> Noticed:
-    """Simulate, let an SU slip, check.
+    """Simulate, let an SU have slipped, check.
 
     Raises:
         Exception: whatever the package raises.
@@ -126,8 +126,8 @@ def perform(trial: Slip) -> Noticed:
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     sizes = np.array([[1e-3 * trial.shift_mm], [np.deg2rad(trial.turn_deg)]])
     twist = (sizes * directions).ravel()
-    there = [(n, link, T @ exp(twist) if n == slipped else T) for n, link, T in places]
-    recording = _recorded(trial, there)
+    recording = _recorded(trial.robot, trial.seed, trial.seconds, trial.grade)
+    beside = _otherwise(beside, slipped, twist)
     begin = time.perf_counter()
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "robot.urdf"
@@ -157,17 +157,27 @@ def _is_known(name: str, beside: str) -> bool:
     return bool(json.loads(beside)["sus"][name]["verdict"] == "determined")
 
 
-def _recorded(trial: Slip, places: list[tuple[str, str, F64]]) -> Recording:
-    """A recording with SUs in given places, under their names."""
+def _otherwise(beside: str, slipped: str, twist: F64) -> str:
+    """The JSON as it would be if an SU had slipped since; what it slips by counts alone."""
+    document = json.loads(beside)
+    if slipped:
+        T = np.reshape(document["sus"][slipped]["T_joint_su"], (4, 4)) @ exp(-twist)
+        document["sus"][slipped]["T_joint_su"] = T.tolist()
+    return json.dumps(document)
+
+
+@lru_cache(maxsize=1)
+def _recorded(robot: str, seed: int, seconds: float, grade: str) -> Recording:
+    """A recording with SUs where the calibrated ones sit, under their names."""
+    places = _calibrated(robot, grade)[2]
     given = tuple(
         GivenSu(link, (T[0, 3], T[1, 3], T[2, 3]), tuple(rpy_of_rotation(T[:3, :3]).tolist()))
         for _, link, T in places
     )
-    spec = replace(load_robot(trial.robot), skin=SkinLayout(0, 0, given=given))
+    spec = replace(load_robot(robot), skin=SkinLayout(0, 0, given=given))
     settings = SimulationSettings(
-        seed=1000 + trial.seed, excite="none", minutes=trial.seconds / 60, grade=trial.grade,
-        upright=True,
-    )  # fmt: skip
+        seed=1000 + seed, excite="none", minutes=seconds / 60, grade=grade, upright=True
+    )
     done = simulate(spec, settings)
     names = {}
     for made_up, link, T in _places(done.truth.urdf):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 import xml.etree.ElementTree as ET
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Literal, get_args
 
 import numpy as np
@@ -13,8 +14,9 @@ from batch.records import Record
 from skin2urdf.arrays import F64
 from skin2urdf.errors import InsufficientDataError, ModelMismatchError
 from skin2urdf.geometry.se3 import exp, inverse, log
+from skin2urdf.recording.records import Recording
 from skin2urdf.recording.retiming import retimed
-from skin2urdf.simulation import RobotSpec, SimulationSettings, load_robot, simulate
+from skin2urdf.simulation import RobotSpec, SimulationSettings, Truth, load_robot, simulate
 from skin2urdf.simulation.robots import GivenSu, SkinLayout
 from skin2urdf.vendor.calibrate import calibrate_with_model
 from skin2urdf.vendor.description import Description, ModelJoint, describe, origin_transform
@@ -115,16 +117,13 @@ def perform(trial: Trial) -> Found:
     spec = load_robot(trial.robot)
     if trial.kind == "flange":
         return _twice(trial, spec, rng)
+    recording, truth = _recorded(trial.robot, trial.seed, trial.minutes, trial.grade)
+    text = read_model(spec.urdf)
+    description = describe(text)
     mount = (0.0, 0.0, 0.0)
     if trial.kind == "mount":
         mount = _mount(rng)
-    settings = SimulationSettings(
-        seed=trial.seed, excite="none", minutes=trial.minutes, grade=trial.grade, base_rpy=mount
-    )
-    done = simulate(spec, settings)
-    recording, truth = retimed(done.recording), done.truth
-    text = read_model(spec.urdf)
-    description = describe(text)
+        text = _on_a_mount(description, mount)
     moving = list(truth.joint_names)
     expected: tuple[str, ...] = ()
     xi: F64 | None = None
@@ -159,6 +158,16 @@ def perform(trial: Trial) -> Found:
         )  # fmt: skip
     seconds = time.perf_counter() - begin
     return _compared(found, truth.urdf, expected, float(upright), xi, moving, seconds)
+
+
+@lru_cache(maxsize=1)
+def _recorded(robot: str, seed: int, minutes: float, grade: str) -> tuple[Recording, Truth]:
+    """An upright robot's recording: one for all models that it is held against."""
+    settings = SimulationSettings(
+        seed=seed, excite="none", minutes=minutes, grade=grade, base_rpy=(0.0, 0.0, 0.0)
+    )
+    done = simulate(load_robot(robot), settings)
+    return retimed(done.recording), done.truth
 
 
 def _twice(trial: Trial, spec: RobotSpec, rng: np.random.Generator) -> Found:
@@ -216,8 +225,9 @@ def _compared(
     right, errors, covariances = [], [], []
     for u, name in enumerate(found.tree.su_names):
         link, T = places[name]
-        # Where it may sit on several, all of these are told.
-        right.append(link in (found.links[u], *map(found.chassis.link, found.instead[u])))
+        # Where it may sit on several, all of these are told; links fixed to each other are one.
+        joint, _ = found.chassis.carried[link]
+        right.append(joint in (found.tree.su_joint[u], *found.instead[u]))
         if found.links[u] == link and found.observability.su_verdict[u] == "determined":
             errors.append(log(inverse(T) @ found.T_link_su[u]))
             covariances.append(found.observability.su_covariance[u])
@@ -282,6 +292,27 @@ def _mount(rng: np.random.Generator) -> tuple[float, float, float]:
     if rng.random() < 0.5:
         return some[int(rng.integers(len(some)))]
     return float(rng.uniform(np.deg2rad(10), np.pi) * rng.choice([-1, 1])), 0.0, 0.0
+
+
+def _on_a_mount(description: Description, rpy: tuple[float, float, float]) -> ModelText:
+    """The model on a base that a robot which is upright has turned: it is the log's that is."""
+    joint, link = (_unused(description, name) for name in ("mount_of_the_trial", "turned_base"))
+    turn = " ".join(map(repr, rpy))
+    added = (
+        f'<link name="{link}"/><joint name="{joint}" type="fixed">'
+        f'<origin xyz="0 0 0" rpy="{turn}"/>'
+        f'<parent link="{link}"/><child link="{description.root}"/></joint>'
+    )
+    text = description.text
+    end = text.text.rindex("</robot>")
+    return replace(text, text=text.text[:end] + added + text.text[end:])
+
+
+def _unused(description: Description, name: str) -> str:
+    taken = {*description.links, *(joint.name for joint in description.joints)}
+    while name in taken:
+        name += "_"
+    return name
 
 
 def _elsewhere(description: Description, joint: str, rng: np.random.Generator) -> ModelText:

@@ -21,6 +21,7 @@ from skin2urdf.export.source import (
     quaternion,
     rotation_of_rpy,
 )
+from skin2urdf.geometry.units import GRAVITY
 from skin2urdf.urdf.emit import NOMINAL_INERTIA, NOMINAL_MASS, PLACEHOLDER
 from skin2urdf.urdf.names import comment
 
@@ -34,10 +35,10 @@ _KINDS = {"revolute": "hinge", "continuous": "hinge", "prismatic": "slide"}
 def to_mjcf(source: Source) -> str:
     """A robot as MJCF.
 
-    Links are bodies of the same names, the base fixed to the world; SUs are sites with
-    accelerometers, whose noise is the log's where it is known. Meshes are left out, since their
-    paths mean something to ROS alone; boxes, cylinders and spheres are kept. Joints that follow
-    others (mimic) do so by equality constraints.
+    Links are bodies of the same names, the base fixed to the world; gravity is the first log's in
+    its frame, since a robot may hang. SUs are sites with accelerometers, whose noise is the log's
+    where it is known. Meshes are left out, since their paths mean something to ROS alone; boxes,
+    cylinders and spheres are kept. Joints that follow others (mimic) do so by equality constraints.
 
     Args:
         source: what to export.
@@ -63,6 +64,9 @@ def to_mjcf(source: Source) -> str:
         {"angle": "radian", "autolimits": "true", "inertiafromgeom": "false"}
         | {"balanceinertia": "true"},
     )
+    if source.document is not None:
+        up = np.reshape(source.document["gravity_up"], (-1, 3))[0]
+        ET.SubElement(model, "option", gravity=decimals(-GRAVITY * up))
     world = ET.SubElement(model, "worldbody")
     _body(world, source, source.root, None)
     placed = [su for su in source.sus if not su.position_open]

@@ -1,7 +1,8 @@
 """Encoders that count the other way than a model does, or from far off: found by rough fits.
 
 From so far off no fit of all samples finds its way; what linear fits leave of the SUs, whatever
-gravity does, tells which change of few joints is worth one.
+gravity does, tells which change of few joints is worth one. They are so free that a sense of one
+joint may make little of a difference to them: where it explains all SUs, placing them anew tells.
 """
 
 from __future__ import annotations
@@ -18,7 +19,8 @@ from skin2urdf.geometry.se3 import screw
 from skin2urdf.vendor.deviating import FEW, LOOKED_AT, with_zeros
 from skin2urdf.vendor.explained import Explained
 from skin2urdf.vendor.fitting import Bench
-from skin2urdf.vendor.placing import placed_from, roughly_left
+from skin2urdf.vendor.placing import place_sus, roughly_left
+from skin2urdf.vendor.rigid import NOISE
 
 _ZEROS = np.deg2rad([-150, -120, -90, -60, -30, 30, 60, 90, 120, 150, 180])
 """Zeros that are tried [rad]; from a sixth of a turn away the fit finds the right one."""
@@ -67,6 +69,7 @@ def count_otherwise(kept: Explained, common: Blueprint) -> Counted | None:
     found: Explained | None = None
     alike: list[int] = []
     least = _rough(bench, changes)
+    sense = _placed_sense(kept)
     for _ in range(FEW):
         known = {change.joint for change in changes}
         some = [
@@ -79,6 +82,8 @@ def count_otherwise(kept: Explained, common: Blueprint) -> Counted | None:
             break
         scores = [_rough(bench, [*changes, change]) for change in some]
         best = [int(i) for i in np.argsort(scores)[:LOOKED_AT] if scores[i] < least - _GAIN]
+        if not changes and sense is not None and (i := some.index(sense)) not in best:
+            best.append(i)
         if not best:
             break
         tried = {i: _followed(kept, common, [*changes, some[i]]) for i in best}
@@ -93,6 +98,25 @@ def count_otherwise(kept: Explained, common: Blueprint) -> Counted | None:
     names = [joint.name for joint in bench.chassis.joints]
     senses = tuple(names[change.joint] for change in changes if change.zero is None)
     return Counted(senses, found, tuple(dict.fromkeys(names[j] for j in alike)))
+
+
+def _placed_sense(kept: Explained) -> _Change | None:
+    """The joint whose other sense lets all SUs be placed that were not; None where none does.
+
+    What not even the free numbers of rough fits explain no placement does.
+    """
+    bench, sensors = kept.bench, kept.bench.settings.estimation.priors
+    T = bench.chassis.T_parent_joint
+    best, least = None, float(kept.placed.left.max())
+    for j in _moved(bench):
+        change = _Change(j, None)
+        there = _with_senses(bench, [change])
+        if roughly_left(bench.chassis, T, there.logs).max() > NOISE**2:
+            continue
+        left = float(place_sus(bench.chassis, there.logs, sensors).left.max())
+        if left < min(least, NOISE):
+            best, least = change, left
+    return best
 
 
 def _order(found: Explained) -> tuple[bool, int, float]:
@@ -113,7 +137,8 @@ def _followed(kept: Explained, common: Blueprint, changes: Sequence[_Change]) ->
     T = _with_given_zeros(bench.chassis.T_parent_joint, changes)
     sensors = bench.settings.estimation.priors
     shifted = replace(bench, chassis=replace(bench.chassis, T_parent_joint=T))
-    placed = placed_from(shifted.chassis, bench.logs, kept.placed.up, sensors)
+    # The mount that was found may be what made up for the wrong model.
+    placed = place_sus(shifted.chassis, bench.logs, sensors)
     begin = replace(common, T_parent_joint=T)
     first = replace(
         kept, bench=bench, placed=placed, blueprint=begin,

@@ -21,6 +21,8 @@ FEW = 3
 """Joints with another zero or sense that are looked for at most."""
 _TIMES = 3
 """Fits, one from the other, by which a placement is followed that is far off."""
+_ARRIVED = 0.9
+"""Part of what was left before, from which a fit that does not explain the readings has arrived."""
 LOOKED_AT = 3
 """Changes that are followed by a whole fit: rough fits may leave less on a wrong one."""
 
@@ -69,7 +71,9 @@ def placed_otherwise(specimen: Explained) -> tuple[int, Explained] | None:
             fresh = np.zeros_like(begin.bias), np.zeros_like(begin.shape)
             begin = replace(begin, bias=fresh[0], shape=fresh[1])
             along = found.bench.fit(found.placed, blueprint, sensors, begin)
-            found = placed_again(replace(found, along=along))
+            before, found = found, placed_again(replace(found, along=along))
+            if not found.fits and found.left.mean > _ARRIVED * before.left.mean:
+                break
             others = np.delete(_all_pulls(found), j, axis=0)
             # What others had taken up they give back last, by what is common alone.
             if found.fits and not others.max(initial=0.0) > _USUAL:

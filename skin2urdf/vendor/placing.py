@@ -185,10 +185,9 @@ def turned_up(chassis: Chassis, logs: Sequence[Trajectory], placed: Placed, prio
         priors: of the sensors.
     """
     moments = _of_segments(chassis.tree((), ()), chassis.T_parent_joint, logs)
-    fits = [
-        again(fit, sums_of(moments[k], u, placed.up), moments[k], u, priors)
-        for u, (k, fit) in enumerate(zip(placed.su_joint, placed.fits, strict=True))
-    ]
+    own = [moments[k] for k in placed.su_joint]
+    sums = [sums_of(each, u, placed.up) for u, each in enumerate(own)]
+    fits = again(placed.fits, sums, own, priors)
     return _turned(moments, placed.su_joint, fits, placed.up, priors)[1]
 
 
@@ -306,11 +305,13 @@ def _turned(
 ) -> tuple[list[Fit], F64]:
     """Gauss-Newton on gravity's directions, placements following."""
     cost = sum(fit.cost for fit in fits)
+    own = [moments[k] for k in su_joint]
+    sums = [sums_of(each, u, up) for u, each in enumerate(own)]
     for _ in range(_TURNS):
         axes = np.stack([turn_axes(each) for each in up])
         H, g = np.zeros((2 * len(up), 2 * len(up))), np.zeros(2 * len(up))
-        for u, (k, fit) in enumerate(zip(su_joint, fits, strict=True)):
-            own_H, own_g = up_equations(fit, sums_of(moments[k], u, up), axes, priors)
+        for fit, each in zip(fits, sums, strict=True):
+            own_H, own_g = up_equations(fit, replace(each, up=up), axes, priors)
             H += own_H
             g += own_g
         size = float(np.diag(H).max(initial=0.0))
@@ -318,10 +319,7 @@ def _turned(
         step *= min(1.0, 0.3 / max(float(np.abs(step).max()), 1e-12))
         turn = np.einsum("gij,gj->gi", axes, step)
         there = np.einsum("gij,gj->gi", rotation_exp(turn), up)
-        trial = [
-            again(fit, sums_of(moments[k], u, there), moments[k], u, priors)
-            for u, (k, fit) in enumerate(zip(su_joint, fits, strict=True))
-        ]
+        trial = again(fits, [replace(each, up=there) for each in sums], own, priors)
         total = sum(fit.cost for fit in trial)
         if not total < cost:
             break

@@ -67,15 +67,26 @@ def another_robot(found: Explained) -> ModelMismatchError:
     """Why no model of this kind fits."""
     each, names = found.left, found.bench.su_names
     good = int((each.rms <= GROSS).sum())
+    chassis = found.bench.chassis
+    remedy = (
+        "give the model of this very robot, as it was mounted and with the tool it had; "
+        "`skin2urdf calibrate` without --model needs none"
+    )
+    lacking = ""
+    if chassis.extra:
+        extra, absent = ", ".join(chassis.extra), ", ".join(chassis.absent)
+        lacking = f"; the model lacks {extra} of the log" + f", which lacks {absent}" * bool(absent)
+        if absent:
+            same = f"where {extra} of the log is one of the model's ({absent}), let both have one"
+            remedy = f"{same} name; else {remedy}"
     worst = [names[int(u)] for u in np.argsort(-np.nan_to_num(each.rms))[:3]]
     return ModelMismatchError(
         f"{_source(found)}: the model is not the robot in the log: {good} of {len(names)} SUs fit "
         f"on any of its links, and up to {np.nanmax(each.rms):.2g} m/s^2 rms is left of the "
         f"readings ({GROSS:g} is the limit), {each.mean:.3g} times noise; other zeros or senses of "
-        f"few joints do not explain them; worst are {', '.join(worst)}",
-        "give the model of this very robot, as it was mounted and with the tool it had; "
-        "`skin2urdf calibrate` without --model needs none",
-        joints=tuple(joint.name for joint in found.bench.chassis.joints),
+        f"few joints do not explain them; worst are {', '.join(worst)}{lacking}",
+        remedy,
+        joints=tuple(joint.name for joint in chassis.joints),
         sus=tuple(names[int(u)] for u in np.flatnonzero(each.rms > GROSS)),
         cost_per_dof=each.mean,
     )

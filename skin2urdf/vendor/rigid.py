@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
-from skin2urdf.arrays import F64, frozen
+from skin2urdf.arrays import F64, Bool, Int, frozen
 from skin2urdf.estimation.problem.cost import Priors
 from skin2urdf.geometry.so3 import axis_rotation, rotation_exp, skew
 from skin2urdf.geometry.units import GRAVITY
@@ -158,28 +159,27 @@ def fitted(sums: Sums, logs: list[Moments], u: int, priors: Priors) -> Fit:
                 axis_rotation(axis, np.array(2 * np.pi * k / _TURNS)) @ Rt.T
                 for k in range(1, _TURNS)
             ]
-    found = [_descended(_Point(R, np.zeros(_N - 3), np.inf), sums, priors, _FIRST) for R in starts]
-    found = sorted(found, key=lambda point: point.cost)[:_FOLLOWED]
-    best = min((_descended(point, sums, priors) for point in found), key=lambda point: point.cost)
-    r, b, shape, lag = best.parts
-    return Fit(best.R, r, b, shape, lag, _by_span(best, sums.up, logs, u), best.cost)
+    B = len(starts)
+    points = _Points(np.stack(starts), np.zeros((B, _N - 3)), np.full(B, np.inf))
+    points = _descended(points, [sums] * B, priors, _FIRST)
+    points = points[np.argsort(points.cost, kind="stable")[:_FOLLOWED]]
+    points = _descended(points, [sums] * len(points.x), priors)
+    return points.fit(int(points.cost.argmin()), sums, logs, u)
 
 
-def again(fit: Fit, sums: Sums, logs: list[Moments], u: int, priors: Priors) -> Fit:
-    """The fit that an earlier one leads to when gravity's direction has changed a little."""
-    x = np.concatenate([fit.r, fit.bias, fit.shape, [fit.lag]])
-    found = _descended(_Point(fit.R, x, np.inf), sums, priors)
-    r, b, shape, lag = found.parts
-    return replace(
-        fit,
-        R=found.R,
-        r=r,
-        bias=b,
-        shape=shape,
-        lag=lag,
-        rss=_by_span(found, sums.up, logs, u),
-        cost=found.cost,
-    )
+def again(
+    fits: Sequence[Fit], sums: Sequence[Sums], logs: Sequence[list[Moments]], priors: Priors
+) -> list[Fit]:
+    """The fits that earlier ones lead to when gravity's direction has changed a little.
+
+    Args:
+        fits: of U SUs.
+        sums: U moments on their segments.
+        logs: the same by span.
+        priors: of the sensors.
+    """
+    found = _descended(_points_of(fits), sums, priors)
+    return [found.fit(u, sums[u], logs[u], u) for u in range(len(fits))]
 
 
 def place_deviations(fit: Fit, sums: Sums, priors: Priors, noise: float) -> F64:
@@ -191,9 +191,8 @@ def place_deviations(fit: Fit, sums: Sums, priors: Priors, noise: float) -> F64:
         priors: of the sensor.
         noise: of a sample [m/s^2].
     """
-    point = _Point(fit.R, np.concatenate([fit.r, fit.bias, fit.shape, [fit.lag]]), np.inf)
-    H, _, _ = _equations(point, sums, priors)
-    covariance = noise**2 * np.linalg.inv(H + 1e-12 * np.eye(_N))
+    H, _, _ = _equations(_points_of([fit]), [sums], _prior(priors))
+    covariance = noise**2 * np.linalg.inv(H[0] + 1e-12 * np.eye(_N))
     return np.asarray(np.sqrt(np.linalg.eigvalsh(covariance[3:6, 3:6]).clip(min=0.0)))
 
 
@@ -216,14 +215,13 @@ def up_equations(fit: Fit, sums: Sums, axes: F64, priors: Priors) -> tuple[F64, 
         (2 G, 2 G) and (2 G,).
     """
     G = len(sums.up)
-    point = _Point(fit.R, np.concatenate([fit.r, fit.bias, fit.shape, [fit.lag]]), np.inf)
+    point = _points_of([fit])
     H, g = np.zeros((_N + 2 * G, _N + 2 * G)), np.zeros(_N + 2 * G)
-    S = _matrix(fit.shape)
-    Q = S @ fit.R.T
-    own_H, own_g, _ = _equations(point, sums, priors)
-    H[:_N, :_N], g[:_N] = own_H, own_g
+    Q = _matrix(fit.shape) @ fit.R.T
+    own_H, own_g, _ = _equations(point, [sums], _prior(priors))
+    H[:_N, :_N], g[:_N] = own_H[0], own_g[0]
     for k, (N, c, s, up) in enumerate(zip(sums.N, sums.c, sums.s, sums.up, strict=True)):
-        theta, J = _numbers(point, up)
+        (theta,), (J,) = _numbers(point, up)
         turned = np.cross(axes[k].T, up) * GRAVITY
         D = np.zeros((N_REGRESSORS, 3, 2))
         D[TURNED] = np.einsum("ic,tj->cjit", Q, turned).reshape(9, 3, 2)
@@ -247,45 +245,56 @@ def up_equations(fit: Fit, sums: Sums, axes: F64, priors: Priors) -> tuple[F64, 
 
 
 @dataclass(frozen=True, eq=False)
-class _Point:
-    """A turn, the other numbers (13,) and what they leave."""
+class _Points:
+    """B placements and sensors: turns (B, 3, 3), other numbers (B, 13), what they leave (B,)."""
 
     R: F64
     x: F64
-    cost: float
+    cost: F64
 
-    @property
-    def parts(self) -> tuple[F64, F64, F64, float]:
-        """Place, bias, shape and lag."""
-        return self.x[:3], self.x[3:6], self.x[6:12], float(self.x[12])
+    def __getitem__(self, at: Int | Bool | slice) -> _Points:
+        return _Points(self.R[at], self.x[at], self.cost[at])
+
+    def fit(self, at: int, sums: Sums, logs: list[Moments], u: int) -> Fit:
+        """One of them, as an SU's."""
+        x = self.x[at]
+        lag, cost = float(x[12]), float(self.cost[at])
+        rss = _by_span(self[at : at + 1], sums.up, logs, u)
+        return Fit(self.R[at], x[:3], x[3:6], x[6:12], lag, rss, cost)
+
+
+def _points_of(fits: Sequence[Fit]) -> _Points:
+    """Those of SUs on their segments."""
+    x = [np.concatenate([fit.r, fit.bias, fit.shape, [fit.lag]]) for fit in fits]
+    return _Points(np.stack([fit.R for fit in fits]), np.stack(x), np.full(len(fits), np.inf))
 
 
 def _matrix(shape: F64) -> F64:
-    """(3, 3) what a sensor's shape makes of specific force."""
+    """(B, 3, 3) what sensors' shapes make of specific force."""
     return np.asarray(np.eye(3) + np.tensordot(shape, _SHAPE_UNITS, 1))
 
 
-def _numbers(point: _Point, up: F64) -> tuple[F64, F64]:
-    """(22, 3) numbers of a placement, and (22, 3, 15) their derivatives, the lag's left out."""
-    r, b, shape, _ = point.parts
-    S, Rt = _matrix(shape), point.R.T
+def _numbers(points: _Points, up: F64) -> tuple[F64, F64]:
+    """(B, 22, 3) numbers of placements, and (B, 22, 3, 15) their derivatives, lags' left out."""
+    B, r, bias = len(points.x), points.x[:, :3], points.x[:, 3:6]
+    S, Rt = _matrix(points.x[:, 6:12])[:, None], points.R.swapaxes(1, 2)[:, None]
     Q = S @ Rt
     # All that Q turns into: itself, and its derivatives in the turn and in the shape.
-    all_Q = np.concatenate([Q[None], -S @ _TURN_UNITS @ Rt, _SHAPE_UNITS @ Rt])
-    by_axis = np.moveaxis(all_Q, (2, 1, 0), (0, 1, 2))  # (c, i, k)
-    out = np.zeros((N_REGRESSORS, 3, len(all_Q)))
-    out[TURNED] = (by_axis[:, None] * (GRAVITY * up)[:, None, None]).reshape(9, 3, -1)
-    out[MOVED] = by_axis
-    out[LEVER] = (by_axis[:, None] * r[:, None, None]).reshape(9, 3, -1)
-    theta = out[:, :, 0]
-    theta[CONSTANT] = b
-    J = np.zeros((N_REGRESSORS, 3, _N - 1))
-    J[:, :, :3], J[:, :, 9:] = out[:, :, 1:4], out[:, :, 4:]
-    lever = J[LEVER].reshape(3, 3, 3, _N - 1)
+    all_Q = np.concatenate([Q, -S @ _TURN_UNITS @ Rt, _SHAPE_UNITS @ Rt], axis=1)
+    by_axis = all_Q.transpose(0, 3, 2, 1)  # (B, c, i, k)
+    out = np.zeros((B, N_REGRESSORS, 3, all_Q.shape[1]))
+    out[:, TURNED] = (by_axis[:, :, None] * (GRAVITY * up)[:, None, None]).reshape(B, 9, 3, -1)
+    out[:, MOVED] = by_axis
+    out[:, LEVER] = (by_axis[:, :, None] * r[:, None, :, None, None]).reshape(B, 9, 3, -1)
+    theta = out[..., 0]
+    theta[:, CONSTANT] = bias
+    J = np.zeros((B, N_REGRESSORS, 3, _N - 1))
+    J[..., :3], J[..., 9:] = out[..., 1:4], out[..., 4:]
+    lever = J[:, LEVER].reshape(B, 3, 3, 3, _N - 1)
     for k in range(3):
-        lever[:, k, :, 3 + k] = Q.T
-    J[LEVER] = lever.reshape(9, 3, _N - 1)
-    J[CONSTANT, range(3), range(6, 9)] = 1.0
+        lever[:, :, k, :, 3 + k] = by_axis[..., 0]
+    J[:, LEVER] = lever.reshape(B, 9, 3, _N - 1)
+    J[:, CONSTANT, range(3), range(6, 9)] = 1.0
     return theta, J
 
 
@@ -297,59 +306,77 @@ def _prior(priors: Priors) -> F64:
     return np.asarray(NOISE**2 / deviations**2)
 
 
-def _equations(point: _Point, sums: Sums, priors: Priors) -> tuple[F64, F64, float]:
-    """Normal equations (16, 16), half the slope with its sign turned (16,), and the cost."""
-    lag = point.parts[3]
-    weight = _prior(priors)
-    value = np.concatenate([np.zeros(3), point.x])
-    H, g = np.diag(weight), -weight * value
-    cost = sums.yy + 2 * lag * sums.ys + lag**2 * sums.ss + float(weight @ value**2)
-    H[-1, -1] += sums.ss
-    g[-1] -= sums.ys + lag * sums.ss
-    for N, c, s, up in zip(sums.N, sums.c, sums.s, sums.up, strict=True):
-        theta, J = _numbers(point, up)
-        target = c + lag * s
+def _equations(points: _Points, sums: Sequence[Sums], weight: F64) -> tuple[F64, F64, F64]:
+    """Normal equations (B, 16, 16), half the slope with its sign turned (B, 16), costs (B,).
+
+    Args:
+        points: B of them.
+        sums: B of the SUs, of the same logs.
+        weight: (16,) of what is known before.
+    """
+    B, lag = len(sums), points.x[:, 12]
+    value = np.concatenate([np.zeros((B, 3)), points.x], axis=1)
+    H, g = np.tile(np.diag(weight), (B, 1, 1)), -weight * value
+    yy, ys, ss = (np.array([getattr(each, name) for each in sums]) for name in ("yy", "ys", "ss"))
+    cost = yy + 2 * lag * ys + lag**2 * ss + value**2 @ weight
+    H[:, -1, -1] += ss
+    g[:, -1] -= ys + lag * ss
+    for k, up in enumerate(sums[0].up):
+        N, c, s = (np.stack([getattr(each, name)[k] for each in sums]) for name in ("N", "c", "s"))
+        theta, J = _numbers(points, up)
+        target = c + lag[:, None, None] * s
         Nt = N @ theta
-        flat = J.reshape(-1, _N - 1)
-        H[:-1, :-1] += flat.T @ (N @ J.reshape(N_REGRESSORS, -1)).reshape(flat.shape)
-        g[:-1] += (target - Nt).ravel() @ flat
-        lagged = -(s.ravel() @ flat)
-        H[:-1, -1] += lagged
-        H[-1, :-1] += lagged
-        g[-1] += float((s * theta).sum())
-        cost += float((theta * (Nt - 2 * target)).sum())
+        flat = J.reshape(B, -1, _N - 1)
+        both = (N @ J.reshape(B, N_REGRESSORS, -1)).reshape(flat.shape)
+        H[:, :-1, :-1] += flat.swapaxes(1, 2) @ both
+        g[:, :-1] += ((target - Nt).reshape(B, 1, -1) @ flat)[:, 0]
+        lagged = -(s.reshape(B, 1, -1) @ flat)[:, 0]
+        H[:, :-1, -1] += lagged
+        H[:, -1, :-1] += lagged
+        g[:, -1] += (s * theta).sum(axis=(1, 2))
+        cost += (theta * (Nt - 2 * target)).sum(axis=(1, 2))
     return H, g, cost
 
 
-def _descended(point: _Point, sums: Sums, priors: Priors, steps: int = _STEPS) -> _Point:
-    """Levenberg-Marquardt."""
-    H, g, cost = _equations(point, sums, priors)
-    point = replace(point, cost=cost)
-    damping = 1e-4
+def _descended(
+    points: _Points, sums: Sequence[Sums], priors: Priors, steps: int = _STEPS
+) -> _Points:
+    """Levenberg-Marquardt of each, side by side.
+
+    Args:
+        points: B of them.
+        sums: B of the SUs, of the same logs.
+        priors: of the sensors.
+        steps: at most.
+    """
+    weight = _prior(priors)
+    H, g, cost = _equations(points, sums, weight)
+    R, x = np.array(points.R), np.array(points.x)
+    damping, on = np.full(len(x), 1e-4), np.arange(len(x))
     for _ in range(steps):
-        damped = H + damping * np.diag(np.diag(H)) + 1e-12 * np.eye(_N)
-        step = np.asarray(np.linalg.solve(damped, g))
-        trial = _Point(point.R @ rotation_exp(step[:3]), point.x + step[3:], np.inf)
-        H_there, g_there, there = _equations(trial, sums, priors)
-        if there > point.cost:
-            damping *= 10
-            if damping > 1e8:
-                break
-            continue
-        gain = (point.cost - there) / max(point.cost, 1e-12)
-        point, H, g = replace(trial, cost=there), H_there, g_there
-        damping = max(damping / 10, 1e-9)
-        if gain < 1e-8:
+        size = np.einsum("bii->bi", H[on])
+        damped = H[on] + (damping[on, None] * size + 1e-12)[:, :, None] * np.eye(_N)
+        step = np.linalg.solve(damped, g[on][:, :, None])[:, :, 0]
+        trial = _Points(R[on] @ rotation_exp(step[:, :3]), x[on] + step[:, 3:], cost[on])
+        H_there, g_there, there = _equations(trial, [sums[int(i)] for i in on], weight)
+        less = there <= trial.cost
+        gain = (trial.cost - there) / np.maximum(trial.cost, 1e-12)
+        better = on[less]
+        R[better], x[better], cost[better] = trial.R[less], trial.x[less], there[less]
+        H[better], g[better] = H_there[less], g_there[less]
+        damping[on] = np.where(less, np.maximum(damping[on] / 10, 1e-9), damping[on] * 10)
+        on = on[np.where(less, gain >= 1e-8, damping[on] <= 1e8)]
+        if not len(on):
             break
-    return point
+    return _Points(R, x, cost)
 
 
-def _by_span(point: _Point, up: F64, logs: list[Moments], u: int) -> F64:
-    """(S,) sums of squares that a placement leaves of each span of all logs."""
-    lag = point.parts[3]
+def _by_span(point: _Points, up: F64, logs: list[Moments], u: int) -> F64:
+    """(S,) sums of squares that one placement leaves of each span of all logs."""
+    lag = float(point.x[0, 12])
     out = []
     for m, direction in zip(logs, up, strict=True):
-        theta, _ = _numbers(point, direction)
+        theta = _numbers(point, direction)[0][0]
         rss = m.yy[u] + 2 * lag * m.ys[u] + lag**2 * m.ss[u]
         rss = rss - 2 * np.einsum("nri,ri->n", m.c[u] + lag * m.s[u], theta)
         out.append(rss + ((m.N[u] @ theta) * theta).sum(axis=(1, 2)))

@@ -21,12 +21,13 @@ from calibrated import calibration
 from skin2urdf.cli.main import main
 from skin2urdf.errors import UsageError
 from skin2urdf.export.imu import to_imu
-from skin2urdf.export.kinematics import to_kinematics
+from skin2urdf.export.kinematics import Style, to_kinematics
 from skin2urdf.export.launch import to_launch
 from skin2urdf.export.mjcf import to_mjcf
 from skin2urdf.export.source import Source, load_source, rotation_of_rpy
 from skin2urdf.export.xacro import to_xacro
 from skin2urdf.geometry.se3 import inverse
+from skin2urdf.simulation import load_robot
 from skin2urdf.urdf.check import su_poses
 
 NUMBERS = ["x", "y", "z", "roll", "pitch", "yaw"]
@@ -183,7 +184,45 @@ def test_kinematics_have_the_keys_of_flexiv(source: Source) -> None:
     table = yaml.safe_load(to_kinematics(source, "flexiv"))
     assert list(table) == ["kinematics"]
     assert list(table["kinematics"]) == [f"joint{n}" for n in range(1, 7)]
-    check_placements(list(table["kinematics"].values()))
+    assert all(list(entry) == NUMBERS for entry in table["kinematics"].values())
+
+
+def axes_in(robot: pin.Model, q: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Places (3,) and directions (3,) of the axes of a robot's joints."""
+    data = robot.createData()
+    turning = pin.computeJointJacobians(robot, data, q)[3:].T
+    return [(data.oMi[n + 1].translation, way) for n, way in enumerate(turning)]
+
+
+@pytest.mark.parametrize(
+    ("style", "axes"),
+    [
+        # As the descriptions have them: ur_macro.xacro, franka_arm.xacro, rizon_arm.xacro.
+        ("ur", ["z"] * 6),
+        ("franka", ["z"] * 6),
+        ("flexiv", ["z", "y", "z", "y", "z", "y"]),
+    ],
+)
+@pytest.mark.parametrize("own", [True, False])
+def test_the_descriptions_axes_are_where_the_urdf_has_them(
+    style: Style, axes: list[str], own: bool, source: Source
+) -> None:
+    # The UR5 of example-robot-data turns some of its joints about y.
+    path = source.path if own else load_robot("ur5").urdf
+    table = yaml.safe_load(to_kinematics(load_source(path), style))
+    given_by = table.get("kinematics", table)
+    entries = [e.get("kinematic", e) for name, e in given_by.items() if name != "hash"]
+    described = pin.Model()
+    for n, (entry, axis) in enumerate(zip(entries, axes, strict=True)):
+        values = np.array([entry[key] for key in NUMBERS])
+        kind = {"y": pin.JointModelRY, "z": pin.JointModelRZ}[axis]()
+        where = pin.SE3(rotation_of_rpy(values[3:]), values[:3])
+        described.addJoint(n, kind, where, f"joint{n}")
+    given = pin.buildModelFromUrdf(str(path))
+    q = np.array([0.3, -0.8, 1.1, 0.4, -1.3, 0.7])
+    for (p, a), (place, way) in zip(axes_in(described, q), axes_in(given, q), strict=True):
+        np.testing.assert_allclose(p, place, atol=1e-9)
+        np.testing.assert_allclose(a, way, atol=1e-9)
 
 
 def test_kinematics_are_for_one_arm(source: Source) -> None:
@@ -260,6 +299,13 @@ def test_mjcf_has_the_same_kinematics_and_feels_gravity(source: Source) -> None:
     for name in placed_by_name():
         up = data.site(name).xmat.reshape(3, 3).T @ [0.0, 0.0, 9.81]
         np.testing.assert_allclose(data.sensor(name).data, up, atol=1e-6)
+
+
+def test_mjcf_has_gravity_as_the_robot_is_mounted(source: Source) -> None:
+    assert source.document is not None
+    hung = replace(source, document={**source.document, "gravity_up": [[0.0, 0.6, -0.8]]})
+    read = mujoco.MjModel.from_xml_string(to_mjcf(hung))
+    np.testing.assert_allclose(read.opt.gravity, [0.0, -5.886, 7.848], rtol=1e-3)
 
 
 VENDOR = """\

@@ -127,6 +127,7 @@ def test_a_zero_far_off_is_named_and_found_where_asked(calibrated: Calibrate) ->
     with pytest.raises(ModelMismatchError) as error:
         calibrated(text, Correction())
     assert error.value.joints == ("lift",)
+    assert error.value.remedy
     assert error.value.exit_status == 1
 
 
@@ -134,6 +135,27 @@ def test_a_joint_of_the_other_sense_is_named(calibrated: Calibrate) -> None:
     with pytest.raises(ModelMismatchError) as error:
         calibrated(REVERSED, Correction())
     assert error.value.joints == ("lift",)
+
+
+@pytest.mark.parametrize(
+    ("joint", "axis", "seed", "roll"),
+    [
+        # Little shows the sense of a vertical joint, and none of another joint's is better.
+        ("turn", "0 0 1", 21, 0.02),
+        # The mount that goes with the wrong sense is upright.
+        ("roll", "2 0 1", 20, np.pi),
+    ],
+)
+def test_a_sense_is_named_that_rough_fits_hardly_see(
+    joint: str, axis: str, seed: int, roll: float, tmp_path: Path
+) -> None:
+    robot = recorded(tmp_path, minutes=0.25, seed=seed, base_rpy=(roll, 0.0, 0.0))
+    other = " ".join(str(-int(word)) for word in axis.split())
+    text = URDF.replace(f'<axis xyz="{axis}"/>', f'<axis xyz="{other}"/>')
+    with pytest.raises(ModelMismatchError) as error:
+        calibrate_with_model(robot.recording, model(text))
+    assert error.value.joints == (joint,)
+    assert error.value.remedy
 
 
 def test_a_sense_is_named_before_a_half_turn_of_an_axis_beyond(
@@ -374,6 +396,48 @@ def test_a_joint_that_sits_elsewhere_is_named(
     with pytest.raises(ModelMismatchError) as error:
         calibrated(text, Correction())
     assert error.value.joints == (joint,)
+    assert error.value.remedy
+
+
+@pytest.fixture(scope="module")
+def short(tmp_path_factory: pytest.TempPathFactory) -> Recorded:
+    return recorded(tmp_path_factory.mktemp("short"), minutes=0.25)
+
+
+def renamed(recording: Recording, joint: str) -> Recording:
+    """The recording with one of its joints called head."""
+    joints = [replace(x, name="head") if x.name == joint else x for x in recording.joints]
+    return replace(recording, joints=tuple(joints))
+
+
+def test_joints_that_log_or_model_lack_are_told_and_what_they_move_is_named(
+    short: Recorded,
+) -> None:
+    found = calibrate_with_model(renamed(short.recording, "roll"), model())
+    told = as_document(found)["model"]
+    assert told["joints_the_log_lacks"].keys() == {"roll", "grip"}
+    assert list(told["joints_the_model_lacks"]) == ["head"]
+    assert {short.link[name] for name in found.odd} == {"three"}
+    assert found.to_repair
+
+
+def test_where_nothing_fits_joints_of_other_names_are_named(short: Recorded) -> None:
+    with pytest.raises(ModelMismatchError) as error:
+        calibrate_with_model(renamed(short.recording, "turn"), model())
+    assert {"head", "turn"} <= set(re.findall(r"\w+", error.value.remedy))
+
+
+def test_another_robot_is_named(short: Recorded) -> None:
+    chassis = match(describe(model()), ["turn", "lift", "roll"])
+    rng = np.random.default_rng(1)
+    far = np.concatenate([rng.normal(0, 0.1, (3, 3)), rng.normal(0, 1.0, (3, 3))], axis=1)
+    new = chassis.origins(chassis.T_parent_joint @ exp(far))
+    origins = {joint.name: T for joint, T in zip(chassis.joints, new, strict=True)}
+    other = with_additions(URDF, "toy.urdf", [], origins)
+    with pytest.raises(ModelMismatchError) as error:
+        calibrate_with_model(short.recording, model(other))
+    assert error.value.joints == ("turn", "lift", "roll")
+    assert error.value.remedy
 
 
 def test_a_mount_that_was_turned_is_told(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -55,6 +56,11 @@ def _leaps(joint: JointStream, log: int) -> list[EncoderError]:
     at = np.flatnonzero((size > limit) & (period < 1.5 * usual) & near)
     if not 0 < len(at) <= _MOST:
         return []
+    for i, j in pairwise(at):
+        # What comes back at once comes back all the way: less than a leap is seen as none.
+        if j - i <= _NEARBY and abs(sudden[i] + sudden[j]) < limit:
+            away = (sudden[i] - sudden[j]) / 2
+            sudden[i], sudden[j] = away, -away
     return [
         EncoderError("offset", joint.name, float(sudden[i]), log, float(t[i] + period[i] / 2))
         for i in at

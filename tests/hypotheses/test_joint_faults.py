@@ -251,6 +251,17 @@ def test_samples_sent_twice_and_pauses_are_no_leaps() -> None:
         assert not leaps(replace(r, joints=(track,)), 0)
 
 
+def test_one_wrong_sample_moves_no_zero() -> None:
+    r = recording()
+    (joint,) = (j for j in r.joints if j.name == JOINT)
+    slow = replace(joint, time=joint.time[::4], position=joint.position[::4])
+    bend = int(np.argmax(np.abs(np.diff(slow.position, 2))))
+    x = np.array(slow.position)
+    x[bend + 2] += 0.3
+    there, back = leaps(replace(r, joints=(replace(slow, position=x),)), 0)
+    assert there.size == -back.size == pytest.approx(0.3, abs=5e-3)
+
+
 def test_features_are_corrected_as_the_recording_is() -> None:
     r = recording()
     error = EncoderError("scale", JOINT, 1.25)

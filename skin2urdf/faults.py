@@ -23,8 +23,9 @@ FaultKind = Literal[
     "contact",
 ]
 """Of SUs: no readings at all or zeros; one value repeated; readings cut off at the end of the
-range; samples missing again and again; far noisier than the others; another placement from some
-time on; two names exchanged between logs; negated or left-handed; a unit that is no m/s^2.
+range; samples missing again and again; far noisier than the others, or values among
+its readings that no motion made; another placement from some time on; two names exchanged between
+logs; negated or left-handed; a unit that is no m/s^2.
 Of joints: an encoder that counts the other way; by another factor; from another zero from some
 time on; a joint that something touched."""
 
@@ -36,7 +37,14 @@ _TO_REPAIR: tuple[FaultKind, ...] = (
 
 
 Detail = Literal[
-    "", "no samples", "no samples at rest", "silent", "always", "between logs", "in a log"
+    "",
+    "no samples",
+    "no samples at rest",
+    "silent",
+    "always",
+    "impulses",
+    "between logs",
+    "in a log",
 ]
 """Which way a fault shows, where a kind has several."""
 

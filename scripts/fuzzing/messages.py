@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import lru_cache
 from io import BytesIO
 from typing import NamedTuple
 
@@ -19,12 +20,13 @@ class Message(NamedTuple):
     payload: bytes
 
 
-def messages_of(log: bytes) -> list[Message]:
+@lru_cache(maxsize=1)
+def messages_of(log: bytes) -> tuple[Message, ...]:
     """All messages of a sound log, in the order of their log times."""
-    return [
+    return tuple(
         Message(channel.topic, schema.name if schema else "", message.log_time, message.data)
         for schema, channel, message in make_reader(BytesIO(log)).iter_messages()
-    ]
+    )
 
 
 def written(messages: Sequence[Message]) -> bytes:

@@ -66,7 +66,7 @@ def mutated_records(log: bytes, rng: np.random.Generator) -> bytes:
 
 def mutated_messages(log: bytes, rng: np.random.Generator) -> bytes:
     """Change times, values, order and payloads of messages, and write them as a sound log."""
-    messages = messages_of(log)
+    messages = list(messages_of(log))
     for _ in range(int(rng.integers(1, 4))):
         messages = _MESSAGE_KINDS[int(rng.integers(len(_MESSAGE_KINDS)))](messages, rng)
     return written(messages)

@@ -43,8 +43,8 @@ def sound_log(folder: Path) -> Sound:
     robot, log, truth = (folder / name for name in ("two.urdf", "log.mcap", "truth.urdf"))
     robot.write_text(ROBOT)
     skin2urdf(
-        ["simulate", str(robot), "-o", str(log), "--truth", str(truth), "--poses", "5",
-         "--sus-per-segment", "2", "--seed", "5", "--imu-rate", "100", "--joint-rate", "100",
+        ["simulate", str(robot), "-o", str(log), "--truth", str(truth), "--poses", "4",
+         "--sus-per-segment", "2", "--seed", "5", "--imu-rate", "60", "--joint-rate", "60",
          "--excite", "all", "--quiet"]
     )  # fmt: skip
     return Sound(log, truth)

@@ -39,6 +39,8 @@ NONE = np.zeros(0, np.int64)
 # that are then looked through at once: below these stepping is faster.
 IN_A_ROW = 48
 LEAST_PIECE, LARGEST_PIECE = 1 << 15, 1 << 20
+# Message indexes of fewer bytes are: to step over one takes as long as to search some hundred.
+SHORT = 256
 
 
 class Record(NamedTuple):
@@ -101,7 +103,8 @@ def walk(buffer: memoryview, start: int, stop: int, size: int = BATCH) -> Iterat
             if behind > stop or opcode == 0:
                 break
             row, last = row + 1 if opcode == last else 0, opcode
-            if row >= IN_A_ROW and opcode in (message, index):
+            short = opcode == message or (opcode == index and length < SHORT)
+            if row >= IN_A_ROW and short:
                 most = size - len(found) if opcode == message else stop
                 starts, behind = alike(content[: min(stop, at + piece)], at, opcode, most)
                 if starts.size:

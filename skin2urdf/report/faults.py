@@ -76,6 +76,10 @@ def _of_a_stream(fault: Fault) -> Words:
             gap = fault.end - fault.begin
             what = f"lost {percent:.0f} % of its samples (longest gap {gap:.2f} s); what is there"
             return Words(f"{su} {what} was used", _CHECK_SENSOR)
+        case "noisy" if fault.detail == "impulses":
+            what = "leaves its value again and again while the robot rests, and comes back:"
+            what += f" {fault.size:.0f} times its noise; it is left out"
+            return Words(f"{su} {what}", _CHECK_SENSOR)
         case "noisy":
             what = f"has {fault.size:.0f} times the noise of the other SUs and counts accordingly"
             return Words(f"{su} {what} less", "check its fixing, its supply and its filter")

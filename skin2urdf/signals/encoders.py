@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -44,20 +45,35 @@ def _leaps(joint: JointStream, log: int) -> list[EncoderError]:
     step, period = np.diff(x), np.diff(t)
     if len(step) < 100:
         return []
-    pad = np.pad(step, _NEARBY, mode="edge")
-    around = np.lib.stride_tricks.sliding_window_view(pad, 2 * _NEARBY + 1)
-    sudden = step - np.median(around, axis=1)
-    size = np.abs(sudden)
+    sudden = step - _middle(step)
+    # A sample that was sent twice is no stop: by their times, such steps are none.
+    speed = np.divide(step, period, out=np.zeros_like(step), where=period > 0)
+    size = np.minimum(np.abs(sudden), np.abs(step - _middle(speed) * period))
     limit = max(_LEAP * float(np.quantile(size, 0.999)), _STEPS * _finest(step))
-    # Across a gap, a joint can be anywhere.
-    whole = period < 1.5 * np.median(period)
-    at = np.flatnonzero((size > limit) & whole)
+    # Across a gap, a joint can be anywhere, and what it does there says nothing of the other side.
+    usual = float(np.median(period))
+    first = np.maximum(np.arange(len(step)) - _NEARBY, 0)
+    last = np.minimum(np.arange(len(step)) + _NEARBY + 1, len(step))
+    near = t[last] - t[first] < 2 * (2 * _NEARBY + 1) * usual
+    at = np.flatnonzero((size > limit) & (period < 1.5 * usual) & near)
     if not 0 < len(at) <= _MOST:
         return []
+    for i, j in pairwise(at):
+        # What comes back at once comes back all the way: less than a leap is seen as none.
+        if j - i <= _NEARBY and abs(sudden[i] + sudden[j]) < limit:
+            away = (sudden[i] - sudden[j]) / 2
+            sudden[i], sudden[j] = away, -away
     return [
         EncoderError("offset", joint.name, float(sudden[i]), log, float(t[i] + period[i] / 2))
         for i in at
     ]
+
+
+def _middle(values: F64) -> F64:
+    """(N,) running median of values (N,)."""
+    pad = np.pad(values, _NEARBY, mode="edge")
+    around = np.lib.stride_tricks.sliding_window_view(pad, 2 * _NEARBY + 1)
+    return np.asarray(np.median(around, axis=1))
 
 
 def reversal(joint: JointStream, between: tuple[float, float], about: float = np.nan) -> float:

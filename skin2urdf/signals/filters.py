@@ -180,6 +180,21 @@ class Spline:
         )
         return np.stack(list(columns), axis=1)
 
+    def later(self, by: float) -> F64:
+        """Values (M, C) at all positions plus ``by``; beyond the ends those at the ends."""
+        size, step = self._size, int(np.floor(by))
+        first = min(size, max(0, -step))
+        last = max(first, min(size, size - step - 1))
+        out = np.empty((size, len(self._coefficients)))
+        out[:first], out[last:] = self.within(np.array([0.0, size - 1.0]))[:, None]
+        there = np.zeros((len(self._coefficients), last - first))
+        begin = first + step + _MARGIN - 2
+        # One fraction for all: weights are numbers, and samples in a row.
+        for k, weight in enumerate(_quintic(np.array(by - step))):
+            there += weight * self._coefficients[:, begin + k : begin + k + last - first]
+        out[first:last] = there.T
+        return out
+
 
 _MARGIN = 24
 """Samples by which splines are carried on."""
@@ -247,7 +262,4 @@ def eroded(mask: Bool, reach: int) -> Bool:
 
 def shifted(values: F64, rate: float, delay: float) -> F64:
     """Values (N, C) of a stream taken ``delay`` [s] later, by quintic splines."""
-    if delay == 0.0:
-        return values
-    last = len(values) - 1
-    return Spline(values).within(np.clip(np.arange(last + 1) + delay * rate, 0, last))
+    return values if delay == 0.0 else Spline(values).later(delay * rate)

@@ -45,6 +45,10 @@ _SILENT = 3.0
 _NOISY = 5.0
 """Noise over the median SU's from which an SU is named. Units of one sort differ by some tens of
 per cent, and the estimate of a noise from thousands of samples by a few."""
+_IMPULSIVE = 10.0
+"""Root mean square of the steps between samples at rest, over what their median says of normal
+noise, from which readings hold what no motion made: of normal noise it is 1, of digits 2 at most;
+of zeros in one of a thousand samples of an axis in which gravity is, 10 with noise of 2 mg."""
 _LEAST_NOISE = 1e-3
 """Noise [m/s^2] that no accelerometer's falls below: what is less is not held against others."""
 
@@ -94,6 +98,10 @@ def checked(
             whole = su.at(kept)
         if not faults:
             faults = [*_silences(su, span), *_losses(su, pauses), *_noisiness(su.name, u, noise)]
+        if impulses := _impulses(su, rests, noise[u]):
+            # While the robot moves nothing tells them from readings, and their mean is not zero.
+            kept, whole = np.zeros_like(kept), su.at(np.zeros_like(kept))
+            faults = [f for f in faults if f.kind != "noisy"] + impulses
         clipped = clipping(whole.specific_force, still[u][kept])
         if share := float(clipped.mean()) if len(clipped) else 0.0:
             faults = [*faults, Fault("saturated", su.name, size=share)]
@@ -223,6 +231,28 @@ def _noisiness(name: str, u: int, noise: F64) -> list[Fault]:
     if noise[u] < _NOISY * usual:
         return []
     return [Fault("noisy", name, size=float(noise[u] / usual))]
+
+
+def _impulses(su: SuStream, rests: Sequence[tuple[float, float]], noise: float) -> list[Fault]:
+    """The fault of readings that leave a value at rest again and again, and come back to it.
+
+    Half of the rests show it, unlike a hit. A sensor without noise shows its digits.
+
+    Args:
+        su: the stream.
+        rests: begin and end of the times at which the robot rests [s].
+        noise: standard deviation of its noise, as most samples at rest show it [m/s^2].
+    """
+    sizes, digit = [], np.inf
+    for begin, end in rests:
+        a, b = np.searchsorted(su.time, [begin, end])
+        if b - a > 2:
+            steps = np.abs(np.diff(su.specific_force[a:b], axis=0))
+            sizes.append(float(np.sqrt((steps**2).mean() / 2)))
+            digit = min(digit, float(steps[steps > 0].min(initial=np.inf)))
+    usual = float(max(noise, digit if np.isfinite(digit) else 0.0, _LEAST_NOISE))
+    times = float(np.median(sizes)) / usual if sizes else 0.0
+    return [Fault("noisy", su.name, "impulses", size=times)] if times > _IMPULSIVE else []
 
 
 def clipping(raw: F64, still: Bool) -> Bool:

@@ -234,6 +234,34 @@ def test_leaps_are_found_to_their_sample_and_size() -> None:
     assert not leaps(r, 0)
 
 
+def test_samples_sent_twice_and_pauses_are_no_leaps() -> None:
+    r = recording()
+    (joint,) = (j for j in r.joints if j.name == JOINT)
+    fast = int(np.argmax(np.abs(np.diff(joint.position))))
+    rows = np.insert(np.arange(len(joint.time)), fast, fast)
+    twice = replace(joint, time=joint.time[rows], position=joint.position[rows])
+    late = np.where(np.arange(len(rows)) == fast + 1, 1e-5, 0.0)
+    twice = replace(twice, time=twice.time + late)
+    before = np.arange(len(joint.time)) <= fast
+    later = np.abs(np.diff(joint.position, append=0.0)) < 1e-4
+    later &= joint.time > joint.time[fast] + 2.0
+    kept = before | (np.arange(len(before)) >= np.flatnonzero(later)[0])
+    paused = replace(joint, time=joint.time[kept], position=joint.position[kept])
+    for track in (twice, paused):
+        assert not leaps(replace(r, joints=(track,)), 0)
+
+
+def test_one_wrong_sample_moves_no_zero() -> None:
+    r = recording()
+    (joint,) = (j for j in r.joints if j.name == JOINT)
+    slow = replace(joint, time=joint.time[::4], position=joint.position[::4])
+    bend = int(np.argmax(np.abs(np.diff(slow.position, 2))))
+    x = np.array(slow.position)
+    x[bend + 2] += 0.3
+    there, back = leaps(replace(r, joints=(replace(slow, position=x),)), 0)
+    assert there.size == -back.size == pytest.approx(0.3, abs=5e-3)
+
+
 def test_features_are_corrected_as_the_recording_is() -> None:
     r = recording()
     error = EncoderError("scale", JOINT, 1.25)

@@ -227,6 +227,19 @@ def test_a_spread_of_noise_is_no_fault() -> None:
     assert kinds(*alike, stream(noise(sd=0.1, seed=9)))[-1] == ["noisy"]
 
 
+def test_values_that_no_motion_made_cost_an_su_and_a_hit_does_not() -> None:
+    rests = [(2.0 * k, 2.0 * k + 1.5) for k in range(10)]
+    rng = np.random.default_rng(3)
+    filled = noise() + np.array([0.0, 4.4, 8.8])
+    filled[rng.random(len(filled)) < 0.1, 2] = 0.0
+    hit = noise(seed=1) + np.array([0.0, 4.4, 8.8])
+    hit[1100:1150] += 5.0 * rng.normal(size=(50, 3))
+    coarse = np.round(noise(sd=0.01, seed=2) / 0.04) * 0.04 + np.array([0.0, 0.0, 9.8])
+    found = checked([stream(filled), stream(hit), stream(coarse)], rests, (0.0, 20.0))
+    assert [[f.kind for f in c.faults] for c in found] == [["noisy"], [], []]
+    assert [len(c.stream.time) for c in found] == [0, 5000, 5000]
+
+
 def test_noise_is_measured_at_rest() -> None:
     samples = noise(sd=0.02)
     assert rest_noise(samples, np.ones(len(samples), dtype=bool)) == pytest.approx(0.02, rel=0.05)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from scipy.interpolate import make_interp_spline
 
 from skin2urdf.signals.filters import Spline
@@ -23,3 +24,11 @@ def test_a_spline_goes_through_its_samples_and_no_further() -> None:
     np.testing.assert_allclose(spline.at(np.arange(50.0)), values, atol=1e-9)
     assert np.isnan(spline.at(np.array([-0.1, 49.1]))).all()
     assert np.isfinite(spline.at(np.array([0.0, 49.0]))).all()
+
+
+@pytest.mark.parametrize("by", [0.39, -0.58, 2.0, 112.5, -200.0])
+def test_all_samples_later_are_each_of_them_later(by: float) -> None:
+    values = np.random.default_rng(2).normal(size=(80, 3))
+    spline = Spline(values)
+    at = np.clip(np.arange(80) + by, 0, 79)
+    assert spline.later(by) == pytest.approx(spline.within(at), abs=1e-12)

@@ -19,7 +19,12 @@ from skin2urdf.estimation.trajectory.fit import Fitted, fit
 from skin2urdf.estimation.trajectory.front_end import begin_front, droop, droop_variance
 from skin2urdf.estimation.trajectory.gyro import gyro_deviations
 from skin2urdf.estimation.trajectory.listening import found_gyros, listened
-from skin2urdf.estimation.trajectory.misfit import misfit_of_sus, span_means
+from skin2urdf.estimation.trajectory.misfit import (
+    misfit,
+    misfit_of_links,
+    misfit_of_sus,
+    span_means,
+)
 from skin2urdf.estimation.trajectory.priors import MotionPriors
 from skin2urdf.estimation.trajectory.problem import MotionProblem
 from skin2urdf.estimation.trajectory.records import Gyros
@@ -30,6 +35,9 @@ from skin2urdf.structure.records import KinematicTree
 
 _FEWEST, _MOST = 20, 200
 """Spans in a log, at least and at most."""
+_OF_LINKS = 0.25
+"""Part of a misfit that links have to be able to explain so that it is tried whether they yield:
+half of what a cause has to explain to be added."""
 _LONG = 8.0
 """Length of spans that show whether errors outlast the others [s]: about that of a pose."""
 
@@ -177,6 +185,8 @@ def estimate_along(
     logs = problem.logs
     found = Explained(problem, fitted)
     if look_further:
+        if not _links_may_explain(problem, fitted):
+            without = {*without, "elastic", "base"}
         found = explained(problem, fitted, most, only_known=only_known, without=without)
         problem, fitted = found.problem, found.fitted
     fitted = without_shortening(problem, fitted)
@@ -191,6 +201,13 @@ def estimate_along(
     gyros = found_gyros(problem, fitted, contradict)
     what = found.causes, found.tried, found.under_known
     return MotionEstimate(problem, fitted, information, left, gyros, *what)
+
+
+def _links_may_explain(problem: MotionProblem, fitted: Fitted) -> bool:
+    """Whether what is left over may be for the most part due to links that yield."""
+    means = span_means(problem, fitted.predicted, fitted.weights, SPAN)
+    of_links = misfit_of_links(*means, problem.tree.su_joint)
+    return of_links > _OF_LINKS * misfit(*means)
 
 
 def motion_priors(

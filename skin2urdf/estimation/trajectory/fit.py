@@ -209,7 +209,8 @@ def _cost(
     """Chi-squared with given weights."""
     data = 0.0
     for w, p in zip(weights, predicted, strict=True):
-        data += float((w[..., :3] * np.where(p.measured[..., None], p.residual, 0.0) ** 2).sum())
+        square = np.einsum("kuc,kuc,kuc->ku", w[..., :3], p.residual, p.residual)
+        data += float(square[p.measured].sum())
         if p.turned is not None:
             data += float((w[..., 3:] * p.turned.residual**2).sum())
     return data + problem.prior_chi2(state)
@@ -226,19 +227,23 @@ def _noise(
     noise, weights = [], []
     arms = levers(problem.tree, state.placements)
     for log, p in zip(problem.logs, predicted, strict=True):
-        sd = np.full(p.residual.shape, np.inf)
+        # By SU, as all axes have the same; which views give to each.
+        shape = p.residual.shape
+        sd = np.full(shape[:2], np.inf)
         for u in range(problem.tree.n_sus):
             chain = list(problem.tree.chain(int(problem.tree.su_joint[u])))
             moves = log.moving[:, chain].any(axis=1)
             for which in (moves, ~moves):
                 sd[which, u] = _spread(p.residual[:, u], which & p.measured[:, u])
         if log.leaps is not None:
-            sd = np.hypot(sd, np.sqrt(log.leaps.variance(arms))[..., None])
-        size = np.sqrt((np.where(p.measured[..., None], p.residual / sd, 0.0) ** 2).mean(axis=2))
-        share = np.where(size > _HUBER, _HUBER / np.maximum(size, _HUBER), 1.0)
-        w = np.where(p.measured, log.independence * share, 0.0)[..., None] / sd**2
-        noise.append(sd)
-        weights.append(np.where(np.isfinite(w), w, 0.0))
+            sd = np.hypot(sd, np.sqrt(log.leaps.variance(arms)))
+        square = np.einsum("kuc,kuc->ku", p.residual, p.residual) / 3
+        size = np.where(p.measured, np.sqrt(square) / sd, 0.0)
+        share = _HUBER / np.maximum(size, _HUBER)
+        w = np.where(p.measured, log.independence * share, 0.0) / sd**2
+        w = np.where(np.isfinite(w), w, 0.0)
+        noise.append(np.broadcast_to(sd[..., None], shape))
+        weights.append(np.broadcast_to(w[..., None], shape))
     turned = [p.turned for p in predicted]
     if any(t is not None for t in turned):
         rates = rate_weights(problem.tree, problem.logs, problem.gyros, turned)

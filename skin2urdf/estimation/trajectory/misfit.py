@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from skin2urdf.arrays import F64
+from skin2urdf.arrays import F64, Int
 from skin2urdf.estimation.trajectory.problem import MotionProblem
 from skin2urdf.estimation.trajectory.records import Predicted
 
@@ -48,6 +48,28 @@ def misfit_of_sus(means: F64, variances: F64) -> F64:
     square = np.where(known, means**2 / np.where(known, variances, 1.0), 0.0)
     count = known.sum(axis=(0, 2))
     return np.where(count > 0, square.sum(axis=(0, 2)) / np.maximum(count, 1), np.nan)
+
+
+def misfit_of_links(means: F64, variances: F64, su_joint: Int) -> float:
+    """The misfit that may be due to what links do, and not to single SUs.
+
+    Over spans of time a link that is elsewhere than its encoders say is tilted against gravity,
+    which all SUs on it feel alike: what one of them does not show, none has from its link.
+
+    Args:
+        means: mean residuals over spans, and
+        variances: their variances, see :func:`span_means`.
+        su_joint: (U,) joint that carries each SU, -1 for none.
+    """
+    known = np.isfinite(variances)
+    count = known.sum(axis=(0, 2))
+    power = np.where(known, means**2, 0.0).sum(axis=(0, 2)) / np.maximum(count, 1)
+    each = np.nan_to_num(misfit_of_sus(means, variances))
+    for joint in np.unique(su_joint):
+        on_it = np.flatnonzero((su_joint == joint) & (count > 0) & (power > 0))
+        if len(on_it):
+            each[on_it] *= power[on_it].min() / power[on_it]
+    return float((count * each).sum() / max(1, count.sum()))
 
 
 def misfit(means: F64, variances: F64) -> float:

@@ -199,7 +199,8 @@ def _led_by_motion(
     """
     try:
         best, *_ = clock.run(
-            "structure", lambda _: trees_from_motion(logs.sampled, logs.su_names, found.tree)
+            "structure",
+            lambda tell: trees_from_motion(logs.sampled, logs.su_names, found.tree, tell=tell),
         )
     except (StructureError, InsufficientDataError):
         return found, refined

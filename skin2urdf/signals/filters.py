@@ -182,6 +182,8 @@ class Spline:
 
     def later(self, by: float) -> F64:
         """Values (M, C) at all positions plus ``by``; beyond the ends those at the ends."""
+        from scipy.interpolate import BSpline
+
         size, step = self._size, int(np.floor(by))
         first = min(size, max(0, -step))
         last = max(first, min(size, size - step - 1))
@@ -190,7 +192,8 @@ class Spline:
         there = np.zeros((len(self._coefficients), last - first))
         begin = first + step + _MARGIN - 2
         # One fraction for all: weights are numbers, and samples in a row.
-        for k, weight in enumerate(_quintic(np.array(by - step))):
+        weights = BSpline.basis_element(np.arange(7.0))(5 - np.arange(6) + (by - step))
+        for k, weight in enumerate(weights):
             there += weight * self._coefficients[:, begin + k : begin + k + last - first]
         out[first:last] = there.T
         return out

@@ -1,13 +1,12 @@
 """How far each SU's clock is off the joints', from the whole log: an offset and a drift.
 
-Around any configuration the reading of an SU is linear in the positions and accelerations of the
-joints. In a stretch of some seconds these span a small space, and the readings lie in it where they
-are taken at the right time and nowhere else: what they leave beside it, as a function of the lag,
-is a profile likelihood of the lag. Patterns have it narrow, with side lobes a period away, and the
-beginnings and ends of motion have it wide without: one line over the log, an offset and a drift,
-has to suit all stretches, which leaves no doubt where one of them alone would. Where all joints
-move slowly and at once, their motion spans all that slow readings can be in such a time, at any
-lag: a stretch counts by the values that its readings have beyond those that the motion takes.
+In stretches of some seconds, what the joints' motion leaves of the readings tells at which lag they
+were taken (:mod:`skin2urdf.signals.stretches`). Patterns have that profile narrow, with side lobes
+a period away, and the beginnings and ends of motion have it wide without: one line over the log, an
+offset and a drift, has to suit all stretches, which leaves no doubt where one of them alone would.
+Where all joints move slowly and at once, their motion spans all that slow readings can be in such a
+time, at any lag: a stretch counts by the values that its readings have beyond those that the motion
+takes.
 
 What is found here is good to about a millisecond; the search for latencies around the poses
 (:mod:`skin2urdf.signals.features`) goes on from there, and reaches no further than a quarter of a
@@ -20,7 +19,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.fft import irfft, next_fast_len, rfft
 from scipy.special import ndtr, stdtrit
 
 from skin2urdf.arrays import F64, Bool
@@ -28,25 +26,23 @@ from skin2urdf.recording.records import SuStream
 from skin2urdf.signals.commotion import change, refined, searched, speeds
 from skin2urdf.signals.motion import Motion
 from skin2urdf.signals.records import SuClock
+from skin2urdf.signals.stretches import (
+    EVERY,
+    MODEL,
+    STRETCH,
+    Heard,
+    Integral,
+    Stretch,
+    best_line,
+    binned,
+    means_of,
+    stretches,
+)
 
 LARGEST_OFFSET = 2.0
 """Offset of a clock that is looked for [s]."""
 LARGEST_DRIFT = 0.01
 """Drift of a clock that is looked for."""
-_EVERY = 4
-"""Grid samples to one of the search: 31 Hz, twice what patterns of 4 Hz have in their squares."""
-_STRETCH = 8.0
-"""Length of a stretch [s]: at the largest drift its ends are 80 ms apart, a sixth of the period of
-a pattern of 2 Hz, and several patterns and rests lie in it."""
-_COLUMNS = 40
-"""Most dimensions of the joints' motion in a stretch that are kept, the largest."""
-_MODEL = 0.02
-"""Share of a stretch's energy that linear motion leaves at the right lag: second-order effects of
-patterns by 0.15 rad. It bounds how much one stretch can say."""
-_FELT = 0.05
-"""Change of the readings in a stretch [m/s^2 rms] that is never taken for motion on its own."""
-_EXPLAINED = 0.6
-"""Share of a stretch's energy that motion must explain for its lag to count."""
 _FEWEST = 3
 """Stretches, and values in them that are not the motion's own, from which a line is known."""
 _LEAST_LEFT = 1e-3
@@ -72,16 +68,6 @@ _VAGUE = 0.01
 """Deviation of a latency [s] from which it is worth another look."""
 _SAMPLES = 8
 """Samples of a stream that may tell anything."""
-_FEW = 16
-"""Lags up to which products cost less than a Fourier transform."""
-
-
-@dataclass(frozen=True, eq=False)
-class _Stretch:
-    """Joint motion in some seconds: first sample and (L, r) orthonormal basis, the constant in."""
-
-    begin: int
-    basis: F64
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,11 +95,11 @@ def su_clocks(sus: Sequence[SuStream], motion: Motion) -> tuple[SuClock, ...]:
     Returns:
         One record for each SU whose clock is off significantly, none for the others.
     """
-    stretches = _stretches(motion)
+    found = stretches(motion)
     grid = motion.grid
     middle = grid.start + (grid.size - 1) / (2 * grid.rate)
     sus_heard = [su for su in sus if len(su.time) >= _SAMPLES]
-    clocks = _clocks(sus_heard, motion, stretches, middle)
+    clocks = _clocks(sus_heard, motion, found, middle)
     vague = [u for u, clock in enumerate(clocks) if clock.latency_sd > _VAGUE]
     rough = _by_commotion([sus_heard[u] for u in vague], motion, middle)
     for u, clock in zip(vague, rough, strict=True):
@@ -127,15 +113,15 @@ def su_clocks(sus: Sequence[SuStream], motion: Motion) -> tuple[SuClock, ...]:
 
 
 def _clocks(
-    sus: Sequence[SuStream], motion: Motion, stretches: Sequence[_Stretch], middle: float
+    sus: Sequence[SuStream], motion: Motion, stretches: Sequence[Stretch], middle: float
 ) -> list[SuClock]:
     """The line of each SU; its deviation is infinite where no motion is felt."""
     clocks = [SuClock(su.name, 0.0, np.inf, 0.0, np.inf, middle) for su in sus]
-    rate, span = motion.grid.rate / _EVERY, motion.grid.size / motion.grid.rate
+    rate, span = motion.grid.rate / EVERY, motion.grid.size / motion.grid.rate
     reach, steep, open_ = LARGEST_OFFSET, LARGEST_DRIFT, list(range(len(sus)))
     looked_at = stretches[::2] if len(stretches) >= 4 * _FEWEST else stretches
     for _ in range(_PASSES):
-        means = [_means(sus[u], clocks[u], motion) for u in open_]
+        means = [means_of(sus[u], clocks[u], motion) for u in open_]
         readings = np.stack([values for values, _ in means], axis=1)
         valid = np.stack([whole for _, whole in means], axis=1)
         again = []
@@ -162,17 +148,15 @@ def _clocks(
 
 def _by_commotion(sus: Sequence[SuStream], motion: Motion, middle: float) -> list[SuClock]:
     """The clock of each SU as how much it is moved when tells; infinite deviations where not."""
-    rate = motion.grid.rate / _EVERY
-    n = motion.grid.size // _EVERY
-    q = motion.q[: n * _EVERY].reshape(n, _EVERY, -1).mean(axis=1)
-    regressors = speeds(q[:, motion.moved], rate)
+    rate = motion.grid.rate / EVERY
+    regressors = speeds(binned(motion.q)[:, motion.moved], rate)
     return [_of_one(su, motion, regressors, middle) for su in sus]
 
 
 def _of_one(su: SuStream, motion: Motion, regressors: F64, middle: float) -> SuClock:
     """The clock of one SU by its commotion."""
     nothing = SuClock(su.name, 0.0, np.inf, 0.0, np.inf, middle)
-    integral, rate = _Integral.of(su), motion.grid.rate / _EVERY
+    integral, rate = Integral.of(su), motion.grid.rate / EVERY
     size = change(*integral.means(nothing, motion), rate)
     if size is None:
         return nothing
@@ -246,83 +230,10 @@ def _together(group: Sequence[SuClock]) -> list[SuClock]:
     ]
 
 
-def _stretches(motion: Motion) -> list[_Stretch]:
-    """Stretches of the log in which joints move and are recorded throughout."""
-    rate = motion.grid.rate / _EVERY
-    n = motion.grid.size // _EVERY
-    shape = (n, _EVERY, -1)
-    q = motion.q[: n * _EVERY].reshape(shape).mean(axis=1)
-    qdd = motion.qdd[: n * _EVERY].reshape(shape).mean(axis=1)
-    valid = np.asarray(motion.valid[: n * _EVERY].reshape(n, _EVERY).all(axis=1))
-    length = int(_STRETCH * rate)
-    still = motion.creep
-    out = []
-    for begin in range(0, n - length + 1, length // 2):
-        part = slice(begin, begin + length)
-        active = np.ptp(q[part], axis=0) > still
-        if not active.any() or not bool(valid[part].all()):
-            continue
-        columns = np.concatenate([q[part][:, active], qdd[part][:, active]], axis=1)
-        columns = columns - columns.mean(axis=0)
-        size = np.sqrt((columns**2).sum(axis=0))
-        columns = columns[:, size > 0] / size[size > 0]
-        left, values, _ = np.linalg.svd(columns, full_matrices=False)
-        kept = left[:, (values > 1e-2 * values[0])][:, :_COLUMNS]
-        constant = np.full((length, 1), 1 / np.sqrt(length))
-        out.append(_Stretch(begin, np.concatenate([constant, kept], axis=1)))
-    return out
-
-
-@dataclass(frozen=True, eq=False)
-class _Integral:
-    """The integral of a stream, linear between samples, on its own clock.
-
-    Attributes:
-        time: (M,) times [s].
-        area: (M, 3) integral from the first [m/s].
-        gaps: (G, 2) begin and end of what is missing [s].
-    """
-
-    time: F64
-    area: F64
-    gaps: F64
-
-    @classmethod
-    def of(cls, su: SuStream) -> _Integral:
-        """The integral of an SU's readings, spikes cut down to what motion may be."""
-        some = su.specific_force[:: len(su.time) // 4096 + 1]
-        middle = np.median(some, axis=0)
-        bound = 6 * np.median(np.abs(some - middle), axis=0) + 15.0
-        values = np.clip(su.specific_force, middle - bound, middle + bound)
-        steps = np.diff(su.time)
-        area = np.zeros_like(values)
-        np.cumsum(0.5 * (values[1:] + values[:-1]) * steps[:, None], axis=0, out=area[1:])
-        torn = steps > max(0.1, 6 * float(np.median(steps)))
-        return cls(su.time, area, np.stack([su.time[:-1][torn], su.time[1:][torn]], axis=1))
-
-    def means(self, clock: SuClock, motion: Motion) -> tuple[F64, Bool]:
-        """(n, 3) means over the bins of the search, and (n,) where the stream is whole."""
-        n, width = motion.grid.size // _EVERY, _EVERY / motion.grid.rate
-        first = motion.grid.start - 0.5 / motion.grid.rate
-        edges = clock.stamped(np.asarray(first + width * np.arange(n + 1)))
-        at = np.stack([np.interp(edges, self.time, column) for column in self.area.T], axis=1)
-        valid = (edges[:-1] >= self.time[0]) & (edges[1:] <= self.time[-1])
-        for begin, end in self.gaps:
-            valid &= (edges[1:] < begin) | (edges[:-1] > end)
-        return np.diff(at, axis=0) / np.diff(edges)[:, None], valid
-
-
-def _means(su: SuStream, clock: SuClock, motion: Motion) -> tuple[F64, Bool]:
-    """See :meth:`_Integral.means`; integrals are as large as streams, and are not kept."""
-    means = _Integral.of(su).means(clock, motion)
-    su.put_away()
-    return means
-
-
 def _lines(
     readings: F64,
     valid: Bool,
-    stretches: Sequence[_Stretch],
+    stretches: Sequence[Stretch],
     rate: float,
     reach: float,
     steep: float,
@@ -347,15 +258,16 @@ def _lines(
         a, b = max(lo, 0), min(hi, n)
         if b - a < length + min(8, 2 * most):
             continue
-        segment = readings[a:b] - readings[a:b].mean(axis=0)
-        left, counted, beyond = _left(segment, stretch.basis)
+        heard = Heard(readings[a:b], length)
+        inside = heard.inside(stretch.basis)
+        left, counted = heard.judged(inside.sum(axis=2), inside[..., 0])
         # Beyond the log nothing is known: lags that reach there count as the worst.
         curve = np.repeat(left.max(axis=0)[None], 2 * most + 1, axis=0)
         curve[a - lo : a - lo + len(left)] = left
         times.append((stretch.begin + length / 2 - n / 2) / rate)
         curves.append(curve)
         counts.append(counted & (holes[b] == holes[a]))
-        freedoms.append(beyond)
+        freedoms.append(heard.free(stretch.basis.shape[1]))
     if not times:
         return [None] * U
     time, scores, counted = np.array(times), -np.array(curves), np.array(counts)
@@ -368,71 +280,10 @@ def _lines(
             out.append(None)
             continue
         score = scores[use, :, u]
-        offset, drift = _best(time[use], score, lags, reach, steep, n / rate)
+        offset, drift = best_line(time[use], score, lags, reach, steep, n / rate)
         line = _refined(time[use], score, lags, offset, drift)
         out.append(line if line is None else line.wider(_by_few(float(free[use, u].sum()))))
     return out
-
-
-def _left(segment: F64, basis: F64) -> tuple[F64, Bool, F64]:
-    """What motion leaves of the readings at every lag, as half the logarithm of its share.
-
-    Args:
-        segment: (m, U, 3) readings, longer than the stretch by the lags.
-        basis: (L, r) orthonormal, the constant first.
-
-    Returns:
-        (m - L + 1, U) what is left, (U,) True where motion is felt and explains most at some lag,
-        and (U,) how many independent values there are beyond those that motion takes for itself.
-    """
-    length, m = len(basis), len(segment)
-    flat = segment.reshape(m, -1)
-    count = m - length + 1
-    if count <= _FEW:
-        product = np.array([flat[k : k + length].T @ basis for k in range(count)])
-    else:
-        size = next_fast_len(m, real=True)
-        spectrum = rfft(flat, size, axis=0)
-        shape = np.conj(rfft(basis, size, axis=0))
-        product = np.empty((count, flat.shape[1], basis.shape[1]))
-        for k in range(flat.shape[1]):
-            product[:, k] = irfft(spectrum[:, k, None] * shape, size, axis=0)[:count]
-    inside = (product**2).reshape(count, -1, 3, basis.shape[1]).sum(axis=2)
-    squares = np.cumsum((segment**2).sum(axis=2), axis=0)
-    squares = np.concatenate([np.zeros((1, squares.shape[1])), squares])
-    total = squares[length:] - squares[:-length]
-    centred = np.maximum(total - inside[..., 0], 1e-12)
-    rest = np.maximum(total - inside.sum(axis=2), 0.0)
-    level = centred.mean(axis=0)
-    felt = level >= length * _FELT**2
-    explained = (rest / centred).min(axis=0) <= 1 - _EXPLAINED
-    # Independent values of three axes in the stretch, as fast as the readings change.
-    steps = (np.diff(segment, axis=0) ** 2).sum(axis=(0, 2))
-    values = 3 * length / np.pi * np.sqrt(steps / np.maximum(squares[-1], 1e-12))
-    free = np.maximum(values - 3 * (basis.shape[1] - 1), 0.0)
-    # Of what is felt at each lag: one that leads to a rest leaves little, and explains nothing.
-    return 0.5 * np.log(rest / centred + _MODEL), felt & explained, free
-
-
-def _best(
-    time: F64, score: F64, lags: F64, reach: float, steep: float, span: float
-) -> tuple[float, float]:
-    """Offset and drift with the largest sum of scores (W, K), on a grid of lags."""
-    step = lags[1] - lags[0]
-    # Half a sample at the ends of the log from one drift to the next.
-    count = int(np.ceil(steep * span / 2 / step))
-    best, found = -np.inf, (0.0, 0.0)
-    inner = np.flatnonzero(np.abs(lags) <= reach)
-    rows = np.arange(len(time))[:, None]
-    for k in range(-count, count + 1):
-        drift = steep * k / max(count, 1)
-        shift = np.rint(drift * time / step).astype(int)
-        index = np.clip(inner[None] + shift[:, None], 0, len(lags) - 1)
-        total = score[rows, index].sum(axis=0)
-        i = int(total.argmax())
-        if total[i] > best:
-            best, found = float(total[i]), (float(lags[inner[i]]), drift)
-    return found
 
 
 def _refined(time: F64, score: F64, lags: F64, offset: float, drift: float) -> _Line | None:
@@ -456,9 +307,9 @@ def _refined(time: F64, score: F64, lags: F64, offset: float, drift: float) -> _
         if i in (a, b - 1) or bend <= 0:
             continue
         rise = bend / (2 * step**2)
-        values = max(1.0, 6 * _STRETCH * np.sqrt(rise) / (2 * np.pi))
+        values = max(1.0, 6 * STRETCH * np.sqrt(rise) / (2 * np.pi))
         peaks.append(lags[i] + 0.5 * step * (before - after) / bend)
-        weights.append(values * rise / (here - _MODEL + _LEAST_LEFT))
+        weights.append(values * rise / (here - MODEL + _LEAST_LEFT))
         rows.append(w)
     if len(rows) < _FEWEST:
         return None

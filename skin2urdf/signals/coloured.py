@@ -60,10 +60,11 @@ class Coloured:
             independence: independent samples per sample.
         """
         N, U, _ = residual.shape
-        if basis.shape[1] == 1:
-            return cls(np.tile([1.0, 0.0], (U, 1)), np.ones((N, U)), rate, cutoff)
         f = _frequencies(N, rate)
         band = (f > _LOWEST) & (f < _HIGHEST * cutoff)
+        # A window may be too short to hold a frequency of the band.
+        if basis.shape[1] == 1 or not band.any():
+            return cls(np.tile([1.0, 0.0], (U, 1)), np.ones((N, U)), rate, cutoff)
         spectrum = (np.abs(np.fft.rfft(residual, axis=0)) ** 2).mean(axis=2)
         # White noise that leaves residuals of this power would be as high in the whole pass band.
         freedom = max(1.0, independence * N - basis.shape[1])

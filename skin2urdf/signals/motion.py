@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
-from skin2urdf.arrays import F64, Bool, frozen
+from skin2urdf.arrays import F64, Bool, Int, frozen
 from skin2urdf.errors import InsufficientDataError
 from skin2urdf.recording.records import JointStream, Recording
 from skin2urdf.signals.filters import Grid, filtered, first_derivative, low_pass, sample
@@ -40,6 +40,8 @@ class Motion:
         stamp_noise: (D,) scatter of the stamps that their times were made from [s].
         named: (D,) False for joints that the log lacks; their ``q`` is 0.
         wraps: (D,) True where the log wraps the position into one turn; ``q`` does not.
+        publisher: (D,) number of the publisher whose messages hold the joint: joints with one
+            number have the same stamps; -1 for joints that the log lacks.
     """
 
     grid: Grid
@@ -54,8 +56,11 @@ class Motion:
     stamp_noise: F64
     named: Bool
     wraps: Bool
+    publisher: Int = field(default_factory=lambda: np.zeros((), dtype=np.int64))
 
     def __post_init__(self) -> None:
+        publisher = np.broadcast_to(self.publisher, (len(self.dof_names),))
+        object.__setattr__(self, "publisher", frozen(publisher, np.int64))
         for name in ("q", "qd", "qdd", "resolution", "noise", "raw_rate", "stamp_noise"):
             object.__setattr__(self, name, frozen(getattr(self, name)))
         for name in ("named", "wraps"):
@@ -111,7 +116,7 @@ def joint_motion(recording: Recording, dof_names: Sequence[str] | None = None) -
     q = np.zeros((grid.size, len(names)))
     valid = np.ones(grid.size, dtype=bool)
     resolution, noise, stamps = (np.zeros(len(names)) for _ in range(3))
-    rate = np.ones(len(names))
+    rate, publisher = np.ones(len(names)), np.full(len(names), -1)
     together: dict[tuple[int, float, float], list[int]] = {}
     for d, name in enumerate(names):
         if name in streams:
@@ -120,7 +125,9 @@ def joint_motion(recording: Recording, dof_names: Sequence[str] | None = None) -
             if key in together and not np.array_equal(t, streams[names[together[key][0]]].time):
                 key = (-d, 0.0, 0.0)
             together.setdefault(key, []).append(d)
-    for members in together.values():
+    heads: list[F64] = []
+    for members in sorted(together.values(), key=lambda m: -streams[names[m[0]]].time.size):
+        publisher[members] = _publisher(heads, streams[names[members[0]]].time)
         same = [streams[names[d]] for d in members]
         values, ok = sample(same[0].time, np.stack([j.position for j in same], axis=1), grid)
         q[:, members] = _bridged(values, ok)
@@ -134,8 +141,20 @@ def joint_motion(recording: Recording, dof_names: Sequence[str] | None = None) -
     wraps = np.array([name in found and found[name][1] for name in names])
     return Motion(
         grid, names, q, first_derivative(smooth, GRID_RATE), second(smooth, GRID_RATE),
-        valid, resolution, noise, rate, stamps, named, wraps,
+        valid, resolution, noise, rate, stamps, named, wraps, publisher,
     )  # fmt: skip
+
+
+def _publisher(heads: list[F64], time: F64) -> int:
+    """Number of the publisher that stamps as some earlier one did; of a new one where none did.
+
+    A joint may lack values in messages that hold those of others.
+    """
+    for number, other in enumerate(heads):
+        if np.isin(time, other).all():
+            return number
+    heads.append(time)
+    return len(heads) - 1
 
 
 def _bridged(values: F64, ok: Bool) -> F64:

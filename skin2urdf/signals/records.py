@@ -198,12 +198,29 @@ class EncoderError:
     spread: float = 0.0
 
 
-@dataclass(frozen=True)
-class SuClock:
-    """How an SU's clock runs against the joints' in one log.
+class Clock:
+    """A clock that runs differently from the joints', or from those of most joints.
 
     A sample stamped ``t`` was taken at the joints' time ``t'`` with
     ``t - t' = latency + drift (t' - middle)``.
+    """
+
+    latency: float
+    drift: float
+    middle: float
+
+    def undone(self, time: F64) -> F64:
+        """(M,) times on the joints' clock [s] of times on this one."""
+        return self.middle + (time - self.latency - self.middle) / (1.0 + self.drift)
+
+    def stamped(self, time: F64) -> F64:
+        """(M,) times on this clock [s] of times on the joints'."""
+        return self.middle + self.latency + (1.0 + self.drift) * (time - self.middle)
+
+
+@dataclass(frozen=True)
+class SuClock(Clock):
+    """How an SU's clock runs against the joints' in one log.
 
     Attributes:
         su: name of the SU.
@@ -223,10 +240,23 @@ class SuClock:
     middle: float
     shared: bool = False
 
-    def undone(self, time: F64) -> F64:
-        """(M,) times on the joints' clock [s] of times on the SU's."""
-        return self.middle + (time - self.latency - self.middle) / (1.0 + self.drift)
 
-    def stamped(self, time: F64) -> F64:
-        """(M,) times on the SU's clock [s] of times on the joints'."""
-        return self.middle + self.latency + (1.0 + self.drift) * (time - self.middle)
+@dataclass(frozen=True)
+class JointClock(Clock):
+    """How the clock of a publisher of joint states runs against that of most joints in one log.
+
+    Attributes:
+        joints: names of the joints that it publishes.
+        latency: by how much its stamps are late in the middle of the log [s].
+        latency_sd: standard deviation of it [s].
+        drift: by how much its clock is too fast [s/s].
+        drift_sd: standard deviation of it [s/s].
+        middle: the middle of the log, on the clock of most joints [s].
+    """
+
+    joints: tuple[str, ...]
+    latency: float
+    latency_sd: float
+    drift: float
+    drift_sd: float
+    middle: float

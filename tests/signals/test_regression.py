@@ -331,3 +331,12 @@ def test_what_a_fit_tells_nothing_of_is_not_fitted() -> None:
     known = informative(X, fit(nothing, y[:, None], INDEPENDENCE))
     assert known.any(axis=0).tolist() == [True, True, False, True, False]
     np.testing.assert_array_equal(known[:, [0, 1, 3]], X[:, [0, 1, 3]])
+
+
+def test_a_window_too_short_for_the_band_has_white_noise() -> None:
+    rng = np.random.default_rng(5)
+    basis = np.linalg.qr(rng.standard_normal((12, 3)))[0]
+    noise = Coloured.of(rng.standard_normal((12, 2, 3)), basis, 125.0, 5.0, 0.5)
+    _, gain = noise.factored(np.eye(3), basis)
+    np.testing.assert_array_equal(noise.level, [[1.0, 0.0], [1.0, 0.0]])
+    np.testing.assert_allclose(gain, 1.0)

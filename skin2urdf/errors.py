@@ -12,7 +12,9 @@ Lack = Literal[
 """What logs may not hold of all that a calibration needs."""
 Unreadable = Literal[
     "empty", "no regular file", "no log", "another format", "shortened", "too large", "long line",
-    "no messages", "nothing usable", "",
+    "no messages", "nothing usable", "no joints", "no SUs", "no times", "several times", "no unit",
+    "same column", "missing axis", "no rows", "no XML", "no links", "same name", "missing link",
+    "two parents", "several trees", "circle", "refused", "",
 ]  # fmt: skip
 """Why an input is not what it should be."""
 
@@ -34,9 +36,17 @@ class Skin2UrdfError(Exception):
 
 
 class UsageError(Skin2UrdfError):
-    """An argument that can not be used as given."""
+    """An argument that can not be used as given.
+
+    Attributes:
+        argument: its name, or its value where that says more; empty where the words say all.
+    """
 
     exit_status = 2
+
+    def __init__(self, what: str, remedy: str = "", argument: str = "") -> None:
+        super().__init__(what, remedy)
+        self.argument = argument
 
 
 class UnreadableInputError(Skin2UrdfError):

@@ -79,6 +79,66 @@ class Note:
     of: int = 0
 
 
-def of_kind(notes: Iterable[Note | str], kind: NoteKind) -> list[Note]:
-    """Notes of one kind; what a reader of logs says in words is of none."""
+ReadingKind = Literal[
+    "cut short",
+    "damaged",
+    "encrypted",
+    "too large",
+    "contradicted index",
+    "undefined channel",
+    "part left out",
+    "part missing",
+    "no list of parts",
+    "passed over",
+    "several topics",
+    "several publishers",
+    "absurd values",
+    "spikes",
+    "too few",
+    "held values",
+    "renamed",
+    "no stamps",
+    "contradicting stamps",
+    "noisy stamps",
+    "other clock",
+    "clock jump",
+    "own clock jump",
+    "bad cells",
+    "bad rows",
+    "unused columns",
+    "not converted",
+]
+"""What a reader of logs meets: files that end early, are damaged, encrypted or too large, and what
+in them can not be used; streams that are left out in whole or in part, named anew or joined; times
+that are not simply the stamps; cells, rows and columns of tables that are not used."""
+
+
+@dataclass(frozen=True)
+class ReadingNote:
+    """What a reader of logs mended or passed over; its words are made where it is met.
+
+    Attributes:
+        kind: what sort of note.
+        words: the same for the user.
+        sources: the files, topics, joints and SUs it is about.
+        number: of bytes, messages, samples, cells or rows, or how many times; NaN without any.
+    """
+
+    kind: ReadingKind
+    words: str
+    sources: tuple[str, ...] = ()
+    number: float = math.nan
+
+
+Noted = Note | ReadingNote | str
+"""A note, or a remark that is nothing but words."""
+
+
+def of_kind(notes: Iterable[Noted], kind: NoteKind) -> list[Note]:
+    """Notes of one kind."""
     return [note for note in notes if isinstance(note, Note) and note.kind == kind]
+
+
+def of_reading(notes: Iterable[Noted], kind: ReadingKind) -> list[ReadingNote]:
+    """Notes of one kind of what a reader met."""
+    return [note for note in notes if isinstance(note, ReadingNote) and note.kind == kind]

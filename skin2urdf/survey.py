@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
@@ -17,7 +19,7 @@ from skin2urdf.errors import (
     UnreadableInputError,
 )
 from skin2urdf.estimation.start.order import ordered
-from skin2urdf.notes import Note
+from skin2urdf.notes import Noted
 from skin2urdf.paper.exploration import Exploration
 from skin2urdf.paper.exploration import explore as run_algorithm_1
 from skin2urdf.recording.inventory import LogInventory
@@ -55,8 +57,33 @@ class Explored:
     exploration: Exploration
     tree: KinematicTree | None
     contradiction: StructureError | None
-    notes: tuple[Note | str, ...]
+    notes: tuple[Noted, ...]
     from_motion: bool = False
+
+
+ProblemKind = Literal[
+    "refused", "no motion", "no readings", "still joint", "small moves", "no patterns", "few poses",
+    "one pattern", "no pattern", "no structural moves",
+]  # fmt: skip
+"""What a log lacks: what a calibration would refuse it for; motion of all or of one joint; readings
+of all SUs or of one; patterns, or poses with patterns, of all or of one joint; structural moves."""
+
+
+@dataclass(frozen=True)
+class Problem:
+    """What stands in the way of a calibration, or would make it better.
+
+    Attributes:
+        kind: what sort of problem.
+        words: the same for the user.
+        name: the joint or SU; empty where it is about all of them.
+        number: of poses; NaN without any.
+    """
+
+    kind: ProblemKind
+    words: str
+    name: str = ""
+    number: float = math.nan
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,8 +96,8 @@ class Surveyed:
         sampled: the robot's motion and rests; None where there are none to find.
         features: readings around its poses; None where no pose can be used.
         excited: (P, D) poses and DoFs with a pattern; (0, D) without features.
-        problems: what stands in the way of a calibration or would make it better, in words, the
-            gravest first.
+        problems: what stands in the way of a calibration or would make it better, the gravest
+            first.
         obstacles: those of them without whose cure there is no calibration.
     """
 
@@ -79,8 +106,8 @@ class Surveyed:
     sampled: Sampled | None
     features: Features | None
     excited: Bool
-    problems: tuple[str, ...]
-    obstacles: tuple[str, ...] = ()
+    problems: tuple[Problem, ...]
+    obstacles: tuple[Problem, ...] = ()
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "excited", frozen(self.excited, bool))
@@ -228,17 +255,19 @@ _ENOUGH_MINUTES = 2.0
 _SMALL_MOVE = 0.05
 
 
-def _lacking(sampled: Sampled, features: Features) -> tuple[str, ...]:
+def _lacking(sampled: Sampled, features: Features) -> tuple[Problem, ...]:
     """What no calibration can do without, in a log that can be read."""
     lacking = []
     if not sampled.motion.moved.any():
-        lacking.append("no joint moves: record a log in which the robot moves")
+        words = "no joint moves: record a log in which the robot moves"
+        lacking.append(Problem("no motion", words))
     if not features.valid.any():
-        lacking.append("no SU has usable readings around any pose: check how they are connected")
+        words = "no SU has usable readings around any pose: check how they are connected"
+        lacking.append(Problem("no readings", words))
     return tuple(lacking)
 
 
-def _weak_motion(sampled: Sampled) -> list[str]:
+def _weak_motion(sampled: Sampled) -> list[Problem]:
     """What the motion lacks, whatever the readings are."""
     names, spans = sampled.motion.dof_names, travel(sampled.motion)
     moved = sampled.motion.moved
@@ -247,53 +276,63 @@ def _weak_motion(sampled: Sampled) -> list[str]:
         name for name, span, moves in zip(names, spans, moved, strict=True)
         if moves and span < _SMALL_MOVE
     ]  # fmt: skip
-    problems = [f"{name} never moves: it will not be in the URDF" for name in still]
-    problems += [f"{name} hardly moves: its axis will be uncertain" for name in lazy]
-    return problems
+    return [
+        *(
+            Problem("still joint", f"{name} never moves: it will not be in the URDF", name)
+            for name in still
+        ),
+        *(
+            Problem("small moves", f"{name} hardly moves: its axis will be uncertain", name)
+            for name in lazy
+        ),
+    ]
 
 
-def _weak_poses(sampled: Sampled, features: Features, excited: Bool) -> list[str]:
+def _weak_poses(sampled: Sampled, features: Features, excited: Bool) -> list[Problem]:
     """What the poses lack."""
     problems = []
     if not activity(features).patterns_felt:
         lacking = "no patterns around poses" if sampled.at_rest else "the robot never rests"
-        return [
+        words = (
             f"{lacking}: the moves alone have to show everything, for which "
             f"{_ENOUGH_MINUTES:g} minutes of them and an SU on every segment are good; else move "
-            "the joints by about 0.1 rad at 1 to 4 Hz around each pose",
-            *_silent(sampled, features),
-        ]
+            "the joints by about 0.1 rad at 1 to 4 Hz around each pose"
+        )
+        return [Problem("no patterns", words), *_silent(sampled, features)]
     patterned = int(excited.any(axis=1).sum())
     if patterned < _ENOUGH_POSES:
-        problems.append(
-            f"few poses: patterns around {patterned} poses only; {_ENOUGH_POSES} to 12 are good"
-        )
+        words = f"few poses: patterns around {patterned} poses only; {_ENOUGH_POSES} to 12 are good"
+        problems.append(Problem("few poses", words, number=patterned))
     for d, name in enumerate(features.dof_names):
         if excited[:, d].sum() == 1:
-            problems.append(f"{name} has a pattern in one pose only")
+            problems.append(Problem("one pattern", f"{name} has a pattern in one pose only", name))
         elif not excited[:, d].any():
-            problems.append(f"{name} has no pattern: its SUs' positions rest on its moves alone")
+            words = f"{name} has no pattern: its SUs' positions rest on its moves alone"
+            problems.append(Problem("no pattern", words, name))
     if not len(features.moves.dof):
-        problems.append(
+        words = (
             "no structural moves: let one joint at a time move by half a radian, at rest before "
             "and after; patterns alone may do"
         )
+        problems.append(Problem("no structural moves", words))
     return [*problems, *_silent(sampled, features)]
 
 
-def _silent(sampled: Sampled, features: Features) -> list[str]:
+def _silent(sampled: Sampled, features: Features) -> list[Problem]:
     """SUs that no pose has readings of, but for those that are told to be at fault."""
     told = {fault.subject for fault in sampled.faults}
     return [
-        f"{name} has no usable readings around any pose"
+        Problem("no readings", f"{name} has no usable readings around any pose", name)
         for u, name in enumerate(features.su_names)
         if not features.valid[:, u].any() and name not in told
     ]
 
 
-def _hopeless(error: Skin2UrdfError, log: str | Path) -> tuple[tuple[str, ...], tuple[str, ...]]:
+def _hopeless(
+    error: Skin2UrdfError, log: str | Path
+) -> tuple[tuple[Problem, ...], tuple[Problem, ...]]:
     """Problems and obstacles of a log that can not be calibrated."""
-    said = (_words(error, log),)
+    said = (Problem("refused", _words(error, log)),)
     return said, said
 
 

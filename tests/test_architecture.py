@@ -6,6 +6,7 @@ import ast
 import fnmatch
 import graphlib
 import json
+import re
 import subprocess
 import sys
 import tomllib
@@ -324,6 +325,54 @@ def test_tests_use_public_names_alone() -> None:
         if not name.endswith("__")
     ]
     assert not private
+
+
+def test_no_test_reads_sentences() -> None:
+    """Errors are known by class and attributes, notes by kind: words may change at any time."""
+    kinds = {word for path in MODULES.values() for word in machine_words(parsed(path))}
+    sentences = [
+        f"{path.name}, line {text.lineno}"
+        for path in sorted((ROOT / "tests").rglob("*.py"))
+        for node in ast.walk(parsed(path))
+        for text in looked_for(node)
+        if SENTENCE.search(text.value) and text.value not in kinds
+    ]
+    assert not sentences
+
+
+WORD = r"[A-Za-z][a-z']+[,.:;]?"
+SENTENCE = re.compile(rf"(?<![^\s(]){WORD} {WORD} {WORD}(?![^\s)])")
+"""Three words in a row."""
+SEARCHES = {
+    "startswith", "endswith", "count", "index", "find", "split", "partition", "removeprefix",
+    "removesuffix", "search", "match", "fullmatch", "findall",
+}  # fmt: skip
+
+
+def looked_for(node: ast.AST) -> Iterator[ast.Constant]:
+    """Strings that a comparison, a search, ``pytest.raises`` or a parametrisation looks for."""
+    places: list[ast.AST] = []
+    if isinstance(node, ast.Compare):
+        places = [node.left, *node.comparators]
+    elif isinstance(node, ast.Call):
+        places = [keyword.value for keyword in node.keywords if keyword.arg == "match"]
+        if isinstance(node.func, ast.Attribute) and node.func.attr in SEARCHES:
+            places += node.args
+        if ast.unparse(node.func) == "pytest.mark.parametrize":
+            places += node.args[1:]
+    for place in places:
+        for inner in ast.walk(place):
+            if isinstance(inner, ast.Constant) and isinstance(inner.value, str):
+                yield inner
+
+
+def machine_words(tree: ast.AST) -> Iterator[str]:
+    """Strings that are values of a ``Literal`` type."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Subscript) and ast.unparse(node.value) == "Literal":
+            for inner in ast.walk(node.slice):
+                if isinstance(inner, ast.Constant) and isinstance(inner.value, str):
+                    yield inner.value
 
 
 def private_names(node: ast.AST) -> list[str]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import re
 import stat
@@ -47,11 +48,13 @@ def test_failure_leaves_the_old_file_and_nothing_else(
     path.write_text("old")
 
     def full(_: int) -> None:
-        raise OSError(28, "No space left on device")
+        raise OSError(errno.ENOSPC, "full")
 
     monkeypatch.setattr(os, "fsync", full)
-    with pytest.raises(UsageError, match="No space left") as caught:
+    with pytest.raises(UsageError) as caught:
         write_atomically(path, "new")
+    assert isinstance(caught.value.__cause__, OSError)
+    assert caught.value.__cause__.errno == errno.ENOSPC
     assert caught.value.exit_status == 2
     assert path.read_text() == "old"
     assert list(tmp_path.iterdir()) == [path]

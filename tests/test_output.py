@@ -116,11 +116,11 @@ def test_a_full_disk_leaves_the_old_files(tmp_path: Path, monkeypatch: pytest.Mo
 
     def write(path: Path, text: str) -> None:
         if path.suffix == ".json":
-            raise UsageError("no space left on device")
+            raise UsageError("full")
         whole(path, text)
 
     monkeypatch.setattr(output, "write_atomically", write)
-    with pytest.raises(UsageError, match="no space"):
+    with pytest.raises(UsageError):
         save(calibration(), tmp_path / "robot.urdf")
     assert names(tmp_path) == ["robot.json", "robot.urdf"]
     assert {path.read_text() for path in tmp_path.iterdir()} == {"old"}

@@ -33,7 +33,7 @@ def compare_with(
     urdf, _ = save(calibration, target)
     found = compare(urdf, truth, rng=np.random.default_rng(0))
     if found.tree_differences:
-        return False, list(found.tree_differences)
+        return False, [each.words for each in found.tree_differences]
     return True, [
         f"SU positions: {1e3 * found.position.rms:.3f} mm rms",
         f"SU orientations: {np.rad2deg(found.orientation.rms):.3f} deg rms",

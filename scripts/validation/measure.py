@@ -97,7 +97,7 @@ def _compared(case: Case, found: Calibration, truth: Truth, folder: Path) -> Fig
     found_types = dict(zip(tree.joint_names, tree.joint_types, strict=True))
     return Figures(
         tree_right=comparison.tree_equal,
-        tree_differences=comparison.tree_differences,
+        tree_differences=tuple(each.words for each in comparison.tree_differences),
         types_right=all(types.get(n) == kind for n, kind in found_types.items()),
         cost_per_dof=float(found.estimate.cost_per_dof),
         n_dofs=len(truth.joint_names),

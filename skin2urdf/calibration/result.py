@@ -23,7 +23,7 @@ from skin2urdf.estimation.uncertainty.outliers import (
 from skin2urdf.faults import Fault
 from skin2urdf.geometry.se3 import inverse
 from skin2urdf.model.records import KinematicModel, OpenDirection
-from skin2urdf.notes import Note
+from skin2urdf.notes import Noted
 from skin2urdf.signals.records import Features, SuClock
 from skin2urdf.structure.activity import Activity
 
@@ -120,7 +120,7 @@ class Calibration:
     sources: tuple[Source, ...]
     settings: CalibrationSettings
     faults: tuple[Fault, ...]
-    notes: tuple[Note | str, ...]
+    notes: tuple[Noted, ...]
     seconds: dict[str, float]
     clocks: tuple[tuple[SuClock, ...], ...] = ()
     su_sources: Mapping[str, SuSource] = field(default_factory=dict)

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from skin2urdf.arrays import F64, Int
+from skin2urdf.notes import ReadingNote
 from skin2urdf.recording.credibility import (
     FORCES_APART,
     POSITIONS_APART,
@@ -59,7 +60,7 @@ class TimedStream(NamedTuple):
 
 def timed_joints(
     gathered: Mapping[tuple[str, tuple[str, ...]], Samples],
-) -> tuple[list[TimedStream], list[str]]:
+) -> tuple[list[TimedStream], list[ReadingNote]]:
     """Time the samples of all joints.
 
     Args:
@@ -69,16 +70,17 @@ def timed_joints(
         One stream per joint, sorted by name, and notes for the user.
     """
     found: dict[str, list[TimedStream]] = {}
-    notes: list[str] = []
+    notes: list[ReadingNote] = []
     for (topic, names), samples in gathered.items():
         credible = np.abs(samples.values) < LARGEST_VALUE
         if not credible.all():
             samples = samples._replace(values=np.where(credible, samples.values, np.nan))
         if several_publishers(samples.values, POSITIONS_APART):
-            notes.append(
+            words = (
                 f"the positions of {shortened(names)} on {topic} were left out: several publishers "
                 "send them in turn, and they contradict each other; record only one of them"
             )
+            notes.append(ReadingNote("several publishers", words, (topic, *names)))
             continue
         whole = _timed("", topic, samples)
         for name, values in zip(names, whole.values.T, strict=True):
@@ -95,16 +97,17 @@ def timed_joints(
         chosen.append(best._replace(name=name))
         others = sorted(stream.topic for stream in streams if stream is not best)
         if others:
-            notes.append(
+            words = (
                 f"joint {name} is on several topics; {best.topic} has most samples and was used, "
                 f"{', '.join(others)} passed over"
             )
+            notes.append(ReadingNote("several topics", words, (name, *others)))
     return sorted(chosen, key=lambda stream: stream.name), notes
 
 
 def timed_sus(
     gathered: dict[tuple[str, str], Samples], shelf: Shelf
-) -> tuple[list[TimedStream], list[str]]:
+) -> tuple[list[TimedStream], list[ReadingNote]]:
     """Name the SUs and time their samples.
 
     Args:
@@ -125,19 +128,22 @@ def timed_sus(
         # Without its bad samples first: they would spoil the comparison of timings.
         bad = absurd(samples.values)
         if bad.any():
-            notes.append(
-                f"{what}: {int(np.count_nonzero(bad))} samples are not finite or beyond what any "
-                "accelerometer gives; left out"
+            n = int(np.count_nonzero(bad))
+            words = (
+                f"{what}: {n} samples are not finite or beyond what any accelerometer gives; "
+                "left out"
             )
+            notes.append(ReadingNote("absurd values", words, (name, topic), n))
             samples = samples.at(~bad)
         if samples.stamp.size < 2:
             few.append(what)
             continue
         if several_publishers(samples.values, FORCES_APART):
-            notes.append(
+            words = (
                 f"{what} was left out: several publishers send as {frame!r} on {topic}, and "
                 "nothing tells whose a message is; give each SU a frame_id or a topic of its own"
             )
+            notes.append(ReadingNote("several publishers", words, (topic, frame)))
             continue
         held = measurements(samples.values)
         if held.times > 1.0:
@@ -146,10 +152,9 @@ def timed_sus(
         stream = _timed(name, topic, samples)
         alone = spikes(stream.values)
         if alone.any():
-            notes.append(
-                f"{what}: {int(np.count_nonzero(alone))} single samples depart far from all around "
-                "them; left out"
-            )
+            n = int(np.count_nonzero(alone))
+            words = f"{what}: {n} single samples depart far from all around them; left out"
+            notes.append(ReadingNote("spikes", words, (name, topic), n))
             stream = stream._replace(
                 time=stream.time[~alone],
                 values=stream.values[~alone],
@@ -165,11 +170,12 @@ def timed_sus(
         shelf.put_away()
     notes += held_notes(repeating)
     if few:
-        notes.append(f"left out, with fewer than two usable samples: {shortened(few)}")
+        words = f"left out, with fewer than two usable samples: {shortened(few)}"
+        notes.append(ReadingNote("too few", words, tuple(few)))
     return sorted(streams, key=lambda stream: stream.name), notes
 
 
-def timing_notes(streams: Sequence[TimedStream]) -> list[str]:
+def timing_notes(streams: Sequence[TimedStream]) -> list[ReadingNote]:
     """Say how times were made where they are not simply the stamps.
 
     Args:
@@ -179,21 +185,28 @@ def timing_notes(streams: Sequence[TimedStream]) -> list[str]:
         Notes for the user.
     """
     notes = [
-        f"{stream.name} ({stream.topic}): {stream.contradicting} of "
-        f"{stream.contradicting + stream.time.size} samples left out, as their stamps repeat or "
-        "contradict others"
+        ReadingNote(
+            "contradicting stamps",
+            f"{stream.name} ({stream.topic}): {stream.contradicting} of "
+            f"{stream.contradicting + stream.time.size} samples left out, as their stamps repeat "
+            "or contradict others",
+            (stream.name, stream.topic),
+            stream.contradicting,
+        )
         for stream in streams
         if stream.contradicting
     ]
     unstamped = sorted({stream.topic for stream in streams if not stream.stamped})
     if unstamped:
-        notes.append(f"no header stamps on {', '.join(unstamped)}: log times were used")
+        words = f"no header stamps on {', '.join(unstamped)}: log times were used"
+        notes.append(ReadingNote("no stamps", words, tuple(unstamped)))
     regular = sum(stream.chosen == "regular" for stream in streams)
     if regular:
-        notes.append(
+        words = (
             f"stamps of {regular} of {len(streams)} joints and SUs are noisy: their samples were "
             "timed at the rate of the sensor"
         )
+        notes.append(ReadingNote("noisy stamps", words, number=regular))
     return notes
 
 
@@ -204,7 +217,7 @@ def recorded(
     *,
     source: str,
     digest: str,
-    notes: Sequence[str],
+    notes: Sequence[ReadingNote],
 ) -> Recording:
     """Put all streams on one clock that starts with the first sample.
 
@@ -245,11 +258,8 @@ def recorded(
         for array in (su.values, su.rates):
             if array is not None:
                 array.flags.writeable = False
-    extra = (
-        [f"the clock of {', '.join(sorted(moved))} is not the joints'; matched by log times"]
-        if moved
-        else []
-    )
+    clocks = f"the clock of {', '.join(sorted(moved))} is not the joints'; matched by log times"
+    extra = [ReadingNote("other clock", clocks, tuple(sorted(moved)))] if moved else []
     return Recording(
         joints=tuple(
             JointStream(s.name, seconds[id(s.time)], s.values, s.stamp_noise) for s in joints
@@ -280,17 +290,19 @@ def _timed(name: str, topic: str, samples: Samples) -> TimedStream:
     )
 
 
-def _finite(stream: TimedStream, what: str) -> tuple[TimedStream | None, list[str]]:
+def _finite(stream: TimedStream, what: str) -> tuple[TimedStream | None, list[ReadingNote]]:
     """Leave out positions that are not finite; None where too few stay."""
     finite = np.isfinite(stream.values)
     bad = int(np.count_nonzero(~finite))
-    notes = []
+    notes, sources = [], (stream.name, stream.topic)
     if bad:
-        notes.append(
+        words = (
             f"{what} ({stream.topic}): {bad} positions are not finite or absurdly large; left out"
         )
+        notes.append(ReadingNote("absurd values", words, sources, bad))
         stream = stream._replace(time=stream.time[finite], values=stream.values[finite])
     if stream.time.size < 2:
-        notes.append(f"{what} ({stream.topic}) was left out: fewer than two usable positions")
+        words = f"{what} ({stream.topic}) was left out: fewer than two usable positions"
+        notes.append(ReadingNote("too few", words, sources))
         return None, notes
     return stream, notes

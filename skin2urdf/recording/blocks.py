@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 from skin2urdf.arrays import Int
+from skin2urdf.notes import ReadingNote
 from skin2urdf.recording.gather import U8
 
 UNWANTED = -2
@@ -97,13 +98,13 @@ class Container(Protocol):
     Attributes:
         profile: "ros2" or "ros1", as far as the file says.
         compressions: how its messages were compressed, "none" for plain ones.
-        notes: what was damaged or missing, in words for the user.
+        notes: what was damaged or missing.
         position: how far the file has been read [byte].
     """
 
     profile: str
     compressions: set[str]
-    notes: list[str]
+    notes: list[ReadingNote]
     position: int
 
     def blocks(self) -> Iterator[Block]:

@@ -18,6 +18,7 @@ from mcap.opcode import Opcode
 from numpy.typing import NDArray
 
 from skin2urdf.arrays import Int
+from skin2urdf.notes import ReadingNote
 from skin2urdf.recording.blocks import UNWANTED, Block, Channel, Channels
 from skin2urdf.recording.chunks import (
     LARGEST_UNPACKED,
@@ -70,7 +71,7 @@ class McapFile:
         digest: takes all bytes of the file in their order, if given.
         profile: profile of the header, "ros2" for a ROS 2 log.
         compressions: chunk compressions met; "none" for plain chunks and for files without chunks.
-        notes: what was damaged or missing, in words for the user.
+        notes: what was damaged or missing.
         position: how far the file has been read [byte].
     """
 
@@ -79,7 +80,7 @@ class McapFile:
     digest: Callable[[U8], None] | None = None
     profile: str = ""
     compressions: set[str] = field(default_factory=set)
-    notes: list[str] = field(default_factory=list)
+    notes: list[ReadingNote] = field(default_factory=list)
     position: int = len(MAGIC)
     _schemas: dict[int, str] = field(default_factory=dict)
     _digested: int = 0
@@ -132,12 +133,13 @@ class McapFile:
         while self.digest is not None and self._digested < self.file.size:
             self._read(self._digested, WINDOW)
         if not closed:
-            self.notes.append(
+            words = (
                 "the file has no closing records, as after a crash or a copy that was cut; "
                 f"all whole records were read, the last {left} bytes were not"
                 if left
                 else "the file has no closing records, as after a crash; all of it was read"
             )
+            self.notes.append(ReadingNote("cut short", words, number=left))
 
     def _read(self, start: int, size: int) -> U8:
         """Read part of the file, and take the digest of what was not read before."""
@@ -160,10 +162,11 @@ class McapFile:
         if opcode in (Opcode.CHUNK, Opcode.MESSAGE) and length <= LARGEST_UNPACKED:
             return 9 + int(length) + WINDOW
         if opcode in (Opcode.CHUNK, Opcode.MESSAGE):
-            self.notes.append(
+            words = (
                 f"the record of {int(length) >> 20} MiB at byte {self.position} was left out: "
                 f"those of up to {LARGEST_UNPACKED >> 20} MiB are read"
             )
+            self.notes.append(ReadingNote("too large", words))
         self.position = behind
         return WINDOW
 
@@ -220,10 +223,11 @@ class McapFile:
         yield Found(region.buffer, found.messages, found.header)
 
     def _left_out(self, position: int, error: Exception) -> None:
-        self.notes.append(
+        words = (
             f"the chunk at byte {position} is damaged ({error or 'cut short'}); its messages were "
             "left out"
         )
+        self.notes.append(ReadingNote("damaged", words))
 
     def _define(self, buffer: U8, records: Sequence[Record], begin: int) -> None:
         """Take in the definitions among some records."""
@@ -241,7 +245,8 @@ class McapFile:
                 elif record.opcode == Opcode.HEADER:
                     self.profile, _ = text(view[record.start : record.stop], 0)
             except UNPARSABLE:
-                self.notes.append(f"the definition at byte {begin + record.start} is damaged")
+                words = f"the definition at byte {begin + record.start} is damaged"
+                self.notes.append(ReadingNote("damaged", words))
 
     def _split(self, found: Found) -> Iterator[Block]:
         """Sort message records by what they hold."""
@@ -251,7 +256,8 @@ class McapFile:
         numbers = self._numbers[header["channel"]]
         lowest = int(numbers.min())
         if lowest <= UNDEFINED and (numbers == UNDEFINED).any():
-            note = "some messages belong to a channel the file does not define; left out"
+            words = "some messages belong to a channel the file does not define; left out"
+            note = ReadingNote("undefined channel", words)
             if note not in self.notes:
                 self.notes.append(note)
         kinds = np.array([*self.channels.kind, -1, -1])[numbers]

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from skin2urdf.errors import UnreadableInputError
+from skin2urdf.notes import ReadingNote
 from skin2urdf.recording.blocks import Block, Channel
 from skin2urdf.recording.log_files import LogFiles
 from skin2urdf.recording.messages import role_of
@@ -33,12 +34,12 @@ class Converted(NamedTuple):
     Attributes:
         topics: topics that were written, sorted.
         messages: how many messages on them.
-        notes: what was left out or damaged, in words for the user.
+        notes: what was left out or damaged.
     """
 
     topics: tuple[str, ...]
     messages: int
-    notes: tuple[str, ...]
+    notes: tuple[ReadingNote, ...]
 
 
 def convert(
@@ -84,9 +85,11 @@ def convert(
     left = sorted({c.topic for c in log.channels.known if not _used(c)})
     if left:
         more = f" and {len(left) - 8} more" if len(left) > 8 else ""
-        notes.append(f"topics that a calibration does not read: {', '.join(left[:8])}{more}")
+        words = f"topics that a calibration does not read: {', '.join(left[:8])}{more}"
+        notes.append(ReadingNote("not converted", words, tuple(left)))
     if output.damaged:
-        notes.append(f"{output.damaged} damaged messages were left out")
+        words = f"{output.damaged} damaged messages were left out"
+        notes.append(ReadingNote("damaged", words, number=output.damaged))
     return Converted(tuple(sorted(output.topics)), output.messages, tuple(notes))
 
 

@@ -12,6 +12,7 @@ from urllib.parse import quote
 import numpy as np
 
 from skin2urdf.errors import UnreadableInputError
+from skin2urdf.notes import ReadingNote
 from skin2urdf.recording.blocks import UNWANTED, Block, Channel, Channels
 from skin2urdf.recording.chunks import LARGEST_JOINED, LARGEST_UNPACKED
 from skin2urdf.recording.framing import BATCH
@@ -41,7 +42,7 @@ class Database:
         channels: the channels of the whole log, which this file's are added to.
         profile: "ros2".
         compressions: "sqlite3", which compresses nothing.
-        notes: what was damaged or missing, in words for the user.
+        notes: what was damaged or missing.
         position: how far the file has been read, about [byte].
     """
 
@@ -49,7 +50,7 @@ class Database:
     channels: Channels
     profile: str = "ros2"
     compressions: set[str] = field(default_factory=lambda: {"sqlite3"})
-    notes: list[str] = field(default_factory=list)
+    notes: list[ReadingNote] = field(default_factory=list)
     position: int = 0
 
     def blocks(self) -> Iterator[Block]:
@@ -67,10 +68,11 @@ class Database:
                 yield from self._messages(database, numbers)
         except (sqlite3.Error, OverflowError) as error:
             if self.position:
-                self.notes.append(
+                words = (
                     f"the database is damaged ({printable(str(error))}); the messages before the "
                     "damage were read"
                 )
+                self.notes.append(ReadingNote("damaged", words))
                 return
             raise UnreadableInputError(
                 str(self.file.path),
@@ -99,7 +101,8 @@ class Database:
                 channel = Channel(topic, canonical_type(ros_type), encoded)
                 numbers[key] = self.channels.number(channel)
             else:
-                self.notes.append("a topic is damaged; its messages were left out")
+                what = "a topic is damaged; its messages were left out"
+                self.notes.append(ReadingNote("damaged", what))
         return numbers
 
     def _messages(self, database: sqlite3.Connection, numbers: dict[int, int]) -> Iterator[Block]:
@@ -127,12 +130,14 @@ class Database:
                 yield from self._blocks(taken)
                 taken, size = [], 0
             if read > MOST_READ * self.file.size or unknown > self.file.size:
-                self.notes.append("the database hands out more than it can hold: it is damaged")
+                words = "the database hands out more than it can hold: it is damaged"
+                self.notes.append(ReadingNote("damaged", words))
                 break
         if taken:
             yield from self._blocks(taken)
         if unknown:
-            self.notes.append(f"{unknown} messages are damaged or of no topic; left out")
+            words = f"{unknown} messages are damaged or of no topic; left out"
+            self.notes.append(ReadingNote("damaged", words, number=unknown))
 
     def _blocks(self, taken: list[tuple[int, int, bytes]]) -> Iterator[Block]:
         """Messages sorted by what they hold."""

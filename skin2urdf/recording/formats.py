@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from skin2urdf.errors import UnreadableInputError
+from skin2urdf.notes import ReadingNote
 from skin2urdf.recording.blocks import Block, Channels, Container
 from skin2urdf.recording.container import McapFile
 from skin2urdf.recording.gather import U8
@@ -72,7 +73,7 @@ def opened_log(
                 with opened(plain) as inner:
                     container = _container(inner, channels)
                     container.compressions.add("zstd (whole file)")
-                    container.notes += [note] if note else []
+                    container.notes += [ReadingNote("cut short", note)] if note else []
                     yield OpenedLog(container, inner.size)
             except UnreadableInputError as error:
                 # The temporary file is gone, and says nothing to a user.

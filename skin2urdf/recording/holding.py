@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from skin2urdf.arrays import F64, Int
+from skin2urdf.notes import ReadingNote
 from skin2urdf.recording.naming import shortened
 from skin2urdf.recording.records import SuStream
 
@@ -71,7 +72,7 @@ def measurements(values: F64) -> Held:
     return Held(np.repeat(start, number) + np.rint(times * within).astype(np.int64), times)
 
 
-def as_measured(sus: Iterable[SuStream]) -> tuple[list[SuStream], list[str]]:
+def as_measured(sus: Iterable[SuStream]) -> tuple[list[SuStream], list[ReadingNote]]:
     """Leave the repetitions out of streams.
 
     Args:
@@ -92,7 +93,7 @@ def as_measured(sus: Iterable[SuStream]) -> tuple[list[SuStream], list[str]]:
     return out, held_notes(repeating)
 
 
-def held_notes(repeating: Mapping[str, float]) -> list[str]:
+def held_notes(repeating: Mapping[str, float]) -> list[ReadingNote]:
     """Notes on streams whose readings are sent several times.
 
     Args:
@@ -105,7 +106,12 @@ def held_notes(repeating: Mapping[str, float]) -> list[str]:
     for name, times in repeating.items():
         alike.setdefault(f"{times:.3g}", []).append(name)
     return [
-        f"{shortened(names)} {'sends' if len(names) == 1 else 'send'} each reading {times} times "
-        "in the mean; they count once, at the time they first appear"
+        ReadingNote(
+            "held values",
+            f"{shortened(names)} {'sends' if len(names) == 1 else 'send'} each reading {times} "
+            "times in the mean; they count once, at the time they first appear",
+            tuple(names),
+            float(times),
+        )
         for times, names in alike.items()
     ]

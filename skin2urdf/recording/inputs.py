@@ -16,6 +16,7 @@ from typing import Literal, NamedTuple, TypeAlias
 import numpy as np
 
 from skin2urdf.errors import UnreadableInputError
+from skin2urdf.notes import ReadingNote
 from skin2urdf.recording.framing import MAGIC
 from skin2urdf.recording.gather import U8
 from skin2urdf.recording.naming import printable
@@ -109,7 +110,7 @@ class Part(NamedTuple):
     size: int
 
 
-def bag_parts(path: Path) -> tuple[list[Part], list[str]]:
+def bag_parts(path: Path) -> tuple[list[Part], list[ReadingNote]]:
     """List the files of a log.
 
     Args:
@@ -148,13 +149,14 @@ def bag_parts(path: Path) -> tuple[list[Part], list[str]]:
         except UnreadableInputError as error:
             first = first or error
             why = str(error).removeprefix(f"{file_path}: ")
-            notes.append(f"{printable(file_path.name)} was left out: {why}")
+            words = f"{printable(file_path.name)} was left out: {why}"
+            notes.append(ReadingNote("part left out", words, (file_path.name,)))
     if not parts and first is not None:
         raise first
     return parts, notes
 
 
-def _as_described(folder: Path, files: list[Path]) -> tuple[list[Path], list[str]]:
+def _as_described(folder: Path, files: list[Path]) -> tuple[list[Path], list[ReadingNote]]:
     """The files of a bag as its metadata.yaml names them, and notes on where the two differ."""
     described = folder / "metadata.yaml"
     try:
@@ -169,17 +171,20 @@ def _as_described(folder: Path, files: list[Path]) -> tuple[list[Path], list[str
     missing = [name for name in names if name not in present]
     others = [name for name in present if name not in names]
     notes = [
-        f"{printable(name)} is missing, which metadata.yaml names as a part of the bag"
+        ReadingNote(
+            "part missing",
+            f"{printable(name)} is missing, which metadata.yaml names as a part of the bag",
+            (name,),
+        )
         for name in missing
     ]
     if others:
-        notes.append(
-            f"left out, as metadata.yaml does not name it: {', '.join(map(printable, others))}"
-        )
+        words = f"left out, as metadata.yaml does not name it: {', '.join(map(printable, others))}"
+        notes.append(ReadingNote("part left out", words, tuple(others)))
     return chosen, notes
 
 
-def _undescribed(folder: Path, files: list[Path]) -> tuple[list[Path], list[str]]:
+def _undescribed(folder: Path, files: list[Path]) -> tuple[list[Path], list[ReadingNote]]:
     """The files of a folder without a usable metadata.yaml: one log, or the parts of one.
 
     Raises:
@@ -199,7 +204,8 @@ def _undescribed(folder: Path, files: list[Path]) -> tuple[list[Path], list[str]
             f"give one of them, such as {folder / files[0].name}",
         )
     what = f"{len(files)} parts of {printable(logs[0])}" if len(files) > 1 else files[0].name
-    return files, [f"took {printable(what)}: this folder is no bag that lists its files"]
+    words = f"took {printable(what)}: this folder is no bag that lists its files"
+    return files, [ReadingNote("no list of parts", words, tuple(file.name for file in files))]
 
 
 _PART = re.compile(rf"(_\d+)?({'|'.join(map(re.escape, itertools.chain(*SUFFIXES)))})$")

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from skin2urdf.arrays import Int
+from skin2urdf.notes import ReadingNote
 from skin2urdf.recording.blocks import Block, Channels
 from skin2urdf.recording.messages import ENCODINGS, Role, role_of
 
@@ -41,7 +42,7 @@ class LogInventory:
         duration: time from the first to the last message by log time [s].
         compression: compressions of the chunks, "none" for plain ones.
         profile: "ros2" or "ros1", as far as the file says.
-        notes: what was damaged or missing, in words for the user.
+        notes: what was damaged or missing.
     """
 
     source: str
@@ -49,7 +50,7 @@ class LogInventory:
     duration: float
     compression: tuple[str, ...]
     profile: str
-    notes: tuple[str, ...] = ()
+    notes: tuple[ReadingNote, ...] = ()
 
     @property
     def messages(self) -> int:
@@ -80,7 +81,12 @@ class Tally:
         self._messages = counts
 
     def inventory(
-        self, *, source: str, profile: str, compressions: Iterable[str], notes: Iterable[str]
+        self,
+        *,
+        source: str,
+        profile: str,
+        compressions: Iterable[str],
+        notes: Iterable[ReadingNote],
     ) -> LogInventory:
         """Sum up.
 

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 
+from skin2urdf.notes import ReadingNote
 from skin2urdf.recording.blocks import Block, Channel, Channels
 from skin2urdf.recording.formats import opened_log
 from skin2urdf.recording.inputs import bag_parts
@@ -18,7 +20,7 @@ class LogFiles:
 
     Attributes:
         channels: all channels met.
-        notes: what was damaged or missing, in words for the user.
+        notes: what was damaged or missing.
         profile: "ros2" or "ros1", as far as the files say.
         compressions: chunk compressions met.
         digest: SHA-256 over the bytes of all files (hex), once all blocks are read; empty where it
@@ -41,7 +43,7 @@ class LogFiles:
             with_digest: whether to take the digest.
         """
         self.channels = Channels(wanted)
-        self.notes: list[str] = []
+        self.notes: list[ReadingNote] = []
         self.profile = ""
         self.compressions: set[str] = set()
         self.digest = ""
@@ -71,7 +73,12 @@ class LogFiles:
             read = log.container
             self.profile = self.profile or read.profile
             self.compressions |= read.compressions
-            prefix = f"{printable(part.path.name)}: " if len(parts) > 1 else ""
-            self.notes.extend(prefix + note for note in read.notes)
+            several = len(parts) > 1
+            self.notes += [_of_part(n, part.path.name) if several else n for n in read.notes]
         self.digest = digest.hexdigest() if self._with_digest else ""
         self._progress(Share(1.0, total, total))
+
+
+def _of_part(note: ReadingNote, name: str) -> ReadingNote:
+    """A note on one file of several."""
+    return replace(note, words=f"{printable(name)}: {note.words}", sources=(name, *note.sources))

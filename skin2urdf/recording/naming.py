@@ -6,6 +6,8 @@ import re
 from collections import Counter
 from collections.abc import Sequence
 
+from skin2urdf.notes import ReadingNote
+
 # Names that Pinocchio gives in every model.
 RESERVED = ("universe",)
 # Control characters, line ends, what changes the direction of writing, and what XML can not hold.
@@ -65,7 +67,7 @@ def printable(text: str) -> str:
     return _ACTING.sub(lambda found: found[0].encode("unicode_escape").decode(), text)
 
 
-def writable(names: Sequence[str], kind: str) -> tuple[list[str], list[str]]:
+def writable(names: Sequence[str], kind: str) -> tuple[list[str], list[ReadingNote]]:
     """Rename what the readers of a URDF can not hold.
 
     Pinocchio, which most robotics software reads URDFs with, has a joint and a frame named
@@ -89,7 +91,11 @@ def writable(names: Sequence[str], kind: str) -> tuple[list[str], list[str]]:
             taken.add(new)
         found.append(new)
     notes = [
-        f"the {kind} {name!r} is called {new!r}, as a URDF can not hold its name"
+        ReadingNote(
+            "renamed",
+            f"the {kind} {name!r} is called {new!r}, as a URDF can not hold its name",
+            (name, new),
+        )
         for name, new in zip(names, found, strict=True)
         if new != name
     ]

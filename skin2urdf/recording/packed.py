@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from skin2urdf.errors import Unreadable, UnreadableInputError
+from skin2urdf.notes import ReadingNote
 from skin2urdf.recording.blocks import Block
 from skin2urdf.recording.chunks import LARGEST_JOINED
 from skin2urdf.recording.gather import gather
@@ -87,7 +88,7 @@ def _refused(file: LogFile, what: str, why: Unreadable = "") -> UnreadableInputE
     return UnreadableInputError(str(file.path), what, remedy, why)
 
 
-def plain_messages(block: Block, notes: list[str]) -> Iterator[Block]:
+def plain_messages(block: Block, notes: list[ReadingNote]) -> Iterator[Block]:
     """Unpack the messages of a block that are compressed one by one.
 
     Args:
@@ -134,7 +135,8 @@ def plain_messages(block: Block, notes: list[str]) -> Iterator[Block]:
     if rows:
         yield _of(block, rows, plain)
     if damaged:
-        notes.append(f"{damaged} compressed messages are damaged or far too large; left out")
+        words = f"{damaged} compressed messages are damaged or far too large; left out"
+        notes.append(ReadingNote("damaged", words, number=damaged))
 
 
 def _of(block: Block, rows: list[int], plain: list[bytes]) -> Block:

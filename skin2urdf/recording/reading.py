@@ -6,6 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from skin2urdf.errors import Unreadable, UnreadableInputError
+from skin2urdf.notes import ReadingNote
 from skin2urdf.recording.assemble import (
     recorded,
     timed_joints,
@@ -95,31 +96,37 @@ def inventory(path: str | Path) -> LogInventory:
     )
 
 
-def _passed_notes(collector: Collector) -> list[str]:
+def _passed_notes(collector: Collector) -> list[ReadingNote]:
     """Say which messages were passed over."""
     return [
-        f"{topic}: {count} messages passed over: {reason}"
+        ReadingNote(
+            "passed over", f"{topic}: {count} messages passed over: {reason}", (topic,), count
+        )
         for topic, reasons in sorted(collector.passed.items())
         for reason, count in sorted(reasons.items())
     ]
 
 
-def _missing(source: Path, log: LogFiles, notes: list[str], what: str) -> UnreadableInputError:
+def _missing(
+    source: Path, log: LogFiles, notes: list[ReadingNote], what: str
+) -> UnreadableInputError:
     """Say that a log holds no joints or no SUs, and why."""
     joint_types = (JOINT_STATE,)
     types = joint_types if what == "joints" else tuple(ACCELERATION_TAIL)
     topics = sorted({c.topic for c in log.channels.known if c.ros_type in types})
     names = " or ".join(name.rsplit("/", 1)[-1] for name in types)
-    why: Unreadable = "nothing usable" if log.channels.known else "no messages"
+    why: Unreadable = "nothing usable"
     if topics:
         problem = f"no usable {what}: {', '.join(topics)} held nothing that could be used"
         remedy = "see what the topic publishes with `ros2 topic echo`, then record again"
     elif log.channels.known:
         held = ", ".join(sorted(f"{c.topic} ({c.ros_type})" for c in log.channels.known))
+        why = "no joints" if what == "joints" else "no SUs"
         problem = f"no {what}: no topic of type {names}; the log holds {held}"
         remedy = RECORD_REMEDY
     else:
+        why = "no messages"
         problem = "the log holds no messages"
         remedy = RECORD_REMEDY
-    because = f" ({'; '.join(notes[:5])})" if notes else ""
+    because = f" ({'; '.join(note.words for note in notes[:5])})" if notes else ""
     return UnreadableInputError(str(source), problem + because, remedy, why)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from skin2urdf.arrays import F64, Bool, Int, frozen
+from skin2urdf.notes import ReadingNote
 from skin2urdf.recording.shelf import put_away
 
 
@@ -87,7 +88,7 @@ class Recording:
         start: time of the first sample [s since the Unix epoch].
         source: where it came from (a path), for messages.
         digest: SHA-256 of the input bytes (hex), empty for a recording made in memory.
-        notes: what the reader mended or passed over, in words for the user.
+        notes: what the reader mended or passed over.
     """
 
     joints: tuple[JointStream, ...]
@@ -95,7 +96,7 @@ class Recording:
     start: float = 0.0
     source: str = ""
     digest: str = ""
-    notes: tuple[str, ...] = ()
+    notes: tuple[ReadingNote, ...] = ()
 
     @property
     def duration(self) -> float:

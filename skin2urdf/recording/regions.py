@@ -18,6 +18,7 @@ from mcap.opcode import Opcode
 from numpy.typing import NDArray
 
 from skin2urdf.arrays import Bool, Int
+from skin2urdf.notes import ReadingNote
 from skin2urdf.recording.chunks import (
     INDEX_ENTRY,
     DamagedChunkError,
@@ -41,8 +42,11 @@ TASK, MOST_IN_TASK = 1 << 20, 256
 # What parsing a damaged record can end in: too short, not text, an absurd length.
 UNPARSABLE = (UnicodeDecodeError, struct.error, MemoryError)
 
-CONTRADICTED = "the message index of a chunk contradicts its content; the content was walked"
-DAMAGED_END = "a chunk ends in damaged records; those before them were read"
+CONTRADICTED = ReadingNote(
+    "contradicted index",
+    "the message index of a chunk contradicts its content; the content was walked",
+)
+DAMAGED_END = ReadingNote("damaged", "a chunk ends in damaged records; those before them were read")
 
 
 class Placed(NamedTuple):
@@ -116,7 +120,7 @@ class RegionContent(NamedTuple):
     messages: Int
     header: NDArray[np.void]
     others: tuple[Record, ...]
-    notes: tuple[str, ...]
+    notes: tuple[ReadingNote, ...]
 
 
 def regions(window: U8, chunks: Iterable[tuple[Record, PackedChunk]]) -> Iterator[Region]:
@@ -172,7 +176,7 @@ def find_records(window: U8, buffer: U8, chunks: Sequence[Placed]) -> RegionCont
     stop = base + np.array([placed.chunk.size for placed in chunks], np.int64)
     messages, header, contradicted = _by_index(buffer, window, chunks, base, stop)
     indexed = np.array([placed.record.indexes.size > 0 for placed in chunks], np.bool_)
-    notes: list[str] = []
+    notes: list[ReadingNote] = []
     others: list[Record] = []
     missed: list[Int] = []
     # Whatever the indexes do not cover (definitions, unindexed messages) is walked.

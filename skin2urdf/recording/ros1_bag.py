@@ -16,12 +16,14 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from skin2urdf.arrays import Bool, Int
+from skin2urdf.notes import ReadingNote
 from skin2urdf.recording.blocks import Block, Channel, Channels
 from skin2urdf.recording.chunks import LARGEST_UNPACKED, DamagedChunkError, joined, unpack_lz4
 from skin2urdf.recording.gather import U8, gather, gather_rows, grouped
 from skin2urdf.recording.inputs import ROS1_MAGIC, LogFile
 from skin2urdf.recording.messages import canonical_type
 from skin2urdf.recording.naming import printable
+from skin2urdf.recording.regions import DAMAGED_END
 
 MESSAGE, BAG_HEADER, CHUNK, CONNECTION = 2, 3, 5, 7
 UNKNOWN = -1
@@ -47,7 +49,7 @@ class Ros1Bag:
         channels: the channels of the whole log, which this file's are added to.
         profile: "ros1".
         compressions: chunk compressions met; "none" for plain chunks.
-        notes: what was damaged or missing, in words for the user.
+        notes: what was damaged or missing.
         position: how far the file has been read [byte].
     """
 
@@ -55,7 +57,7 @@ class Ros1Bag:
     channels: Channels
     profile: str = "ros1"
     compressions: set[str] = field(default_factory=set)
-    notes: list[str] = field(default_factory=list)
+    notes: list[ReadingNote] = field(default_factory=list)
     position: int = len(ROS1_MAGIC)
     _numbers: dict[int, int] = field(default_factory=dict)
     _window: U8 = field(default_factory=lambda: np.zeros(0, np.uint8))
@@ -101,19 +103,22 @@ class Ros1Bag:
             if op == CHUNK:
                 yield from self._chunk(at, header, fields, size)
             elif op == BAG_HEADER and "encryptor" in fields and np.diff(fields["encryptor"])[0]:
-                self.notes.append("the bag is encrypted, and was not read")
+                words = "the bag is encrypted, and was not read"
+                self.notes.append(ReadingNote("encrypted", words))
                 return
             elif op == BAG_HEADER and _number(header, fields, "index_pos", "<u8") == 0:
-                self.notes.append("the bag was not closed, as after a crash; it has no index")
+                words = "the bag was not closed, as after a crash; it has no index"
+                self.notes.append(ReadingNote("cut short", words, number=0))
             at = data + size
             self.position = at
         if begin < at:
             yield from self._sorted(self._piece(begin, at - begin).copy())
         if at < self.file.size:
-            self.notes.append(
-                f"the record at byte {at} is damaged or cut; the last {self.file.size - at} bytes "
-                "were not read"
+            left = self.file.size - at
+            words = (
+                f"the record at byte {at} is damaged or cut; the last {left} bytes were not read"
             )
+            self.notes.append(ReadingNote("cut short", words, number=left))
 
     def _piece(self, start: int, size: int) -> U8:
         """Bytes of the file, fewer at its end."""
@@ -129,10 +134,11 @@ class Ros1Bag:
             compression, claim = _of_chunk(header, fields, size)
             plain = _unpacked(compression, self._piece(at + 4 + len(header), size), claim)
         except (DamagedChunkError, MemoryError) as error:
-            self.notes.append(
+            words = (
                 f"the chunk at byte {at} is damaged ({error or 'too large'}); its messages were "
                 "left out"
             )
+            self.notes.append(ReadingNote("damaged", words))
             return
         self.compressions.add(compression)
         yield from self._sorted(plain)
@@ -141,13 +147,13 @@ class Ros1Bag:
         """Take in the connections of a buffer of records, and hand on its messages."""
         starts, stop = _walk(buffer)
         if stop < buffer.size:
-            self._note("a chunk ends in damaged records; those before them were read")
+            self._note(DAMAGED_END)
         op, connection, _ = _headers(buffer, starts)
         for k in np.flatnonzero(op == CONNECTION):
             self._define(buffer, int(starts[k]), int(connection[k]))
         messages = starts[op == MESSAGE]
         if (op == UNKNOWN).any():
-            self._note("some records are damaged; left out")
+            self._note(ReadingNote("damaged", "some records are damaged; left out"))
         if messages.size:
             yield buffer, messages
 
@@ -156,7 +162,9 @@ class Ros1Bag:
         header, data = _parts(buffer, start)
         fields, described = _fields(header), _fields(data)
         if connection < 0 or "topic" not in fields or "type" not in described:
-            self._note("a connection is damaged; its messages were left out")
+            self._note(
+                ReadingNote("damaged", "a connection is damaged; its messages were left out")
+            )
             return
         topic = header[slice(*fields["topic"])].decode(errors="replace")
         ros_type = data[slice(*described["type"])].decode(errors="replace")
@@ -170,7 +178,8 @@ class Ros1Bag:
         known, where = np.unique(connection, return_inverse=True)
         numbers = np.array([self._numbers.get(int(c), UNKNOWN) for c in known])[where.reshape(-1)]
         if (numbers == UNKNOWN).any():
-            self._note("some messages belong to a connection the bag does not define; left out")
+            words = "some messages belong to a connection the bag does not define; left out"
+            self._note(ReadingNote("undefined channel", words))
         if (numbers < 0).all():
             return
         data = starts + 4 + gather(buffer, starts, "<u4")
@@ -189,7 +198,7 @@ class Ros1Bag:
                     log_time=log_time[rows],
                 )
 
-    def _note(self, note: str) -> None:
+    def _note(self, note: ReadingNote) -> None:
         if note not in self.notes:
             self.notes.append(note)
 

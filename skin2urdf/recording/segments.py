@@ -16,6 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from skin2urdf.arrays import F64, Int
+from skin2urdf.notes import ReadingNote
 from skin2urdf.recording.numbering import median_of
 from skin2urdf.recording.streams import Samples
 from skin2urdf.recording.timing import NS_PER_S, stamped_clock
@@ -61,7 +62,7 @@ class Jump(NamedTuple):
 
 def on_one_clock(
     streams: Sequence[Samples], names: Sequence[str]
-) -> tuple[list[Samples], list[str]]:
+) -> tuple[list[Samples], list[ReadingNote]]:
     """Join the stretches of a clock that jumped.
 
     Args:
@@ -87,7 +88,7 @@ def on_one_clock(
         met = [event for row in events if (event := row[e]) is not None]
         gap = min(m.after for m in met) - max(m.before for m in met)
         shifts.append(shifts[-1] + pause - gap)
-    notes = [_words(event, pause) for event in common]
+    notes = [ReadingNote("clock jump", _words(event, pause)) for event in common]
     out = []
     for samples, clock, found, own, name in zip(streams, clocks, jumps, events, names, strict=True):
         bounds = _bounds(clock, own, common, origin)
@@ -97,10 +98,11 @@ def on_one_clock(
             edges = [0, *(jump.first for jump in alone), len(clock)]
             begin, end = max(pairwise(edges), key=lambda piece: piece[1] - piece[0])
             sizes = ", ".join(f"{jump.size:+.3g} s" for jump in alone[:3])
-            notes.append(
+            words = (
                 f"the clock of {name} jumps by itself ({sizes}): the longest stretch, "
                 f"{100 * (end - begin) / len(clock):.0f} % of the samples, was used"
             )
+            notes.append(ReadingNote("own clock jump", words, (name,), len(alone)))
             moved = moved.at(np.arange(begin, end))
         out.append(moved)
     return out, notes

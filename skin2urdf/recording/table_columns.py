@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from skin2urdf.errors import Unreadable
 from skin2urdf.geometry.units import GRAVITY
 
 TIME_UNITS = {"s": 1e9, "ms": 1e6, "us": 1e3, "µs": 1e3, "μs": 1e3, "ns": 1.0}
@@ -24,6 +25,18 @@ FORCE_UNITS = {
 }
 _HEADER = re.compile(r"(?P<name>.*?)\s*[\[(](?P<unit>[^\[\]()]*)[\])]")
 _AXES = "xyz"
+
+
+class BadColumnsError(ValueError):
+    """Headers that are not those of a log.
+
+    Attributes:
+        why: what is wrong with them.
+    """
+
+    def __init__(self, why: Unreadable, what: str) -> None:
+        super().__init__(what)
+        self.why = why
 
 
 @dataclass(frozen=True)
@@ -45,14 +58,14 @@ class Columns:
     unused: tuple[str, ...]
 
 
-def columns_of(headers: Sequence[str]) -> Columns | str:
+def columns_of(headers: Sequence[str]) -> Columns:
     """Tell what columns hold.
 
     Args:
         headers: the first line of a table.
 
-    Returns:
-        The columns, or in words what is wrong with them.
+    Raises:
+        BadColumnsError: they are not those of a log.
     """
     times: list[tuple[int, float]] = []
     joints: dict[str, tuple[int, float]] = {}
@@ -64,24 +77,27 @@ def columns_of(headers: Sequence[str]) -> Columns | str:
         stem, _, axis = name.rpartition(".")
         if name.lower() in ("time", "stamp", "timestamp", "t"):
             if unit not in TIME_UNITS:
-                return f"the column {header.strip()!r} lacks a unit: write `time [s]` or `[ns]`"
+                what = f"the column {header.strip()!r} lacks a unit: write `time [s]` or `[ns]`"
+                raise BadColumnsError("no unit", what)
             times.append((k, TIME_UNITS[unit]))
         elif unit in FORCE_UNITS and stem and axis.lower() in _AXES and axis:
             if axes.setdefault(stem, {}).setdefault(axis.lower(), (k, FORCE_UNITS[unit]))[0] != k:
-                return f"two columns are called {header.strip()!r}"
+                raise BadColumnsError("same column", f"two columns are called {header.strip()!r}")
         elif unit in JOINT_UNITS and name:
             if joints.setdefault(name, (k, JOINT_UNITS[unit]))[0] != k:
-                return f"two columns are called {header.strip()!r}"
+                raise BadColumnsError("same column", f"two columns are called {header.strip()!r}")
         else:
             unused.append(header.strip())
-    if len(times) != 1:
-        return "there is no column of times" if not times else "there are several columns of times"
+    if not times:
+        raise BadColumnsError("no times", "there is no column of times")
+    if len(times) > 1:
+        raise BadColumnsError("several times", "there are several columns of times")
     for stem, found_axes in axes.items():
         missing = [axis for axis in _AXES if axis not in found_axes]
         if missing:
-            return f"the SU {stem!r} lacks {' and '.join(missing)}"
+            raise BadColumnsError("missing axis", f"the SU {stem!r} lacks {' and '.join(missing)}")
     if not joints and not axes:
-        return "no column is a joint or an SU"
+        raise BadColumnsError("nothing usable", "no column is a joint or an SU")
     return Columns(
         *times[0],
         tuple((name, *place) for name, place in joints.items()),

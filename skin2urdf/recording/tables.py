@@ -18,13 +18,14 @@ import numpy as np
 
 from skin2urdf.arrays import F64, Bool, Int
 from skin2urdf.errors import UnreadableInputError
+from skin2urdf.notes import ReadingNote
 from skin2urdf.recording.blocks import UNWANTED, Block, Channel, Channels
 from skin2urdf.recording.encode import imu_payloads, joint_state_payloads
 from skin2urdf.recording.gather import U8, grouped
 from skin2urdf.recording.inputs import LogFile
 from skin2urdf.recording.messages import IMU, JOINT_STATE
 from skin2urdf.recording.naming import printable
-from skin2urdf.recording.table_columns import Columns, columns_of
+from skin2urdf.recording.table_columns import BadColumnsError, Columns, columns_of
 
 LATEST_STAMP = (2**31 - 1) * 10**9
 # Rows that are made messages at a time.
@@ -49,7 +50,7 @@ class Table:
         channels: the channels of the whole log, which this file's are added to.
         profile: "ros2", as its messages are made so.
         compressions: "csv" or "parquet".
-        notes: what was damaged or missing, in words for the user.
+        notes: what was damaged or missing.
         position: how far the file has been read, about [byte].
     """
 
@@ -57,7 +58,7 @@ class Table:
     channels: Channels
     profile: str = "ros2"
     compressions: set[str] = field(default_factory=set)
-    notes: list[str] = field(default_factory=list)
+    notes: list[ReadingNote] = field(default_factory=list)
     position: int = 0
     _bad_cells: int = 0
     _bad_rows: int = 0
@@ -79,23 +80,30 @@ class Table:
                 columns = self._columns(headers)
             yield from self._messages(columns, cells)
         if columns is None:
-            raise UnreadableInputError(str(self.file.path), "the table has no rows", REMEDY)
+            raise UnreadableInputError(
+                str(self.file.path), "the table has no rows", REMEDY, "no rows"
+            )
         if self._bad_cells:
-            self.notes.append(f"{self._bad_cells} cells are no numbers; taken as empty")
+            words = f"{self._bad_cells} cells are no numbers; taken as empty"
+            self.notes.append(ReadingNote("bad cells", words, number=self._bad_cells))
         if self._bad_rows:
-            self.notes.append(
+            words = (
                 f"{self._bad_rows} rows have no time between 1970 and 2038, or are longer or "
                 "shorter than the first; left out"
             )
+            self.notes.append(ReadingNote("bad rows", words, number=self._bad_rows))
 
     def _columns(self, headers: Sequence[str]) -> Columns:
-        found = columns_of(headers)
-        if isinstance(found, str):
-            raise UnreadableInputError(str(self.file.path), f"as a table: {found}", REMEDY)
+        try:
+            found = columns_of(headers)
+        except BadColumnsError as bad:
+            what = f"as a table: {bad}"
+            raise UnreadableInputError(str(self.file.path), what, REMEDY, bad.why) from bad
         if found.unused:
             some = ", ".join(printable(name)[:60] or "(no name)" for name in found.unused[:8])
             more = f" and {len(found.unused) - 8} more" if len(found.unused) > 8 else ""
-            self.notes.append(f"columns that are not used: {some}{more}")
+            words = f"columns that are not used: {some}{more}"
+            self.notes.append(ReadingNote("unused columns", words, tuple(found.unused)))
         return found
 
     def _csv(self) -> Iterator[tuple[list[str], F64]]:
@@ -174,9 +182,10 @@ class Table:
                 ]
                 for k in range(table.num_row_groups):
                     if table.metadata.row_group(k).total_byte_size > LARGEST_GROUP:
-                        self.notes.append(
+                        words = (
                             f"row group {k} claims more than {LARGEST_GROUP >> 20} MiB; left out"
                         )
+                        self.notes.append(ReadingNote("too large", words))
                         continue
                     most = max(1, min(ROWS, MOST_CELLS // max(1, len(headers))))
                     for batch in table.iter_batches(most, row_groups=[k], use_threads=False):

@@ -106,7 +106,9 @@ def mcap_writer(
     }
     if compression not in compressions:
         raise UsageError(
-            f"unknown compression {compression!r}", f"choose one of {', '.join(compressions)}"
+            f"unknown compression {compression!r}",
+            f"choose one of {', '.join(compressions)}",
+            "compression",
         )
     unfinished = target.with_name(f"{target.name}.part")
     try:
@@ -126,6 +128,7 @@ def mcap_writer(
         raise UsageError(
             f"{target} can not be written: {error.strerror}",
             "check that the folder exists and that you may write there",
+            str(target),
         ) from error
     finally:
         if unfinished.is_file():
@@ -181,6 +184,7 @@ def _channels(
             raise UsageError(
                 "joint_order names other joints than the recording has",
                 f"give an order of {', '.join(sorted(by_name))}",
+                "joint_order",
             )
         joints = [by_name[name] for name in joint_order]
     for group in _sharing_times(joints):
@@ -198,6 +202,7 @@ def _channels(
             raise UsageError(
                 f"the SU {su.name} is on {topic}, the topic of the joint states",
                 "choose another joint_topic",
+                "joint_topic",
             )
         stamp = _stamps(su.time, start)
         payload = imu_payloads(stamp, su.name, su.specific_force, su.angular_velocity)
@@ -225,5 +230,6 @@ def _stamps(time: F64, start: int) -> Int:
         raise UsageError(
             "a ROS time stamp holds times from 1970 to 2038 only",
             "set the start of the recording so that all its times lie between",
+            "start",
         )
     return stamp

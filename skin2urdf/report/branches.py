@@ -12,6 +12,7 @@ from skin2urdf.report.words import (
     PARALLEL,
     TILT_REMEDY,
     VERTICAL,
+    Cause,
     Unknown,
     frames_at_zero,
     largest_angle,
@@ -56,22 +57,28 @@ def _of_branch(model: KinematicModel, joint: str, xi: F64, up: F64) -> Unknown:
     along = [k for k in turning if _parallel(frames[k, :3, 2], axis)]
     if not along:
         why = f"the motion of {listed(names)} in this log is too small or too much alike"
-        return Unknown(f"place of {branch} relative to its limb", why, more(names))
+        what = f"place of {branch} relative to its limb"
+        return Unknown("pose", "little motion", what, why, more(names))
     about = tree.joint_names[along[0]]
     rest = f"relative to what else {about} moves"
     all_parallel = len(along) == len(turning)
     if turns:
         what = f"turn of {branch} about the axis of {about} {rest}"
         if all_parallel and largest_angle(up, axis / np.linalg.norm(axis)) < VERTICAL:
-            return Unknown(what, "the axis is vertical", TILT_REMEDY)
-        return Unknown(what, f"{listed(names)} moved too little in this log", more(names))
+            why = "the axis is vertical"
+            return Unknown("turn", "vertical axis", what, why, TILT_REMEDY, about)
+        why = f"{listed(names)} moved too little in this log"
+        return Unknown("turn", "little motion", what, why, more(names), about)
     what = f"place of {branch} along the axis of {about} {rest}"
     if not all_parallel:
-        return Unknown(what, "the joints before it moved too little in this log", more(names))
+        why = "the joints before it moved too little in this log"
+        return Unknown("slide", "little motion", what, why, more(names), about)
+    cause: Cause = "one joint"
     why = f"{about} is the only joint that turns both"
     if len(along) > 1:
+        cause = "parallel axes"
         why = f"the axes of {listed([tree.joint_names[k] for k in along])} are parallel"
-    return Unknown(what, f"{why}, so that no recording tells it")
+    return Unknown("slide", cause, what, f"{why}, so that no recording tells it", joint=about)
 
 
 def _of_several(model: KinematicModel, direction: OpenDirection) -> Unknown:
@@ -81,12 +88,16 @@ def _of_several(model: KinematicModel, direction: OpenDirection) -> Unknown:
     name = tree.joint_names[first]
     if tree.parent[first] < 0 and not rest:
         why = "gravity alone tells it, and the bias of its SUs looks much the same"
-        return Unknown(f"tilt of the axis of {name} against what it carries", why, TILT_REMEDY)
+        what = f"tilt of the axis of {name} against what it carries"
+        return Unknown("tilt", "bias", what, why, TILT_REMEDY, name)
     if all(tree.parent[j] == first for j in rest):
         what = f"one direction of the axis of {name} relative to what it carries"
-        return Unknown(what, f"{name} moved too little in this log", more([name]))
+        why = f"{name} moved too little in this log"
+        return Unknown("direction", "little motion", what, why, more([name]), name)
     before = sorted({k for j in (first, *rest) for k in tree.chain(j)})
     return Unknown(
+        "direction",
+        "little motion",
         f"one direction in which {_some([*direction.joints, *direction.sus])} move together",
         "the motion in this log is too small or too much alike",
         more([tree.joint_names[k] for k in before]),

@@ -24,7 +24,7 @@ def as_text(comparison: Comparison) -> str:
     """
     c = comparison
     lines = ["Tree: right" if c.tree_equal else "Tree: WRONG"]
-    lines += [f"  - {difference}" for difference in c.tree_differences]
+    lines += [f"  - {difference.words}" for difference in c.tree_differences]
     lines.append("")
     lines += _table(
         "SU",

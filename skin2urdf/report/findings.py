@@ -12,7 +12,7 @@ from skin2urdf.estimation.uncertainty.observability import aligned_deviations
 from skin2urdf.estimation.uncertainty.placements import joint_placement_covariance
 from skin2urdf.report.branches import between_branches
 from skin2urdf.report.limbs import OpenLimb, open_limbs
-from skin2urdf.report.verdict import verdict
+from skin2urdf.report.verdict import Doubt, doubts, verdict
 from skin2urdf.report.words import Unknown, unknowns
 
 _CONFIGURATIONS = 50
@@ -26,6 +26,7 @@ class Findings:
 
     Attributes:
         verdict: the outcome in one line.
+        doubts: what speaks against the result, and what is missing of it.
         joint_covariance: (D, 6, 6) of each joint's placement in the URDF, twists (linear, angular)
             in the joint's own frame [m, rad]; see :func:`joint_placement_covariance`.
         axis_position_sd: (D,) of each axis at the joint's origin, square to it [m].
@@ -45,6 +46,7 @@ class Findings:
     """
 
     verdict: str
+    doubts: tuple[Doubt, ...]
     joint_covariance: F64
     axis_position_sd: F64
     axis_direction_sd: F64
@@ -87,8 +89,10 @@ def findings(calibration: Calibration) -> Findings:
     anywhere = (tree.parent < 0) | tree.prismatic | positions_open
     (position, orientation), worst = _expected(calibration)
     limbs = open_limbs(calibration)
+    against = doubts(calibration, limbs)
     return Findings(
-        verdict=verdict(calibration, *worst, limbs),
+        verdict=verdict(calibration, *worst, against),
+        doubts=against,
         joint_covariance=covariance,
         axis_position_sd=np.where(anywhere, np.nan, np.sqrt(variance[:, :3].sum(axis=1))),
         axis_direction_sd=np.sqrt(variance[:, 3:].sum(axis=1)),

@@ -42,7 +42,7 @@ def as_text(surveyed: Surveyed) -> str:
     lines += bullets("Notes", _notes(surveyed))
     lines += bullets("Faults", _faults(surveyed))
     if surveyed.problems:
-        lines += bullets("Missing", surveyed.problems)
+        lines += bullets("Missing", [problem.words for problem in surveyed.problems])
     elif not _faults(surveyed):
         lines += ["", "Nothing is missing: calibrate with `skin2urdf calibrate`."]
     return "\n".join(lines) + "\n"
@@ -75,8 +75,8 @@ def as_document(surveyed: Surveyed) -> dict[str, Any]:
             "poses_with_pattern": int(surveyed.excited.any(axis=-1).sum()),
             "notes": _notes(surveyed),
             "faults": _faults(surveyed),
-            "missing": surveyed.problems,
-            "obstacles": surveyed.obstacles,
+            "missing": [problem.words for problem in surveyed.problems],
+            "obstacles": [problem.words for problem in surveyed.obstacles],
         }
     )
     return document
@@ -199,7 +199,7 @@ def _faults(surveyed: Surveyed) -> list[str]:
 
 def _notes(surveyed: Surveyed) -> list[str]:
     """Notes of every stage, each once."""
-    notes = list(surveyed.inventory.notes)
+    notes = note_words(surveyed.inventory.notes)
     for stage in (surveyed.recording, surveyed.sampled, surveyed.features):
         notes += [note for note in note_words(stage.notes if stage else ()) if note not in notes]
     if surveyed.sampled is not None:

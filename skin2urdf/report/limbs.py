@@ -81,4 +81,4 @@ def _words(joint: str, reference: str, turns: bool) -> Unknown:
         what += " and its turn about the vertical"
         remedy += f"; for the turn {TILT_REMEDY}"
     what += f" relative to that beyond {reference}; the URDF lets both begin at the base's origin"
-    return Unknown(what, "nothing but gravity connects them", remedy)
+    return Unknown("pose", "unconnected", what, "nothing but gravity connects them", remedy, joint)

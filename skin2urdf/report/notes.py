@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from dataclasses import asdict
 from typing import Any
 
-from skin2urdf.notes import Note
+from skin2urdf.notes import Note, Noted, ReadingNote
 
 _LISTED = 6
 """Poses that are listed at most."""
@@ -23,18 +23,22 @@ _WHY = {
 }
 
 
-def note_words(notes: Iterable[Note | str]) -> list[str]:
-    """Notes in words a user can act on; those that are words stay as they are.
+def note_words(notes: Iterable[Noted]) -> list[str]:
+    """Notes in words a user can act on; those that have words keep them.
 
     Args:
         notes: of a calibration, or of any stage of it.
     """
-    return [note if isinstance(note, str) else _words(note) for note in notes]
+    return [_words(note) if isinstance(note, Note) else _own_words(note) for note in notes]
 
 
-def note_documents(notes: Iterable[Note | str]) -> list[dict[str, Any]]:
-    """Notes for a script: kinds, names and numbers, without those that are words."""
-    return [asdict(note) for note in notes if isinstance(note, Note)]
+def _own_words(note: ReadingNote | str) -> str:
+    return note if isinstance(note, str) else note.words
+
+
+def note_documents(notes: Iterable[Noted]) -> list[dict[str, Any]]:
+    """Notes for a script: kinds, names and numbers, without those that are words alone."""
+    return [asdict(note) for note in notes if not isinstance(note, str)]
 
 
 def _words(note: Note) -> str:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
@@ -17,11 +19,48 @@ _MM, _DEG = 1e3, float(np.rad2deg(1.0))
 _NAMED = 3
 
 
+DoubtKind = Literal[
+    "faults", "soft base", "SUs misfit", "poses misfit", "prediction", "sensors", "weak joints",
+    "open limbs", "joints open", "SUs open",
+]  # fmt: skip
+"""What speaks against a result: things found wrong, a base that gives way, SUs and poses that fit
+worse than the rest, poses that are predicted worse than stated, sensors that are worse than the
+options say, axes that are known weakly, limbs whose places are open, and what of the joints and
+SUs the log does not determine."""
+
+
+@dataclass(frozen=True)
+class Doubt:
+    """What keeps a result from being good, or is missing of it.
+
+    Attributes:
+        kind: what sort of doubt.
+        words: the same for the user.
+        names: the joints, SUs, or subjects of faults that it is about.
+        number: of poses; or how many times worse than stated; NaN where names say all.
+    """
+
+    kind: DoubtKind
+    words: str
+    names: tuple[str, ...] = ()
+    number: float = float("nan")
+
+
+def doubts(calibration: Calibration, limbs: Sequence[OpenLimb] = ()) -> tuple[Doubt, ...]:
+    """What speaks against a result, and what is missing of it.
+
+    Args:
+        calibration: a finished calibration.
+        limbs: those that nothing connects with the largest one.
+    """
+    return (*_doubts(calibration), *_apart(limbs), *_missing(calibration))
+
+
 def verdict(
     calibration: Calibration,
     worst_position: float,
     worst_orientation: float,
-    limbs: Sequence[OpenLimb] = (),
+    against: Sequence[Doubt] = (),
 ) -> str:
     """The outcome in one line that says how far it can be believed.
 
@@ -29,7 +68,7 @@ def verdict(
         calibration: a finished calibration.
         worst_position: largest error to expect of an SU that is determined [m]; NaN without any.
         worst_orientation: the same of orientations [rad].
-        limbs: those that nothing connects with the largest one.
+        against: what speaks against it.
 
     Returns:
         ``good``, ``fair`` or ``bad``, the size of the robot, how well the model explains the
@@ -45,9 +84,8 @@ def verdict(
             f"errors to expect up to {number(worst_position * _MM)} mm, "
             f"{number(worst_orientation * _DEG, 3)} deg"
         )
-    but = [*_doubts(calibration), *_apart(limbs), *_missing(calibration)]
-    if but:
-        parts.append(f"but {'; '.join(but)}")
+    if against:
+        parts.append(f"but {'; '.join(doubt.words for doubt in against)}")
     return "; ".join(parts)
 
 
@@ -65,64 +103,76 @@ def _fit(calibration: Calibration) -> str:
     return f"the model explains the readings ({cost})"
 
 
-def _doubts(calibration: Calibration) -> list[str]:
+def _doubts(calibration: Calibration) -> list[Doubt]:
     """What keeps a result from being good, beside the cost."""
     tree, seen = calibration.model.tree, calibration.observability
-    doubts = []
+    found: list[Doubt] = []
     if calibration.faults:
         kinds = dict.fromkeys(f"{fault.subject} {fault.kind}" for fault in calibration.faults)
-        doubts.append(f"{count(len(kinds), 'fault')}: {shortened(list(kinds), _NAMED)}")
+        words = f"{count(len(kinds), 'fault')}: {shortened(list(kinds), _NAMED)}"
+        found.append(Doubt("faults", words, tuple(f.subject for f in calibration.faults)))
     if calibration.base_gives_way:
-        doubts.append(
+        words = (
             "the base gives way: lengths along the first axis may be off by more than is stated "
             "(fix it stiffly and record again, or give the robot's own URDF by --model)"
         )
+        found.append(Doubt("soft base", words))
     known = {fault.subject for fault in calibration.faults}
     odd = [tree.su_names[u] for u in np.flatnonzero(calibration.unlike_sus.odd)]
     odd = [name for name in odd if name not in known]
     if odd:
         fit = "fits" if len(odd) == 1 else "fit"
-        doubts.append(f"{shortened(odd, _NAMED)} {fit} far worse than the other SUs")
+        words = f"{shortened(odd, _NAMED)} {fit} far worse than the other SUs"
+        found.append(Doubt("SUs misfit", words, tuple(odd)))
     poses = calibration.unlike_poses.odd
     if poses.any():
-        doubts.append(f"{poses.sum()} of {count(len(poses), 'pose')} do not fit the others")
+        words = f"{poses.sum()} of {count(len(poses), 'pose')} do not fit the others"
+        found.append(Doubt("poses misfit", words, number=int(poses.sum())))
     if calibration.goodness.prediction > GOOD_FIT:
         times = float(np.sqrt(calibration.goodness.prediction))
-        doubts.append(f"poses that are left out are predicted {times:.1f} times worse than stated")
+        words = f"poses that are left out are predicted {times:.1f} times worse than stated"
+        found.append(Doubt("prediction", words, number=times))
     by_the_paper = calibration.settings.method == "paper"
     narrow = not by_the_paper and narrow_priors(calibration.estimate)
     if narrow and calibration.misfit > GOOD_FIT:
-        doubts.append("the sensors are worse than the options say of them (see the notes)")
+        words = "the sensors are worse than the options say of them (see the notes)"
+        found.append(Doubt("sensors", words))
     weak = _with_verdict(tree.joint_names, seen.joint_verdict, ("weak",))
     if weak:
-        doubts.append(f"the axis of {shortened(weak, _NAMED)} is known weakly")
-    return doubts
+        words = f"the axis of {shortened(weak, _NAMED)} is known weakly"
+        found.append(Doubt("weak joints", words, tuple(weak)))
+    return found
 
 
-def _apart(limbs: Sequence[OpenLimb]) -> list[str]:
+def _apart(limbs: Sequence[OpenLimb]) -> list[Doubt]:
     """That limbs are not where the URDF has them."""
     if not limbs:
         return []
     one = len(limbs) == 1
-    beyond = shortened([limb.joint for limb in limbs], _NAMED)
-    return [
-        f"where the limb{'s' * (not one)} beyond {beyond} "
+    joints = [limb.joint for limb in limbs]
+    words = (
+        f"where the limb{'s' * (not one)} beyond {shortened(joints, _NAMED)} "
         f"{'is' if one else 'are'} relative to that beyond {limbs[0].reference} is open (in the "
         "URDF all begin at the base's origin)"
-    ]
+    )
+    return [Doubt("open limbs", words, tuple(joints))]
 
 
-def _missing(calibration: Calibration) -> list[str]:
+def _missing(calibration: Calibration) -> list[Doubt]:
     """The joints and SUs that the log does not determine."""
     tree, seen = calibration.model.tree, calibration.observability
     joints = _with_verdict(tree.joint_names, seen.joint_verdict, ("not observable",))
     sus = _with_verdict(tree.su_names, seen.su_verdict, ("not observable", "weak"))
     missing = []
-    for names, all_ in ((joints, count(tree.n_joints, "joint")), (sus, count(tree.n_sus, "SU"))):
+    parts: tuple[tuple[DoubtKind, list[str], str], ...] = (
+        ("joints open", joints, count(tree.n_joints, "joint")),
+        ("SUs open", sus, count(tree.n_sus, "SU")),
+    )
+    for kind, names, all_ in parts:
         if names:
             are = "is" if len(names) == 1 else "are"
-            which = shortened(names, _NAMED)
-            missing.append(f"{len(names)} of {all_} {are} not determined ({which})")
+            words = f"{len(names)} of {all_} {are} not determined ({shortened(names, _NAMED)})"
+            missing.append(Doubt(kind, words, tuple(names)))
     return missing
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
@@ -23,19 +24,39 @@ TILT_REMEDY = "record a second log with the base tilted by 20 degrees or more"
 CROSS_REMEDY = "say how large the sensors' cross-axis errors are by their data sheet (--cross)"
 
 
+Part = Literal["pose", "position", "orientation", "slide", "turn", "tilt", "direction"]
+"""What of something is not known: all of it, where it is, how it is turned, where it is along the
+axis of a joint, how it is turned about that axis (the vertical, without a joint), how it is tilted
+against gravity, or one direction of no special kind."""
+Cause = Literal[
+    "still", "silence", "little motion", "gravity alone", "vertical axis", "parallel axes",
+    "one joint", "pushed", "bias", "unconnected",
+]  # fmt: skip
+"""What keeps a log from telling it: no joint moves it, its readings tell nothing, motion is too
+small, too slow or too much alike, gravity alone is felt, the axis is vertical, those of all joints
+are parallel, one joint alone turns it, joints push it and never turn it, bias looks the same, or
+nothing but gravity connects it with the rest."""
+
+
 @dataclass(frozen=True)
 class Unknown:
     """Something a log does not tell.
 
     Attributes:
+        part: what of it is not known, and
+        cause: what keeps the log from telling it, for a script.
         what: what is not known.
         why: what keeps the log from telling it.
         remedy: what to record to learn it; empty where no recording helps.
+        joint: the one along or about whose axis it is not known.
     """
 
+    part: Part
+    cause: Cause
     what: str
     why: str
     remedy: str = ""
+    joint: str = ""
 
     def __str__(self) -> str:
         """All of it in one line."""
@@ -43,6 +64,8 @@ class Unknown:
 
 
 NO_POSITIONS = Unknown(
+    "position",
+    "gravity alone",
     "positions of all joints and SUs, which are zero in the URDF",
     "the log holds rests and slow motion, in which gravity alone is felt",
     "record moves of all joints at 0.5 rad/s or more, or patterns around the poses",
@@ -89,18 +112,18 @@ def _of_reference(name: str, count: int) -> tuple[Unknown, ...]:
     if count == 6:
         return (
             Unknown(
+                "pose",
+                "still",
                 f"where {name} sits and how it is turned",
                 f"{moves}, and in one orientation its bias can not be told from a tilt",
                 f"{TILT_REMEDY} to learn how it is turned; no recording tells where it sits",
             ),
         )
-    unknown = [Unknown(f"position of {name}", f"{moves}, so that no recording tells it")]
+    why = f"{moves}, so that no recording tells it"
+    unknown = [Unknown("position", "still", f"position of {name}", why)]
     if count > 3:
-        unknown.append(
-            Unknown(
-                f"turn of {name} about the vertical", f"{moves}; only its tilt shows", TILT_REMEDY
-            )
-        )
+        what, why = f"turn of {name} about the vertical", f"{moves}; only its tilt shows"
+        unknown.append(Unknown("turn", "still", what, why, TILT_REMEDY))
     return tuple(unknown)
 
 
@@ -114,7 +137,8 @@ def _of_moving(
     if not len(rows):
         return ()
     if len(rows) == 6:
-        return (Unknown(f"pose of {name}", "its readings tell nothing", more(names)),)
+        why = "its readings tell nothing"
+        return (Unknown("pose", "silence", f"pose of {name}", why, more(names)),)
     turning = [j for j in chain if not tree.prismatic[j]]
     if not turning:
         return _of_pushed(name, names, rows)
@@ -126,7 +150,8 @@ def _of_moving(
     found: list[Unknown] = []
     if _holds(rows, np.eye(6)[:3]):
         why = f"{listed(pivot)} turned it too slowly for that"
-        found.append(Unknown(f"position of {name}", why, more(pivot)))
+        what = f"position of {name}"
+        found.append(Unknown("position", "little motion", what, why, more(pivot)))
         rows = _without(rows, np.eye(6)[:3])
     elif _holds(rows, slide[None]):
         found.append(_along(name, pivot, parallel))
@@ -144,19 +169,23 @@ def _of_moving(
 def _of_pushed(name: str, names: Sequence[str], rows: F64) -> tuple[Unknown, ...]:
     """What is not known of an SU that joints push but never turn."""
     pushed = f"{listed(names)} push" if len(names) > 1 else f"{names[0]} pushes"
-    position = Unknown(f"position of {name}", f"{pushed} it the same way wherever it sits")
+    why = f"{pushed} it the same way wherever it sits"
+    position = Unknown("position", "pushed", f"position of {name}", why)
     if not _holds(rows, np.eye(6)[:3]):
         return (_some(name, names, rows),)
     if not len(_without(rows, np.eye(6)[:3])):
         return (position,)
     why = "no joint turns it, and in one orientation its bias can not be told from a turn"
-    return position, Unknown(f"how {name} is turned", why, TILT_REMEDY)
+    return position, Unknown("orientation", "bias", f"how {name} is turned", why, TILT_REMEDY)
 
 
 def _some(name: str, names: Sequence[str], rows: F64) -> Unknown:
     """Directions of no special kind."""
+    part = _kinds(rows)
     return Unknown(
-        f"{_kinds(rows)} of {name} along {len(rows)} of 6 directions",
+        part,
+        "little motion",
+        f"{part} of {name} along {len(rows)} of 6 directions",
         f"the motion of {listed(names)} in this log is too small or too much alike",
         more(names),
     )
@@ -197,12 +226,12 @@ def _along(name: str, names: Sequence[str], parallel: bool) -> Unknown:
     what = f"position of {name} along the axis of {names[-1]}"
     if len(names) == 1:
         why = f"{names[0]} is the only joint that turns it, so that no recording tells it"
-        return Unknown(what, why)
+        return Unknown("slide", "one joint", what, why, joint=names[0])
     if parallel:
         why = f"the axes of {listed(names)} are parallel, so that no recording tells it"
-        return Unknown(what, why)
+        return Unknown("slide", "parallel axes", what, why, joint=names[-1])
     why = f"the joints before {names[-1]} move too little or too slowly in this log"
-    return Unknown(what, why, more(names[:-1]))
+    return Unknown("slide", "little motion", what, why, more(names[:-1]), names[-1])
 
 
 def largest_angle(up: F64, axis: F64) -> float:
@@ -213,7 +242,7 @@ def largest_angle(up: F64, axis: F64) -> float:
 def _tilt(name: str, names: Sequence[str]) -> Unknown:
     """An SU in which gravity never turns, so that its bias and scale look like a tilt."""
     why = f"gravity keeps its direction in it whatever {listed(names)} does, and so does bias"
-    return Unknown(f"tilt of {name}", why, TILT_REMEDY)
+    return Unknown("tilt", "bias", f"tilt of {name}", why, TILT_REMEDY)
 
 
 def _yaw(name: str, joint: str, tilt: float) -> Unknown:
@@ -222,12 +251,13 @@ def _yaw(name: str, joint: str, tilt: float) -> Unknown:
     if tilt < VERTICAL:
         degrees = np.rad2deg(tilt)
         why = "the axis is vertical" + (f" to {degrees:.0f} deg" if degrees >= 0.5 else "")
-        return Unknown(what, why, TILT_REMEDY)
+        return Unknown("turn", "vertical axis", what, why, TILT_REMEDY, joint)
     why = f"{joint} turns too little between the poses of this log"
-    return Unknown(what, why, f"record poses in which {joint} differs by a radian or more")
+    remedy = f"record poses in which {joint} differs by a radian or more"
+    return Unknown("turn", "little motion", what, why, remedy, joint)
 
 
-def _kinds(rows: F64) -> str:
+def _kinds(rows: F64) -> Part:
     """Which parts of a pose directions are about."""
     linear = float(np.sum(rows[:, :3] ** 2))
     angular = float(np.sum(rows[:, 3:] ** 2))

@@ -9,7 +9,7 @@ import numpy as np
 
 from skin2urdf.arrays import F64, Bool, Int, frozen
 from skin2urdf.faults import Fault
-from skin2urdf.notes import Note
+from skin2urdf.notes import Noted
 from skin2urdf.signals.encoder_noise import EncoderNoise
 from skin2urdf.signals.information import Information
 
@@ -109,7 +109,7 @@ class Features:
     encoders: EncoderNoise = field(default_factory=EncoderNoise)
     span: F64 = field(default_factory=lambda: np.zeros(()))
     left: Bool = field(default_factory=lambda: np.ones((), dtype=bool))
-    notes: tuple[Note | str, ...] = field(default=())
+    notes: tuple[Noted, ...] = field(default=())
     faults: tuple[Fault, ...] = field(default=())
     turns: Turns | None = None
 

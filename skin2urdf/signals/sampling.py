@@ -11,7 +11,7 @@ from skin2urdf.arrays import F64, Bool, frozen
 from skin2urdf.errors import InsufficientDataError
 from skin2urdf.faults import Fault
 from skin2urdf.geometry.units import GRAVITY
-from skin2urdf.notes import Note
+from skin2urdf.notes import Note, Noted
 from skin2urdf.recording.credibility import spikes
 from skin2urdf.recording.holding import as_measured
 from skin2urdf.recording.records import Recording, SuStream
@@ -70,7 +70,7 @@ class Sampled:
     readings: F64
     valid: Bool
     cutoff: float
-    notes: tuple[Note | str, ...]
+    notes: tuple[Noted, ...]
     computed: Bool
     period: F64
     faults: tuple[Fault, ...] = ()
@@ -127,7 +127,7 @@ def sample_recording(
     readings = np.zeros((grid.size, len(su_names), 3))
     valid = np.zeros((grid.size, len(su_names)), dtype=bool)
     period = np.zeros(len(su_names))
-    notes: list[Note | str] = [*recording.notes, *held]
+    notes: list[Noted] = [*recording.notes, *held]
     faults: list[Fault] = []
     still = np.zeros(grid.size, dtype=bool)
     for r in rests:

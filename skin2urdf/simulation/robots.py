@@ -126,6 +126,7 @@ def load_robot(name_or_path: str | Path) -> RobotSpec:
         raise UsageError(
             f'no robot is named "{text}"',
             f"{guess}use the path of a .urdf file, or one of: {', '.join(robot_names())}",
+            text,
         )
     return _from_toml(_robots_folder() / f"{text}.toml")
 
@@ -155,7 +156,7 @@ def _robots_folder() -> Path:
 
 def _existing(path: Path) -> Path:
     if not path.is_file():
-        raise UsageError(f"{path}: no such file", "check the path")
+        raise UsageError(f"{path}: no such file", "check the path", str(path))
     return path
 
 

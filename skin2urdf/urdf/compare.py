@@ -111,9 +111,13 @@ def compare(
         InsufficientDataError: no SU beyond a joint is observable.
     """
     if n_configurations < 1:
-        raise UsageError(f"{n_configurations} configurations can not be compared", "give 1 or more")
+        raise UsageError(
+            f"{n_configurations} configurations can not be compared",
+            "give 1 or more",
+            "n_configurations",
+        )
     if align not in ("limbs", "base"):
-        raise UsageError(f"can not align by {align!r}", 'align by "limbs" or by "base"')
+        raise UsageError(f"can not align by {align!r}", 'align by "limbs" or by "base"', "align")
     est, true = load_robot(estimate), load_robot(truth)
     untold = untold_beside(estimate)
     explicit = not (unobservable is None and anchors is None and open_directions is None)
@@ -204,7 +208,9 @@ def _recognised(
     foreign = [name for name in expected if name not in true.links]
     if foreign:
         raise UsageError(
-            f"SU {foreign[0]!r} is no link of {true.path}", "expect SUs that the truth has"
+            f"SU {foreign[0]!r} is no link of {true.path}",
+            "expect SUs that the truth has",
+            foreign[0],
         )
     leaves = [name for name in est.fixed_leaves if name in true.links]
     shared = tuple(dict.fromkeys([*leaves, *(name for name in expected if name in est.links)]))

@@ -1,13 +1,14 @@
-"""Where two kinematic trees differ, in words."""
+"""Where two kinematic trees differ."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
 from skin2urdf.urdf.loading import Robot
+from skin2urdf.urdf.records import Difference
 
 
-def tree_differences(est: Robot, true: Robot, sus: Sequence[str]) -> tuple[str, ...]:
+def tree_differences(est: Robot, true: Robot, sus: Sequence[str]) -> tuple[Difference, ...]:
     """Compare joint types, the joints that move SUs, the joints before each SU.
 
     Args:
@@ -16,47 +17,52 @@ def tree_differences(est: Robot, true: Robot, sus: Sequence[str]) -> tuple[str, 
         sus: the SUs to expect, links of the truth.
 
     Returns:
-        One sentence per difference; none where the trees are equal as far as SUs can tell.
+        One entry per difference; none where the trees are equal as far as SUs can tell.
     """
     shared = [name for name in est.joint_types if name in true.joint_types]
-    differences = [
-        f"joint {name} is {est.joint_types[name]}, but {true.joint_types[name]} in the truth"
-        for name in shared
-        if est.joint_types[name] != true.joint_types[name]
-    ]
+    differences = []
+    for name in shared:
+        kinds = est.joint_types[name], true.joint_types[name]
+        if kinds[0] != kinds[1]:
+            words = f"joint {name} is {kinds[0]}, but {kinds[1]} in the truth"
+            differences.append(Difference("type", name, words, kinds[:1], kinds[1:]))
     differences += [
-        f"joint {name} is not in the truth" for name in est.joint_types if name not in shared
+        Difference("extra joint", name, f"joint {name} is not in the truth")
+        for name in est.joint_types
+        if name not in shared
     ]
     for name in true.joint_types:
         moved = [] if name in shared else [su for su in sus if name in true.chain(su)]
         if moved:
             more = f" and {len(moved) - 1} more" if len(moved) > 1 else ""
-            differences.append(
+            words = (
                 f"joint {name} is not in the estimate; in the truth it moves SU {moved[0]}{more}"
             )
+            differences.append(Difference("missing joint", name, words, right=tuple(moved)))
     for su in sus:
         if su not in est.links:
-            differences.append(f"SU {su} is not in the estimate")
+            differences.append(Difference("missing SU", su, f"SU {su} is not in the estimate"))
             continue
-        found, right = ([j for j in robot.chain(su) if j in shared] for robot in (est, true))
+        found, right = (tuple(j for j in robot.chain(su) if j in shared) for robot in (est, true))
         if found != right:
-            words = [", ".join(chain) or "no joint" for chain in (found, right)]
-            differences.append(f"SU {su} hangs on {words[0]}; in the truth on {words[1]}")
+            on = [", ".join(chain) or "no joint" for chain in (found, right)]
+            words = f"SU {su} hangs on {on[0]}; in the truth on {on[1]}"
+            differences.append(Difference("chain", su, words, found, right))
     if not sus:
         differences += _orders(est, true, shared)
     return tuple(differences)
 
 
-def _orders(est: Robot, true: Robot, shared: Sequence[str]) -> list[str]:
+def _orders(est: Robot, true: Robot, shared: Sequence[str]) -> list[Difference]:
     """Joints that come after other joints than in the truth, where no SU shows it."""
     differences = []
     for name in shared:
-        chains = [
-            [j for j in robot.chain_of_joint(name)[:-1] if j in shared] for robot in (est, true)
-        ]
-        if chains[0] != chains[1]:
-            words = [", ".join(chain) or "the base" for chain in chains]
-            differences.append(
-                f"joint {name} comes after {words[0]}; in the truth after {words[1]}"
-            )
+        found, right = (
+            tuple(j for j in robot.chain_of_joint(name)[:-1] if j in shared)
+            for robot in (est, true)
+        )
+        if found != right:
+            after = [", ".join(chain) or "the base" for chain in (found, right)]
+            words = f"joint {name} comes after {after[0]}; in the truth after {after[1]}"
+            differences.append(Difference("chain", name, words, found, right))
     return differences

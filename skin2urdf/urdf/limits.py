@@ -139,6 +139,7 @@ def read_limits(path: str | Path) -> dict[str, GivenLimit]:
         raise UsageError(
             f"can not read limits from {path}",
             "give `seen`, `wide`, `soft`, or a file .urdf, .yaml or .toml",
+            str(path),
         )
     try:
         found = readers[path.suffix.lower()](read_text(path))

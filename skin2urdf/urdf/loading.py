@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from skin2urdf.arrays import F64
-from skin2urdf.errors import UnreadableInputError
+from skin2urdf.errors import Unreadable, UnreadableInputError
 from skin2urdf.structure.records import JointType
 
 
@@ -113,7 +113,10 @@ def load_robot(path: str | Path) -> Robot:
         model = pin.buildModelFromUrdf(str(path))
     except (ValueError, RuntimeError) as error:
         raise UnreadableInputError(
-            str(path), f"Pinocchio can not load it: {error}", "check it with check_urdf"
+            str(path),
+            f"Pinocchio can not load it: {error}",
+            "check it with check_urdf",
+            "refused",
         ) from error
     types: dict[str, JointType] = {}
     limits: dict[str, tuple[float, float]] = {}
@@ -190,7 +193,10 @@ def parsed_urdf(content: bytes, source: str) -> ET.Element:
         return ET.fromstring(content)  # noqa: S314
     except (ET.ParseError, ValueError, LookupError) as error:
         raise UnreadableInputError(
-            source, f"is not XML: {error}", "give a URDF file (not xacro, not a log)"
+            source,
+            f"is not XML: {error}",
+            "give a URDF file (not xacro, not a log)",
+            "no XML",
         ) from error
 
 
@@ -205,17 +211,19 @@ def check_tree(root: ET.Element, source: str) -> tuple[frozenset[str], tuple[str
         UnreadableInputError: it is no such URDF.
     """
 
-    def complain(what: str) -> UnreadableInputError:
-        return UnreadableInputError(source, what, "check it with check_urdf")
+    def complain(why: Unreadable, what: str) -> UnreadableInputError:
+        return UnreadableInputError(source, what, "check it with check_urdf", why)
 
     if root.tag != "robot":
-        raise complain(f"is not a URDF: its root element is <{root.tag}>, not <robot>")
+        what = f"is not a URDF: its root element is <{root.tag}>, not <robot>"
+        raise complain("another format", what)
     links = [link.get("name") or "" for link in root.findall("link")]
     if not links:
-        raise complain("has no links")
+        raise complain("no links", "has no links")
     repeated = [name for name, n in Counter(links).items() if n > 1 or not name]
     if repeated:
-        raise complain(f"has several links, or one without a name, called {repeated[0]!r}")
+        what = f"has several links, or one without a name, called {repeated[0]!r}"
+        raise complain("same name", what)
     parents: dict[str, str] = {}
     fixed: set[str] = set()
     for joint in root.findall("joint"):
@@ -223,21 +231,23 @@ def check_tree(root: ET.Element, source: str) -> tuple[frozenset[str], tuple[str
         parent, child = (_end(joint, end) for end in ("parent", "child"))
         for link in (parent, child):
             if link not in links:
-                raise complain(f"joint {name!r} refers to a link {link!r} that does not exist")
+                what = f"joint {name!r} refers to a link {link!r} that does not exist"
+                raise complain("missing link", what)
         if child in parents:
-            raise complain(f"link {child!r} is the child of two joints")
+            raise complain("two parents", f"link {child!r} is the child of two joints")
         parents[child] = parent
         if joint.get("type") == "fixed":
             fixed.add(child)
     roots = [link for link in links if link not in parents]
     if len(roots) != 1:
-        raise complain(f"is not one tree: {len(roots)} of its links have no parent joint")
+        what = f"is not one tree: {len(roots)} of its links have no parent joint"
+        raise complain("several trees", what)
     for link in links:
         ancestor, steps = link, 0
         while ancestor in parents and steps <= len(links):
             ancestor, steps = parents[ancestor], steps + 1
         if steps > len(links):
-            raise complain(f"is not a tree: link {link!r} is its own ancestor")
+            raise complain("circle", f"is not a tree: link {link!r} is its own ancestor")
     inner = set(parents.values())
     leaves = tuple(link for link in links if link in fixed and link not in inner)
     return frozenset(links), leaves

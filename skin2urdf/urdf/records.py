@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -118,6 +118,34 @@ class JointError:
     distance: Spread | None
 
 
+DifferenceKind = Literal["type", "chain", "extra joint", "missing joint", "missing SU"]
+"""How trees differ: a joint is of another type, an SU or a joint lies beyond other joints, a joint
+is in the estimate alone, or a joint or an SU in the truth alone."""
+
+
+@dataclass(frozen=True)
+class Difference:
+    """Where an estimated tree differs from the true one.
+
+    Attributes:
+        kind: how.
+        name: the joint or SU.
+        words: the same for the user.
+        found: its type, or the joints that move it, in the estimate.
+        right: the same in the truth; of a missing joint the SUs that it moves.
+    """
+
+    kind: DifferenceKind
+    name: str
+    words: str
+    found: tuple[str, ...] = ()
+    right: tuple[str, ...] = ()
+
+    def __str__(self) -> str:
+        """In words."""
+        return self.words
+
+
 @dataclass(frozen=True, eq=False)
 class Alignment:
     """How one limb of the estimate, or all of it, was laid onto the truth.
@@ -162,7 +190,7 @@ class Comparison:
         alignments: the rigid transforms, one per limb or one in all.
         tree_equal: whether every SU hangs on the same joints, of the same types, in the same order,
             and no joint that moves an SU and no expected SU is missing.
-        tree_differences: where not, in words.
+        tree_differences: where not.
         not_observable: SUs left out because the log says nothing of their pose.
         n_open: directions between branches that were left out because the log can not tell them.
         joints_left_out: joints of limbs that no observable SU aligns.
@@ -184,7 +212,7 @@ class Comparison:
     axis_distance: Spread
     alignments: tuple[Alignment, ...]
     tree_equal: bool
-    tree_differences: tuple[str, ...]
+    tree_differences: tuple[Difference, ...]
     not_observable: tuple[str, ...]
     n_open: int
     joints_left_out: tuple[str, ...]
@@ -205,7 +233,7 @@ class Comparison:
         degrees = float(np.rad2deg(1.0))
         return {
             "tree_equal": self.tree_equal,
-            "tree_differences": list(self.tree_differences),
+            "tree_differences": [each.words for each in self.tree_differences],
             "overall": {
                 "position_mm": self.position.to_dict(1e3),
                 "orientation_deg": self.orientation.to_dict(degrees),

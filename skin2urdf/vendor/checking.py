@@ -25,7 +25,7 @@ from skin2urdf.errors import InsufficientDataError
 from skin2urdf.estimation.uncertainty.observability import ARM
 from skin2urdf.faults import Fault, distinct
 from skin2urdf.geometry.se3 import inverse, log
-from skin2urdf.notes import Note
+from skin2urdf.notes import Noted
 from skin2urdf.recording.records import Recording
 from skin2urdf.signals.trajectory import trajectory
 from skin2urdf.vendor.explained import GROSS, Explained
@@ -134,7 +134,7 @@ class Checked:
     new: tuple[str, ...]
     faults: tuple[Fault, ...]
     sources: tuple[Source, ...]
-    notes: tuple[Note | str, ...]
+    notes: tuple[Noted, ...]
     seconds: dict[str, float]
 
     @property

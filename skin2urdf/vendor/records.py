@@ -16,7 +16,7 @@ from skin2urdf.estimation.trajectory.estimate import MotionEstimate
 from skin2urdf.estimation.trajectory.known_torque import compliances
 from skin2urdf.estimation.uncertainty.observability import Observability
 from skin2urdf.faults import Fault
-from skin2urdf.notes import Note
+from skin2urdf.notes import Noted
 from skin2urdf.signals.records import SuClock
 from skin2urdf.structure.records import KinematicTree
 from skin2urdf.vendor.leftover import Leftover
@@ -102,7 +102,7 @@ class ModelCalibration:
     settings: CalibrationSettings
     faults: tuple[Fault, ...]
     left_out: tuple[str, ...]
-    notes: tuple[Note | str, ...]
+    notes: tuple[Noted, ...]
     seconds: dict[str, float]
     clocks: tuple[tuple[SuClock, ...], ...]
     su_sources: Mapping[str, SuSource]

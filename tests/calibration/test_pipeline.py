@@ -80,7 +80,7 @@ def test_everything_a_urdf_needs_is_in_the_result() -> None:
         assert low == pytest.approx(position[name].min(), abs=0.01)
         assert high == pytest.approx(position[name].max(), abs=0.01)
     assert (found.velocity > 0.3).all()
-    assert [s.path for s in found.sources] == ["simulation of panda"]
+    assert [s.path for s in found.sources] == [sim.recording.source]
     assert found.sources[0].duration == pytest.approx(sim.recording.duration)
     assert {"reading", "sampling", "features", "estimation", "observability"} <= set(found.seconds)
     assert found.features.n_sus == tree.n_sus == 8

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import re
 import shutil
 import subprocess
 import sys
@@ -118,7 +119,8 @@ def test_compare_without_the_json_says_so(files: Files, run: Run, tmp_path: Path
     (tmp_path / "alone.urdf").write_bytes(files.urdf.read_bytes())
     status, _, err = run("compare", tmp_path / "alone.urdf", files.truth)
     assert status == 0
-    assert "note: no JSON" in err
+    assert err.startswith("note: ")
+    assert "JSON" in err
 
 
 def test_compare_of_different_trees_exits_with_1(files: Files, run: Run, tmp_path: Path) -> None:
@@ -133,7 +135,9 @@ def test_compare_of_different_trees_exits_with_1(files: Files, run: Run, tmp_pat
 def test_explore_shows_matrix_tree_and_limbs(files: Files, run: Run) -> None:
     status, out, _ = run("explore", files.log)
     assert status == 0
-    assert "limb 1: 5 DoF: shoulder_pan >" in out
+    (limb,) = (line.split() for line in out.splitlines() if line.startswith("limb "))
+    assert "5" in limb
+    assert limb[limb.index("shoulder_pan") + 1] == ">"
     status, out, _ = run("explore", files.log, "--json")
     assert len(json.loads(out)["tree"]["joints"]) == 5
 
@@ -142,20 +146,21 @@ def test_explore_shows_a_contradiction_and_fails(
     files: Files, run: Run, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     found = survey.explore([files.log])
-    broken = replace(found, tree=None, contradiction=StructureError("crossing", "look closer"))
+    broken = replace(found, tree=None, contradiction=StructureError("crossing", "remedy"))
     monkeypatch.setattr(survey, "explore", lambda *_, **__: broken)
     status, out, err = run("explore", files.log)
     assert status == 1
     assert "activity" in out
-    assert err == "error: crossing\n  -> look closer\n"
+    assert [line.split() for line in err.splitlines()] == [["error:", "crossing"], ["->", "remedy"]]
 
 
 def test_info_shows_what_is_there_and_what_is_missing(files: Files, run: Run) -> None:
     status, out, err = run("info", files.log)
     assert (status, err) == (0, "")
-    assert "few poses" in out
-    status, out, _ = run("info", files.log, "--json")
-    assert json.loads(out)["poses_with_pattern"] == 3
+    status, document, _ = run("info", files.log, "--json")
+    (problem,) = json.loads(document)["missing"]
+    assert problem in out.replace("\n    ", " ")
+    assert json.loads(document)["poses_with_pattern"] == 3
 
 
 def test_quiet_prints_nothing(files: Files, run: Run, tmp_path: Path) -> None:
@@ -182,7 +187,7 @@ def test_simulate_takes_its_options(run: Run, tmp_path: Path) -> None:
     words += ["--encoder-bits", 0, "--jitter", 0, "--compression", "none", "--no-index"]
     status, out, _ = run("simulate", "so101", "-o", tmp_path / "log.mcap", *words, "--no-chunks")
     assert status == 0
-    assert "5 joints, 10 SUs, 1 poses" in out
+    assert re.findall(r"\b(\d+) ", out)[:3] == ["5", "10", "1"]
 
 
 def test_simulate_moves_without_patterns(run: Run, tmp_path: Path) -> None:
@@ -222,7 +227,7 @@ def test_simulate_moves_without_patterns(run: Run, tmp_path: Path) -> None:
         (["simulate", "panda"], 2, "--list"),
         (["simulate", "marvin", "-o", "{tmp}/a.mcap"], 2, "panda"),
         (["simulate", "panda", "-o", "{tmp}/none/a.mcap"], 2, "mkdir -p"),
-        (["simulate", "panda", "-o", "{tmp}/a", "--truth", "{tmp}/a"], 2, "two names"),
+        (["simulate", "panda", "-o", "{tmp}/a", "--truth", "{tmp}/a"], 2, "truth"),
         (["simulate", "{truth}", "-o", "{truth}"], 2, "{truth}"),
         (["simulate", "panda", "-o", "{tmp}/a.mcap", "--poses", "0"], 2, "n_poses"),
     ],
@@ -255,11 +260,11 @@ def test_a_bad_fit_writes_nothing(
     files: Files, run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def fail(*_: object, **__: object) -> None:
-        raise BadFitError("no robot explains this", "look again", 900.0)
+        raise BadFitError("unexplained", "remedy", 900.0)
 
     monkeypatch.setattr("skin2urdf.calibration.pipeline.calibrate", fail)
     status, out, err = run("calibrate", files.log, "-o", tmp_path / "a.urdf")
-    assert (status, out, err) == (1, "", "error: no robot explains this\n  -> look again\n")
+    assert (status, out, err.split()) == (1, "", ["error:", "unexplained", "->", "remedy"])
     assert not list(tmp_path.iterdir())
 
 
@@ -305,10 +310,11 @@ def test_info_exits_with_1_where_no_calibration_is_possible(
     write(replace(recording, joints=still), tmp_path / "still.mcap")
     status, out, err = run("info", tmp_path / "still.mcap")
     assert (status, err) == (1, "")
-    assert "Missing" in out
-    status, out, _ = run("info", tmp_path / "still.mcap", "--json")
+    status, document, _ = run("info", tmp_path / "still.mcap", "--json")
     assert status == 1
-    assert json.loads(out)["obstacles"]
+    obstacles = json.loads(document)["obstacles"]
+    assert obstacles
+    assert all(obstacle in out.replace("\n    ", " ") for obstacle in obstacles)
     assert not json.loads(run("info", files.log, "--json")[1])["obstacles"]
 
 
@@ -330,8 +336,8 @@ def test_a_folder_that_is_no_bag_is_not_taken_silently(
     ("raised", "status", "says"),
     [
         (KeyboardInterrupt(), 130, "interrupted"),
-        (ZeroDivisionError("0/0"), 1, "internal error: ZeroDivisionError: 0/0"),
-        (RecursionError(), 1, "internal error: RecursionError"),
+        (ZeroDivisionError("0/0"), 1, "ZeroDivisionError: 0/0"),
+        (RecursionError(), 1, "RecursionError"),
     ],
     ids=["interrupt", "defect", "defect without words"],
 )

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from skin2urdf.notes import of_reading
 from skin2urdf.recording.reading import read
 from skin2urdf.recording.records import Recording
 from skin2urdf.recording.timing import sample_times
@@ -53,7 +54,7 @@ def test_a_clock_that_is_set_leaves_two_whole_stretches(
     np.testing.assert_allclose(np.delete(pause, N // 2 - 1), 0.01, atol=1e-6)
     for su in recording.sus:
         np.testing.assert_allclose(su.time, joint.time, atol=1e-6)
-    assert any("stretches" in note for note in recording.notes)
+    assert len(of_reading(recording.notes, "clock jump")) == 1
 
 
 def test_an_su_whose_clock_jumps_by_itself_counts_up_to_there(ros_log: Any) -> None:
@@ -64,7 +65,8 @@ def test_an_su_whose_clock_jumps_by_itself_counts_up_to_there(ros_log: Any) -> N
     a, b = recording.sus
     assert a.time.size == N
     np.testing.assert_allclose(b.time, recording.joints[0].time[:400], atol=1e-6)
-    assert any("/b" in note and "jumps by itself" in note for note in recording.notes)
+    (note,) = of_reading(recording.notes, "own clock jump")
+    assert (note.sources, note.number) == (("/b (b)",), 1)
 
 
 def test_stamps_that_scatter_by_minutes_give_way_to_log_times(ros_log: Any) -> None:

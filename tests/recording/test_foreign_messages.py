@@ -12,6 +12,7 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
 from skin2urdf.errors import UnreadableInputError
+from skin2urdf.notes import of_reading
 from skin2urdf.recording.reading import inventory, read
 
 EPOCH = 1_700_000_000 * 10**9
@@ -150,7 +151,8 @@ def test_a_joint_on_two_topics_is_read_from_the_busier_one(ros_log: Any) -> None
         ros_log.imu(EPOCH + 4 * MS * k, [0, 0, 9.81])
     recording = read(ros_log.close())
     assert np.array_equal(recording.joints[0].position, np.arange(60))
-    assert any("/joint_states passed over" in note for note in recording.notes)
+    (note,) = of_reading(recording.notes, "several topics")
+    assert note.sources == ("a", "/joint_states")
 
 
 def test_positions_missing_or_not_finite_are_skipped_with_a_note(
@@ -174,11 +176,12 @@ def test_positions_missing_or_not_finite_are_skipped_with_a_note(
     assert recording.joints[0].position.size == 49
     assert np.array_equal(recording.joints[1].position, np.arange(50))
     assert np.array_equal(recording.sus[0].specific_force[:, 0], [0, 1, 2, *range(5, 50)])
-    notes = "\n".join(recording.notes)
-    assert "5 messages passed over: no positions" in notes
-    assert "joint a (/joint_states): 1 positions are not finite" in notes
-    assert "joint dead" in notes
-    assert "SU su (/imu): 2 samples are not finite" in notes
+    (passed,) = of_reading(recording.notes, "passed over")
+    assert (passed.sources, passed.number) == (("/joint_states",), 5)
+    absurd = {note.sources: note.number for note in of_reading(recording.notes, "absurd values")}
+    assert absurd == {("a", "/joint_states"): 1, ("dead", "/joint_states"): 50, ("su", "/imu"): 2}
+    (few,) = of_reading(recording.notes, "too few")
+    assert few.sources == ("dead", "/joint_states")
 
 
 def test_zero_stamps_mean_log_time(ros_log: Any) -> None:
@@ -187,7 +190,7 @@ def test_zero_stamps_mean_log_time(ros_log: Any) -> None:
         ros_log.imu(0, [k, 0, 0], log_time=EPOCH + 4 * MS * k + 2 * MS)
     recording = read(ros_log.close())
     np.testing.assert_allclose(recording.sus[0].time, 0.002 + 0.004 * np.arange(50), atol=1e-9)
-    assert any("no header stamps on /imu" in note for note in recording.notes)
+    assert [n.sources for n in of_reading(recording.notes, "no stamps")] == [("/imu",)]
 
 
 def test_some_stamps_unset_or_wild_are_filled_from_log_times(ros_log: Any) -> None:
@@ -207,7 +210,7 @@ def test_a_device_clock_is_moved_to_the_clock_of_the_joints(ros_log: Any) -> Non
         ros_log.imu(17 * 10**9 + 4 * MS * k, [k, 0, 0], log_time=at + MS)
     recording = read(ros_log.close())
     np.testing.assert_allclose(recording.sus[0].time, recording.joints[0].time, atol=1e-6)
-    assert any("clock of /imu" in note for note in recording.notes)
+    assert [n.sources for n in of_reading(recording.notes, "other clock")] == [("/imu",)]
 
 
 def test_simulated_time_is_kept(ros_log: Any) -> None:
@@ -281,4 +284,4 @@ def test_an_index_that_lies_is_not_believed(make_log: Any) -> None:
     recording = read(path)
     assert recording.joints[0].position.size == 40
     assert np.array_equal(recording.sus[0].specific_force[:, 0], np.arange(40.0))
-    assert any("contradicts" in note for note in recording.notes)
+    assert of_reading(recording.notes, "contradicted index")

@@ -21,6 +21,7 @@ from rosbags.typesys import Stores, get_typestore
 
 from skin2urdf.cli.main import main
 from skin2urdf.errors import Skin2UrdfError, UnreadableInputError
+from skin2urdf.notes import of_reading
 from skin2urdf.recording.reading import inventory, read
 from skin2urdf.recording.records import Recording
 
@@ -180,8 +181,8 @@ def test_a_bag_that_was_not_closed_is_read_as_far_as_it_goes(tmp_path: Path) -> 
     cut = tmp_path / "cut.bag"
     cut.write_bytes(data[: data.rindex(b"op=\x05")])
     notes = inventory(cut).notes
-    assert any("not closed" in note for note in notes)
-    assert any("bytes were not read" in note for note in notes)
+    unclosed, left = (note.number for note in of_reading(notes, "cut short"))
+    assert unclosed == 0 < left
     whole = tmp_path / "unclosed.bag"
     whole.write_bytes(data)
     check(read(whole))
@@ -196,7 +197,8 @@ def test_a_ros1_chunk_is_unpacked_no_further_than_it_claims(tmp_path: Path) -> N
     record = struct.pack("<I", len(header)) + header + struct.pack("<I", len(bomb)) + bomb
     path = tmp_path / "bomb.bag"
     path.write_bytes(b"#ROSBAG V2.0\n" + record)
-    assert any("1001 bytes instead of 1000" in note for note in inventory(path).notes)
+    (note,) = of_reading(inventory(path).notes, "damaged")
+    assert "1001" in note.words
 
 
 def test_a_packed_file_is_unpacked_no_further_than_a_log_can_be(tmp_path: Path) -> None:
@@ -214,7 +216,7 @@ def test_messages_that_unpack_to_far_too_much_are_left_out(tmp_path: Path) -> No
     with sqlite3.connect(path) as database:
         database.execute("UPDATE messages SET data = ? WHERE rowid = 2", (bomb,))
     recording = read(path)
-    assert any("compressed messages are damaged" in note for note in recording.notes)
+    assert [note.number for note in of_reading(recording.notes, "damaged")] == [1]
     assert {len(su.time) for su in recording.sus} == {COUNT, COUNT - 1}
 
 
@@ -246,7 +248,7 @@ def test_odd_rows_of_a_database_are_left_out_and_names_escaped(tmp_path: Path) -
         database.execute("UPDATE messages SET topic_id = 77 WHERE rowid = 6")
         database.execute("UPDATE topics SET name = '/arm' || char(27) || '[2J' WHERE name = '/arm'")
     recording = read(path)
-    assert any(note.startswith("3 messages are damaged") for note in recording.notes)
+    assert [note.number for note in of_reading(recording.notes, "damaged")] == [3]
     assert {su.topic for su in recording.sus} == {"/hand/imu", "/arm\\x1b[2J"}
 
 

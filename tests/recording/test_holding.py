@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from skin2urdf.arrays import F64
+from skin2urdf.notes import of_reading
 from skin2urdf.recording.holding import measurements
 from skin2urdf.recording.reading import read
 
@@ -75,4 +76,4 @@ def test_the_rate_of_a_log_is_that_of_its_measurements(ros_log: Any) -> None:
     recording = read(ros_log.close())
     (su,) = recording.sus
     np.testing.assert_allclose(np.diff(su.time), 0.01, atol=1e-6)
-    assert any("5 times" in note for note in recording.notes)
+    assert [note.number for note in of_reading(recording.notes, "held values")] == [5]

@@ -16,6 +16,7 @@ import pytest
 import zstandard
 
 from skin2urdf.errors import UnreadableInputError
+from skin2urdf.notes import of_reading
 from skin2urdf.recording.inputs import listed_files, opened
 from skin2urdf.recording.naming import printable, writable
 from skin2urdf.recording.reading import inventory, read
@@ -80,7 +81,7 @@ def test_a_chunk_takes_no_more_memory_than_it_may(
     assert [su.time.size for su in recording.sus] == [su.time.size for su in small.sus]
     assert peak < (300 << 20 if claim == len(zeros) else 60 << 20)
     if claim != len(zeros):
-        assert any("is damaged" in note for note in recording.notes)
+        assert of_reading(recording.notes, "damaged")
 
 
 def test_attachments_and_records_larger_than_a_window_are_passed_over(
@@ -103,7 +104,7 @@ def test_a_chunk_larger_than_a_window_is_read(tmp_path: Path) -> None:
     assert path.stat().st_size > 36 << 20
     recording = read(path)
     assert np.array_equal(recording.sus[0].specific_force, sus[0].specific_force)
-    assert not any("closing" in note for note in recording.notes)
+    assert not of_reading(recording.notes, "cut short")
 
 
 @pytest.mark.parametrize("indexes", [0, 2])
@@ -132,7 +133,7 @@ def test_many_channels_take_time_in_proportion(log: Path) -> None:
     assert len(inventory(log).topics) == 19_904
     assert time.process_time() - begin < 15.0
     assert len(recording.sus) == 3
-    assert sum(map(len, recording.notes)) < 3000
+    assert sum(len(note.words) for note in recording.notes) < 3000
 
 
 def test_messages_with_a_million_names_are_passed_over(ros_log: Any) -> None:
@@ -148,7 +149,7 @@ def test_messages_with_a_million_names_are_passed_over(ros_log: Any) -> None:
     recording = read(path)
     assert time.process_time() - begin < 5.0
     assert [joint.name for joint in recording.joints] == ["joint"]
-    assert any("joints are named" in note for note in recording.notes)
+    assert [note.number for note in of_reading(recording.notes, "passed over")] == [1]
 
 
 def test_a_log_that_is_shortened_while_it_is_read_is_refused(log: Path) -> None:
@@ -180,9 +181,12 @@ def test_names_that_would_act_on_a_terminal_are_escaped(make_log: Any) -> None:
     listed = inventory(path)
     assert [j.name for j in recording.joints] == ["a\\x1b[31m", "joint", "universe_joint"]
     assert [s.name for s in recording.sus] == ["s\\nerror: forged", "universe_su"]
-    shown = [*recording.notes, *(t.name for t in listed.topics), *(s.topic for s in recording.sus)]
+    said = [note.words for note in recording.notes]
+    shown = [*said, *(t.name for t in listed.topics), *(s.topic for s in recording.sus)]
     assert all(line.isprintable() for line in shown)
-    assert any("'universe'" in note for note in recording.notes)
+    renamed = [note.sources for note in of_reading(recording.notes, "renamed")]
+    assert ("universe", "universe_joint") in renamed
+    assert ("universe", "universe_su") in renamed
 
 
 def test_plain_names_stay() -> None:
@@ -224,7 +228,8 @@ def test_metadata_says_which_files_are_parts_and_in_which_order(
     assert [su.time.size for su in recording.sus] == [3 * su.time.size for su in small.sus]
     whole = np.concatenate([small.sus[0].specific_force] * 3)
     assert np.array_equal(recording.sus[0].specific_force, whole)
-    assert any("another_run.mcap" in note for note in recording.notes)
+    (note,) = of_reading(recording.notes, "part left out")
+    assert note.sources == ("another_run.mcap",)
 
 
 def test_parts_that_are_empty_or_missing_are_said(
@@ -235,8 +240,9 @@ def test_parts_that_are_empty_or_missing_are_said(
     describe(folder, [*(part.name for part in parts), "gone_3.mcap"])
     parts[1].write_bytes(b"")
     for notes in (read(folder).notes, inventory(folder).notes):
-        assert any("b_1.mcap" in note and "empty" in note for note in notes)
-        assert any("gone_3.mcap is missing" in note for note in notes)
+        left, missing = (of_reading(notes, kind) for kind in ("part left out", "part missing"))
+        assert ("b_1.mcap",) in [note.sources for note in left]
+        assert [note.sources for note in missing] == [("gone_3.mcap",)]
     for part in folder.glob("*.mcap"):
         part.write_bytes(b"")
     with pytest.raises(UnreadableInputError) as caught:

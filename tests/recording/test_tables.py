@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from skin2urdf.cli.main import main
 from skin2urdf.errors import Skin2UrdfError, UnreadableInputError
 from skin2urdf.geometry.units import GRAVITY
+from skin2urdf.notes import of_reading
 from skin2urdf.recording.reading import inventory, read
 
 COUNT = 40
@@ -121,31 +122,32 @@ def test_what_is_no_number_or_no_time_is_left_out_and_said(tmp_path: Path) -> No
     recording = read(path)
     assert len(recording.joints[0].time) == COUNT
     assert len(recording.sus[0].time) == COUNT + 1
-    said = " ".join(recording.notes)
-    assert "2 cells are no numbers" in said
-    assert "4 rows have no time" in said
-    assert "colour\\x1b[2J" in said
+    assert [note.number for note in of_reading(recording.notes, "bad cells")] == [2]
+    assert [note.number for note in of_reading(recording.notes, "bad rows")] == [4]
+    (unused,) = of_reading(recording.notes, "unused columns")
+    assert "colour\\x1b[2J" in unused.words
 
 
 @pytest.mark.parametrize(
-    ("header", "what"),
+    ("header", "why"),
     [
-        ("elbow [rad],hand.x [g]", "no column of times"),
-        ("time,elbow [rad]", "lacks a unit"),
-        ("time [s],t [s],elbow [rad]", "several columns of times"),
-        ("time [s],hand.x [g],hand.z [g]", "lacks y"),
-        ("time [s],elbow [rad],elbow [deg]", "two columns"),
-        ("time [s],elbow", "no column is a joint"),
+        ("elbow [rad],hand.x [g]", "no times"),
+        ("time,elbow [rad]", "no unit"),
+        ("time [s],t [s],elbow [rad]", "several times"),
+        ("time [s],hand.x [g],hand.z [g]", "missing axis"),
+        ("time [s],elbow [rad],elbow [deg]", "same column"),
+        ("time [s],elbow", "nothing usable"),
         ("", "no rows"),
     ],
 )
 def test_other_headers_are_refused_with_the_next_step(
-    header: str, what: str, tmp_path: Path
+    header: str, why: str, tmp_path: Path
 ) -> None:
     path = tmp_path / "log.csv"
     path.write_text(f"{header}\n0,0,0,0\n")
-    with pytest.raises(UnreadableInputError, match=what) as caught:
+    with pytest.raises(UnreadableInputError) as caught:
         read(path)
+    assert caught.value.why == why
     assert "time [s]" in caught.value.remedy
 
 

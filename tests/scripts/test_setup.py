@@ -47,9 +47,9 @@ def set_up(
 @pytest.mark.parametrize(
     ("interpreter", "environment", "says"),
     [
-        (TOO_OLD, {}, ["3.11 or newer", "3.10.12", "sudo apt install python3.11"]),
-        (TOO_OLD, {"PYTHON": "python3.12"}, ["PYTHON=python3.12", "3.11 or newer"]),
-        (WITHOUT_ENSUREPIP, {}, [f"sudo apt install python3.{sys.version_info[1]}-venv"]),
+        (TOO_OLD, {}, ["3.11", "3.10.12", "python3.11"]),
+        (TOO_OLD, {"PYTHON": "python3.12"}, ["PYTHON=python3.12", "3.11"]),
+        (WITHOUT_ENSUREPIP, {}, [f"python3.{sys.version_info[1]}-venv"]),
     ],
     ids=["old Python", "old Python by name", "no ensurepip"],
 )
@@ -66,8 +66,8 @@ def test_what_is_missing_is_named(
 def test_a_folder_that_is_no_environment_is_left_alone(tmp_path: Path) -> None:
     kept = tmp_path / "venv" / "thesis.txt"
     kept.parent.mkdir()
-    kept.write_text("years of work")
+    kept.write_text("thesis")
     done = set_up(tmp_path, WITHOUT_ENSUREPIP)
     assert done.returncode == 1
-    assert "is not a virtual environment" in done.stderr
-    assert kept.read_text() == "years of work"
+    assert str(kept.parent) in done.stderr
+    assert kept.read_text() == "thesis"

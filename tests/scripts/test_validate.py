@@ -73,7 +73,8 @@ def made(**figures: Any) -> Run:
 
 def test_a_run_is_one_line_with_its_key_and_figures(output: Path) -> None:
     (line,) = lines_of(output)
-    assert line["key"] == "so101 mems tilted one 6poses 17bit servo seed0"
+    words = ["so101", "mems", "tilted", "one", "6poses", "17bit", "servo", "seed0"]
+    assert line["key"].split() == words
     figures = line["figures"]
     assert figures["tree_right"]
     assert figures["types_right"]
@@ -184,9 +185,10 @@ def test_keys_tell_cases_apart() -> None:
 
 
 def test_the_report_shows_what_fell_short() -> None:
-    text = report([made(seed=0), made(seed=1, tree_right=False, tree_differences=("it leans",))])
+    text = report([made(seed=0), made(seed=1, tree_right=False, tree_differences=("leans",))])
     assert "2  1!  1!" in " ".join(text.split()).replace(" 1!", "  1!")
-    assert "so101 mems tilted one 12poses 17bit servo seed1: the tree is wrong: it leans" in text
+    (short,) = (line for line in text.splitlines() if "leans" in line)
+    assert made(seed=1).case.key in short
     heads, row = text.splitlines()[1], text.splitlines()[3]
     assert heads.split()[:3] == ["DoFs", "SUs", "runs"]
     assert row.split("servo")[1].split()[:3] == ["5", "5", "2"]
@@ -206,7 +208,7 @@ def test_the_script_runs_by_itself_and_says_what_is_wrong(tmp_path: Path) -> Non
     assert "--scheduler" in done.stdout
     bad = _python(SCRIPTS / "validate.py", "--grades", "best", "--output", tmp_path / "x")
     assert bad.returncode == 2
-    assert 'no grade is named "best"' in bad.stderr
+    assert '"best"' in bad.stderr
     assert not (tmp_path / "x").exists()
 
 

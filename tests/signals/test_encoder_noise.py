@@ -74,5 +74,5 @@ def test_what_is_not_given_is_without_error() -> None:
     assert not noise.white.any()
     known = noise.with_unknown_positions_at_rest()
     np.testing.assert_array_equal(known.position_sd, np.tile([0.1, 0.0], (3, 1)))
-    with pytest.raises(ValueError, match="broadcast"):
+    with pytest.raises(ValueError):
         noise.of_size(3, 4)

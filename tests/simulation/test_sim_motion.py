@@ -204,7 +204,7 @@ def test_a_recording_of_twelve_poses_lasts_about_four_minutes() -> None:
 
 
 def test_window_must_fit() -> None:
-    with pytest.raises(UsageError, match="flanks"):
+    with pytest.raises(UsageError):
         MotionSettings(ramp=1.5)
 
 

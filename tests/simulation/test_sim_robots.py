@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import tomllib
 from dataclasses import replace
 from math import radians
 from pathlib import Path
@@ -44,8 +45,9 @@ def test_unknown_name_lists_the_known_ones() -> None:
 
 
 def test_missing_urdf() -> None:
-    with pytest.raises(UsageError, match="no such file"):
+    with pytest.raises(UsageError) as caught:
         load_robot("nowhere/robot.urdf")
+    assert caught.value.argument.endswith("robot.urdf")
 
 
 @pytest.mark.parametrize("text", ["", "not xml", "<robot/>", "<other><joint/></other>"])
@@ -127,26 +129,29 @@ def test_toml_file(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "complaint"),
+    ("text", "cause", "names"),
     [
-        ("urdf = 3 = 4", "robot's file"),
-        ("description = 'no urdf'", "urdf"),
-        ("urdf = 'gone.urdf'", "neither beside"),
-        ("urdf = 'gantry.urdf'\nseed = 3", "unknown keys seed"),
-        ("urdf = 'gantry.urdf'\n[skin]\ncount = 3", "unknown keys count"),
-        ("urdf = 'gantry.urdf'\n[motion]\nfreq = 3", "unknown keys freq"),
-        ("urdf = 'gantry.urdf'\nbase_rpy_deg = [1, 2]", "not enough values"),
-        ("urdf = 'gantry.urdf'\nmoving = 'slide'", "list of names"),
+        ("urdf = 3 = 4", tomllib.TOMLDecodeError, ""),
+        ("description = 'no urdf'", KeyError, "urdf"),
+        ("urdf = 'gone.urdf'", ValueError, "gone.urdf"),
+        ("urdf = 'gantry.urdf'\nseed = 3", ValueError, "seed"),
+        ("urdf = 'gantry.urdf'\n[skin]\ncount = 3", ValueError, "count"),
+        ("urdf = 'gantry.urdf'\n[motion]\nfreq = 3", ValueError, "freq"),
+        ("urdf = 'gantry.urdf'\nbase_rpy_deg = [1, 2]", ValueError, ""),
+        ("urdf = 'gantry.urdf'\nmoving = 'slide'", TypeError, "slide"),
     ],
 )
 def test_bad_toml_is_refused_in_words(
-    gantry: Path, tmp_path: Path, text: str, complaint: str
+    gantry: Path, tmp_path: Path, text: str, cause: type[Exception], names: str
 ) -> None:
     assert gantry.parent == tmp_path
     file = tmp_path / "bad.toml"
     file.write_text(text)
-    with pytest.raises(UnreadableInputError, match=complaint):
+    with pytest.raises(UnreadableInputError) as caught:
         load_robot(file)
+    assert isinstance(caught.value.__cause__, cause)
+    assert caught.value.path == str(file)
+    assert names in str(caught.value)
 
 
 def test_limits_that_were_never_given_are_none(gantry: Path) -> None:
@@ -166,12 +171,12 @@ def test_limits_that_were_never_given_are_none(gantry: Path) -> None:
 
 def test_what_can_not_be(gantry: Path) -> None:
     robot = load_robot(gantry)
-    with pytest.raises(UsageError, match="fits no movable joint"):
+    with pytest.raises(UsageError, match=r"finger\*"):
         load_mechanism(replace(robot, locked={"finger*": 0.0}), UPRIGHT)
-    with pytest.raises(UsageError, match="2 prismatic, 1 continuous, 1 revolute"):
+    with pytest.raises(UsageError, match=r"2 \w+, 1 \w+, 1 \w+"):
         load_mechanism(replace(robot, moving=()), UPRIGHT)
     bare = replace(robot.skin, sus_per_segment=0, sus_on_base=0)
-    with pytest.raises(UsageError, match="no SU"):
+    with pytest.raises(UsageError):
         place_skin(load_mechanism(robot, UPRIGHT), bare, np.random.default_rng(0))
 
 

@@ -167,5 +167,5 @@ def test_records_are_read_only(panda_one: Simulation) -> None:
         panda_one.recording.sus[0].specific_force,
         panda_one.truth.sus[0].T_link_su,
     ):
-        with pytest.raises(ValueError, match="read-only"):
+        with pytest.raises(ValueError):
             array[0] = 0.0

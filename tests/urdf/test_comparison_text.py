@@ -5,7 +5,14 @@ from __future__ import annotations
 import numpy as np
 
 from skin2urdf.report.comparison import as_text
-from skin2urdf.urdf.records import Alignment, Comparison, JointError, Spread, SuError
+from skin2urdf.urdf.records import (
+    Alignment,
+    Comparison,
+    Difference,
+    JointError,
+    Spread,
+    SuError,
+)
 
 NOTHING = Spread.of(np.zeros(0))
 ALIGNMENT = Alignment("shoulder", ("su_7f3a",), ("su_7f3a",), np.eye(4))
@@ -44,10 +51,10 @@ def test_rows_carry_their_figures() -> None:
     assert rows["Tree:"] == ["Tree:", "right"]
     assert rows["su_7f3a"] == ["su_7f3a", "0.457", "0.900", "0.050", "0.115"]
     assert rows["base_su"][1:5] == ["-", "-", "0.057", "0.115"]
-    assert "4 of 6 directions not observable" in text
+    assert rows["base_su"][5:8] == ["4", "of", "6"]
     assert rows["shoulder"] == ["shoulder", "1.200", "2.400", "0.057", "0.115"]
     assert rows["slide"][-1] == "prismatic"
-    assert "200 random configurations" in text
+    assert " 200 " in text
     assert not any(line != line.rstrip() for line in text.splitlines())
 
 
@@ -62,7 +69,7 @@ def test_what_is_wrong_or_left_out_is_said() -> None:
     text = as_text(
         example(
             tree_equal=False,
-            tree_differences=("SU a hangs on b; in the truth on c",),
+            tree_differences=(Difference("chain", "a", "a: b, c", ("b",), ("c",)),),
             not_observable=("x", "y"),
             n_open=2,
             joints_left_out=("toe",),
@@ -70,27 +77,25 @@ def test_what_is_wrong_or_left_out_is_said() -> None:
             held_joints=("finger",),
         )
     )
-    assert "Tree: WRONG\n  - SU a hangs on b; in the truth on c\n" in text
-    assert "left out: x, y." in text
-    assert "left out: toe." in text
-    assert "moved along 2 directions that the log leaves open" in text
-    assert "leaves open" not in as_text(example())
-    assert "does not have: ghost." in text
-    assert "held still: finger." in text
+    lines = text.splitlines()
+    assert lines[0] != as_text(example()).splitlines()[0]
+    assert lines[1].endswith(" a: b, c")
+    ends = ("x, y.", "toe.", "ghost.", "finger.")
+    assert all(any(line.endswith(f": {end}") for line in lines) for end in ends)
+    assert any("2" in line.split() for line in lines)
+    assert not any("2" in line.split() for line in as_text(example()).splitlines())
 
 
 def test_a_robot_of_nothing_comparable_is_shown_with_dashes() -> None:
     text = as_text(example(joints=(), axis_angle=NOTHING, axis_distance=NOTHING))
-    assert "all joints" in text
     assert "nan" not in text
 
 
 def test_the_alignment_is_said_in_one_line() -> None:
-    assert "limits, base frames aligned." in as_text(example())
     turned = np.eye(4)
     turned[1:3, 1:3] = [[np.cos(1e-3), -np.sin(1e-3)], [np.sin(1e-3), np.cos(1e-3)]]
     other = Alignment("hip", ("su_1",), ("su_1",), turned)
     text = as_text(example(alignments=(ALIGNMENT, other)))
-    line = next(line for line in text.splitlines() if "configurations" in line)
-    assert "2 limbs aligned one by one (from shoulder, hip on)" in line
-    assert "gravity within 0.057 deg" in line
+    line = next(line for line in text.splitlines() if " 200 " in line)
+    assert line not in as_text(example())
+    assert all(part in line for part in ("shoulder", "hip", " 0.057 deg"))

@@ -41,6 +41,7 @@ def run(options: argparse.Namespace) -> int:
         raise UsageError(f"{options.output} does not end in .mcap", "give a name that does")
     refuse_to_overwrite([options.log], target)
     from skin2urdf.recording.converting import convert
+    from skin2urdf.report.notes import note_words
 
     with progress_bar(options.quiet) as bar:
         converted = convert(
@@ -55,11 +56,11 @@ def run(options: argparse.Namespace) -> int:
                 "output": str(target),
                 "topics": list(converted.topics),
                 "messages": converted.messages,
-                "notes": list(converted.notes),
+                "notes": note_words(converted.notes),
             }
         )
     elif not options.quiet:
-        for note in converted.notes:
+        for note in note_words(converted.notes):
             print(f"note: {note}")
         topics = "topic" if len(converted.topics) == 1 else "topics"
         print(

@@ -9,6 +9,7 @@ the axes are.
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -123,6 +124,10 @@ def compare(
     explicit = not (unobservable is None and anchors is None and open_directions is None)
     if untold is not None:
         est = est.within(untold.ranges)
+        told = untold.unobservable or {}
+        if told and told.keys() <= set(est.fixed_leaves):
+            # A vendor's file has other links that end in a fixed joint, such as that of the tool.
+            est = replace(est, fixed_leaves=tuple(n for n in est.fixed_leaves if n in told))
         if not explicit:
             unobservable, anchors = untold.unobservable, untold.determined
             open_directions = untold.open_directions

@@ -29,6 +29,7 @@ from skin2urdf.report.on_model import as_text, model_verdict
 from skin2urdf.signals.motion import joint_motion
 from skin2urdf.signals.poses import find_rests
 from skin2urdf.signals.records import SuClock
+from skin2urdf.urdf.compare import compare
 from skin2urdf.urdf.loading import Robot, configuration
 from skin2urdf.vendor.calibrate import calibrate_with_model
 from skin2urdf.vendor.description import describe
@@ -438,6 +439,20 @@ def test_another_robot_is_named(short: Recorded) -> None:
         calibrate_with_model(short.recording, model(other))
     assert error.value.joints == ("turn", "lift", "roll")
     assert error.value.remedy
+
+
+def test_links_of_the_vendor_are_no_sus_when_compared(short: Recorded, tmp_path: Path) -> None:
+    tool = '<link name="tool"/><joint name="to_tool" type="fixed"><parent link="three"/>'
+    text = URDF.replace(
+        '<joint name="turn"', f'{tool}<child link="tool"/></joint><joint name="turn"'
+    )
+    vendor = tmp_path / "vendor.urdf"
+    vendor.write_bytes(text.encode())
+    found = calibrate_with_model(short.recording, vendor)
+    (urdf, _) = save_on_model(found, tmp_path / "with_skin.urdf")
+    compared = compare(urdf, vendor, rng=np.random.default_rng(0))
+    assert {su.name for su in compared.sus} | {*compared.not_observable} == {*found.tree.su_names}
+    assert compared.position.rms < 1e-6
 
 
 def test_a_mount_that_was_turned_is_told(

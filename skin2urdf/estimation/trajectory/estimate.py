@@ -22,6 +22,7 @@ from skin2urdf.estimation.trajectory.listening import found_gyros, listened
 from skin2urdf.estimation.trajectory.misfit import misfit_of_sus, span_means
 from skin2urdf.estimation.trajectory.priors import MotionPriors
 from skin2urdf.estimation.trajectory.problem import MotionProblem
+from skin2urdf.estimation.trajectory.publishers import Late, with_publishers
 from skin2urdf.estimation.trajectory.records import Gyros
 from skin2urdf.estimation.trajectory.state import MotionState
 from skin2urdf.estimation.trajectory.uncertainty import MotionInformation, motion_information
@@ -51,6 +52,7 @@ class MotionEstimate:
         tried: misfit with each cause that was tried, chosen or not.
         under_known: what joints yield under torques that are known, the first of what encoders do
             not see; None where none do, or torques are not known.
+        late: clocks of publishers of joint states; None where none is off.
     """
 
     problem: MotionProblem
@@ -61,6 +63,7 @@ class MotionEstimate:
     causes: tuple[str, ...] = ()
     tried: Mapping[str, float] = field(default_factory=dict)
     under_known: Elasticity | None = None
+    late: Late | None = None
 
     @property
     def state(self) -> State:
@@ -173,6 +176,9 @@ def estimate_along(
     )
     fitted = fit(problem, begin, iterations=iterations, tell=tell)
     problem, fitted, contradict = listened(problem, fitted)
+    problem, fitted, late = with_publishers(
+        problem, fitted, begin, lambda about, at: misfit_of(about, at, SPAN)
+    )
     logs = problem.logs
     found = Explained(problem, fitted)
     if look_further:
@@ -187,7 +193,7 @@ def estimate_along(
     information = motion_information(problem, fitted, spans, lasting)
     gyros = found_gyros(problem, fitted, contradict)
     what = found.causes, found.tried, found.under_known
-    return MotionEstimate(problem, fitted, information, left, gyros, *what)
+    return MotionEstimate(problem, fitted, information, left, gyros, *what, late)
 
 
 def motion_priors(

@@ -46,6 +46,7 @@ LAYERS: dict[str, tuple[str, ...]] = {
         "signals.information",
         "signals.encoder_noise",
         "signals.trajectory",
+        "signals.stretches",
         "signals.filters",
     ),
     "paper": (

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from skin2urdf.arrays import F64, Bool
-from skin2urdf.calibration.at_rest import estimate_at_rest
+from skin2urdf.calibration.beginning import begin
 from skin2urdf.calibration.clock import Clock, Progress, Tell
 from skin2urdf.calibration.result import (
     BAD_FIT,
@@ -24,21 +24,18 @@ from skin2urdf.calibration.rounds import (
     Logs,
     Solution,
     Structure,
-    estimate_robot,
-    find_structure,
-    sample_logs,
-    take_features,
 )
 from skin2urdf.calibration.samples import (
     clocks_in_all,
     fit_samples,
     is_explained_by_physics,
+    late_publishers,
     rejected,
     with_samples,
     without_false_hits,
 )
 from skin2urdf.calibration.settings import CalibrationSettings
-from skin2urdf.errors import BadFitError, InsufficientDataError, Skin2UrdfError
+from skin2urdf.errors import BadFitError, InsufficientDataError
 from skin2urdf.estimation.solve.estimate import Estimate
 from skin2urdf.estimation.trajectory.estimate import MotionEstimate
 from skin2urdf.estimation.uncertainty.goodness import Goodness, goodness
@@ -46,15 +43,16 @@ from skin2urdf.estimation.uncertainty.health import health_notes, why_bad, why_u
 from skin2urdf.estimation.uncertainty.narrow import narrow_priors
 from skin2urdf.estimation.uncertainty.observability import Observability, observability
 from skin2urdf.faults import distinct, without_slips
-from skin2urdf.hypotheses.encoder import evident_errors
 from skin2urdf.hypotheses.kinds import KINDS
 from skin2urdf.hypotheses.search import explain
 from skin2urdf.model.canonical import canonical
 from skin2urdf.recording.progress import Share
 from skin2urdf.recording.records import Recording
-from skin2urdf.signals.encoders import corrected
 from skin2urdf.signals.filters import eroded, low_pass, noise_bandwidth
-from skin2urdf.signals.records import Features
+from skin2urdf.signals.publishers import (
+    all_that_are_off,
+)
+from skin2urdf.signals.records import Features, JointClock
 from skin2urdf.signals.sampling import Sampled
 from skin2urdf.structure.records import KinematicTree
 from skin2urdf.structure.unknown_positions import unknown_position_notes
@@ -86,26 +84,22 @@ def calibrate(
     settings = settings or CalibrationSettings()
     clock = Clock(progress)
     recordings = clock.run("reading", lambda tell: recordings_of(logs, tell))
-    # No joint leaps: what its track alone shows to be wrong is taken off before the first look.
-    leaps = clock.run("leaps", lambda _: evident_errors(recordings))
-    sampled = sample_logs(corrected(recordings, [leap.error for leap in leaps]), settings, clock)
-    features = take_features(sampled, clock)
-    structure = find_structure(sampled, features, clock)
-    along = looked = first = None
+    begun = begin(recordings, settings, clock)
+    sampled, structure, first = begun.logs, begun.structure, begun.first
+    along = looked = None
     in_vain: frozenset[str] = frozenset()
     if settings.method == "paper":
-        solution = _estimate_by_the_paper(sampled, features, structure, clock)
+        solution = _estimate_by_the_paper(sampled, begun.features, structure, clock)
     else:
-        first, of_patterns = _first_estimate(sampled, features, structure, clock)
-        looked = _look(first, clock) if of_patterns else None
+        looked = _look(first, clock) if begun.of_patterns else None
         explained = looked is not None and is_explained_by_physics(looked)
-        if first is not None and (explained or not of_patterns):
+        if first is not None and (explained or not begun.of_patterns):
             solution = first
         else:
             solution = clock.run(
                 "what is wrong",
                 lambda tell: explain(
-                    recordings, leaps, (sampled, structure, first), KINDS, clock, tell
+                    begun.recordings, begun.leaps, (sampled, structure, first), KINDS, clock, tell
                 ),
             )
             _refuse_beyond(HOPELESS_FIT, solution.found.cost_per_dof, solution.found)
@@ -127,33 +121,9 @@ def calibrate(
         check_fit(solution.found, along)
     information = along.information if along else None
     seen = clock.run("observability", lambda _: observability(solution.found, information))
-    return _calibration(recordings, solution, along, fit, seen, clock)
-
-
-def _first_estimate(
-    sampled: Logs, features: Features, structure: Structure, clock: Clock
-) -> tuple[Solution | None, bool]:
-    """What patterns say, or else rests and moves, and whether patterns do.
-
-    Returns:
-        The estimate, None where patterns contradict every tree, and whether it is of patterns.
-
-    Raises:
-        InsufficientDataError: neither say enough.
-        StructureError: no SU feels any joint move.
-    """
-    if not structure.seen.patterns_felt:
-        return estimate_at_rest(sampled, structure, clock), False
-    try:
-        return estimate_robot(sampled, features, structure, clock), True
-    except InsufficientDataError as lack:
-        # What looks like patterns may be too little of them, beside moves that say more.
-        if sampled.settings.motion != "all":
-            raise
-        try:
-            return estimate_at_rest(sampled, structure, clock), False
-        except Skin2UrdfError:
-            raise lack from None
+    late = late_publishers(along, solution.logs.sampled)
+    off = all_that_are_off(begun.publishers, late)
+    return _calibration(recordings, solution, along, fit, seen, off, clock)
 
 
 def _look(first: Solution | None, clock: Clock) -> MotionEstimate | None:
@@ -205,6 +175,7 @@ def _calibration(
     along: MotionEstimate | None,
     fit: Goodness,
     seen: Observability,
+    publishers: tuple[tuple[JointClock, ...], ...],
     clock: Clock,
 ) -> Calibration:
     """All that is known, in one record."""
@@ -243,6 +214,7 @@ def _calibration(
         seconds=clock.seconds,
         clocks=clocks_in_all([s.clocks for s in sampled], along),
         su_sources=su_sources(recordings, sampled),
+        publishers=publishers,
     )
 
 

@@ -24,7 +24,7 @@ from skin2urdf.faults import Fault
 from skin2urdf.geometry.se3 import inverse
 from skin2urdf.model.records import KinematicModel, OpenDirection
 from skin2urdf.notes import Noted
-from skin2urdf.signals.records import Features, SuClock
+from skin2urdf.signals.records import Features, JointClock, SuClock
 from skin2urdf.structure.activity import Activity
 
 Quality = Literal["good", "fair", "bad"]
@@ -105,6 +105,7 @@ class Calibration:
         seconds: time each stage took [s].
         clocks: for each log, the SUs whose clock ran differently from the joints'.
         su_sources: where the SUs' readings come from, by name.
+        publishers: for each log, publishers of joint states whose clock is off that of most joints.
     """
 
     model: KinematicModel
@@ -124,6 +125,7 @@ class Calibration:
     seconds: dict[str, float]
     clocks: tuple[tuple[SuClock, ...], ...] = ()
     su_sources: Mapping[str, SuSource] = field(default_factory=dict)
+    publishers: tuple[tuple[JointClock, ...], ...] = ()
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "limits", frozen(self.limits))

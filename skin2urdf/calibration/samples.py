@@ -24,7 +24,7 @@ from skin2urdf.estimation.trajectory.kinematics import levers
 from skin2urdf.estimation.trajectory.priors import MotionPriors
 from skin2urdf.estimation.uncertainty.health import is_plausible
 from skin2urdf.faults import Fault
-from skin2urdf.signals.records import SuClock
+from skin2urdf.signals.records import JointClock, SuClock
 from skin2urdf.signals.sampling import Sampled
 from skin2urdf.signals.trajectory import Trajectory, in_order, trajectory
 from skin2urdf.structure.ordering import places_of
@@ -42,7 +42,12 @@ _MOST = 0.5
 
 
 def fit_samples(
-    solution: Solution, tell: Tell, *, most: float = np.inf, without: Collection[str] = ()
+    solution: Solution,
+    tell: Tell,
+    *,
+    most: float = np.inf,
+    without: Collection[str] = (),
+    look_further: bool = True,
 ) -> MotionEstimate | None:
     """Fit all samples of mended logs, starting from what the features around poses say.
 
@@ -51,6 +56,7 @@ def fit_samples(
         tell: told the share of the work that is done.
         most: misfit beyond which no physics is tried that a rigid robot has not.
         without: causes that need not be tried, see :func:`rejected`.
+        look_further: whether any is tried.
 
     Returns:
         None where most poses have no samples to compare, as rests that were recorded one by one:
@@ -80,8 +86,9 @@ def fit_samples(
         return None
     priors = sample_priors(settings, found.cost.priors)
     return estimate_along(
-        trajectories, tree, found.state, priors, latency, tell, most=most, without=without
-    )
+        trajectories, tree, found.state, priors, latency, tell,
+        most=most, without=without, look_further=look_further,
+    )  # fmt: skip
 
 
 def rejected(along: MotionEstimate | None) -> frozenset[str]:
@@ -108,6 +115,35 @@ def sample_priors(settings: CalibrationSettings, sensors: Priors) -> MotionPrior
         front=front,
         gyro=settings.estimation.intrinsics,
     )
+
+
+def late_publishers(
+    along: MotionEstimate | None, sampled: Sequence[Sampled]
+) -> tuple[tuple[JointClock, ...], ...]:
+    """Clocks of publishers of joint states that all samples show to be off, by log.
+
+    Args:
+        along: the fit of all samples, if there is one.
+        sampled: the logs.
+    """
+    out: list[list[JointClock]] = [[] for _ in sampled]
+    late = None if along is None else along.late
+    if along is None or late is None:
+        return tuple(tuple(each) for each in out)
+    names = along.problem.tree.joint_names
+    for c, (g, joints) in enumerate(zip(late.log.tolist(), late.joints, strict=True)):
+        time = along.problem.logs[g].time
+        out[g].append(
+            JointClock(
+                joints=tuple(names[j] for j in joints),
+                latency=float(late.latency[c]),
+                latency_sd=float(late.latency_sd[c]),
+                drift=float(late.drift[c]),
+                drift_sd=float(late.drift_sd[c]),
+                middle=sampled[g].motion.grid.start + 0.5 * float(time[0] + time[-1]),
+            )
+        )
+    return tuple(tuple(each) for each in out)
 
 
 def clocks_in_all(

@@ -1,4 +1,4 @@
-"""Clocks of SUs that run differently from the joints', in words."""
+"""Clocks of SUs and of some joints that run differently from most joints', in words."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from skin2urdf.recording.naming import shortened
 from skin2urdf.report.tables import number
-from skin2urdf.signals.records import SuClock
+from skin2urdf.signals.records import JointClock, SuClock
 
 _ALIKE = 4.0
 """Standard deviations within which clocks are told as one."""
@@ -20,12 +20,32 @@ def clock_notes(logs: Sequence[Sequence[SuClock]]) -> list[str]:
     Args:
         logs: by log, the clocks that are off.
     """
+    return _told([_of_one_log(clocks) for clocks in logs], "samples")
+
+
+def publisher_notes(logs: Sequence[Sequence[JointClock]]) -> list[str]:
+    """What was found of the clocks of publishers of joint states.
+
+    Args:
+        logs: by log, the clocks that are off.
+    """
+    return _told([[_of_joints(clock) for clock in clocks] for clocks in logs], "positions")
+
+
+def _told(logs: Sequence[Sequence[str]], what: str) -> list[str]:
+    """Sentences of all logs, each with its log where there are several."""
     names = [f" in log {i + 1}" if len(logs) > 1 else "" for i in range(len(logs))]
     return [
-        f"{words}{name}; the samples were set right"
-        for clocks, name in zip(logs, names, strict=True)
-        for words in _of_one_log(clocks)
+        f"{words}{name}; the {what} were set right"
+        for of_log, name in zip(logs, names, strict=True)
+        for words in of_log
     ]
+
+
+def _of_joints(clock: JointClock) -> str:
+    """Latency and drift of a publisher of joint states."""
+    whose = f"the clock that stamps {shortened(clock.joints, 4)} is"
+    return f"{whose} {_off(clock, 'other')}"
 
 
 def _of_one_log(clocks: Sequence[SuClock]) -> list[str]:
@@ -54,10 +74,16 @@ def _words(group: Sequence[SuClock]) -> str:
     whose = f"the clocks of {shortened([clock.su for clock in group], 4)} are"
     if len(group) == 1:
         whose = f"the clock of {best.su} is"
-    sense = "late" if best.latency >= 0 else "early"
-    pace = "fast" if best.drift >= 0 else "slow"
+    return f"{whose} {_off(best, '')}"
+
+
+def _off(clock: SuClock | JointClock, others: str) -> str:
+    """By how much a clock is off that of the joints, or of others."""
+    sense = "late" if clock.latency >= 0 else "early"
+    pace = "fast" if clock.drift >= 0 else "slow"
+    against = f"the {others} joints'" if others else "the joints'"
     return (
-        f"{whose} {number(abs(best.latency) * 1e3)} ms {sense} against the joints' "
-        f"(sd {number(best.latency_sd * 1e3)} ms) and {number(abs(best.drift) * 1e6)} ppm too "
-        f"{pace} (sd {number(best.drift_sd * 1e6)} ppm)"
+        f"{number(abs(clock.latency) * 1e3)} ms {sense} against {against} "
+        f"(sd {number(clock.latency_sd * 1e3)} ms) and {number(abs(clock.drift) * 1e6)} ppm too "
+        f"{pace} (sd {number(clock.drift_sd * 1e6)} ppm)"
     )

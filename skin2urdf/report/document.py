@@ -81,6 +81,7 @@ def as_document(calibration: Calibration) -> dict[str, Any]:
         "notes": all_notes(calibration),
         "noted": note_documents(calibration.notes),
         "clocks": [[asdict(clock) for clock in clocks] for clocks in calibration.clocks],
+        "publishers": [[asdict(clock) for clock in clocks] for clocks in calibration.publishers],
         "seconds": calibration.seconds,
     }
     plain: dict[str, Any] = to_plain(document)

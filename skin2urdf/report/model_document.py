@@ -107,6 +107,7 @@ def as_document(result: ModelCalibration) -> dict[str, Any]:
         "notes": all_notes(result),
         "noted": note_documents(result.notes),
         "clocks": [[asdict(clock) for clock in clocks] for clocks in result.clocks],
+        "publishers": [[asdict(clock) for clock in clocks] for clocks in result.publishers],
         "seconds": result.seconds,
     }
     plain: dict[str, Any] = to_plain(document)

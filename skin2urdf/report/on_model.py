@@ -8,7 +8,7 @@ from skin2urdf.arrays import F64
 from skin2urdf.calibration.result import GOOD_FIT
 from skin2urdf.geometry.units import MILLI_G
 from skin2urdf.model.records import KinematicModel
-from skin2urdf.report.clocks import clock_notes
+from skin2urdf.report.clocks import clock_notes, publisher_notes
 from skin2urdf.report.faults import fault_words
 from skin2urdf.report.notes import note_words
 from skin2urdf.report.summary import sensor_notes
@@ -228,6 +228,7 @@ def all_notes(result: ModelCalibration) -> list[str]:
     return [
         *note_words(result.notes),
         *clock_notes(result.clocks),
+        *publisher_notes(result.publishers),
         *sensor_notes(result.along, _determined(result)),
     ]
 

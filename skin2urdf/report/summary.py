@@ -12,7 +12,7 @@ from skin2urdf.calibration.result import Calibration
 from skin2urdf.estimation.trajectory.estimate import MotionEstimate
 from skin2urdf.geometry.units import MILLI_G
 from skin2urdf.recording.naming import shortened
-from skin2urdf.report.clocks import clock_notes
+from skin2urdf.report.clocks import clock_notes, publisher_notes
 from skin2urdf.report.faults import fault_words
 from skin2urdf.report.findings import Findings, findings
 from skin2urdf.report.gyros import gyro_notes
@@ -207,6 +207,7 @@ def all_notes(calibration: Calibration) -> list[str]:
     return [
         *note_words(calibration.notes),
         *clock_notes(calibration.clocks),
+        *publisher_notes(calibration.publishers),
         *sensor_notes(calibration.along),
         *gyro_notes(calibration),
     ]

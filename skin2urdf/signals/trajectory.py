@@ -7,7 +7,7 @@ differentiated and the prediction once more after it, the readings twice.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -54,6 +54,8 @@ class Trajectory:
             and of the derivative of that, while a joint moves [rad^2/s^4 and rad^2/s^6, or m]; None
             where positions are exact.
         leaps: what sampling leaves open where motion leaps; None where it does not.
+        publisher: (D,) number of the publisher whose messages hold each joint, as in
+            :class:`~skin2urdf.signals.motion.Motion`; (0,) where all have one.
     """
 
     log: int
@@ -71,8 +73,10 @@ class Trajectory:
     turning: Bool | None = None
     noise: F64 | None = None
     leaps: Leaps | None = None
+    publisher: Int = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "publisher", frozen(self.publisher, np.int64))
         for name in ("taps", "q", "qd", "qdd", "readings"):
             object.__setattr__(self, name, frozen(getattr(self, name)))
         if self.rates is not None and self.turning is not None:
@@ -98,6 +102,25 @@ class Trajectory:
     def rate_splines(self) -> tuple[Spline, ...]:
         """The same of gyroscopes; none where there are none."""
         return tuple(Spline(x) for x in self.rates.swapaxes(0, 1)) if self.rates is not None else ()
+
+    @property
+    def since_middle(self) -> F64:
+        """(N,) times of all grid samples since the middle of those that are compared [s]."""
+        return np.asarray(np.arange(len(self.q)) / self.rate - 0.5 * (self.time[0] + self.time[-1]))
+
+    def joints_taken(self, joints: Int, late: F64) -> Trajectory:
+        """The same with the positions of some joints as they are so much later.
+
+        Args:
+            joints: (J,) which.
+            late: (N,) by how much later each position is taken [s].
+        """
+        last = len(self.q) - 1
+        at = np.clip(np.arange(last + 1) + late * self.rate, 0, last)
+        q = np.array(self.q)
+        q[:, joints] = Spline(q[:, joints]).within(at)
+        qd, qdd = first_derivative(q, self.rate), second_derivative(q, self.rate)
+        return replace(self, q=q, qd=qd, qdd=qdd)
 
     @property
     def every(self) -> int:
@@ -155,6 +178,7 @@ def trajectory(
         leaps=Leaps.of(
             motion, (sampled.readings[:, u] for u in sus), sampled.period[sus], taps, kept
         ),
+        publisher=motion.publisher,
     )
 
 
@@ -184,6 +208,7 @@ def in_order(log: Trajectory, dofs: Int, sus: Int) -> Trajectory:
             qd=log.qd[:, dofs],
             qdd=log.qdd[:, dofs],
             moving=log.moving[:, dofs],
+            publisher=log.publisher[dofs] if len(log.publisher) else log.publisher,
             noise=None if log.noise is None else log.noise[dofs],
         )
     # What stays in its order, as mostly, is not copied.

@@ -13,13 +13,14 @@ from skin2urdf.calibration.clock import Clock, Progress
 from skin2urdf.calibration.pipeline import recordings_of, su_sources
 from skin2urdf.calibration.result import Source
 from skin2urdf.calibration.rounds import Logs, sample_logs
-from skin2urdf.calibration.samples import clocks_in_all
+from skin2urdf.calibration.samples import clocks_in_all, late_publishers
 from skin2urdf.calibration.settings import CalibrationSettings
 from skin2urdf.errors import InsufficientDataError
 from skin2urdf.faults import Fault, distinct
 from skin2urdf.hypotheses.encoder import Corrected, evident_errors
 from skin2urdf.recording.records import Recording
 from skin2urdf.signals.encoders import corrected
+from skin2urdf.signals.publishers import all_that_are_off
 from skin2urdf.signals.sampling import Sampled
 from skin2urdf.signals.trajectory import Trajectory, trajectory
 from skin2urdf.vendor.description import describe
@@ -94,6 +95,9 @@ def calibrate_with_model(
         seconds=clock.seconds,
         clocks=clocks_in_all([s.clocks for s in sampled.sampled], found.along),
         su_sources=su_sources(recordings, sampled.sampled),
+        publishers=all_that_are_off(
+            [()] * len(recordings), late_publishers(found.along, sampled.sampled)
+        ),
     )
     return replace(result, notes=(*model_notes(result, sampled.sampled), *result.notes))
 

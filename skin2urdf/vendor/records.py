@@ -17,7 +17,7 @@ from skin2urdf.estimation.trajectory.known_torque import compliances
 from skin2urdf.estimation.uncertainty.observability import Observability
 from skin2urdf.faults import Fault
 from skin2urdf.notes import Noted
-from skin2urdf.signals.records import SuClock
+from skin2urdf.signals.records import JointClock, SuClock
 from skin2urdf.structure.records import KinematicTree
 from skin2urdf.vendor.leftover import Leftover
 from skin2urdf.vendor.matching import Chassis
@@ -87,6 +87,7 @@ class ModelCalibration:
         seconds: time each stage took [s].
         clocks: by log, the SUs whose clock ran differently from the joints'.
         su_sources: where the SUs' readings come from, by name.
+        publishers: by log, publishers of joint states whose clock is off that of most joints.
     """
 
     chassis: Chassis
@@ -106,6 +107,7 @@ class ModelCalibration:
     seconds: dict[str, float]
     clocks: tuple[tuple[SuClock, ...], ...]
     su_sources: Mapping[str, SuSource]
+    publishers: tuple[tuple[JointClock, ...], ...] = ()
 
     @property
     def tree(self) -> KinematicTree:

@@ -51,7 +51,7 @@ def test_progress_is_told_stage_by_stage() -> None:
     told = run().told
     assert all(0.0 <= share <= 1.0 for _, share in told)
     stages = list(dict.fromkeys(stage for stage, _ in told))
-    assert stages[:4] == ["reading", "leaps", "sampling", "features"]
+    assert stages[:5] == ["reading", "clocks", "leaps", "sampling", "features"]
     assert stages[-1] == "observability"
     assert told[-1] == ("observability", 1.0)
 

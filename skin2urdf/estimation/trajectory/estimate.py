@@ -27,6 +27,7 @@ from skin2urdf.estimation.trajectory.misfit import (
 )
 from skin2urdf.estimation.trajectory.priors import MotionPriors
 from skin2urdf.estimation.trajectory.problem import MotionProblem
+from skin2urdf.estimation.trajectory.publishers import Late, with_publishers
 from skin2urdf.estimation.trajectory.records import Gyros
 from skin2urdf.estimation.trajectory.state import MotionState
 from skin2urdf.estimation.trajectory.uncertainty import MotionInformation, motion_information
@@ -59,6 +60,7 @@ class MotionEstimate:
         tried: misfit with each cause that was tried, chosen or not.
         under_known: what joints yield under torques that are known, the first of what encoders do
             not see; None where none do, or torques are not known.
+        late: clocks of publishers of joint states; None where none is off.
     """
 
     problem: MotionProblem
@@ -69,6 +71,7 @@ class MotionEstimate:
     causes: tuple[str, ...] = ()
     tried: Mapping[str, float] = field(default_factory=dict)
     under_known: Elasticity | None = None
+    late: Late | None = None
 
     @property
     def state(self) -> State:
@@ -182,6 +185,9 @@ def estimate_along(
     # Of the work, a fit takes half or so, and what it is worth a quarter.
     fitted = fit(problem, begin, iterations=iterations, tell=lambda share: tell(0.5 * share))
     problem, fitted, contradict = listened(problem, fitted)
+    problem, fitted, late = with_publishers(
+        problem, fitted, begin, lambda about, at: misfit_of(about, at, SPAN)
+    )
     logs = problem.logs
     found = Explained(problem, fitted)
     if look_further:
@@ -200,7 +206,7 @@ def estimate_along(
     tell(1.0)
     gyros = found_gyros(problem, fitted, contradict)
     what = found.causes, found.tried, found.under_known
-    return MotionEstimate(problem, fitted, information, left, gyros, *what)
+    return MotionEstimate(problem, fitted, information, left, gyros, *what, late)
 
 
 def _links_may_explain(problem: MotionProblem, fitted: Fitted) -> bool:

@@ -1,0 +1,98 @@
+"""Clocks of publishers of joint states, on recordings with joints in messages of their own."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from simulated import simulation
+
+from skin2urdf.arrays import frozen
+from skin2urdf.recording.records import Recording
+from skin2urdf.signals.motion import joint_motion
+from skin2urdf.signals.publishers import (
+    all_that_are_off,
+    joint_clocks,
+    on_one_clock,
+    publishers_beyond_first,
+    together,
+)
+from skin2urdf.signals.records import JointClock
+
+_WRIST = ("wrist_2_joint", "wrist_3_joint")
+
+
+def published_apart(
+    recording: Recording, names: tuple[str, ...], late: float, drift: float = 0.0
+) -> Recording:
+    """Joints in messages of their own, taken between those of the others, on another clock."""
+    time = recording.joints[0].time
+    middle = (time[0] + time[-1]) / 2
+    stamps = frozen(time[1::2] + late + drift * (time[1::2] - middle))
+    others = frozen(time[::2])
+    joints = tuple(
+        replace(joint, time=stamps, position=joint.position[1::2])
+        if joint.name in names
+        else replace(joint, time=others, position=joint.position[::2])
+        for joint in recording.joints
+    )
+    return replace(recording, joints=joints)
+
+
+def test_joints_of_one_publisher_have_the_same_stamps() -> None:
+    motion = joint_motion(published_apart(simulation("ur5").recording, _WRIST, 0.0))
+    (wrist,) = publishers_beyond_first(motion)
+    assert tuple(motion.dof_names[j] for j in wrist) == _WRIST
+    assert publishers_beyond_first(joint_motion(simulation("ur5").recording)) == []
+
+
+def test_a_joint_that_lacks_values_has_no_publisher_of_its_own() -> None:
+    recording = simulation("ur5").recording
+    first, *others = recording.joints
+    kept = np.arange(len(first.time)) % 7 != 3
+    short = replace(first, time=first.time[kept], position=first.position[kept])
+    assert publishers_beyond_first(joint_motion(replace(recording, joints=(short, *others)))) == []
+
+
+def test_a_sound_publisher_has_no_clock_to_set() -> None:
+    assert joint_clocks(published_apart(simulation("ur5").recording, _WRIST, 0.0)) == ()
+
+
+@pytest.mark.parametrize(
+    ("names", "late", "drift"),
+    [
+        (_WRIST, 0.3, 0.0),
+        (_WRIST, -0.5, 1e-3),
+        (("shoulder_pan_joint", "elbow_joint"), 0.15, -3e-3),
+    ],
+)
+def test_a_late_publisher_is_found(names: tuple[str, ...], late: float, drift: float) -> None:
+    (clock,) = joint_clocks(published_apart(simulation("ur5").recording, names, late, drift))
+    assert set(clock.joints) == set(names)
+    assert clock.latency == pytest.approx(late, abs=0.035)
+    half = 0.5 * float(np.ptp(simulation("ur5").recording.joints[0].time))
+    assert clock.drift * half == pytest.approx(drift * half, abs=0.035)
+
+
+def test_a_late_publisher_is_set_right() -> None:
+    plain = published_apart(simulation("ur5").recording, _WRIST, 0.0)
+    late = published_apart(simulation("ur5").recording, _WRIST, 0.2, 1e-3)
+    time = simulation("ur5").recording.joints[0].time
+    middle = float(time[0] + time[-1]) / 2
+    clock = JointClock(_WRIST, 0.2, 0.0, 1e-3, 0.0, middle)
+    for mended, true in zip(on_one_clock(late, [clock]).joints, plain.joints, strict=True):
+        np.testing.assert_allclose(mended.time, true.time, atol=1e-9)
+    assert publishers_beyond_first(joint_motion(on_one_clock(late, [clock])))
+
+
+def test_what_is_left_of_a_clock_adds_to_what_was_found() -> None:
+    first = JointClock(("a",), 0.3, 0.01, 1e-3, 1e-4, 50.0)
+    then = JointClock(("a",), -0.02, 1e-5, 2e-4, 1e-7, 51.0)
+    other = JointClock(("b",), 0.0, 1.0, 0.0, 1.0, 50.0)
+    whole, unsure = together([first], [then, other])
+    time = np.linspace(0.0, 100.0, 5)
+    np.testing.assert_allclose(whole.stamped(time), first.stamped(then.stamped(time)), atol=1e-12)
+    assert (whole.latency_sd, whole.drift_sd) == (1e-5, 1e-7)
+    assert unsure is other
+    assert all_that_are_off([[first]], [[then, other]]) == ((whole,),)

@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
+from skin2urdf.cli.main import INTERNAL_ERROR
 from skin2urdf.cli.main import main as skin2urdf
 
 # Statuses that the commands document.
@@ -71,7 +72,7 @@ def perform(words: Sequence[str], seconds: float, memory: int) -> Outcome:
         return Outcome(f"took more than {waited:.0f} s", -signal.SIGKILL, output, seconds)
     if used > seconds:
         return Outcome(f"took more than {seconds:.0f} s of work", status, output, used)
-    if "Traceback" in output or "internal error" in output:
+    if "Traceback" in output or INTERNAL_ERROR in output:
         return Outcome("an error that is not in words", status, output, used)
     if status not in STATUSES:
         return Outcome(f"ended with {status}", status, output, used)

@@ -14,6 +14,8 @@ from skin2urdf.errors import Skin2UrdfError, UsageError
 from skin2urdf.recording.naming import printable
 
 _INTERRUPTED = 130
+INTERNAL_ERROR = "internal error"
+"""What the line begins with, after ``error:``, that tells of a defect of this program."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -63,7 +65,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except Exception as error:
         if options.debug:
             raise
-        complain(f"internal error: {type(error).__name__}: {error}")
+        complain(f"{INTERNAL_ERROR}: {type(error).__name__}: {error}")
         print("  -> this is a defect; add --debug to see where, and report it", file=sys.stderr)
         return 1
     return status

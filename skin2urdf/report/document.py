@@ -49,7 +49,11 @@ def as_document(calibration: Calibration) -> dict[str, Any]:
         "versions": versions(),
         "inputs": [asdict(source) for source in calibration.sources],
         "settings": asdict(calibration.settings),
-        "verdict": {"quality": calibration.quality, "words": found.verdict},
+        "verdict": {
+            "quality": calibration.quality,
+            "words": found.verdict,
+            "doubts": [asdict(doubt) for doubt in found.doubts],
+        },
         "fit": _fit(calibration, found),
         "goodness": _goodness(calibration),
         "samples": _samples(calibration),

@@ -31,6 +31,8 @@ def test_it_is_plain_json() -> None:
     assert json.loads(dumps(document)) == document
     assert document["schema"] == SCHEMA
     assert document["verdict"]["quality"] == calibration().quality
+    (doubt,) = document["verdict"]["doubts"]
+    assert (doubt["kind"], len(doubt["names"])) == ("SUs open", 2)
 
 
 @given(value=PLAIN)

@@ -66,7 +66,8 @@ def test_sliders_have_the_ranges_that_the_log_saw(play: Play) -> None:
 def test_an_su_tells_where_it_sits_and_how_well_that_is_known(play: Play) -> None:
     for lines in play.about.values():
         assert lines[0].startswith("on ")
-    assert any("off by" in line for lines in play.about.values() for line in lines)
+    said = [line for lines in play.about.values() for line in lines]
+    assert any(re.search(r"[0-9.]+ mm, [0-9.]+ deg rms$", line) for line in said)
 
 
 def test_any_urdf_can_be_shown_without_json_and_limits(tmp_path: Path) -> None:

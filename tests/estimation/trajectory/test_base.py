@@ -24,7 +24,7 @@ from skin2urdf.signals.filters import filtered, first_derivative, low_pass, seco
 _CHAIN = serial_tree(2)
 _TREE = replace(_CHAIN, su_names=(*_CHAIN.su_names, "base"), su_joint=np.array([0, 1, -1]))
 _UP = np.array([0.0, 0.0, 1.0])
-_STAY, _MOVE, _PLACES, _DEPTH = 180, 120, 20, 0.3
+_STAY, _MOVE, _PLACES, _DEPTH = 180, 120, 12, 0.3
 
 
 @cache

@@ -89,6 +89,12 @@ def _doubts(calibration: Calibration) -> list[str]:
     if calibration.goodness.prediction > GOOD_FIT:
         times = float(np.sqrt(calibration.goodness.prediction))
         doubts.append(f"poses that are left out are predicted {times:.1f} times worse than stated")
+    if calibration.along is not None and seen.widening > GOOD_FIT:
+        times = float(np.sqrt(seen.widening))
+        doubts.append(
+            "what is left of the readings comes back wherever the robot does the same: stated "
+            f"errors are {times:.1f} times those of noise"
+        )
     by_the_paper = calibration.settings.method == "paper"
     narrow = not by_the_paper and narrow_priors(calibration.estimate)
     if narrow and calibration.misfit > GOOD_FIT:

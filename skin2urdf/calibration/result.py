@@ -31,7 +31,8 @@ Quality = Literal["good", "fair", "bad"]
 
 GOOD_FIT = 2.0
 """Cost per degree of freedom up to which the model explains the data, and squared errors of
-predicted poses, over stated variances, up to which the stated uncertainty can be believed."""
+predicted poses, over stated variances, and errors that come back wherever the robot does the same,
+over noise, up to which the stated uncertainty can be believed."""
 BAD_FIT = 50.0
 """Cost per degree of freedom beyond which no URDF is written."""
 
@@ -170,21 +171,22 @@ class Calibration:
     def quality(self) -> Quality:
         """How far the result can be trusted: whether the model explains the readings, and more.
 
-        It is good only if poses are predicted as well as stated, nothing is wrong with an SU, a
-        pose or an encoder, no sensor would need an error that none has, no joint is weak, half of
-        the joints are determined, and the base stands still, since lengths along the first axis may
-        else be off by more than is stated. It is bad
-        where the readings are not explained, or only in part while all SUs beyond the first joint
-        are weak. What no recording can tell must not spoil it, such as where branches that meet in
-        one joint sit along its axis.
+        It is good only if poses are predicted as well as stated, errors do not come back where the
+        robot does the same, nothing is wrong with an SU, a pose or an encoder, no sensor would need
+        an error that none has, no joint is weak, half of the joints are determined, and the base
+        stands still, since lengths along the first axis may else be off by more than is stated. It
+        is bad where the readings are not explained, or only in part while all SUs beyond the first
+        joint are weak. What no recording can tell must not spoil it, such as where branches that
+        meet in one joint sit along its axis.
         """
         if not self.misfit <= self.largest_misfit:
             return "bad"
         if self.misfit > GOOD_FIT and set(self._placed) == {"weak"}:
             return "bad"
-        explained = max(self.misfit, self.goodness.prediction) <= GOOD_FIT
+        goodness, seen = self.goodness, self.observability
+        explained = max(self.misfit, goodness.prediction, seen.widening) <= GOOD_FIT
         alike = not (self.unlike_sus.odd.any() or self.unlike_poses.odd.any())
-        verdicts = self.observability.joint_verdict
+        verdicts = seen.joint_verdict
         known = "weak" not in verdicts and 2 * verdicts.count("determined") >= len(verdicts)
         known &= not self.mostly_open
         sound = not self.faults and not self.base_gives_way and is_plausible(self.estimate.state)

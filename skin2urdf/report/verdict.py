@@ -20,12 +20,12 @@ _NAMED = 3
 
 
 DoubtKind = Literal[
-    "faults", "soft base", "SUs misfit", "poses misfit", "prediction", "sensors", "weak joints",
-    "open limbs", "joints open", "SUs open",
+    "faults", "soft base", "SUs misfit", "poses misfit", "prediction", "errors come back", "sensors",
+    "weak joints", "open limbs", "joints open", "SUs open",
 ]  # fmt: skip
 """What speaks against a result: things found wrong, a base that gives way, SUs and poses that fit
-worse than the rest, poses that are predicted worse than stated, sensors that are worse than the
-options say, axes that are known weakly, limbs whose places are open, and what of the joints and
+worse than the rest, poses that are predicted worse than stated, what is left of the readings and
+comes back with the motion, sensors that are worse than the options say, axes that are known weakly, limbs whose places are open, and what of the joints and
 SUs the log does not determine."""
 
 
@@ -132,6 +132,13 @@ def _doubts(calibration: Calibration) -> list[Doubt]:
         times = float(np.sqrt(calibration.goodness.prediction))
         words = f"poses that are left out are predicted {times:.1f} times worse than stated"
         found.append(Doubt("prediction", words, number=times))
+    if calibration.along is not None and seen.widening > GOOD_FIT:
+        times = float(np.sqrt(seen.widening))
+        words = (
+            "what is left of the readings comes back wherever the robot does the same: stated "
+            f"errors are {times:.1f} times those of noise"
+        )
+        found.append(Doubt("errors come back", words, number=times))
     by_the_paper = calibration.settings.method == "paper"
     narrow = not by_the_paper and narrow_priors(calibration.estimate)
     if narrow and calibration.misfit > GOOD_FIT:

@@ -156,6 +156,7 @@ def test_goodness_of_fit_is_told_part_by_part() -> None:
     assert len(told["by_pose"]) == len(told["held_out"]) == calibration().features.n_poses
     assert [pose["pattern"] for pose in told["by_pose"]] == fit.patterned.tolist()
     assert told["prediction"] == fit.prediction
+    assert told["widening"] == calibration().observability.widening > 0
 
 
 def test_covariances_of_joints_are_in_their_own_frames() -> None:

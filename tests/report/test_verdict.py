@@ -117,6 +117,12 @@ def test_poses_predicted_worse_than_stated_make_it_fair() -> None:
     assert f"{doubt.number:.1f} times" in doubt.words
 
 
+def test_errors_that_come_back_make_it_fair() -> None:
+    lacking = with_observability(widening=4.0)
+    assert lacking.quality == "fair"
+    assert "2.0 times" in line(lacking)
+
+
 def test_poses_that_can_not_be_predicted_are_no_fault() -> None:
     fit = calibration().goodness
     nothing = Share(0 * fit.held_out.chi2, 0 * fit.held_out.dof)

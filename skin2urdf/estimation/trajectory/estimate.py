@@ -29,18 +29,16 @@ from skin2urdf.estimation.trajectory.priors import MotionPriors
 from skin2urdf.estimation.trajectory.problem import MotionProblem
 from skin2urdf.estimation.trajectory.publishers import Late, with_publishers
 from skin2urdf.estimation.trajectory.records import Gyros
+from skin2urdf.estimation.trajectory.slack import pull_of
 from skin2urdf.estimation.trajectory.state import MotionState
+from skin2urdf.estimation.trajectory.swaying import swaying
 from skin2urdf.estimation.trajectory.uncertainty import MotionInformation, motion_information
 from skin2urdf.signals.trajectory import Trajectory
 from skin2urdf.structure.records import KinematicTree
 
-_FEWEST, _MOST = 20, 200
-"""Spans in a log, at least and at most."""
 _OF_LINKS = 0.25
 """Part of a misfit that links have to be able to explain so that it is tried whether they yield:
 half of what a cause has to explain to be added."""
-_LONG = 8.0
-"""Length of spans that show whether errors outlast the others [s]: about that of a pose."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -197,12 +195,10 @@ def estimate_along(
         problem, fitted = found.problem, found.fitted
     fitted = without_shortening(problem, fitted)
     left = misfit_of(problem, fitted, SPAN)
-    # Errors that last longer than a span are larger than spans taken as independent show.
-    lasting = max(1.0, misfit_of(problem, fitted, _LONG) / max(left, 1.0))
-    seconds = max(float(log.time[-1] - log.time[0]) for log in logs)
-    spans = int(np.clip(seconds / SPAN, _FEWEST, _MOST))
     tell(0.75)
-    information = motion_information(problem, fitted, spans, lasting)
+    sways = swaying(problem, fitted.state)
+    lacking = [] if sways is None else [pull_of(problem, fitted, sways)]
+    information = motion_information(problem, fitted, lacking)
     tell(1.0)
     gyros = found_gyros(problem, fitted, contradict)
     what = found.causes, found.tried, found.under_known

@@ -5,11 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import cached_property
-from itertools import pairwise
 
 import numpy as np
 
-from skin2urdf.arrays import F64, Bool
+from skin2urdf.arrays import F64, Bool, Int
 from skin2urdf.estimation.problem.state import (
     N_PLACEMENT,
     N_SU,
@@ -267,22 +266,23 @@ class MotionProblem(Derivatives):
         state: MotionState,
         predicted: Sequence[Predicted],
         weights: Sequence[F64],
-        n_spans: int,
+        members: Sequence[Int],
         n_draws: int,
         rng: np.random.Generator,
     ) -> Spans:
-        """Contributions of spans of time to the normal equations without priors.
+        """Contributions of parts of the time to the normal equations without priors.
 
         Args:
             state: where.
             predicted: residuals of each log there.
             weights: per log (K, U, 3) information of each sample [s^4/m^2].
-            n_spans: spans per log, of equal length.
+            members: per log (W, K) the parts that each sample is in; parts of one kind have each
+                sample once, and different numbers from those of the others.
             n_draws: versions of the gradients with independent noise.
             rng: source of that noise.
         """
         layout, U, G = self.layout, self.tree.n_sus, len(self.logs)
-        J, n, S = layout.n_joint, layout.n_su, G * n_spans
+        J, n, S = layout.n_joint, layout.n_su, 1 + max(int(each.max()) for each in members)
         of_all = [
             sorted({c for g in range(G) for c in self._joint_columns(u, g)}) for u in range(U)
         ]
@@ -299,17 +299,18 @@ class MotionProblem(Derivatives):
             place = np.searchsorted(columns[u][columns[u] >= 0], own)
             noise = rng.standard_normal((n_draws, 3, K))
             both = np.concatenate([r[None], noise])
-            edges = np.linspace(0, K, n_spans + 1).astype(int)
-            for i, (first, last) in enumerate(pairwise(edges)):
-                s = g * n_spans + i
-                part = A[:, :, first:last].reshape(len(A), -1)
-                H = part @ part.T
-                scores = both[:, :, first:last].reshape(len(both), -1) @ part.T
-                joint[s][np.ix_(own, own)] += H[:nj, :nj]
-                su[s, u] += H[nj:, nj:]
-                mixed[s, u][:, place] += H[nj:, :nj]
-                joint_scores[:, s, own] += scores[:, :nj]
-                su_scores[:, s, u] += scores[:, nj:]
+            for kind in members[g]:
+                order = np.argsort(kind, kind="stable")
+                parts, first = np.unique(kind[order], return_index=True)
+                for s, which in zip(parts, np.split(order, first[1:]), strict=True):
+                    part = A[:, :, which].reshape(len(A), -1)
+                    H = part @ part.T
+                    scores = both[:, :, which].reshape(len(both), -1) @ part.T
+                    joint[s][np.ix_(own, own)] += H[:nj, :nj]
+                    su[s, u] += H[nj:, nj:]
+                    mixed[s, u][:, place] += H[nj:, :nj]
+                    joint_scores[:, s, own] += scores[:, :nj]
+                    su_scores[:, s, u] += scores[:, nj:]
         return Spans(joint, su, mixed, columns, joint_scores, su_scores)
 
     def pulls_of_joints(

@@ -41,17 +41,19 @@ _SIZES = np.geomspace(1e-7, 3e-2, 111)
 """Sizes that are compared [rad]: from what no encoder tells to two degrees, by 12 %."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Size:
     """How large a group of unseen motions is.
 
     Attributes:
         size: standard deviation of its numbers.
         gain: logarithm of the likelihood of the readings, over that without the group.
+        numbers: (S,) the likeliest numbers of that size.
     """
 
     size: float
     gain: float
+    numbers: F64
 
 
 def slack(
@@ -114,6 +116,35 @@ def size_of(problem: MotionProblem, fitted: Fitted, more: Unseen) -> Size:
         fitted: the fit.
         more: motions that it lacks.
     """
+    return _likeliest(*_with_any(problem, fitted, more))
+
+
+def pull_of(problem: MotionProblem, fitted: Fitted, more: Unseen) -> tuple[F64, F64]:
+    """What unseen motion of the size that the readings give it does to an estimate without it.
+
+    Args:
+        problem: what was fitted.
+        fitted: the fit.
+        more: motions that it lacks.
+
+    Returns:
+        (J,) and (U, n) its part of the gradient in the coordinates that were fitted.
+    """
+    wider, equations, at, spread, x = _with_any(problem, fitted, more)
+    numbers = _likeliest(wider, equations, at, spread, x).numbers
+    others = np.setdiff1d(np.arange(wider.layout.n_joint), at)
+    return equations.joint[np.ix_(others, at)] @ numbers, equations.mixed[:, :, at] @ numbers
+
+
+def _with_any(
+    problem: MotionProblem, fitted: Fitted, more: Unseen
+) -> tuple[MotionProblem, Equations, Int, F64, F64]:
+    """A problem with more unseen motion of any size, and its equations where the fit is.
+
+    Returns:
+        Both, and the (S,) coordinates of the joint part that the numbers are, with their deviations
+        and values.
+    """
     wider = with_unseen(problem, more, _WIDE)
     state = replace(
         fitted.state, unseen=np.concatenate([fitted.state.unseen, np.zeros(more.n_numbers)])
@@ -121,7 +152,7 @@ def size_of(problem: MotionProblem, fitted: Fitted, more: Unseen) -> Size:
     equations = wider.equations(state, fitted.predicted, fitted.weights)
     end = wider.layout.unseen.stop
     at = np.arange(end - more.n_numbers, end)
-    return _likeliest(wider, equations, at, np.full(len(at), _WIDE), np.zeros(len(at)))
+    return wider, equations, at, np.full(len(at), _WIDE), np.zeros(len(at))
 
 
 def learnt_size(problem: MotionProblem, fitted: Fitted, numbers: slice) -> Size:
@@ -165,10 +196,11 @@ def _likeliest(problem: MotionProblem, equations: Equations, at: Int, spread: F6
     lam, pull = np.maximum(lam, 0.0), V.T @ pull
     known = lam > 1e-9 * max(float(lam[-1]), 1e-300)
     v = _SIZES[:, None] ** 2
-    lam, pull = lam[known], pull[known]
+    lam, pull, V = lam[known], pull[known], V[:, known]
     gain = 0.5 * (v * pull**2 / (1 + v * lam) - np.log1p(v * lam)).sum(axis=1)
     best = int(np.argmax(gain))
-    return Size(float(_SIZES[best]), float(gain[best]))
+    numbers = V @ (pull / (lam + 1 / v[best]))
+    return Size(float(_SIZES[best]), float(gain[best]), numbers)
 
 
 def with_unseen(problem: MotionProblem, more: Unseen, size: float) -> MotionProblem:

@@ -1,17 +1,23 @@
 """What a fit of all samples is worth: its information, and the covariance that residuals show.
 
 Weights take whitened residuals as independent of each other. They are not: an encoder's noise is
-felt by all SUs beyond it, and is of high frequencies; whatever the model lacks stays for a while.
-The contributions of spans of time to the gradient, which the estimate has brought to a sum of zero,
-show how large such errors really are (the sandwich estimator: Huber 1967; Liang and Zeger 1986).
-What the estimate bent itself to is missing in them. So they are held against those that independent
-noise leaves, drawn, fitted and added up alike: the ratio tells by how much errors are larger or
-smaller than the weights say, coordinate by coordinate. Where few spans tell of a coordinate, that
-of all joints' or all SUs' coordinates speaks for it.
+felt by all SUs beyond it, and is of high frequencies; whatever the model lacks stays for a while,
+and comes back wherever the robot does the same again. What clusters of samples, at one place or one
+after the other (:mod:`clusters`), contribute to the gradient, which the estimate has brought to a
+sum of zero, shows how large such errors really are (the sandwich estimator: Huber 1967; Liang and
+Zeger 1986). What the estimate bent itself to is missing in it. So it is held against what
+independent noise leaves, drawn, fitted and added up alike: the ratio tells by how much errors are
+larger or smaller than the weights say, coordinate by coordinate. Where few clusters tell of a
+coordinate, that of all joints' or all SUs' coordinates speaks for it.
+
+What goes with the motion in the same way all the time, as a base that yields to the robot's weight,
+shows in no cluster: the estimate bends to it. What it would change is stated as well, as the
+difference of two estimates of which neither can be ruled out (Hausman 1978), see :mod:`swaying`.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,19 +27,19 @@ from skin2urdf.estimation.problem.cost import NormalEquations
 from skin2urdf.estimation.problem.residuals import columns_of
 from skin2urdf.estimation.problem.state import N_JOINT, N_SU
 from skin2urdf.estimation.trajectory.arrow import eliminated, newton_step
+from skin2urdf.estimation.trajectory.clusters import clusters
 from skin2urdf.estimation.trajectory.fit import Fitted
 from skin2urdf.estimation.trajectory.problem import MotionProblem
 from skin2urdf.estimation.trajectory.records import Equations, Spans
-from skin2urdf.estimation.trajectory.state import Layout
 from skin2urdf.estimation.uncertainty.covariance import ArrowCovariance
 from skin2urdf.model.prediction import Chains
 
 _DRAWS = 16
 """Versions with independent noise; their mean is known to a few per cent."""
 _COMMON = 20.0
-"""Spans' worth of evidence that the ratio of all coordinates counts for in that of each. A ratio
-from S spans scatters by the root of 2 / S, 30 % with that many: about as much as ratios differ from
-coordinate to coordinate in recordings with nothing but noise of encoders and sensors."""
+"""Clusters' worth of evidence that the ratio of all coordinates counts for in that of each. A ratio
+from C clusters scatters by the root of 2 / C, 30 % with that many: about as much as ratios differ
+from coordinate to coordinate in recordings with nothing but noise of encoders and sensors."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,30 +55,29 @@ class MotionInformation:
         shared: (Z, Z) information on z, and
         shared_joint: (Z, J), and
         shared_su: (U, 15, Z) its coupling with x and with y.
+        defects: pulls of what the fit lacks, and the readings do not rule out.
         errors: pulls of spans of time with the residuals as they are, and
         draws: with independent noise.
         prior_xz: (U, Q, J + Z) pulls of what is known of each SU before, on x and z, and
         prior_y: (U, Q, 15) on y.
-        lasting: by how much larger variances are than spans taken as independent show.
-        shares: (S, J) and (S, U, 15) part of the information on each coordinate that a span has.
-        prior_joint: (J + Z,) information on the coordinates of a robot that is known before.
-        shares_z: (S, Z) as ``shares``.
-        n_further: how many of the last z are those of a robot that is known before.
+        kinds: which of the errors are of clusters by place, and which by time.
+        shares: (S, J), (S, U, 15) and (S, Z) part of the information on each coordinate that a
+            cluster has of all of its kind.
+        prior_joint: (J + Z,) information on x and z that is known before.
     """
 
     equations: NormalEquations
     shared: F64
     shared_joint: F64
     shared_su: F64
+    defects: Pulls
     errors: Pulls
     draws: tuple[Pulls, ...]
     prior_xz: F64
     prior_y: F64
-    lasting: float
-    shares: tuple[F64, F64]
+    kinds: tuple[slice, slice]
+    shares: tuple[F64, F64, F64]
     prior_joint: F64
-    shares_z: F64
-    n_further: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,17 +94,23 @@ class Pulls:
     z: F64
     y: F64
 
+    def of(self, which: slice) -> Pulls:
+        """Some of the errors."""
+        return Pulls(self.x[which], self.z[which], self.y[:, which])
+
 
 def motion_information(
-    problem: MotionProblem, fitted: Fitted, n_spans: int, lasting: float = 1.0
+    problem: MotionProblem,
+    fitted: Fitted,
+    defects: Sequence[tuple[F64, F64]] = (),
 ) -> MotionInformation:
     """Information and disturbances at the end of a fit.
 
     Args:
         problem: what was fitted.
         fitted: the fit.
-        n_spans: spans of time per log.
-        lasting: by how much larger variances are than spans taken as independent show.
+        defects: parts (J,) and (U, n) of the gradient, each by something that the fit lacks, of the
+            size that the readings give it.
     """
     layout, tree, full = problem.layout, problem.tree, fitted.equations
     free_joint, free_su = problem.free_joint, problem.free_su
@@ -121,13 +132,22 @@ def motion_information(
     held = N_JOINT * np.arange(tree.n_joints)[:, None] + np.arange(2)
     joint[held, held] -= weight
     su[:, range(3), range(3)] -= weight
+    members = clusters(tree, problem.logs)
+    n_places = 1 + max(int(each[0].max()) for each in members)
     spans = problem.spans(
-        fitted.state, fitted.predicted, fitted.weights, n_spans, _DRAWS, np.random.default_rng(0)
+        fitted.state, fitted.predicted, fitted.weights, members, _DRAWS, np.random.default_rng(0)
     )
+    kinds = slice(0, n_places), slice(n_places, len(spans.joint))
+    on_joint = np.einsum("sjj->sj", spans.joint)
+    on_su = np.einsum("sunn->sun", spans.su)[..., :N_SU]
     pulls = [
         _pulls(joint_scores, su_scores, by_x, by_y, J)
-        for joint_scores, su_scores in _fitted_scores(spans, full, free_joint, free_su)
+        for joint_scores, su_scores in _fitted_scores(spans, kinds[0], full, free_joint, free_su)
     ]
+    lacking = (
+        np.array([joint for joint, _ in defects]).reshape(-1, layout.n_joint) * free_joint,
+        np.array([own for _, own in defects]).reshape(-1, tree.n_sus, layout.n_su) * free_su,
+    )
     joint_prior, su_prior, _, _ = problem.prior_information(fitted.state)
     scores = _roots(np.where(free_su[:, :, None] & free_su[:, None, :], su_prior, 0.0))
     chains = Chains.of(tree)
@@ -142,31 +162,43 @@ def motion_information(
         shared=joint[J:, J:] + np.diag(~free_joint[J:] * 1.0),
         shared_joint=joint[J:, :J],
         shared_su=coupling[..., J:],
+        defects=_pulls(*lacking, by_x, by_y, J),
         errors=pulls[0],
         draws=tuple(pulls[1:]),
         prior_xz=-scores[..., N_SU:] @ by_x,
         prior_y=scores[..., :N_SU] - scores[..., N_SU:] @ by_y,
-        lasting=lasting,
+        kinds=kinds,
         shares=(
-            _shares(np.einsum("sjj->sj", spans.joint)[:, :J]),
-            _shares(np.einsum("sunn->sun", spans.su)[..., :N_SU]),
+            _shares(on_joint[:, :J], kinds),
+            _shares(on_su, kinds),
+            _shares(on_joint[:, J:], kinds),
         ),
-        prior_joint=_of_the_robot(np.where(free_joint, joint_prior, 0.0), layout),
-        shares_z=_shares(np.einsum("sjj->sj", spans.joint)[:, J:]),
-        n_further=layout.n_further,
+        prior_joint=np.where(free_joint, joint_prior, 0.0),
     )
 
 
 def _fitted_scores(
-    spans: Spans, full: Equations, free_joint: Bool, free_su: Bool
+    spans: Spans, once: slice, full: Equations, free_joint: Bool, free_su: Bool
 ) -> list[tuple[F64, F64]]:
-    """Gradients (S, J) and (S, U, n) of every version, after a fit to it."""
+    """Gradients (S, J) and (S, U, n) of every version, after a fit to it.
+
+    Args:
+        spans: contributions of clusters.
+        once: clusters in which each sample is once.
+        full: the normal equations of all samples.
+        free_joint: (J,) and
+        free_su: (U, n) coordinates that were fitted.
+    """
     joint_scores = np.where(free_joint, spans.joint_scores, 0.0)
     su_scores = np.where(free_su, spans.su_scores, 0.0)
-    out = [(joint_scores[0], su_scores[0])]
+    out = []
     known = spans.columns >= 0
-    for j, s in zip(joint_scores[1:], su_scores[1:], strict=True):
-        gradient = Equations(full.joint, full.su, full.mixed, j.sum(axis=0), s.sum(axis=0))
+    for version, (j, s) in enumerate(zip(joint_scores, su_scores, strict=True)):
+        # The estimate itself is off the optimum where the noise of encoders was taken off.
+        gradient = full
+        if version:
+            both = j[once].sum(axis=0), s[once].sum(axis=0)
+            gradient = Equations(full.joint, full.su, full.mixed, *both)
         dx, dy = newton_step(eliminated(gradient, free_joint, free_su), free_joint)
         followed = np.where(known, dx[spans.columns], 0.0)
         to_su = np.einsum("sunm,um->sun", spans.su, dy)
@@ -194,19 +226,13 @@ def _roots(information: F64) -> F64:
     return np.swapaxes(V * np.sqrt(np.maximum(lam, 0.0))[:, None, :], 1, 2)
 
 
-def _of_the_robot(information: F64, layout: Layout) -> F64:
-    """Information (J + Z,) without that on what no robot has: gravity's size, compliance."""
-    out = np.array(information)
-    out[layout.gravity : layout.further.start] = 0.0
+def _shares(information: F64, kinds: Sequence[slice]) -> F64:
+    """Part (S, ...) of the sum over the clusters of its kind that each cluster has."""
+    out = np.zeros_like(information)
+    for kind in kinds:
+        total = information[kind].sum(axis=0)
+        np.divide(information[kind], total, out=out[kind], where=total > 0)
     return out
-
-
-def _shares(information: F64) -> F64:
-    """Part (S, ...) of the sum over S spans that each span has."""
-    total = information.sum(axis=0)
-    return np.asarray(
-        np.divide(information, total, out=np.zeros_like(information), where=total > 0)
-    )
 
 
 def _of_chains(mixed: F64, columns: Int, chains: Chains) -> F64:
@@ -253,14 +279,13 @@ class _Response:
         return np.asarray(-self.weights.joint @ self.z_x.T)
 
     def to(self, pulls: Pulls) -> tuple[F64, F64, F64]:
-        """Changes (E, J) of x, (U, E, 15) of y for known x and z, and (E, Z) of z."""
-        pull = pulls.x + np.einsum("uei,uij->ej", pulls.y, self.lean)
+        """Changes (E, J) of x for known z, (U, E, 15) of y for known x and z, and (E, Z) of z."""
+        dx = (pulls.x + np.einsum("uei,uij->ej", pulls.y, self.lean)) @ self.weights.joint
         rest = pulls.z - np.einsum("uei,uiz->ez", pulls.y, self.own_z)
-        dz = (rest - pull @ self.weights.joint @ self.z_x.T) @ self.inverse_z
-        return (pull - dz @ self.z_x) @ self.weights.joint, pulls.y @ self.weights.own, dz
+        return dx, pulls.y @ self.weights.own, (rest - dx @ self.z_x.T) @ self.inverse_z
 
 
-def disturbed(weights: ArrowCovariance, info: MotionInformation) -> ArrowCovariance:
+def disturbed(weights: ArrowCovariance, info: MotionInformation) -> tuple[ArrowCovariance, float]:
     """The covariance of an estimate under the errors that the residuals show.
 
     What all SUs share beyond the joints (z) joins the joint part, behind the logs' coordinates.
@@ -268,46 +293,63 @@ def disturbed(weights: ArrowCovariance, info: MotionInformation) -> ArrowCovaria
     Args:
         weights: the inverse of the information on x and y for known z.
         info: the information and the errors.
+
+    Returns:
+        The covariance, and the variances that clusters show, over those that independent noise
+        would make, in the mean over the joints' coordinates.
     """
     response = _Response.of(weights, info)
     known = _of_priors(response, info)
-    seen = _variances(response, info.errors)
-    drawn = [_variances(response, each) for each in info.draws]
-    expected = tuple(np.mean(each, axis=0) for each in zip(*drawn, strict=True))
-    shares = (*info.shares, info.shares_z)
-    by_joint, by_su, by_z = (info.lasting * r for r in _ratios(seen, expected, shares))
-    # What all share beyond a known robot is known before, rather than found.
-    by_z[: len(by_z) - info.n_further] = 1.0
+    by_joint, by_su, by_z = _widening(response, info)
     x_z, z = response.x_z, _scaled(response.inverse_z, known[2], by_z)
     apart = _scaled(weights.joint, known[0], by_joint)
     joint = np.block([[apart + x_z @ z @ x_z.T, x_z @ z], [z @ x_z.T, z]])
+    dx, dy, dz = response.to(info.defects)
+    lacking = np.hstack([dx + dz @ x_z.T, dz])
+    joint += lacking.T @ lacking
     J, Z, U = len(apart), len(z), len(weights.own)
     columns = np.concatenate([weights.columns, np.tile(J + np.arange(Z), (U, 1))], axis=1)
     lean = np.concatenate([weights.lean, -response.own_z], axis=2)
-    return ArrowCovariance(joint, columns, lean, _scaled(weights.own, known[1], by_su))
+    own = _scaled(weights.own, known[1], by_su) + np.einsum("uei,uej->uij", dy, dy)
+    told = np.diag(weights.joint) > 0
+    widening = float(by_joint[told].mean()) if told.any() else 1.0
+    return ArrowCovariance(joint, columns, lean, own), widening
+
+
+def _widening(response: _Response, info: MotionInformation) -> tuple[F64, F64, F64]:
+    """By how much larger variances (J,), (U, 15) and (Z,) are than those of the weights."""
+    of_place, of_time = (_ratios(response, info, kind) for kind in info.kinds)
+    x, y, z = (np.maximum(*both) for both in zip(of_place, of_time, strict=True))
+    return x, y, z
 
 
 def _variances(response: _Response, pulls: Pulls) -> tuple[F64, F64, F64]:
-    """Variances (J,) of x, (U, 15) of y for known x and z, and (Z,) of z, under errors."""
+    """Variances (J,) of x for known z, (U, 15) of y for known x and z, and (Z,) of z."""
     dx, dy, dz = response.to(pulls)
     return (dx**2).sum(axis=0), (dy**2).sum(axis=1), (dz**2).sum(axis=0)
 
 
-def _ratios(
-    seen: tuple[F64, ...], expected: tuple[F64, ...], shares: tuple[F64, ...]
-) -> tuple[F64, ...]:
-    """By how much the variance of each coordinate exceeds that under independent noise."""
+def _ratios(response: _Response, info: MotionInformation, kind: slice) -> list[F64]:
+    """By how much variances under the errors of clusters exceed those under independent noise.
+
+    Args:
+        response: how coordinates answer to errors.
+        info: the errors.
+        kind: which of them.
+    """
+    seen = _variances(response, info.errors.of(kind))
+    drawn = [_variances(response, each.of(kind)) for each in info.draws]
     out = []
-    for s, e, share in zip(seen, expected, shares, strict=True):
-        ratio = np.divide(s, e, out=np.full(s.shape, np.nan), where=e > 1e-300)
-        known = np.isfinite(ratio)
+    for i, share in enumerate(info.shares):
+        expected = np.mean([each[i] for each in drawn], axis=0)
+        known = expected > 1e-300
+        ratio = np.divide(seen[i], expected, out=np.ones_like(expected), where=known)
         # Joints feel what all SUs beyond them share, each SU its own noise as well.
-        common = float(np.median(ratio[known])) if known.any() else 1.0
-        count = 1 / np.maximum((share**2).sum(axis=0), 1e-12)
-        count = np.where(known & (share.sum(axis=0) > 0), count, 0.0)
-        own = np.where(known, ratio, common)
-        out.append((_COMMON * common + count * own) / (_COMMON + count))
-    return tuple(out)
+        common = float(ratio[known].mean()) if known.any() else 1.0
+        count = 1 / np.maximum((share[kind] ** 2).sum(axis=0), 1e-12)
+        count = np.where(known & (share[kind].sum(axis=0) > 0), count, 0.0)
+        out.append((_COMMON * common + count * ratio) / (_COMMON + count))
+    return out
 
 
 def _scaled(covariance: F64, known: F64, ratio: F64) -> F64:
@@ -327,7 +369,7 @@ def _scaled(covariance: F64, known: F64, ratio: F64) -> F64:
 
 
 def _of_priors(response: _Response, info: MotionInformation) -> tuple[F64, F64, F64]:
-    """Variances (J,), (U, 15) and (Z,) that come from what was known before."""
+    """Variances as of :func:`_variances` that come from what was known before."""
     U, Q, _ = info.prior_y.shape
     J = info.shared_joint.shape[1]
     joint, own = np.zeros(J), np.zeros((U, N_SU))

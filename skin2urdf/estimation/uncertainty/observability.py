@@ -58,6 +58,8 @@ class Observability:
         hidden_rotation: standard deviation per axis of the rotation of an SU's frame that
             cross-axis errors hide [rad]; part of ``su_covariance`` and ``covariance``.
         covariance: covariance of all coordinates.
+        widening: by how much variances exceed those that independent noise would make, in the mean
+            over the joints.
     """
 
     su_covariance: F64
@@ -69,6 +71,7 @@ class Observability:
     rank: int
     hidden_rotation: float
     covariance: ArrowCovariance
+    widening: float
 
     def __post_init__(self) -> None:
         for name in ("su_covariance", "joint_covariance"):
@@ -103,8 +106,8 @@ def observability(estimate: Estimate, along: MotionInformation | None = None) ->
         return _judged(subject, along.equations, lambda w: disturbed(w, along), 1.0, hidden)
     scale = max(1.0, estimate.cost_per_dof)
 
-    def widened(weights: ArrowCovariance) -> ArrowCovariance:
-        return with_shared_errors(weights, estimate.cost, estimate.state).scaled(scale)
+    def widened(weights: ArrowCovariance) -> tuple[ArrowCovariance, float]:
+        return with_shared_errors(weights, estimate.cost, estimate.state).scaled(scale), scale
 
     return _judged(subject, _of_the_data(estimate), widened, scale, hidden)
 
@@ -146,7 +149,7 @@ def observability_along(subject: Subject, along: MotionInformation) -> Observabi
 def _judged(
     subject: Subject,
     equations: NormalEquations,
-    widened: Callable[[ArrowCovariance], ArrowCovariance],
+    widened: Callable[[ArrowCovariance], tuple[ArrowCovariance, float]],
     scale: float,
     hidden_by: Callable[[ArrowCovariance], float],
 ) -> Observability:
@@ -155,7 +158,8 @@ def _judged(
     Args:
         subject: the estimate.
         equations: information of the data.
-        widened: makes the covariance out of that of the weights.
+        widened: makes the covariance out of that of the weights, and tells by how much larger
+            variances are.
         scale: variances over those of the weights, for what counts as open.
         hidden_by: tells the rotation that cross-axis errors hide [rad] from the covariance.
     """
@@ -187,7 +191,7 @@ def _judged(
     # The antisymmetric part of a cross-axis error is a rotation of the sensor's frame: it can not
     # be seen, and is as large as the symmetric part.
     weights = ArrowCovariance(joint_inverse, columns, lean, inverse)
-    full = widened(weights)
+    full, widening = widened(weights)
     hidden = hidden_by(full)
     turns = np.zeros(N_SU)
     turns[3:N_PLACEMENT] = hidden**2
@@ -213,6 +217,7 @@ def _judged(
         rank=rank,
         hidden_rotation=hidden,
         covariance=covariance,
+        widening=widening,
     )
 
 

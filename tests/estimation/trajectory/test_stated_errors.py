@@ -1,0 +1,184 @@
+"""Stated errors hold where a robot has what no model of it has, and are not wide where it has not.
+
+Motions are Pinocchio's, of a robot with inertias on two more joints below its base.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from scipy.spatial.transform import Rotation
+from synthetic import RATE, random_state, sampled_trajectory, serial_tree
+
+from skin2urdf.arrays import F64
+from skin2urdf.estimation.problem.cost import Priors
+from skin2urdf.estimation.problem.state import State, identifiable
+from skin2urdf.estimation.trajectory.clusters import CLUSTERS, clusters
+from skin2urdf.estimation.trajectory.estimate import MotionEstimate, estimate_along, motion_priors
+from skin2urdf.estimation.uncertainty.observability import (
+    Observability,
+    Subject,
+    aligned_deviations,
+    observability_along,
+)
+from skin2urdf.model.kinematics import to_pinocchio
+from skin2urdf.signals.filters import first_derivative, second_derivative
+
+_TREE = serial_tree(3)
+_UP = np.array([0.0, 0.0, 1.0])
+_PERIOD, _DEPTH = 10.0, 0.3
+_CONFIGURATIONS = np.random.default_rng(6).uniform(-1.0, 1.0, (40, 3))
+
+
+@cache
+def _truth() -> State:
+    state = random_state(np.random.default_rng(3), _TREE, 1, 0.3)
+    return replace(state, up=_UP[None])
+
+
+def _positions(repeated: int) -> F64:
+    """(N, 3) what encoders say: all joints at once, again and again."""
+    rng = np.random.default_rng(4)
+    t = np.arange(round(_PERIOD * repeated * RATE)) / RATE
+    k = np.arange(1, 13)
+    phase, size = rng.uniform(0, 6, (12, 3)), rng.normal(size=(12, 3)) / np.sqrt(k)[:, None]
+    q = np.sin(2 * np.pi / _PERIOD * k[:, None] * t[:, None, None] + phase) * size
+    return np.asarray(0.5 * q.sum(axis=1))
+
+
+def _of_the_place(q: F64, size: float) -> F64:
+    """(N, 3, 3) [m/s^2] that sensors read in excess, by where the robot is and nothing else."""
+    rng = np.random.default_rng(5)
+    waves, phase = 4.0 * rng.standard_normal((8, 3)), rng.uniform(0, 6, 8)
+    share = rng.standard_normal((8, 3, 3)) / 2
+    return np.asarray(size * np.einsum("nw,wuc->nuc", np.sin(q @ waves.T + phase), share))
+
+
+def _read(q: F64, compliance: float) -> F64:
+    """(N, 3, 3) readings of links on a base that turns by moments about a point below it."""
+    truth = _truth()
+    plain = to_pinocchio(truth.model(_TREE))
+    model, below = pin.Model(), pin.SE3(np.eye(3), np.array([0.0, 0.0, -_DEPTH]))
+    model.addJoint(0, pin.JointModelRX(), below, "about x")
+    model.addJoint(1, pin.JointModelRY(), pin.SE3.Identity(), "about y")
+    for j, at in enumerate(plain.jointPlacements[1:]):
+        model.addJoint(
+            j + 2, pin.JointModelRZ(), below.inverse() * at if j == 0 else at, f"joint {j}"
+        )
+    for j, mass in enumerate((12.0, 8.0, 3.0)):
+        middle = 0.5 * plain.jointPlacements[j + 2].translation if j < 2 else np.full(3, 0.05)
+        model.inertias[j + 3] = pin.Inertia(mass, middle, 0.02 * mass * np.eye(3))
+    frames = [
+        model.addFrame(pin.Frame(f"su {u}", u + 3, pin.SE3(T), pin.FrameType.OP_FRAME))
+        for u, T in enumerate(truth.T_joint_su)
+    ]
+    data, tilt = model.createData(), np.zeros((len(q), 2))
+    for _ in range(2):
+        x = np.hstack([tilt, q])
+        motion = x, first_derivative(x, RATE), second_derivative(x, RATE)
+        moments = np.array([pin.rnea(model, data, *each)[:2] for each in zip(*motion, strict=True)])
+        tilt = -compliance * moments
+    ideal = np.empty((len(q), 3, 3))
+    for n, each in enumerate(zip(*motion, strict=True)):
+        pin.forwardKinematics(model, data, *each)
+        pin.updateFramePlacements(model, data)
+        for u, frame in enumerate(frames):
+            a = pin.getFrameClassicalAcceleration(model, data, frame, pin.ReferenceFrame.LOCAL)
+            ideal[n, u] = a.linear + data.oMf[frame].rotation.T @ (9.81 * _UP)
+    read = np.einsum("uij,kuj->kui", truth.sensor_matrix(), ideal) + truth.bias
+    return np.asarray(read + 1e-2 * np.random.default_rng(2).standard_normal(read.shape))
+
+
+@cache
+def _found(
+    *, excess: float = 0.0, compliance: float = 0.0, repeated: int = 9
+) -> tuple[MotionEstimate, Observability]:
+    """A rigid robot on a rigid base, fitted to one that is not.
+
+    Args:
+        excess: what sensors read too much from place to place [m/s^2].
+        compliance: by how much the base turns [rad/(N m)].
+        repeated: how often the robot does the same.
+    """
+    q = _positions(repeated)
+    log = sampled_trajectory(q, _read(q, compliance) + _of_the_place(q, excess))
+    priors = motion_priors(Priors(), gravity=0.0, front=(np.zeros(2), np.zeros(2)))
+    found = estimate_along([log], _TREE, _truth(), priors, np.zeros(3), look_further=False)
+    return found, observability_along(_subject(found), found.information)
+
+
+def _subject(found: MotionEstimate) -> Subject:
+    q, free = found.problem.logs[0].q, identifiable(_TREE, 1, True)
+    # Turns of the SUs' own frames that cross-axis errors hide are not compared.
+    sensors = Priors(cross=0.0)
+    return Subject(_TREE, found.state, free, q, sensors, sensors)
+
+
+def _places(state: State, q: F64) -> F64:
+    """(C, 2, 3) where the SUs beyond the first joint are, whose places all readings tell."""
+    plain = to_pinocchio(state.model(_TREE))
+    data, out = plain.createData(), np.empty((len(q), 2, 3))
+    for n, each in enumerate(q):
+        pin.framesForwardKinematics(plain, data, each)
+        for u in (1, 2):
+            at = plain.getFrameId(_TREE.su_names[u])
+            out[n, u - 1] = data.oMf[at].translation
+    return out
+
+
+def _stated(found: MotionEstimate, seen: Observability) -> float:
+    """Error of the SUs' places to expect, root mean square [m]."""
+    stated, _ = aligned_deviations(_subject(found), seen, _CONFIGURATIONS)
+    return float(np.sqrt((stated[1:] ** 2).mean()))
+
+
+def _true(found: MotionEstimate) -> float:
+    """The same as it is; one rigid transform aligns all."""
+    both = (_places(state, _CONFIGURATIONS).reshape(-1, 3) for state in (_truth(), found.state))
+    true, is_ = (x - x.mean(axis=0) for x in both)
+    turned = Rotation.align_vectors(true, is_)[0].apply(is_)
+    return float(np.sqrt(((turned - true) ** 2).sum(axis=1).mean()))
+
+
+def test_nothing_is_widened_where_nothing_is_lacking() -> None:
+    found, seen = _found()
+    assert 0.6 < seen.widening < 1.4
+    assert 0.4 < _true(found) / _stated(found, seen) < 2
+
+
+@pytest.mark.parametrize("compliance", [3e-6, 1e-5])
+def test_stated_errors_hold_a_base_that_gives_way_unseen(compliance: float) -> None:
+    found, seen = _found(compliance=compliance)
+    assert found.misfit < 1.1
+    assert _true(found) > 2 * _true(_found()[0])
+    assert 0.5 < _true(found) / _stated(found, seen) < 2
+
+
+def test_errors_that_come_back_with_the_motion_do_not_average_out() -> None:
+    by_noise, by_place = (
+        [_stated(*_found(excess=excess, repeated=n)) for n in (3, 9)] for excess in (0.0, 1e-2)
+    )
+    np.testing.assert_allclose(by_noise[1] / by_noise[0], 3**-0.5, rtol=0.25)
+    assert by_place[1] / by_place[0] > 0.85
+    assert _found(excess=1e-2)[1].widening > 2
+
+
+def test_samples_at_one_place_and_neighbours_in_time_are_one_cluster() -> None:
+    repeated = 9
+    q = _positions(repeated)
+    log = sampled_trajectory(q, np.zeros((len(q), 3, 3)))
+    (one, other) = clusters(_TREE, [log, log])
+    assert one.shape == other.shape == (2, len(log.kept))
+    assert len(np.unique([one[0], other[0]])) == CLUSTERS
+    assert len(np.unique([one[1], other[1]])) == CLUSTERS
+    assert not set(np.r_[one[0], other[0]]) & set(np.r_[one[1], other[1]])
+    # Both logs are of the same motion, and each of them of the same one again and again.
+    assert (one[0] == other[0]).all()
+    period = round(_PERIOD / float(np.median(np.diff(log.time))))
+    assert np.mean(one[0][period:] == one[0][:-period]) > 0.75
+    assert (np.diff(one[1]) >= 0).all()
+    assert one[1].max() < other[1].min()

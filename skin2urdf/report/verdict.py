@@ -20,13 +20,13 @@ _NAMED = 3
 
 
 DoubtKind = Literal[
-    "faults", "soft base", "SUs misfit", "poses misfit", "prediction", "errors come back", "sensors",
-    "weak joints", "open limbs", "joints open", "SUs open",
+    "faults", "soft base", "SUs misfit", "poses misfit", "prediction", "errors come back",
+    "sensors", "weak joints", "open limbs", "joints open", "SUs open",
 ]  # fmt: skip
 """What speaks against a result: things found wrong, a base that gives way, SUs and poses that fit
 worse than the rest, poses that are predicted worse than stated, what is left of the readings and
-comes back with the motion, sensors that are worse than the options say, axes that are known weakly, limbs whose places are open, and what of the joints and
-SUs the log does not determine."""
+comes back with the motion, sensors that are worse than the options say, axes that are known weakly,
+limbs whose places are open, and what of the joints and SUs the log does not determine."""
 
 
 @dataclass(frozen=True)

@@ -158,7 +158,7 @@ class Layouts:
         rows, others = None, np.zeros(0, np.int64)
         if not same.all():
             rows, others = np.flatnonzero(same), np.flatnonzero(~same)
-            if rows.size < count // 2:
+            if rows.size < max(1, count // 2):
                 return None
             channel, stamp, log_time, at = channel[rows], stamp[rows], log_time[rows], at[rows]
         vector, rates = _vectors(block, at)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from skin2urdf.notes import of_reading
-from skin2urdf.recording.framing import walk
+from skin2urdf.recording.framing import BATCH, walk
 from skin2urdf.recording.reading import inventory, read
 
 MESSAGE, INDEX = 5, 7
@@ -57,6 +57,19 @@ def test_records_in_a_row_are_those_that_stepping_finds(seed: int) -> None:
     assert messages == [at for kind, at in expected if kind == MESSAGE]
     assert indexes == [at for kind, at in expected if kind == INDEX]
     assert stop <= len(data) < stop + 400
+
+
+def test_one_message_alone_may_be_unlike_those_before_it(make_log: Any) -> None:
+    """The first of the next batch, of another frame whose name is as long."""
+    log = make_log(use_chunking=False)
+    for k in range(BATCH):
+        if k % 100 == 0:
+            log.joints(10**18 + k * 10**6, {"elbow": np.sin(0.01 * k)})
+        else:
+            log.imu(10**18 + k * 10**6, [0.5 * k, 0.0, 1.0], frame="hand", topic="/imu")
+    log.imu(10**18 + BATCH * 10**6, [1.0, 0.0, 0.0], frame="palm", topic="/imu")
+    (su,) = read(log.close()).sus
+    assert len(su.time) == BATCH - -(-BATCH // 100)
 
 
 def test_messages_unlike_those_before_them_are_read_with_care(make_log: Any) -> None:

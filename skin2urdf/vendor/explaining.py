@@ -139,9 +139,10 @@ def _cause(kept: Explained, correction: Correction) -> Explained:
     zeros = other_zeros(specimen)
     settled = bool(zeros.offsets) and zeros.settles(least)
     # Zeros beside which placements are off by more than is common hide a joint that sits elsewhere.
-    if settled and not strange(zeros):
+    if settled and zeros.fits and not strange(zeros):
         return _allowed(zeros, kept, correction)
-    if specimen.fits and (elsewhere := placed_otherwise(specimen)) is not None:
+    # So do zeros that leave what is no noise.
+    if (specimen.fits or settled) and (elsewhere := placed_otherwise(specimen)) is not None:
         return _allowed_elsewhere(*elsewhere, kept, correction)
     if settled:
         return _allowed(zeros, kept, correction)

@@ -226,8 +226,10 @@ def _recorded(
     up: F64,
     rng: np.random.Generator,
 ) -> Recording:
-    """What is recorded of a motion, at times without scatter: that of stamps is smoothed when a
-    log is read."""
+    """What is recorded of a motion, at times without scatter.
+
+    That of stamps is smoothed when a log is read.
+    """
     tree = model.tree
     columns = places_of(tree.joint_names, motion.joint_names)
     end = motion.duration
@@ -246,9 +248,6 @@ def _recorded(
         joints=tuple(
             JointStream(name, joint_time, counted[:, d]) for d, name in enumerate(tree.joint_names)
         ),
-        sus=tuple(
-            SuStream(name, t, read[:, u])
-            for u, name in enumerate(tree.su_names)
-        ),
+        sus=tuple(SuStream(name, t, read[:, u]) for u, name in enumerate(tree.su_names)),
         source="the plan",
     )

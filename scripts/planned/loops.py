@@ -21,6 +21,7 @@ from skin2urdf.planning.files import rounded
 from skin2urdf.planning.kinematics import PlacedSu, kinematic_model
 from skin2urdf.planning.plan import make_plan
 from skin2urdf.planning.records import PlanSettings
+from skin2urdf.recording.writing import write
 from skin2urdf.simulation import GRADES, Simulation, SimulationSettings, load_robot, simulate
 from skin2urdf.simulation.mechanism import load_mechanism
 
@@ -127,12 +128,18 @@ def perform(case: Case) -> Figures:
 
 
 def judged(simulation: Simulation) -> Judged:
-    """Calibrate a recording, and hold what it states against the truth."""
+    """Calibrate a recording from its file, as users do, and hold what is stated against the truth.
+
+    Stamps that scatter are smoothed where a file is read, and not in a recording in memory.
+    """
     plain = Judged(simulation.recording.duration)
-    try:
-        found = calibrate(simulation.recording, CalibrationSettings(gravity_deviation=ANOMALY))
-    except Skin2UrdfError as error:
-        return replace(plain, verdict=str(error).splitlines()[0])
+    with tempfile.TemporaryDirectory() as folder:
+        log = Path(folder) / "log.mcap"
+        write(simulation.recording, log)
+        try:
+            found = calibrate(log, CalibrationSettings(gravity_deviation=ANOMALY))
+        except Skin2UrdfError as error:
+            return replace(plain, verdict=str(error).splitlines()[0])
     verdicts = dict(zip(found.model.tree.su_names, found.observability.su_verdict, strict=True))
     known = np.array([verdict != _OPEN for verdict in verdicts.values()])
     low, high = found.limits.T

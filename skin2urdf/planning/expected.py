@@ -61,7 +61,6 @@ class Sensors:
         rate: readings per second [Hz].
         joint_rate: joint states per second [Hz].
         encoder_step: (revolute, prismatic) size of one count [rad, m].
-        jitter: scatter of time stamps [s]; that of a computer which stamps what arrives.
     """
 
     name: str
@@ -73,7 +72,6 @@ class Sensors:
     rate: float = 500.0
     joint_rate: float = 250.0
     encoder_step: tuple[float, float] = (2 * np.pi / 2**17, 1e-6)
-    jitter: float = 1e-4
 
 
 class Grade(Protocol):
@@ -228,7 +226,10 @@ def _recorded(
     up: F64,
     rng: np.random.Generator,
 ) -> Recording:
-    """What is recorded of a motion."""
+    """What is recorded of a motion.
+
+    Stamps do not scatter: that is smoothed when a log is read.
+    """
     tree = model.tree
     columns = places_of(tree.joint_names, motion.joint_names)
     end = motion.duration
@@ -243,19 +244,10 @@ def _recorded(
     # Where counts begin is anywhere, so that a joint at rest in 0 is as rounded as any other.
     zero = rng.uniform(0.0, step)
     counted = np.round((motion.at(joint_time)[0][:, columns] + zero) / step) * step - zero
-    stamps = _stamped(joint_time, sensors.jitter, rng)
     return Recording(
         joints=tuple(
-            JointStream(name, stamps, counted[:, d]) for d, name in enumerate(tree.joint_names)
+            JointStream(name, joint_time, counted[:, d]) for d, name in enumerate(tree.joint_names)
         ),
-        sus=tuple(
-            SuStream(name, _stamped(t, sensors.jitter, rng), read[:, u])
-            for u, name in enumerate(tree.su_names)
-        ),
+        sus=tuple(SuStream(name, t, read[:, u]) for u, name in enumerate(tree.su_names)),
         source="the plan",
     )
-
-
-def _stamped(time: F64, jitter: float, rng: np.random.Generator) -> F64:
-    """(N,) increasing stamps that scatter about increasing times."""
-    return np.sort(time + jitter * rng.standard_normal(time.shape))

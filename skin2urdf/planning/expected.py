@@ -226,9 +226,9 @@ def _recorded(
     up: F64,
     rng: np.random.Generator,
 ) -> Recording:
-    """What is recorded of a motion, at times without scatter.
+    """What is recorded of a motion.
 
-    That of stamps is smoothed when a log is read.
+    Stamps do not scatter: that is smoothed when a log is read.
     """
     tree = model.tree
     columns = places_of(tree.joint_names, motion.joint_names)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -123,6 +123,9 @@ def estimate(
     blocks = feature_blocks(features, tree)
     cost = Cost(tree, blocks, settings.priors)
     free = _free(cost, settings)
+    if start is not None and not settings.intrinsics:
+        # Sensors are said to be exact, whatever an earlier estimate took them for.
+        start = replace(start, bias=np.zeros_like(start.bias), shape=np.zeros_like(start.shape))
     if search or start is None:
         _check_amount(cost, free)
     else:

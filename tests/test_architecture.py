@@ -45,6 +45,7 @@ LAYERS: dict[str, tuple[str, ...]] = {
         "signals.records",
         "signals.information",
         "signals.encoder_noise",
+        "signals.motion",
         "signals.trajectory",
         "signals.stretches",
         "signals.filters",

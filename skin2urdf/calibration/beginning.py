@@ -31,12 +31,8 @@ from skin2urdf.estimation.trajectory.publishers import likelihood
 from skin2urdf.hypotheses.encoder import Corrected, evident_errors
 from skin2urdf.recording.records import Recording
 from skin2urdf.signals.encoders import corrected
-from skin2urdf.signals.publishers import (
-    joint_clocks,
-    on_one_clock,
-    publishers_beyond_first,
-    together,
-)
+from skin2urdf.signals.motion import publishers_beyond_first
+from skin2urdf.signals.publishers import joint_clocks, on_one_clock, together
 from skin2urdf.signals.records import Features, JointClock
 from skin2urdf.signals.sampling import Sampled
 
@@ -157,7 +153,7 @@ def _first_estimate(
 
 def _has_several(sampled: Sequence[Sampled]) -> bool:
     """Whether several publishers move joints in any of the logs."""
-    return any(publishers_beyond_first(s.motion) for s in sampled)
+    return any(publishers_beyond_first(s.motion.publisher, s.motion.moved) for s in sampled)
 
 
 def _look(begun: Beginning, clock: Clock) -> MotionEstimate | None:

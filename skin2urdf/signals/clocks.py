@@ -28,7 +28,10 @@ from skin2urdf.signals.motion import Motion
 from skin2urdf.signals.records import SuClock
 from skin2urdf.signals.stretches import (
     EVERY,
+    FEWEST,
     MODEL,
+    SAMPLES,
+    SIGNIFICANT,
     STRETCH,
     Heard,
     Integral,
@@ -43,8 +46,6 @@ LARGEST_OFFSET = 2.0
 """Offset of a clock that is looked for [s]."""
 LARGEST_DRIFT = 0.01
 """Drift of a clock that is looked for."""
-_FEWEST = 3
-"""Stretches, and values in them that are not the motion's own, from which a line is known."""
 _LEAST_LEFT = 1e-3
 """Share of a stretch's energy that is left beside linear motion at the least."""
 _PRIOR_FREEDOM = 4.0
@@ -52,8 +53,6 @@ _PRIOR_FREEDOM = 4.0
 line: few moves scatter little about any line, and slow ones over large angles share one error."""
 MEDIAN_OF_SQUARES = 0.455
 """Median of the square of a standard normal variable."""
-_SIGNIFICANT = 4.0
-"""Standard deviations from which an offset or a drift is no chance."""
 _LEAST_OFFSET = 5e-3
 """Offset [s] below which the search around the poses finds it as well, and better."""
 _LEAST_BEND = 5e-4
@@ -66,8 +65,6 @@ _SETTLED = 2e-4
 """Change of lags from one pass to the next that is none [s]."""
 _VAGUE = 0.01
 """Deviation of a latency [s] from which it is worth another look."""
-_SAMPLES = 8
-"""Samples of a stream that may tell anything."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,7 +95,7 @@ def su_clocks(sus: Sequence[SuStream], motion: Motion) -> tuple[SuClock, ...]:
     found = stretches(motion)
     grid = motion.grid
     middle = grid.start + (grid.size - 1) / (2 * grid.rate)
-    sus_heard = [su for su in sus if len(su.time) >= _SAMPLES]
+    sus_heard = [su for su in sus if len(su.time) >= SAMPLES]
     clocks = _clocks(sus_heard, motion, found, middle)
     vague = [u for u, clock in enumerate(clocks) if clock.latency_sd > _VAGUE]
     rough = _by_commotion([sus_heard[u] for u in vague], motion, middle)
@@ -119,7 +116,7 @@ def _clocks(
     clocks = [SuClock(su.name, 0.0, np.inf, 0.0, np.inf, middle) for su in sus]
     rate, span = motion.grid.rate / EVERY, motion.grid.size / motion.grid.rate
     reach, steep, open_ = LARGEST_OFFSET, LARGEST_DRIFT, list(range(len(sus)))
-    looked_at = stretches[::2] if len(stretches) >= 4 * _FEWEST else stretches
+    looked_at = stretches[::2] if len(stretches) >= 4 * FEWEST else stretches
     for _ in range(_PASSES):
         means = [means_of(sus[u], clocks[u], motion) for u in open_]
         readings = np.stack([values for values, _ in means], axis=1)
@@ -181,14 +178,14 @@ def _of_one(su: SuStream, motion: Motion, regressors: F64, middle: float) -> SuC
 
 def _by_few(freedom: float) -> float:
     """Factor that makes deviations with few degrees of freedom as significant as normal ones."""
-    return float(stdtrit(freedom, float(ndtr(_SIGNIFICANT)))) / _SIGNIFICANT
+    return float(stdtrit(freedom, float(ndtr(SIGNIFICANT)))) / SIGNIFICANT
 
 
 def _is_off(clock: SuClock, motion: Motion) -> bool:
     """Whether a clock is off significantly, and by more than the poses' own search mends."""
     half = motion.grid.size / motion.grid.rate / 2
-    late = abs(clock.latency) > max(_LEAST_OFFSET, _SIGNIFICANT * clock.latency_sd)
-    least = max(_LEAST_BEND / half, _SIGNIFICANT * clock.drift_sd)
+    late = abs(clock.latency) > max(_LEAST_OFFSET, SIGNIFICANT * clock.latency_sd)
+    least = max(_LEAST_BEND / half, SIGNIFICANT * clock.drift_sd)
     return late or abs(clock.drift) > least
 
 
@@ -209,8 +206,8 @@ def _groups(clocks: Sequence[SuClock]) -> list[list[SuClock]]:
 
 def _agree(a: SuClock, b: SuClock) -> bool:
     """Whether chance may make two clocks as different as they are."""
-    late = abs(a.latency - b.latency) <= _SIGNIFICANT * float(np.hypot(a.latency_sd, b.latency_sd))
-    fast = abs(a.drift - b.drift) <= _SIGNIFICANT * float(np.hypot(a.drift_sd, b.drift_sd))
+    late = abs(a.latency - b.latency) <= SIGNIFICANT * float(np.hypot(a.latency_sd, b.latency_sd))
+    fast = abs(a.drift - b.drift) <= SIGNIFICANT * float(np.hypot(a.drift_sd, b.drift_sd))
     return late and fast
 
 
@@ -276,7 +273,7 @@ def _lines(
     out: list[_Line | None] = []
     for u in range(U):
         use = counted[:, u]
-        if use.sum() < _FEWEST or free[use, u].sum() < _FEWEST:
+        if use.sum() < FEWEST or free[use, u].sum() < FEWEST:
             out.append(None)
             continue
         score = scores[use, :, u]
@@ -311,7 +308,7 @@ def _refined(time: F64, score: F64, lags: F64, offset: float, drift: float) -> _
         peaks.append(lags[i] + 0.5 * step * (before - after) / bend)
         weights.append(values * rise / (here - MODEL + _LEAST_LEFT))
         rows.append(w)
-    if len(rows) < _FEWEST:
+    if len(rows) < FEWEST:
         return None
     x, y, certain = time[rows], np.array(peaks), np.array(weights)
     X = np.stack([np.ones_like(x), x], axis=1)

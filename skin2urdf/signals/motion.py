@@ -145,6 +145,22 @@ def joint_motion(recording: Recording, dof_names: Sequence[str] | None = None) -
     )  # fmt: skip
 
 
+def publishers_beyond_first(publisher: Int, moves: Bool) -> list[Int]:
+    """Joints of each publisher but the one that most moving joints have, by number.
+
+    Joints that keep still show no clock.
+
+    Args:
+        publisher: (D,) number of each joint's publisher, -1 for none.
+        moves: (D,) joints that move.
+    """
+    numbers, counts = np.unique(publisher[moves & (publisher >= 0)], return_counts=True)
+    if len(numbers) < 2:
+        return []
+    first = numbers[counts.argmax()]
+    return [np.flatnonzero(publisher == number) for number in numbers if number != first]
+
+
 def _publisher(heads: list[F64], time: F64) -> int:
     """Number of the publisher that stamps as some earlier one did; of a new one where none did.
 

@@ -23,10 +23,13 @@ from skin2urdf.errors import InsufficientDataError
 from skin2urdf.recording.records import JointStream, Recording
 from skin2urdf.signals.clocks import LARGEST_DRIFT, LARGEST_OFFSET
 from skin2urdf.signals.filters import Spline
-from skin2urdf.signals.motion import Motion, joint_motion
+from skin2urdf.signals.motion import Motion, joint_motion, publishers_beyond_first
 from skin2urdf.signals.records import JointClock, SuClock
 from skin2urdf.signals.stretches import (
     EVERY,
+    FEWEST,
+    SAMPLES,
+    SIGNIFICANT,
     Heard,
     best_line,
     binned,
@@ -41,26 +44,6 @@ LARGEST_LAG = 1.0
 _CERTAIN = 10.0
 """Logarithm of the likelihood that a lag has to gain for each number of its line, offset and drift,
 which chance does once in 20,000; sound recordings gain nothing."""
-_SIGNIFICANT = 4.0
-"""Standard deviations from which an offset or a drift is no chance."""
-_FEWEST = 3
-"""Stretches from which the line of an SU is known."""
-_SAMPLES = 8
-"""Samples of a stream that may tell anything."""
-
-
-def publishers_beyond_first(motion: Motion) -> list[Int]:
-    """Joints of each publisher but the one that most moving joints have, by number.
-
-    Joints that keep still show no clock.
-    """
-    numbers, counts = np.unique(
-        motion.publisher[motion.moved & (motion.publisher >= 0)], return_counts=True
-    )
-    if len(numbers) < 2:
-        return []
-    first = numbers[counts.argmax()]
-    return [np.flatnonzero(motion.publisher == number) for number in numbers if number != first]
 
 
 def joint_clocks(recording: Recording) -> tuple[JointClock, ...]:
@@ -82,8 +65,8 @@ def joint_clocks(recording: Recording) -> tuple[JointClock, ...]:
         motion = joint_motion(recording)
     except InsufficientDataError:
         return ()
-    sus = [su for su in recording.sus if len(su.time) >= _SAMPLES]
-    others = publishers_beyond_first(motion)
+    sus = [su for su in recording.sus if len(su.time) >= SAMPLES]
+    others = publishers_beyond_first(motion.publisher, motion.moved)
     if not others or not sus:
         return ()
     middle = motion.grid.start + (motion.grid.size - 1) / (2 * motion.grid.rate)
@@ -165,8 +148,8 @@ def all_that_are_off(
         tuple(
             clock
             for clock in together(first, then)
-            if abs(clock.latency) > _SIGNIFICANT * clock.latency_sd
-            or abs(clock.drift) > _SIGNIFICANT * clock.drift_sd
+            if abs(clock.latency) > SIGNIFICANT * clock.latency_sd
+            or abs(clock.drift) > SIGNIFICANT * clock.drift_sd
         )
         for first, then in zip(one, other, strict=True)
     )
@@ -189,7 +172,7 @@ def _line(motion: Motion, joints: Int, readings: F64, valid: Bool) -> tuple[floa
         return None
     lags, time, rows = profile.lags, profile.time, np.arange(len(profile.time))
     total = np.zeros((len(time), len(own)))
-    for u in np.flatnonzero(profile.counted.sum(axis=0) >= _FEWEST):
+    for u in np.flatnonzero(profile.counted.sum(axis=0) >= FEWEST):
         use, weight = profile.counted[:, u], profile.free[:, u, None]
         score = weight[..., None] * profile.score[..., u]
         if not weight[use].any():

@@ -27,6 +27,12 @@ a pattern of 2 Hz, and several patterns and rests lie in it."""
 MODEL = 0.02
 """Share of a stretch's energy that linear motion leaves at the right lag: second-order effects of
 patterns by 0.15 rad. It bounds how much one stretch can say."""
+FEWEST = 3
+"""Stretches, and values in them that are not the motion's own, from which a line is known."""
+SIGNIFICANT = 4.0
+"""Standard deviations from which an offset or a drift is no chance."""
+SAMPLES = 8
+"""Samples of a stream that may tell anything."""
 _COLUMNS = 40
 """Most dimensions of the joints' motion in a stretch that are kept, the largest."""
 _FELT = 0.05

@@ -73,6 +73,17 @@ def test_a_way_through_the_robot_is_seen(checker: CollisionChecker, limits: Limi
     assert all(checker.is_path_free(piece) for piece in way)
 
 
+def _path_free(checker: CollisionChecker, piece: JointTrajectory, n_poses: int) -> bool:
+    """Whether a piece's path is said to be free, which all poses along it have to agree with."""
+    along = piece.at(np.linspace(0.0, piece.duration, n_poses))[0]
+    free = checker.is_path_free(piece)
+    if free:
+        assert not any(checker.touches(q) for q in along)
+    else:
+        assert not all(checker.is_free(q) for q in along)
+    return free
+
+
 def test_ways_are_free_where_all_poses_along_them_are(
     checker: CollisionChecker, limits: Limits
 ) -> None:
@@ -83,13 +94,7 @@ def test_ways_are_free_where_all_poses_along_them_are(
     for start, goal in ends + rng.uniform(-0.3, 0.3, (40, 2, 3)).clip(-2.9 - ends, 2.9 - ends):
         if not (checker.is_free(start) and checker.is_free(goal)):
             continue
-        piece = transfer(start, goal, limits)
-        along = piece.at(np.linspace(0.0, piece.duration, 200))[0]
-        verdicts.append(checker.is_path_free(piece))
-        if verdicts[-1]:
-            assert not any(checker.touches(q) for q in along)
-        else:
-            assert not all(checker.is_free(q) for q in along)
+        verdicts.append(_path_free(checker, transfer(start, goal, limits), 200))
     assert 3 < sum(verdicts) < len(verdicts) - 3
 
 
@@ -104,12 +109,7 @@ def test_patterns_are_free_where_all_poses_along_them_are(
         pose = beside + rng.uniform(-0.2, 0.2, 3)
         size = rng.choice([-3.0, 3.0], 3) * rng.uniform(0.2, 1.0, 3)
         piece = pattern(pose, tones, size, 6.0, 0.5, limits)
-        along = piece.at(np.linspace(0.0, piece.duration, 2000))[0]
-        verdicts.append(checker.is_path_free(piece))
-        if verdicts[-1]:
-            assert not any(checker.touches(q) for q in along)
-        else:
-            assert not all(checker.is_free(q) for q in along)
+        verdicts.append(_path_free(checker, piece, 2000))
     assert 3 < sum(verdicts) < len(verdicts) - 3
 
 

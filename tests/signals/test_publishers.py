@@ -10,12 +10,11 @@ from simulated import simulation
 
 from skin2urdf.arrays import frozen
 from skin2urdf.recording.records import Recording
-from skin2urdf.signals.motion import joint_motion
+from skin2urdf.signals.motion import joint_motion, publishers_beyond_first
 from skin2urdf.signals.publishers import (
     all_that_are_off,
     joint_clocks,
     on_one_clock,
-    publishers_beyond_first,
     together,
 )
 from skin2urdf.signals.records import JointClock
@@ -40,11 +39,16 @@ def published_apart(
     return replace(recording, joints=joints)
 
 
+def _beyond_first(recording: Recording) -> list[tuple[str, ...]]:
+    motion = joint_motion(recording)
+    others = publishers_beyond_first(motion.publisher, motion.moved)
+    return [tuple(motion.dof_names[j] for j in joints) for joints in others]
+
+
 def test_joints_of_one_publisher_have_the_same_stamps() -> None:
-    motion = joint_motion(published_apart(simulation("ur5").recording, _WRIST, 0.0))
-    (wrist,) = publishers_beyond_first(motion)
-    assert tuple(motion.dof_names[j] for j in wrist) == _WRIST
-    assert publishers_beyond_first(joint_motion(simulation("ur5").recording)) == []
+    recording = simulation("ur5").recording
+    assert _beyond_first(published_apart(recording, _WRIST, 0.0)) == [_WRIST]
+    assert _beyond_first(recording) == []
 
 
 def test_a_joint_that_lacks_values_has_no_publisher_of_its_own() -> None:
@@ -52,7 +56,7 @@ def test_a_joint_that_lacks_values_has_no_publisher_of_its_own() -> None:
     first, *others = recording.joints
     kept = np.arange(len(first.time)) % 7 != 3
     short = replace(first, time=first.time[kept], position=first.position[kept])
-    assert publishers_beyond_first(joint_motion(replace(recording, joints=(short, *others)))) == []
+    assert _beyond_first(replace(recording, joints=(short, *others))) == []
 
 
 def test_a_sound_publisher_has_no_clock_to_set() -> None:
@@ -83,7 +87,7 @@ def test_a_late_publisher_is_set_right() -> None:
     clock = JointClock(_WRIST, 0.2, 0.0, 1e-3, 0.0, middle)
     for mended, true in zip(on_one_clock(late, [clock]).joints, plain.joints, strict=True):
         np.testing.assert_allclose(mended.time, true.time, atol=1e-9)
-    assert publishers_beyond_first(joint_motion(on_one_clock(late, [clock])))
+    assert _beyond_first(on_one_clock(late, [clock])) == [_WRIST]
 
 
 def test_what_is_left_of_a_clock_adds_to_what_was_found() -> None:

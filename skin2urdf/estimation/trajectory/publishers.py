@@ -22,7 +22,8 @@ from skin2urdf.estimation.trajectory.problem import MotionProblem
 from skin2urdf.estimation.trajectory.slack import size_of
 from skin2urdf.estimation.trajectory.state import MotionState
 from skin2urdf.estimation.trajectory.unseen import Unseen, together
-from skin2urdf.signals.stretches import best_line
+from skin2urdf.signals.motion import publishers_beyond_first
+from skin2urdf.signals.stretches import STRETCH, best_line
 from skin2urdf.signals.trajectory import Trajectory
 
 N_CLOCK = 2
@@ -38,8 +39,6 @@ _FARTHEST, _STEP = 1.0, 0.032
 pattern of 4 Hz, and a fraction of any move."""
 _STEEPEST = 0.01
 """Largest drift that is looked through."""
-_WINDOW = 8.0
-"""Length of the windows in which one lag stands for a drift [s]."""
 _LINEARISED = 3
 """Steps of a fit at most before positions are moved in time: the first does most."""
 _STEPS = 8
@@ -131,15 +130,10 @@ def with_publishers(
 
 
 def _others(log: Trajectory) -> list[Int]:
-    """Joints of each publisher but the one that has most of those that move."""
+    """Joints of each publisher whose clock may be off that of most joints."""
     if not len(log.publisher):
         return []
-    moves = log.moving.any(axis=0) & (log.publisher >= 0)
-    numbers, counts = np.unique(log.publisher[moves], return_counts=True)
-    if len(numbers) < 2:
-        return []
-    first = numbers[counts.argmax()]
-    return [np.flatnonzero(log.publisher == number) for number in numbers if number != first]
+    return publishers_beyond_first(log.publisher, np.asarray(log.moving.any(axis=0)))
 
 
 def _half(log: Trajectory) -> float:
@@ -224,7 +218,7 @@ def _looked_through(
     logs: Sequence[Trajectory] = problem.logs
     for c, (g, joints) in enumerate(clocks):
         log = logs[g]
-        size = max(1, round(_WINDOW * len(log.kept) / (2 * _half(log))))
+        size = max(1, round(STRETCH * len(log.kept) / (2 * _half(log))))
         first = np.arange(0, len(log.kept), size)
         left = []
         for lag in lags:
@@ -236,7 +230,7 @@ def _looked_through(
         square = np.moveaxis(np.array(left), 0, 1)  # (W, R, U)
         usual = np.median(square.min(axis=1), axis=0) + 1e-12
         score: F64 = -0.5 * np.log(1 + square / usual).sum(axis=2)
-        time: F64 = log.time[first] + 0.5 * _WINDOW - 0.5 * (log.time[0] + log.time[-1])
+        time: F64 = log.time[first] + 0.5 * STRETCH - 0.5 * (log.time[0] + log.time[-1])
         offset, drift = best_line(time, score, lags, _FARTHEST, _STEEPEST, 2 * _half(log))
         out[c] = offset, drift * _half(log)
         logs = _taken(logs, clocks[c : c + 1], out[c : c + 1])

@@ -6,7 +6,8 @@ in the order of Pinocchio's regressors: ten numbers for what each joint carries.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -16,6 +17,9 @@ from skin2urdf.estimation.trajectory.skeleton import N_HINGES, Skeleton
 from skin2urdf.model.kinematics import PinocchioTree
 from skin2urdf.signals.trajectory import Trajectory
 from skin2urdf.structure.records import KinematicTree
+
+if TYPE_CHECKING:
+    import pinocchio as pin
 
 N_INERTIAL = 10
 """Inertial parameters of a link."""
@@ -49,17 +53,8 @@ def regressors(
     import pinocchio as pin
 
     D = tree.n_joints
-    skeleton = Skeleton(tree, D + np.arange(N_HINGES if base else 0))
-    numbers, first = skeleton.numbers, len(skeleton.hinges)
-    built = PinocchioTree(skeleton.tree)
-    built.write_joints(skeleton.placements(state.T_parent_joint))
-    model = built.model
-    model.gravity.linear = -gravity * state.up[g]
-    data = model.createData()
-    still = np.zeros((len(log.q), max(0, D + first - log.q.shape[1])))
-    q, qd, qdd = (
-        np.ascontiguousarray(np.hstack([x, still])[:, numbers]) for x in (log.q, log.qd, log.qdd)
-    )
+    model, skeleton, (q, qd, qdd) = _dynamics(tree, state, g, gravity, log, base=base)
+    data, numbers, first = model.createData(), skeleton.numbers, len(skeleton.hinges)
     for begin in range(0, len(q), _AT_ONCE):
         at = slice(begin, min(begin + _AT_ONCE, len(q)))
         Y = np.empty((at.stop - begin, D + first, N_INERTIAL * D))
@@ -69,6 +64,53 @@ def regressors(
             # What hinges carry themselves stands still: its parameters show in nothing.
             Y[i, numbers] = of_all[:, N_INERTIAL * first :]
         yield Y, at
+
+
+def loads_of(
+    tree: KinematicTree,
+    state: State,
+    g: int,
+    gravity: float,
+    log: Trajectory,
+    inertias: Sequence[pin.Inertia],
+) -> F64:
+    """(N, D + 6) torques of joints, and loads of the base's hinges, by known bodies [N m or N].
+
+    Args:
+        tree: D joints.
+        state: placements, and gravity's direction per log.
+        g: number of the log.
+        gravity: its magnitude [m/s^2].
+        log: the motion of the links.
+        inertias: (D,) of what each joint carries, in its frame.
+    """
+    import pinocchio as pin
+
+    model, skeleton, motion = _dynamics(tree, state, g, gravity, log, base=True)
+    for j, inertia in enumerate(inertias):
+        model.inertias[len(skeleton.hinges) + j + 1] = inertia
+    data = model.createData()
+    out = np.empty_like(motion[0])
+    for n, at in enumerate(zip(*motion, strict=True)):
+        out[n, skeleton.numbers] = pin.rnea(model, data, *at)
+    return out
+
+
+def _dynamics(
+    tree: KinematicTree, state: State, g: int, gravity: float, log: Trajectory, *, base: bool
+) -> tuple[pin.Model, Skeleton, tuple[F64, F64, F64]]:
+    """A robot without masses, its hinges, and positions and their derivatives in its order."""
+    D = tree.n_joints
+    skeleton = Skeleton(tree, D + np.arange(N_HINGES if base else 0))
+    built = PinocchioTree(skeleton.tree)
+    built.write_joints(skeleton.placements(state.T_parent_joint))
+    built.model.gravity.linear = -gravity * state.up[g]
+    still = np.zeros((len(log.q), max(0, D + len(skeleton.hinges) - log.q.shape[1])))
+    q, qd, qdd = (
+        np.ascontiguousarray(np.hstack([x, still])[:, skeleton.numbers])
+        for x in (log.q, log.qd, log.qdd)
+    )
+    return built.model, skeleton, (q, qd, qdd)
 
 
 def inertial_sizes(state: State) -> F64:

@@ -10,6 +10,7 @@ from functools import cache
 
 import numpy as np
 import pinocchio as pin
+from stand import DEPTH, UP, readings_on_a_stand
 from synthetic import RATE, random_state, sampled_trajectory, serial_tree, stays
 
 from skin2urdf.arrays import F64
@@ -18,19 +19,17 @@ from skin2urdf.estimation.problem.state import State
 from skin2urdf.estimation.trajectory.bending import Bending
 from skin2urdf.estimation.trajectory.estimate import MotionEstimate, estimate_along, motion_priors
 from skin2urdf.geometry.so3 import rotation_exp, rotation_log
-from skin2urdf.model.kinematics import to_pinocchio
-from skin2urdf.signals.filters import filtered, first_derivative, low_pass, second_derivative
+from skin2urdf.signals.filters import filtered, low_pass
 
 _CHAIN = serial_tree(2)
 _TREE = replace(_CHAIN, su_names=(*_CHAIN.su_names, "base"), su_joint=np.array([0, 1, -1]))
-_UP = np.array([0.0, 0.0, 1.0])
-_STAY, _MOVE, _PLACES, _DEPTH = 180, 120, 12, 0.3
+_STAY, _MOVE, _PLACES = 180, 120, 12
 
 
 @cache
 def _truth() -> State:
     state = random_state(np.random.default_rng(3), _TREE, 1, 0.3)
-    return replace(state, up=_UP[None])
+    return replace(state, up=UP[None])
 
 
 @cache
@@ -41,57 +40,19 @@ def _on_a_stand(compliance: float) -> tuple[MotionEstimate, F64]:
         compliance: by how much it turns about a point below it [rad/(N m)].
     """
     truth = _truth()
-    plain = to_pinocchio(truth.model(_TREE))
-    model = pin.Model()
-    below = pin.SE3(np.eye(3), np.array([0.0, 0.0, -_DEPTH]))
-    model.addJoint(0, pin.JointModelRX(), below, "about x")
-    model.addJoint(1, pin.JointModelRY(), pin.SE3.Identity(), "about y")
-    for j in (1, 2):
-        parent = 2 if j == 1 else j + 1
-        T = below.inverse() * plain.jointPlacements[j] if j == 1 else plain.jointPlacements[j]
-        model.addJoint(parent, pin.JointModelRZ(), T, f"joint {j}")
-    for joint, mass, lever in ((3, 20.0, (0.2, 0.1, 0.1)), (4, 8.0, (0.3, 0.1, -0.1))):
-        model.inertias[joint] = pin.Inertia(mass, np.array(lever), 0.02 * mass * np.eye(3))
-    frames = [
-        model.addFrame(
-            pin.Frame(
-                f"su {u}",
-                int(j) + 3,
-                pin.SE3(T) if j >= 0 else below.inverse() * pin.SE3(T),
-                pin.FrameType.OP_FRAME,
-            )
-        )
-        for u, (j, T) in enumerate(zip(_TREE.su_joint, truth.T_joint_su, strict=True))
-    ]
-    data = model.createData()
     at = np.random.default_rng(1).uniform(-1.5, 1.5, (_PLACES, 2))
     q = stays(at, _STAY, _MOVE)
-    still = np.zeros((len(q), 2))
-    stiff = [
-        np.hstack([still, x]) for x in (q, first_derivative(q, RATE), second_derivative(q, RATE))
+    bodies = [
+        pin.Inertia(mass, np.array(lever), 0.02 * mass * np.eye(3))
+        for mass, lever in ((20.0, (0.2, 0.1, 0.1)), (8.0, (0.3, 0.1, -0.1)))
     ]
-    tilt = still
-    for _ in range(3):
-        motion = [np.array(x) for x in stiff]
-        motion[0][:, :2] = tilt
-        motion[1][:, :2] = first_derivative(tilt, RATE)
-        motion[2][:, :2] = second_derivative(tilt, RATE)
-        moments = [pin.rnea(model, data, *x)[:2].copy() for x in zip(*motion, strict=True)]
-        tilt = -compliance * np.array(moments)
-    ideal = np.empty((len(q), 3, 3))
-    for n, x in enumerate(zip(*motion, strict=True)):
-        pin.forwardKinematics(model, data, *x)
-        pin.updateFramePlacements(model, data)
-        for u, frame in enumerate(frames):
-            a = pin.getFrameClassicalAcceleration(model, data, frame, pin.ReferenceFrame.LOCAL)
-            ideal[n, u] = a.linear + data.oMf[frame].rotation.T @ (9.81 * _UP)
-    read = np.einsum("uij,kuj->kui", truth.sensor_matrix(), ideal) + truth.bias
+    read, tilt = readings_on_a_stand(_TREE, truth, bodies, q, compliance)
     read = read + 7e-3 * np.random.default_rng(2).standard_normal(read.shape)
     priors = motion_priors(Priors(), gravity=0.0, front=(np.zeros(2), np.zeros(2)))
     log = sampled_trajectory(q, read)
     # What stands still shows nothing of its turn about gravity.
     T = np.array(truth.T_joint_su)
-    T[2, :3, :3] = rotation_exp(2.5 * _UP) @ T[2, :3, :3]
+    T[2, :3, :3] = rotation_exp(2.5 * UP) @ T[2, :3, :3]
     T[2, :3, 3] = 0.0
     return estimate_along([log], _TREE, replace(truth, T_joint_su=T), priors, np.zeros(3)), tilt
 
@@ -103,7 +64,7 @@ def test_a_base_that_gives_way_is_followed() -> None:
     # The robot's forces act on the stand about the same point that the stand turns about.
     stand = found.problem.unseen
     assert isinstance(stand, Bending)
-    np.testing.assert_allclose(stand.lever, [0.0, 0.0, _DEPTH], atol=0.1)
+    np.testing.assert_allclose(stand.lever, [0.0, 0.0, DEPTH], atol=0.1)
     taps = low_pass(6.0, RATE)
     smooth = filtered(tilt, taps)[found.problem.logs[0].kept]
     np.testing.assert_allclose(found.base_motion[3:5], np.ptp(smooth, axis=0), rtol=0.2)

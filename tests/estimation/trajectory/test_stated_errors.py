@@ -12,6 +12,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from scipy.spatial.transform import Rotation
+from stand import UP, readings_on_a_stand
 from synthetic import RATE, random_state, sampled_trajectory, serial_tree
 
 from skin2urdf.arrays import F64
@@ -26,18 +27,16 @@ from skin2urdf.estimation.uncertainty.observability import (
     observability_along,
 )
 from skin2urdf.model.kinematics import to_pinocchio
-from skin2urdf.signals.filters import first_derivative, second_derivative
 
 _TREE = serial_tree(3)
-_UP = np.array([0.0, 0.0, 1.0])
-_PERIOD, _DEPTH = 10.0, 0.3
+_PERIOD = 10.0
 _CONFIGURATIONS = np.random.default_rng(6).uniform(-1.0, 1.0, (40, 3))
 
 
 @cache
 def _truth() -> State:
     state = random_state(np.random.default_rng(3), _TREE, 1, 0.3)
-    return replace(state, up=_UP[None])
+    return replace(state, up=UP[None])
 
 
 def _positions(repeated: int) -> F64:
@@ -60,37 +59,14 @@ def _of_the_place(q: F64, size: float) -> F64:
 
 def _read(q: F64, compliance: float) -> F64:
     """(N, 3, 3) readings of links on a base that turns by moments about a point below it."""
-    truth = _truth()
-    plain = to_pinocchio(truth.model(_TREE))
-    model, below = pin.Model(), pin.SE3(np.eye(3), np.array([0.0, 0.0, -_DEPTH]))
-    model.addJoint(0, pin.JointModelRX(), below, "about x")
-    model.addJoint(1, pin.JointModelRY(), pin.SE3.Identity(), "about y")
-    for j, at in enumerate(plain.jointPlacements[1:]):
-        model.addJoint(
-            j + 2, pin.JointModelRZ(), below.inverse() * at if j == 0 else at, f"joint {j}"
-        )
-    for j, mass in enumerate((12.0, 8.0, 3.0)):
-        middle = 0.5 * plain.jointPlacements[j + 2].translation if j < 2 else np.full(3, 0.05)
-        model.inertias[j + 3] = pin.Inertia(mass, middle, 0.02 * mass * np.eye(3))
-    frames = [
-        model.addFrame(pin.Frame(f"su {u}", u + 3, pin.SE3(T), pin.FrameType.OP_FRAME))
-        for u, T in enumerate(truth.T_joint_su)
+    at = to_pinocchio(_truth().model(_TREE)).jointPlacements
+    middles = 0.5 * at[2].translation, 0.5 * at[3].translation, np.full(3, 0.05)
+    bodies = [
+        pin.Inertia(mass, middle, 0.02 * mass * np.eye(3))
+        for mass, middle in zip((12.0, 8.0, 3.0), middles, strict=True)
     ]
-    data, tilt = model.createData(), np.zeros((len(q), 2))
-    for _ in range(2):
-        x = np.hstack([tilt, q])
-        motion = x, first_derivative(x, RATE), second_derivative(x, RATE)
-        moments = np.array([pin.rnea(model, data, *each)[:2] for each in zip(*motion, strict=True)])
-        tilt = -compliance * moments
-    ideal = np.empty((len(q), 3, 3))
-    for n, each in enumerate(zip(*motion, strict=True)):
-        pin.forwardKinematics(model, data, *each)
-        pin.updateFramePlacements(model, data)
-        for u, frame in enumerate(frames):
-            a = pin.getFrameClassicalAcceleration(model, data, frame, pin.ReferenceFrame.LOCAL)
-            ideal[n, u] = a.linear + data.oMf[frame].rotation.T @ (9.81 * _UP)
-    read = np.einsum("uij,kuj->kui", truth.sensor_matrix(), ideal) + truth.bias
-    return np.asarray(read + 1e-2 * np.random.default_rng(2).standard_normal(read.shape))
+    read, _ = readings_on_a_stand(_TREE, _truth(), bodies, q, compliance)
+    return read + 1e-2 * np.random.default_rng(2).standard_normal(read.shape)
 
 
 @cache

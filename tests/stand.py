@@ -1,0 +1,64 @@
+"""Readings of a robot on a stand that its weight tilts, by Pinocchio's inverse dynamics."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import pinocchio as pin
+from synthetic import RATE
+
+from skin2urdf.arrays import F64
+from skin2urdf.estimation.problem.state import State
+from skin2urdf.model.kinematics import to_pinocchio
+from skin2urdf.signals.filters import first_derivative, second_derivative
+from skin2urdf.structure.records import KinematicTree
+
+UP = np.array([0.0, 0.0, 1.0])
+DEPTH = 0.3
+"""How far below the base's frame is the point that the stand turns about [m]."""
+_SOLVED = 3
+"""Times that the tilt is taken from moments, which hardly depend on it."""
+
+
+def readings_on_a_stand(
+    tree: KinematicTree, truth: State, inertias: Sequence[pin.Inertia], q: F64, compliance: float
+) -> tuple[F64, F64]:
+    """(N, K, 3) noiseless readings [m/s^2], and (N, 2) turns of the stand about x and y [rad].
+
+    Args:
+        tree: a chain of D revolute joints, with K SUs.
+        truth: its placements and sensors.
+        inertias: (D,) of what each joint carries, in its frame.
+        q: (N, D) positions of its joints at the rate of the grid.
+        compliance: by how much the stand turns [rad/(N m)].
+    """
+    plain = to_pinocchio(truth.model(tree))
+    model, below = pin.Model(), pin.SE3(np.eye(3), np.array([0.0, 0.0, -DEPTH]))
+    model.addJoint(0, pin.JointModelRX(), below, "about x")
+    model.addJoint(1, pin.JointModelRY(), pin.SE3.Identity(), "about y")
+    for j, at in enumerate(plain.jointPlacements[1:]):
+        model.addJoint(
+            j + 2, pin.JointModelRZ(), below.inverse() * at if j == 0 else at, f"joint {j}"
+        )
+    for j, inertia in enumerate(inertias):
+        model.inertias[j + 3] = inertia
+    frames = []
+    for u, (j, T) in enumerate(zip(tree.su_joint, truth.T_joint_su, strict=True)):
+        at = pin.SE3(T) if j >= 0 else below.inverse() * pin.SE3(T)
+        frame = pin.Frame(f"su {u}", int(j) + 3, at, pin.FrameType.OP_FRAME)
+        frames.append(model.addFrame(frame))
+    data, tilt = model.createData(), np.zeros((len(q), 2))
+    for _ in range(_SOLVED):
+        x = np.hstack([tilt, q])
+        motion = x, first_derivative(x, RATE), second_derivative(x, RATE)
+        moments = np.array([pin.rnea(model, data, *at)[:2] for at in zip(*motion, strict=True)])
+        tilt = -compliance * moments
+    ideal = np.empty((len(q), len(frames), 3))
+    for n, at in enumerate(zip(*motion, strict=True)):
+        pin.forwardKinematics(model, data, *at)
+        pin.updateFramePlacements(model, data)
+        for u, frame in enumerate(frames):
+            a = pin.getFrameClassicalAcceleration(model, data, frame, pin.ReferenceFrame.LOCAL)
+            ideal[n, u] = a.linear + data.oMf[frame].rotation.T @ (9.81 * UP)
+    return np.einsum("uij,kuj->kui", truth.sensor_matrix(), ideal) + truth.bias, tilt

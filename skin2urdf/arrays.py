@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import re
+from dataclasses import dataclass, fields
+from functools import cache
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -29,6 +32,34 @@ def frozen(value: ArrayLike, dtype: Any = np.float64) -> NDArray[Any]:
         array = array.copy() if array is value or array.base is not None else array
         array.flags.writeable = False
     return array
+
+
+@dataclass(frozen=True, eq=False)
+class Record:
+    """What records are made of whose arrays are read-only.
+
+    Values of fields that are annotated as ``F64``, ``Int`` or ``Bool``, as one of these or None, or
+    as a tuple of them, become read-only arrays of that type.
+    """
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            dtype, several = _array_type(str(field.type))
+            value = getattr(self, field.name)
+            if dtype is not None and value is not None:
+                array = tuple(frozen(v, dtype) for v in value) if several else frozen(value, dtype)
+                object.__setattr__(self, field.name, array)
+
+
+_DTYPES = {"F64": np.float64, "Int": np.int64, "Bool": np.bool_}
+_ARRAY = re.compile(r"(tuple\[)?(F64|Int|Bool)(, \.\.\.\]| \| None)?")
+
+
+@cache
+def _array_type(annotation: str) -> tuple[type[np.generic] | None, bool]:
+    """Type of the array or arrays that a field holds, None of others; whether these are several."""
+    found = _ARRAY.fullmatch(annotation)
+    return (_DTYPES[found[2]], found[1] is not None) if found else (None, False)
 
 
 def keep_freed_memory() -> None:

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from skin2urdf.arrays import F64, frozen
+from skin2urdf.arrays import F64, Record
 from skin2urdf.errors import UsageError
 from skin2urdf.estimation.problem.cost import Priors
 from skin2urdf.estimation.problem.state import State
@@ -32,7 +32,7 @@ _REACH = 5e-3
 
 
 @dataclass(frozen=True, eq=False)
-class Trace:
+class Trace(Record):
     """Low-passed readings of one SU along one log, and their prediction, thinned out to n samples.
 
     Attributes:
@@ -50,10 +50,6 @@ class Trace:
     reading: F64
     predicted: F64
     rms: float
-
-    def __post_init__(self) -> None:
-        for name in ("time", "reading", "predicted"):
-            object.__setattr__(self, name, frozen(getattr(self, name)))
 
 
 def traces_of(along: MotionEstimate | None) -> tuple[Trace, ...]:

@@ -11,7 +11,7 @@ from typing import Literal
 
 import numpy as np
 
-from skin2urdf.arrays import Bool, frozen
+from skin2urdf.arrays import Bool, Record, frozen
 from skin2urdf.errors import (
     InsufficientDataError,
     Skin2UrdfError,
@@ -87,7 +87,7 @@ class Problem:
 
 
 @dataclass(frozen=True, eq=False)
-class Surveyed:
+class Surveyed(Record):
     """What one log holds, as far as it can be used.
 
     Attributes:
@@ -108,9 +108,6 @@ class Surveyed:
     excited: Bool
     problems: tuple[Problem, ...]
     obstacles: tuple[Problem, ...] = ()
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "excited", frozen(self.excited, bool))
 
 
 def explore(

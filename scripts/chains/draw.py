@@ -9,7 +9,7 @@ from typing import Literal, TypeVar, get_args
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from skin2urdf.arrays import F64, Int, frozen
+from skin2urdf.arrays import F64, Int, Record
 from skin2urdf.geometry.units import MILLI_G
 from skin2urdf.structure.records import JointType, KinematicTree
 
@@ -40,7 +40,7 @@ _BIAS = 5 * MILLI_G
 
 
 @dataclass(frozen=True, eq=False)
-class Chain:
+class Chain(Record):
     """A serial chain at position zero, all in a base frame with z up, and how it is measured.
 
     Attributes:
@@ -74,11 +74,6 @@ class Chain:
     bias: F64
     q: F64
     fresh: F64
-
-    def __post_init__(self) -> None:
-        for name in ("axes", "points", "R_base_su", "p_base_su", "bias", "q", "fresh"):
-            object.__setattr__(self, name, frozen(getattr(self, name)))
-        object.__setattr__(self, "su_joint", frozen(self.su_joint, np.int64))
 
     @property
     def n_dofs(self) -> int:

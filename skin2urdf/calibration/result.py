@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 
-from skin2urdf.arrays import F64, Bool, Int, frozen
+from skin2urdf.arrays import F64, Bool, Int, Record
 from skin2urdf.calibration.settings import CalibrationSettings
 from skin2urdf.estimation.solve.estimate import Estimate
 from skin2urdf.estimation.trajectory.estimate import MotionEstimate
@@ -84,7 +84,7 @@ class SuSource:
 
 
 @dataclass(frozen=True, eq=False)
-class Calibration:
+class Calibration(Record):
     """A finished calibration.
 
     Attributes:
@@ -127,11 +127,6 @@ class Calibration:
     clocks: tuple[tuple[SuClock, ...], ...] = ()
     su_sources: Mapping[str, SuSource] = field(default_factory=dict)
     publishers: tuple[tuple[JointClock, ...], ...] = ()
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "limits", frozen(self.limits))
-        object.__setattr__(self, "velocity", frozen(self.velocity))
-        object.__setattr__(self, "continuous", frozen(self.continuous, np.bool_))
 
     @property
     def T_canonical_joint(self) -> F64:

@@ -37,11 +37,20 @@ class Parser(argparse.ArgumentParser):
 
     Attributes:
         late_epilog: makes the epilog.
-        options: options that a command line may hold, for guesses.
+        options: those of a command, for guesses; the command line as a whole has none of its own.
     """
 
     late_epilog: Callable[[], str] | None = None
     options: Collection[str] = ()
+
+    def parse_known_args(  # type: ignore[override]
+        self, args: Sequence[str] | None = None, namespace: Any = None
+    ) -> tuple[Any, list[str]]:
+        """As its base, but a command refuses by itself what it does not know."""
+        found, unknown = super().parse_known_args(args, namespace)
+        if unknown and self.options:
+            self.error(f"unrecognized arguments: {' '.join(unknown)}")
+        return found, unknown
 
     def error(self, message: str) -> NoReturn:
         """Say what is wrong and what may have been meant, and exit with 2."""

@@ -94,7 +94,7 @@ def make_parser() -> Parser:
         command.add_argument("--quiet", action="store_true", help="print errors only")
         command.add_argument("--debug", action="store_true", help="show where an error comes from")
         module.declare(command)
-        options = [option for action in command._actions for option in action.option_strings]
-        command.options = options
-        top.options = {*top.options, *options}
+        command.options = [
+            option for action in command._actions for option in action.option_strings
+        ]
     return top

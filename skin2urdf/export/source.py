@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from skin2urdf.arrays import F64, frozen
+from skin2urdf.arrays import F64, Record
 from skin2urdf.errors import UnreadableInputError, UsageError
 from skin2urdf.geometry.se3 import inverse, placement
 from skin2urdf.geometry.so3 import axis_rotation
@@ -22,7 +22,7 @@ MOVABLE = ("revolute", "continuous", "prismatic")
 
 
 @dataclass(frozen=True, eq=False)
-class UrdfJoint:
+class UrdfJoint(Record):
     """A joint as a URDF has it.
 
     Attributes:
@@ -42,10 +42,6 @@ class UrdfJoint:
     xyz: F64
     rpy: F64
     element: ET.Element
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "xyz", frozen(self.xyz))
-        object.__setattr__(self, "rpy", frozen(self.rpy))
 
     @property
     def T_parent_child(self) -> F64:

@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from skin2urdf.arrays import F64, Bool, frozen
+from skin2urdf.arrays import F64, Bool, Record
 from skin2urdf.geometry.se3 import inverse, screw
 
 PARALLEL_SINE = 0.05
@@ -31,7 +31,7 @@ _COINCIDENT = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
-class ExtendedDh:
+class ExtendedDh(Record):
     """Extended DH numbers of placements; all arrays share one shape (...).
 
     Attributes:
@@ -52,11 +52,6 @@ class ExtendedDh:
     turn: F64
     shift: F64
     hayati: Bool
-
-    def __post_init__(self) -> None:
-        for name in ("theta0", "d", "a", "alpha", "turn", "shift"):
-            object.__setattr__(self, name, frozen(getattr(self, name)))
-        object.__setattr__(self, "hayati", frozen(self.hayati, np.bool_))
 
     def placement(self) -> F64:
         """The (..., 4, 4) placements T_parent_child these numbers stand for."""

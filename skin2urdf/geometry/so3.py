@@ -129,3 +129,14 @@ def fibonacci_sphere(n: int) -> F64:
     azimuth = np.pi * (1 + np.sqrt(5)) * i
     r = np.sqrt(1 - z**2)
     return np.stack([r * np.cos(azimuth), r * np.sin(azimuth), z], axis=1)
+
+
+def spread_out(directions: F64, most: int) -> F64:
+    """The first of each neighbourhood of 15 degrees among unit vectors (n, 3), ``most`` at most."""
+    kept: list[F64] = []
+    for direction in directions[: 20 * most]:
+        if all(direction @ other < np.cos(np.deg2rad(15.0)) for other in kept):
+            kept.append(direction)
+        if len(kept) == most:
+            break
+    return np.array(kept)

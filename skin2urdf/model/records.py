@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from skin2urdf.arrays import F64, frozen
+from skin2urdf.arrays import F64, Record, frozen
 from skin2urdf.geometry.se3 import adjoint
 from skin2urdf.structure.records import KinematicTree
 
 
 @dataclass(frozen=True, eq=False)
-class KinematicModel:
+class KinematicModel(Record):
     """Placements of all joints and SUs; every joint turns about (or slides along) its z axis.
 
     Attributes:
@@ -24,10 +24,6 @@ class KinematicModel:
     tree: KinematicTree
     T_parent_joint: F64
     T_joint_su: F64
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "T_parent_joint", frozen(self.T_parent_joint))
-        object.__setattr__(self, "T_joint_su", frozen(self.T_joint_su))
 
 
 @dataclass(frozen=True, eq=False)

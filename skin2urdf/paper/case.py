@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from skin2urdf.arrays import F64, frozen
+from skin2urdf.arrays import F64, Record, frozen
 from skin2urdf.geometry.units import GRAVITY
 
 N_DOFS = 7
@@ -78,7 +78,7 @@ Seven steps belong to seven DoFs. What is missing to the totals of the text, 521
 
 
 @dataclass(frozen=True, eq=False)
-class PaperTraining:
+class PaperTraining(Record):
     """A simulated training set (II-C.2).
 
     Attributes:
@@ -93,10 +93,6 @@ class PaperTraining:
     gravity: F64
     acceleration: F64
     noise: float
-
-    def __post_init__(self) -> None:
-        for name in ("q", "gravity", "acceleration"):
-            object.__setattr__(self, name, frozen(getattr(self, name)))
 
 
 def dh_matrix(theta: float, d: float, a: float, alpha: float) -> F64:

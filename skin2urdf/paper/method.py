@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from skin2urdf.arrays import F64, frozen
+from skin2urdf.arrays import F64, Record
 from skin2urdf.errors import InsufficientDataError, StructureError
 from skin2urdf.estimation.problem.blocks import FeatureBlocks, feature_blocks
 from skin2urdf.estimation.problem.cost import Cost, Priors
@@ -87,7 +87,7 @@ class PaperStep:
 
 
 @dataclass(frozen=True, eq=False)
-class PaperResult:
+class PaperResult(Record):
     """Extended DH parameters as the search left them.
 
     Attributes:
@@ -109,10 +109,6 @@ class PaperResult:
     gravity: F64
     steps: tuple[PaperStep, ...]
     state: State
-
-    def __post_init__(self) -> None:
-        for name in ("links", "sus", "gravity"):
-            object.__setattr__(self, name, frozen(getattr(self, name)))
 
     @property
     def converged(self) -> bool:

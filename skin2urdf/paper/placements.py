@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from skin2urdf.arrays import F64, frozen
+from skin2urdf.arrays import F64, Record
 from skin2urdf.estimation.problem.blocks import FeatureBlocks
 from skin2urdf.estimation.problem.cost import Priors
 from skin2urdf.estimation.problem.state import State
@@ -31,7 +31,7 @@ _PARALLEL_SINE = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
-class DhTable:
+class DhTable(Record):
     """A robot as the paper prints it (Fig. 6).
 
     Attributes:
@@ -44,10 +44,6 @@ class DhTable:
     model: KinematicModel
     links: F64
     sus: F64
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "links", frozen(self.links))
-        object.__setattr__(self, "sus", frozen(self.sus))
 
 
 def dh_table(model: KinematicModel, theta0: float = 0.0, d: float = 0.0) -> DhTable:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from skin2urdf.arrays import F64, Bool, frozen
+from skin2urdf.arrays import F64, Bool, Record
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ class SearchSettings:
 
 
 @dataclass(frozen=True, eq=False)
-class Found:
+class Found(Record):
     """The best point of a search.
 
     Attributes:
@@ -48,9 +48,6 @@ class Found:
     value: float
     calls: int
     attempts: int
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "x", frozen(self.x))
 
 
 def search(

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from skin2urdf.arrays import F64, Int, frozen
+from skin2urdf.arrays import F64, Int, Record
 from skin2urdf.estimation.problem.blocks import FeatureBlocks
 from skin2urdf.geometry.units import GRAVITY
 from skin2urdf.signals.information import Information
@@ -50,7 +50,7 @@ class MotionPattern:
 
 
 @dataclass(frozen=True, eq=False)
-class SuTraining:
+class SuTraining(Record):
     """What one SU contributes: the poses in which all of it was measured.
 
     Attributes:
@@ -65,11 +65,6 @@ class SuTraining:
     log: Int
     gravity: F64
     acceleration: F64
-
-    def __post_init__(self) -> None:
-        for name in ("q", "gravity", "acceleration"):
-            object.__setattr__(self, name, frozen(getattr(self, name)))
-        object.__setattr__(self, "log", frozen(self.log, np.int64))
 
     @property
     def n_poses(self) -> int:

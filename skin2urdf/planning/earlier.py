@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from skin2urdf.arrays import F64, frozen
+from skin2urdf.arrays import F64, Record
 from skin2urdf.errors import UnreadableInputError
 from skin2urdf.estimation.problem.state import JOINT_COORDINATES
 from skin2urdf.estimation.uncertainty.observability import ARM
@@ -27,7 +27,7 @@ _LEAST = 1e-7
 
 
 @dataclass(frozen=True, eq=False)
-class Earlier:
+class Earlier(Record):
     """An earlier calibration.
 
     Attributes:
@@ -46,10 +46,6 @@ class Earlier:
     su_covariance: F64
     limits: dict[str, Given]
     open: frozenset[str]
-
-    def __post_init__(self) -> None:
-        for name in ("joint_covariance", "su_covariance"):
-            object.__setattr__(self, name, frozen(getattr(self, name)))
 
     @property
     def information(self) -> tuple[F64, F64]:

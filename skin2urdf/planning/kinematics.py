@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from skin2urdf.arrays import F64, frozen
+from skin2urdf.arrays import F64, Record
 from skin2urdf.geometry.se3 import inverse, placement
 from skin2urdf.model.records import KinematicModel
 from skin2urdf.structure.records import JointType, KinematicTree
@@ -19,7 +19,7 @@ the radius of a robot's link."""
 
 
 @dataclass(frozen=True, eq=False)
-class PlacedSu:
+class PlacedSu(Record):
     """An SU on a robot.
 
     Attributes:
@@ -31,9 +31,6 @@ class PlacedSu:
     name: str
     joint: int
     T_joint_su: F64
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "T_joint_su", frozen(self.T_joint_su))
 
 
 def usual_sus(model: Any, parent: Sequence[int]) -> tuple[PlacedSu, ...]:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from skin2urdf.arrays import F64, frozen
+from skin2urdf.arrays import F64, Record
 from skin2urdf.planning.records import Limits, PlanSettings
 from skin2urdf.planning.trajectory import JointTrajectory
 
@@ -29,7 +29,7 @@ _SWING = 0.2
 
 
 @dataclass(frozen=True, eq=False)
-class Tones:
+class Tones(Record):
     """Tones of D joints, T each.
 
     Attributes:
@@ -39,10 +39,6 @@ class Tones:
 
     frequency: F64
     phase: F64
-
-    def __post_init__(self) -> None:
-        for name in ("frequency", "phase"):
-            object.__setattr__(self, name, frozen(getattr(self, name)))
 
     @property
     def apart(self) -> float:

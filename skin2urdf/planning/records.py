@@ -5,9 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-import numpy as np
-
-from skin2urdf.arrays import F64, Bool, frozen
+from skin2urdf.arrays import F64, Bool, Record
 from skin2urdf.errors import UsageError
 from skin2urdf.planning.trajectory import JointTrajectory
 
@@ -15,7 +13,7 @@ PhaseKind = Literal["rest", "move", "structural", "pattern"]
 
 
 @dataclass(frozen=True, eq=False)
-class Limits:
+class Limits(Record):
     """What D joints may do.
 
     Attributes:
@@ -37,11 +35,6 @@ class Limits:
     acceleration: F64
     jerk: F64
     notes: tuple[str, ...] = ()
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "prismatic", frozen(self.prismatic, np.bool_))
-        for name in ("lower", "upper", "velocity", "acceleration", "jerk"):
-            object.__setattr__(self, name, frozen(getattr(self, name)))
 
     @property
     def n_joints(self) -> int:
@@ -115,7 +108,7 @@ class Phase:
 
 
 @dataclass(frozen=True, eq=False)
-class Plan:
+class Plan(Record):
     """A motion to record.
 
     Attributes:
@@ -134,6 +127,3 @@ class Plan:
     limits: Limits
     checked: int | None
     notes: tuple[str, ...]
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "poses", frozen(self.poses))

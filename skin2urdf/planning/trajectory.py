@@ -13,11 +13,11 @@ from functools import cached_property
 
 import numpy as np
 
-from skin2urdf.arrays import F64, frozen
+from skin2urdf.arrays import F64, Record
 
 
 @dataclass(frozen=True, eq=False)
-class JointTrajectory:
+class JointTrajectory(Record):
     """Motion of D joints through K points.
 
     Attributes:
@@ -33,10 +33,6 @@ class JointTrajectory:
     position: F64
     velocity: F64
     acceleration: F64
-
-    def __post_init__(self) -> None:
-        for name in ("time", "position", "velocity", "acceleration"):
-            object.__setattr__(self, name, frozen(getattr(self, name)))
 
     @property
     def duration(self) -> float:

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from skin2urdf.arrays import F64, Bool, Int, frozen
+from skin2urdf.arrays import F64, Bool, Int, Record
 from skin2urdf.notes import ReadingNote
 from skin2urdf.recording.shelf import put_away
 
 
 @dataclass(frozen=True, eq=False)
-class JointStream:
+class JointStream(Record):
     """Positions of one joint (one DoF).
 
     Attributes:
@@ -27,15 +27,9 @@ class JointStream:
     stamp_noise: float = 0.0
     effort: F64 | None = None
 
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "time", frozen(self.time))
-        object.__setattr__(self, "position", frozen(self.position))
-        if self.effort is not None:
-            object.__setattr__(self, "effort", frozen(self.effort))
-
 
 @dataclass(frozen=True, eq=False)
-class SuStream:
+class SuStream(Record):
     """Readings of one skin unit (SU).
 
     Attributes:
@@ -52,12 +46,6 @@ class SuStream:
     specific_force: F64
     topic: str = ""
     angular_velocity: F64 | None = None
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "time", frozen(self.time))
-        object.__setattr__(self, "specific_force", frozen(self.specific_force))
-        if self.angular_velocity is not None:
-            object.__setattr__(self, "angular_velocity", frozen(self.angular_velocity))
 
     def put_away(self) -> None:
         """Tell the system that the samples are not needed soon, where they are not in memory."""

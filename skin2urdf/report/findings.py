@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from skin2urdf.arrays import F64, frozen
+from skin2urdf.arrays import F64, Record
 from skin2urdf.calibration.result import Calibration
 from skin2urdf.estimation.uncertainty.observability import aligned_deviations
 from skin2urdf.estimation.uncertainty.placements import joint_placement_covariance
@@ -19,7 +19,7 @@ _CONFIGURATIONS = 50
 
 
 @dataclass(frozen=True, eq=False)
-class Findings:
+class Findings(Record):
     """What is worth telling of a calibration with D joints and U SUs.
 
     Standard deviations are NaN for what does not exist or is not observable.
@@ -60,16 +60,6 @@ class Findings:
     unknown: tuple[tuple[Unknown, ...], ...]
     between_branches: tuple[Unknown, ...]
     open_limbs: tuple[OpenLimb, ...]
-
-    def __post_init__(self) -> None:
-        for name in (
-            "joint_covariance",
-            "axis_position_sd",
-            "axis_direction_sd",
-            "su_position_sd",
-            "su_orientation_sd",
-        ):
-            object.__setattr__(self, name, frozen(getattr(self, name)))
 
 
 def findings(calibration: Calibration) -> Findings:

@@ -12,7 +12,7 @@ from skin2urdf.report.clocks import clock_notes
 from skin2urdf.report.document import to_plain
 from skin2urdf.report.faults import fault_words
 from skin2urdf.report.notes import note_words
-from skin2urdf.report.tables import bullets, number, span, table
+from skin2urdf.report.tables import bullets, count, number, span, table
 from skin2urdf.survey import Surveyed
 
 _DEG = float(np.rad2deg(1.0))
@@ -188,7 +188,7 @@ def _found(surveyed: Surveyed, rests: int) -> str:
     """Rests and poses in one line."""
     poses = len(surveyed.features.q) if surveyed.features else 0
     patterned = int(surveyed.excited.any(axis=-1).sum())
-    return f"{rests} rests in {poses} poses; patterns around {patterned} of them"
+    return f"{count(rests, 'rest')} in {count(poses, 'pose')}; patterns around {patterned} of them"
 
 
 def _faults(surveyed: Surveyed) -> list[str]:

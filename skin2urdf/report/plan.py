@@ -14,7 +14,7 @@ from skin2urdf.planning.earlier import Shrinking
 from skin2urdf.planning.expected import Expected
 from skin2urdf.planning.pieces import strain
 from skin2urdf.planning.records import Plan
-from skin2urdf.report.tables import number
+from skin2urdf.report.tables import count, number
 
 _MM, _DEG = 1e3, float(np.rad2deg(1.0))
 _KINDS = {
@@ -52,7 +52,7 @@ def as_text(
     used = strain(plan.trajectory, plan.limits)
     lines = [
         _wrapped(
-            f"{plan.limits.n_joints} joints, {len(plan.poses)} poses, "
+            f"{count(plan.limits.n_joints, 'joint')}, {count(len(plan.poses), 'pose')}, "
             f"{plan.trajectory.duration:.0f} s: {parts}"
         ),
         _wrapped(

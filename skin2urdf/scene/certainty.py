@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from skin2urdf.arrays import F64, frozen
+from skin2urdf.arrays import F64, Record
 from skin2urdf.scene.solids import Mesh, ellipsoid
 
 _LARGEST = 0.06
@@ -21,7 +21,7 @@ _ANY = 6
 
 
 @dataclass(frozen=True, eq=False)
-class Cloud:
+class Cloud(Record):
     """Where something is, as one standard deviation of its position.
 
     Attributes:
@@ -34,10 +34,6 @@ class Cloud:
     center: F64
     axes: F64
 
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "center", frozen(self.center))
-        object.__setattr__(self, "axes", frozen(self.axes))
-
     @property
     def size(self) -> float:
         """Its longest semi-axis [m]."""
@@ -49,7 +45,7 @@ class Cloud:
 
 
 @dataclass(frozen=True, eq=False)
-class OpenLine:
+class OpenLine(Record):
     """A direction that the log leaves open.
 
     Attributes:
@@ -63,10 +59,6 @@ class OpenLine:
     through: F64
     direction: F64
     turn: bool
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "through", frozen(self.through))
-        object.__setattr__(self, "direction", frozen(self.direction))
 
 
 def clouds(frames: Mapping[str, F64], parts: Mapping[str, Any]) -> list[Cloud]:

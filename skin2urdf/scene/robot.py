@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from skin2urdf.arrays import F64, frozen
+from skin2urdf.arrays import F64, Record
 from skin2urdf.geometry.se3 import placement
 from skin2urdf.geometry.so3 import frame_with_z
 from skin2urdf.scene.solids import Mesh, prism
@@ -20,7 +20,7 @@ _SMALLEST = 1e-4
 
 
 @dataclass(frozen=True, eq=False)
-class Segment:
+class Segment(Record):
     """What one joint carries.
 
     Attributes:
@@ -34,9 +34,6 @@ class Segment:
     parent: str
     children: F64
     sus: Mapping[str, F64]
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "children", frozen(self.children))
 
 
 def segments(robot: Robot, sus: Collection[str] | None = None) -> tuple[Segment, ...]:

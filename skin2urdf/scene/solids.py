@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from skin2urdf.arrays import F64, Int, frozen
+from skin2urdf.arrays import F64, Int, Record
 
 _ROUND = 14
 """Sides of what should look like a cylinder."""
@@ -16,7 +16,7 @@ _RINGS = 7
 
 
 @dataclass(frozen=True, eq=False)
-class Mesh:
+class Mesh(Record):
     """A surface of triangles.
 
     Attributes:
@@ -26,10 +26,6 @@ class Mesh:
 
     vertices: F64
     faces: Int
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "vertices", frozen(self.vertices))
-        object.__setattr__(self, "faces", frozen(self.faces, np.int64))
 
     def moved(self, T: F64) -> Mesh:
         """The mesh in another frame, by (4, 4) T of its own frame there."""

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 
-from skin2urdf.arrays import F64, frozen
+from skin2urdf.arrays import F64, Record
 
 _LOWEST, _HIGHEST = 0.25, 0.75
 """Frequencies at which residuals tell the noise: from [Hz], up to the share of the cutoff from
@@ -20,7 +20,7 @@ _RANK = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
-class Coloured:
+class Coloured(Record):
     """Noise of U SUs around one pose, relative to its mean over all samples.
 
     Residuals are neither white nor steady: what the encoders' rounding adds grows with the fourth
@@ -39,10 +39,6 @@ class Coloured:
     power: F64
     rate: float
     cutoff: float
-
-    def __post_init__(self) -> None:
-        for name in ("level", "power"):
-            object.__setattr__(self, name, frozen(getattr(self, name)))
 
     @classmethod
     def of(

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from skin2urdf.arrays import F64, Int, frozen
+from skin2urdf.arrays import F64, Int, Record
 
 
 def _nothing() -> F64:
@@ -15,7 +15,7 @@ def _nothing() -> F64:
 
 
 @dataclass(frozen=True, eq=False)
-class EncoderNoise:
+class EncoderNoise(Record):
     """Errors of the encoders of D joints around P poses; n = 1 + 2 D rows of a feature block.
 
     What is not given is without error, and takes its shape from :meth:`of_size`.
@@ -46,10 +46,6 @@ class EncoderNoise:
     tones: F64 = field(default_factory=_nothing)
     products: F64 = field(default_factory=_nothing)
     white: F64 = field(default_factory=_nothing)
-
-    def __post_init__(self) -> None:
-        for name in ("position_sd", "pull", "hidden", "omega2", "tones", "products", "white"):
-            object.__setattr__(self, name, frozen(getattr(self, name)))
 
     @staticmethod
     def joined(poses: Sequence[EncoderNoise]) -> EncoderNoise:

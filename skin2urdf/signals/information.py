@@ -7,11 +7,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from skin2urdf.arrays import F64, Int, frozen
+from skin2urdf.arrays import F64, Int, Record
 
 
 @dataclass(frozen=True, eq=False)
-class Information:
+class Information(Record):
     """Information (n, n) on the n coefficients of every pose and SU.
 
     Around a pose all SUs feel the same motion, so that those that lack the same samples (mostly
@@ -30,11 +30,6 @@ class Information:
     which: Int
     gain: F64
     weight: F64
-
-    def __post_init__(self) -> None:
-        for name in ("factor", "gain", "weight"):
-            object.__setattr__(self, name, frozen(getattr(self, name)))
-        object.__setattr__(self, "which", frozen(self.which, np.int64))
 
     @staticmethod
     def of_products(products: F64, which: Int) -> Information:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from skin2urdf.arrays import F64, Int, frozen
+from skin2urdf.arrays import F64, Int, Record
 from skin2urdf.signals.filters import filtered
 from skin2urdf.signals.motion import Motion
 
@@ -22,7 +22,7 @@ pattern that begins at once a hundred and more."""
 
 
 @dataclass(frozen=True, eq=False)
-class Leaps:
+class Leaps(Record):
     """What sampling leaves open at K samples of a trajectory.
 
     Attributes:
@@ -36,10 +36,6 @@ class Leaps:
     joints: F64
     readings: F64
     period: F64
-
-    def __post_init__(self) -> None:
-        for name in ("joints", "readings", "period"):
-            object.__setattr__(self, name, frozen(getattr(self, name)))
 
     @classmethod
     def of(

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from skin2urdf.arrays import F64, Bool, Int, frozen
+from skin2urdf.arrays import F64, Bool, Int, Record, frozen
 from skin2urdf.errors import InsufficientDataError
 from skin2urdf.recording.records import JointStream, Recording
 from skin2urdf.signals.filters import Grid, filtered, first_derivative, low_pass, sample
@@ -24,7 +24,7 @@ next on either side (an iCub's leg)."""
 
 
 @dataclass(frozen=True, eq=False)
-class Motion:
+class Motion(Record):
     """Joint motion of one log on a uniform grid of N samples.
 
     Attributes:
@@ -59,12 +59,9 @@ class Motion:
     publisher: Int = field(default_factory=lambda: np.zeros((), dtype=np.int64))
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         publisher = np.broadcast_to(self.publisher, (len(self.dof_names),))
         object.__setattr__(self, "publisher", frozen(publisher, np.int64))
-        for name in ("q", "qd", "qdd", "resolution", "noise", "raw_rate", "stamp_noise"):
-            object.__setattr__(self, name, frozen(getattr(self, name)))
-        for name in ("named", "wraps"):
-            object.__setattr__(self, name, frozen(getattr(self, name), np.bool_))
 
     @property
     def moved(self) -> Bool:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from skin2urdf.arrays import F64, frozen
+from skin2urdf.arrays import F64, Record
 from skin2urdf.signals.filters import Grid, filtered, first_derivative, low_pass
 from skin2urdf.signals.motion import Motion
 
@@ -25,7 +25,7 @@ patterns alone spans no more than they do."""
 
 
 @dataclass(frozen=True, eq=False)
-class Rest:
+class Rest(Record):
     """An interval in which no joint moves.
 
     Attributes:
@@ -40,12 +40,9 @@ class Rest:
     q: F64
     still: bool = True
 
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "q", frozen(self.q))
-
 
 @dataclass(frozen=True, eq=False)
-class Neighbourhood:
+class Neighbourhood(Record):
     """A pose and all intervals in which the robot rests in it or moves a little around it.
 
     Attributes:
@@ -58,9 +55,6 @@ class Neighbourhood:
     q: F64
     windows: tuple[tuple[int, int], ...]
     left: bool = True
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "q", frozen(self.q))
 
     def span(self, grid: Grid) -> tuple[float, float]:
         """Begin of the first interval and end of the last [s]; no other pose has both."""

@@ -7,7 +7,7 @@ from typing import Literal
 
 import numpy as np
 
-from skin2urdf.arrays import F64, Bool, Int, frozen
+from skin2urdf.arrays import F64, Bool, Int, Record, frozen
 from skin2urdf.faults import Fault
 from skin2urdf.notes import Noted
 from skin2urdf.signals.encoder_noise import EncoderNoise
@@ -15,7 +15,7 @@ from skin2urdf.signals.information import Information
 
 
 @dataclass(frozen=True, eq=False)
-class StaticMoves:
+class StaticMoves(Record):
     """Rests before and after one DoF moved, by and large (paper II-B.1, the static effect).
 
     Attributes:
@@ -33,16 +33,12 @@ class StaticMoves:
     moved: Bool = field(default_factory=lambda: np.zeros(0, dtype=bool))
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "dof", frozen(self.dof, np.int64))
-        object.__setattr__(self, "distance", frozen(self.distance))
-        object.__setattr__(self, "change", frozen(self.change))
-        doubt = np.broadcast_to(np.asarray(self.doubt, dtype=np.float64), self.distance.shape)
-        object.__setattr__(self, "doubt", frozen(doubt))
-        object.__setattr__(self, "moved", frozen(self.moved, np.bool_))
+        super().__post_init__()
+        object.__setattr__(self, "doubt", frozen(np.broadcast_to(self.doubt, self.distance.shape)))
 
 
 @dataclass(frozen=True, eq=False)
-class Turns:
+class Turns(Record):
     """How joints turn SUs, as gyroscopes tell.
 
     Attributes:
@@ -54,13 +50,9 @@ class Turns:
     length: F64
     deviation: F64
 
-    def __post_init__(self) -> None:
-        for name in ("length", "deviation"):
-            object.__setattr__(self, name, frozen(getattr(self, name)))
-
 
 @dataclass(frozen=True, eq=False)
-class Features:
+class Features(Record):
     """Regression coefficients of the readings around each pose on the motion of all DoFs.
 
     Around pose p the reading of SU u is, to first order (design: what an accelerometer measures)::
@@ -114,9 +106,7 @@ class Features:
     turns: Turns | None = None
 
     def __post_init__(self) -> None:
-        for name in ("q", "coefficients", "noise", "latency", "latency_sd"):
-            object.__setattr__(self, name, frozen(getattr(self, name)))
-        object.__setattr__(self, "log", frozen(self.log, np.int64))
+        super().__post_init__()
         P, D = self.q.shape
         object.__setattr__(self, "encoders", self.encoders.of_size(P, D))
         object.__setattr__(self, "span", frozen(np.broadcast_to(self.span, (P, 2))))

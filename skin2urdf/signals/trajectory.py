@@ -12,7 +12,7 @@ from functools import cached_property
 
 import numpy as np
 
-from skin2urdf.arrays import F64, Bool, Int, frozen
+from skin2urdf.arrays import F64, Bool, Int, Record
 from skin2urdf.signals.filters import (
     Spline,
     eroded,
@@ -33,7 +33,7 @@ _MOVING = 20.0
 
 
 @dataclass(frozen=True, eq=False)
-class Trajectory:
+class Trajectory(Record):
     """One log as a trajectory of N grid samples, of which K are compared with a model.
 
     Attributes:
@@ -74,19 +74,6 @@ class Trajectory:
     noise: F64 | None = None
     leaps: Leaps | None = None
     publisher: Int = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "publisher", frozen(self.publisher, np.int64))
-        for name in ("taps", "q", "qd", "qdd", "readings"):
-            object.__setattr__(self, name, frozen(getattr(self, name)))
-        if self.rates is not None and self.turning is not None:
-            object.__setattr__(self, "rates", frozen(self.rates))
-            object.__setattr__(self, "turning", frozen(self.turning, np.bool_))
-        if self.noise is not None:
-            object.__setattr__(self, "noise", frozen(self.noise))
-        object.__setattr__(self, "kept", frozen(self.kept, np.int64))
-        for name in ("valid", "moving"):
-            object.__setattr__(self, name, frozen(getattr(self, name), np.bool_))
 
     @property
     def time(self) -> F64:

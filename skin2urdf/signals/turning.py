@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from skin2urdf.arrays import F64, Bool, Int, frozen
+from skin2urdf.arrays import F64, Bool, Int, Record
 from skin2urdf.notes import Note
 from skin2urdf.recording.credibility import spikes
 from skin2urdf.recording.holding import measurements
@@ -31,7 +31,7 @@ reads as."""
 
 
 @dataclass(frozen=True, eq=False)
-class Turning:
+class Turning(Record):
     """Rates of turn of U SUs on a grid.
 
     Attributes:
@@ -41,10 +41,6 @@ class Turning:
 
     rates: F64
     valid: Bool
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "rates", frozen(self.rates))
-        object.__setattr__(self, "valid", frozen(self.valid, np.bool_))
 
     def of(self, columns: Int) -> Turning:
         """The rates of other columns."""

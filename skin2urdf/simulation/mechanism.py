@@ -11,14 +11,14 @@ from typing import Any
 
 import numpy as np
 
-from skin2urdf.arrays import F64, Bool, Int, frozen
+from skin2urdf.arrays import F64, Bool, Int, Record
 from skin2urdf.errors import UnreadableInputError, UsageError
 from skin2urdf.geometry.units import GRAVITY
 from skin2urdf.simulation.robots import RobotSpec, Vector3
 
 
 @dataclass(frozen=True, eq=False)
-class Mechanism:
+class Mechanism(Record):
     """D single-DoF joints in Pinocchio's order; index -1 is the reference segment.
 
     Attributes:
@@ -45,12 +45,6 @@ class Mechanism:
     link_names: tuple[str, ...]
     root_link: str
     locked: Mapping[str, float]
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "parent", frozen(self.parent, np.int64))
-        object.__setattr__(self, "prismatic", frozen(self.prismatic, np.bool_))
-        for name in ("lower", "upper", "speed_limit"):
-            object.__setattr__(self, name, frozen(getattr(self, name)))
 
     @property
     def n_joints(self) -> int:

@@ -11,7 +11,7 @@ from math import pi
 
 import numpy as np
 
-from skin2urdf.arrays import F64, frozen
+from skin2urdf.arrays import F64, Record
 from skin2urdf.simulation.mechanism import Mechanism
 from skin2urdf.simulation.motion_settings import MotionSettings
 from skin2urdf.simulation.pattern import Tones, distinct_time, swing, tone_pairs
@@ -23,7 +23,7 @@ _LIMIT_MARGIN = 0.03
 
 
 @dataclass(frozen=True, eq=False)
-class Reference:
+class Reference(Record):
     """What the robot is commanded to do.
 
     Attributes:
@@ -35,9 +35,6 @@ class Reference:
     motion: JointMotion
     phases: tuple[Phase, ...]
     poses: F64
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "poses", frozen(self.poses))
 
 
 def plan_reference(

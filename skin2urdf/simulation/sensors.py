@@ -8,7 +8,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from skin2urdf.arrays import F64, frozen
+from skin2urdf.arrays import F64, Record
 from skin2urdf.geometry.units import GRAVITY
 
 MIN_STAMP_STEP = 1e-6
@@ -86,7 +86,7 @@ GRADES: Mapping[str, SensorGrade] = MappingProxyType(
 
 
 @dataclass(frozen=True, eq=False)
-class Sensor:
+class Sensor(Record):
     """One accelerometer or gyroscope out of the production of a grade.
 
     Attributes:
@@ -98,10 +98,6 @@ class Sensor:
     grade: SensorGrade
     matrix: F64
     bias: F64
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "matrix", frozen(self.matrix))
-        object.__setattr__(self, "bias", frozen(self.bias))
 
     def read(self, true: F64, rng: np.random.Generator) -> F64:
         """Readings quantise(clip((I + E) x + bias + noise)).

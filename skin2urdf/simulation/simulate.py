@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from skin2urdf.arrays import F64, frozen
+from skin2urdf.arrays import F64, Record
 from skin2urdf.geometry.units import GRAVITY
 from skin2urdf.recording.records import Recording
 from skin2urdf.simulation.defects.flexible import move_flexibly
@@ -33,7 +33,7 @@ _MOVED = 0.3
 
 
 @dataclass(frozen=True, eq=False)
-class Truth:
+class Truth(Record):
     """What a calibration must find, and must not be told.
 
     Attributes:
@@ -63,10 +63,6 @@ class Truth:
     bias: F64
     lag: F64
     gyros: tuple[Sensor, ...] = ()
-
-    def __post_init__(self) -> None:
-        for name in ("poses", "gravity_base", "sensor_matrix", "bias", "lag"):
-            object.__setattr__(self, name, frozen(getattr(self, name)))
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,14 +6,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from skin2urdf.arrays import F64, frozen
+from skin2urdf.arrays import F64, Record
 from skin2urdf.errors import UsageError
 from skin2urdf.simulation.mechanism import Mechanism
 from skin2urdf.simulation.robots import GivenSu, SkinLayout
 
 
 @dataclass(frozen=True, eq=False)
-class PlacedSu:
+class PlacedSu(Record):
     """An SU on the robot.
 
     Attributes:
@@ -31,10 +31,6 @@ class PlacedSu:
     link: str
     T_link_su: F64
     T_joint_su: F64
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "T_link_su", frozen(self.T_link_su))
-        object.__setattr__(self, "T_joint_su", frozen(self.T_joint_su))
 
 
 def place_skin(

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from skin2urdf.arrays import F64, frozen
+from skin2urdf.arrays import F64, Record
 from skin2urdf.simulation.pattern import (
     PEAK_SPEED,
     Tones,
@@ -50,7 +50,7 @@ class Phase:
 
 
 @dataclass(frozen=True, eq=False)
-class JointMotion:
+class JointMotion(Record):
     """Motion of all joints: the quintic spline through points on a regular grid.
 
     The spline IS the motion, so its velocity and acceleration are exact.
@@ -62,10 +62,6 @@ class JointMotion:
 
     time: F64
     position: F64
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "time", frozen(self.time))
-        object.__setattr__(self, "position", frozen(self.position))
 
     @cached_property
     def _splines(self) -> tuple[BSpline, BSpline, BSpline]:

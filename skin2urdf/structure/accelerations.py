@@ -18,7 +18,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from skin2urdf.arrays import F64, Bool, Int, frozen
+from skin2urdf.arrays import F64, Bool, Int, Record
 from skin2urdf.geometry.so3 import axis_rotation, skew
 from skin2urdf.geometry.units import GRAVITY
 from skin2urdf.signals.filters import (
@@ -63,7 +63,7 @@ class ChainJoint:
 
 
 @dataclass(frozen=True, eq=False)
-class Along:
+class Along(Record):
     """Low-passed samples along all logs.
 
     Attributes:
@@ -91,16 +91,6 @@ class Along:
     stretch: Int
     rates: F64 | None = None
     turning: Bool | None = None
-
-    def __post_init__(self) -> None:
-        for name in ("q", "qd", "qdd", "readings", "change", "time"):
-            object.__setattr__(self, name, frozen(getattr(self, name)))
-        object.__setattr__(self, "valid", frozen(self.valid, np.bool_))
-        if self.rates is not None and self.turning is not None:
-            object.__setattr__(self, "rates", frozen(self.rates))
-            object.__setattr__(self, "turning", frozen(self.turning, np.bool_))
-        for name in ("log", "stretch"):
-            object.__setattr__(self, name, frozen(getattr(self, name), np.int64))
 
     @property
     def n_stretches(self) -> int:
@@ -165,7 +155,7 @@ def _turned(turning: Turning | None, valid: Bool, taps: F64, kept: Int) -> tuple
 
 
 @dataclass(frozen=True, eq=False)
-class Judged:
+class Judged(Record):
     """How well a chain predicts an SU's readings in stretches that it was not fitted to.
 
     Attributes:
@@ -186,10 +176,6 @@ class Judged:
     lever: float
     turn_loss: F64
     turn_count: F64
-
-    def __post_init__(self) -> None:
-        for name in ("loss", "count", "slide", "slide_sd", "turn_loss", "turn_count"):
-            object.__setattr__(self, name, frozen(getattr(self, name)))
 
 
 def judge(

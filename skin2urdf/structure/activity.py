@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from skin2urdf.arrays import F64, Bool, frozen
+from skin2urdf.arrays import F64, Bool, Record
 from skin2urdf.geometry.units import GRAVITY
 from skin2urdf.signals.records import Features, StaticMoves, Turns
 
@@ -38,7 +38,7 @@ _SECOND_ORDER = 0.3
 
 
 @dataclass(frozen=True, eq=False)
-class Activity:
+class Activity(Record):
     """Activity matrix with its evidence.
 
     Attributes:
@@ -64,14 +64,6 @@ class Activity:
     excited: Bool
     heard: Bool
     turned: F64 | None = None
-
-    def __post_init__(self) -> None:
-        for name in ("static", "dynamic", "static_doubt"):
-            object.__setattr__(self, name, frozen(getattr(self, name)))
-        if self.turned is not None:
-            object.__setattr__(self, "turned", frozen(self.turned))
-        for name in ("excited", "heard"):
-            object.__setattr__(self, name, frozen(getattr(self, name), np.bool_))
 
     @property
     def patterns_felt(self) -> bool:

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from skin2urdf.arrays import F64, frozen
+from skin2urdf.arrays import F64, Record
 from skin2urdf.geometry.so3 import axis_rotation, cross, rotation_exp, skew, wahba
 
 PRIOR = np.array([0.5] * 3 + [0.03] * 3 + [0.01] * 3)
@@ -62,7 +62,7 @@ def turned(axis: F64, q: F64, x: F64) -> F64:
 
 
 @dataclass(frozen=True, eq=False)
-class Carried:
+class Carried(Record):
     """How the known segments of K fits move in N samples, in their own frames.
 
     Attributes:
@@ -81,10 +81,6 @@ class Carried:
     qd: F64
     qdd: F64
     change: F64
-
-    def __post_init__(self) -> None:
-        for name in ("omega", "alpha", "columns", "qd", "qdd", "change"):
-            object.__setattr__(self, name, frozen(getattr(self, name)))
 
     def beyond(self, i: int, axis: F64, q: F64) -> Carried:
         """How what joint number ``i`` carries moves.

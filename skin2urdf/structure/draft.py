@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from skin2urdf.arrays import F64, Int, frozen
+from skin2urdf.arrays import F64, Int, Record
 from skin2urdf.structure.accelerations import Along, ChainJoint, Judged, judge
 from skin2urdf.structure.records import JointType
 
@@ -36,7 +36,7 @@ the width of a sensor's case."""
 
 
 @dataclass(frozen=True, eq=False)
-class Draft:
+class Draft(Record):
     """Joints, and SUs on them.
 
     Attributes:
@@ -54,11 +54,6 @@ class Draft:
     R: F64
     sensor: F64
     up: F64
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "su_joint", frozen(self.su_joint, np.int64))
-        for name in ("R", "sensor", "up"):
-            object.__setattr__(self, name, frozen(getattr(self, name)))
 
     def path(self, joint: int) -> tuple[int, ...]:
         """Indices of the joints from the RS to the given one."""

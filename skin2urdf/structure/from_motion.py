@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from skin2urdf.arrays import F64, Bool, frozen
+from skin2urdf.arrays import F64, Bool, Record
 from skin2urdf.errors import StructureError
 from skin2urdf.geometry.so3 import frame_with_z
 from skin2urdf.notes import Note
@@ -29,7 +29,7 @@ from skin2urdf.structure.records import KinematicTree
 
 
 @dataclass(frozen=True, eq=False)
-class MotionTree:
+class MotionTree(Record):
     """A kinematic tree with the directions that gravity shows.
 
     All directions are given in the base frame of the first log, whose z axis points up, with the
@@ -58,10 +58,6 @@ class MotionTree:
     shape: F64
     chi2: F64
     left: F64
-
-    def __post_init__(self) -> None:
-        for name in ("axes", "R_base_su", "up", "bias", "shape", "chi2", "left"):
-            object.__setattr__(self, name, frozen(getattr(self, name)))
 
     @property
     def misfit(self) -> float:

@@ -23,7 +23,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from skin2urdf.arrays import F64, Int, frozen
+from skin2urdf.arrays import F64, Int, Record
 from skin2urdf.geometry.units import GRAVITY
 from skin2urdf.signals.encoder_noise import EncoderNoise
 from skin2urdf.signals.filters import (
@@ -63,7 +63,7 @@ _MOST_WINDOWS = 120
 
 
 @dataclass(frozen=True, eq=False)
-class Moving:
+class Moving(Record):
     """How joints and readings change in W moments.
 
     Attributes:
@@ -78,13 +78,9 @@ class Moving:
     change: F64
     sd: F64
 
-    def __post_init__(self) -> None:
-        for name in ("qd", "qdd", "change", "sd"):
-            object.__setattr__(self, name, frozen(getattr(self, name)))
-
 
 @dataclass(frozen=True, eq=False)
-class GravityWindows:
+class GravityWindows(Record):
     """Readings of gravity in W windows of rest or slow motion.
 
     Attributes:
@@ -106,11 +102,6 @@ class GravityWindows:
     reading: F64
     sd: F64
     moving: Moving | None = None
-
-    def __post_init__(self) -> None:
-        for name in ("q", "reading", "sd"):
-            object.__setattr__(self, name, frozen(getattr(self, name)))
-        object.__setattr__(self, "log", frozen(self.log, np.int64))
 
     @property
     def weight(self) -> F64:

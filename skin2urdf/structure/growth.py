@@ -20,7 +20,7 @@ from itertools import pairwise, permutations
 import numpy as np
 
 from skin2urdf.arrays import F64, Bool, Int
-from skin2urdf.geometry.so3 import axis_rotation, fibonacci_sphere
+from skin2urdf.geometry.so3 import axis_rotation, fibonacci_sphere, spread_out
 from skin2urdf.geometry.units import GRAVITY
 from skin2urdf.structure.chain_fit import (
     Carried,
@@ -336,7 +336,7 @@ class Growth:
         keys, starts = [], []
         for _, u, s, d in rows:
             order = np.argsort(self._losses[s, d][u], kind="stable")
-            for axis in _spread(self._grid[order], _STARTS):
+            for axis in spread_out(self._grid[order], _STARTS):
                 keys.append((u, s, d))
                 starts.append(axis)
         if not keys:
@@ -479,14 +479,3 @@ class Growth:
                 found = True
         if found:
             self._begin([(s.parent, s.dof, s.axis) for s in self.segments])
-
-
-def _spread(candidates: F64, most: int) -> F64:
-    """The first of each neighbourhood of 15 degrees, ``most`` at most."""
-    kept: list[F64] = []
-    for k in candidates[: 20 * most]:
-        if all(k @ o < np.cos(np.deg2rad(15.0)) for o in kept):
-            kept.append(k)
-        if len(kept) == most:
-            break
-    return np.array(kept)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from skin2urdf.arrays import F64, Int, frozen
+from skin2urdf.arrays import F64, Bool, Int, Record
 from skin2urdf.signals.records import Features
 from skin2urdf.structure.activity import CERTAIN, Activity
 from skin2urdf.structure.records import JointType
@@ -83,7 +83,7 @@ def pushed_alike(features: Features, own: F64, activity: Activity) -> F64:
 
 
 @dataclass(frozen=True, eq=False)
-class _Column:
+class _Column(Record):
     """What n measurements (poses and SUs) say about one DoF.
 
     Attributes:
@@ -97,12 +97,9 @@ class _Column:
 
     push: F64
     push_sd: F64
-    known: F64
+    known: Bool
     turning: F64
     off_any_axis: F64
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "known", frozen(self.known, np.bool_))
 
     @classmethod
     def of(cls, features: Features, own: F64, sus: Int, dof: int) -> _Column:

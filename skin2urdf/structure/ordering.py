@@ -13,7 +13,7 @@ from typing import Protocol
 
 import numpy as np
 
-from skin2urdf.arrays import Int, frozen
+from skin2urdf.arrays import Int, Record
 from skin2urdf.structure.records import KinematicTree
 
 
@@ -32,7 +32,7 @@ class Listed(Protocol):
 
 
 @dataclass(frozen=True, eq=False)
-class Ordering:
+class Ordering(Record):
     """Indices of the D joints and U SUs of a tree in a list of others.
 
     Attributes:
@@ -44,10 +44,6 @@ class Ordering:
     dof: Int
     su: Int
     n_dofs: int
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "dof", frozen(self.dof, np.int64))
-        object.__setattr__(self, "su", frozen(self.su, np.int64))
 
     @staticmethod
     def of(tree: KinematicTree, listed: Listed) -> Ordering:

@@ -7,14 +7,14 @@ from typing import Literal
 
 import numpy as np
 
-from skin2urdf.arrays import Bool, Int, frozen
+from skin2urdf.arrays import Bool, Int, Record
 from skin2urdf.notes import Note
 
 JointType = Literal["revolute", "prismatic"]
 
 
 @dataclass(frozen=True, eq=False)
-class KinematicTree:
+class KinematicTree(Record):
     """A rooted tree of single-DoF joints; segment j is what joint j carries.
 
     Joints are in topological order: ``parent[j] < j``. Index -1 is the reference segment (RS).
@@ -34,10 +34,6 @@ class KinematicTree:
     su_names: tuple[str, ...]
     su_joint: Int
     notes: tuple[Note, ...] = field(default=())
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "parent", frozen(self.parent, np.int64))
-        object.__setattr__(self, "su_joint", frozen(self.su_joint, np.int64))
 
     @property
     def n_joints(self) -> int:

@@ -13,7 +13,7 @@ from typing import Literal
 
 import numpy as np
 
-from skin2urdf.arrays import F64, Bool, Int, frozen
+from skin2urdf.arrays import F64, Bool, Int, Record
 from skin2urdf.urdf.alignment import align, displace, projector
 from skin2urdf.urdf.records import Alignment
 
@@ -25,7 +25,7 @@ ON_BASE = ""
 
 
 @dataclass(frozen=True, eq=False)
-class Aligned:
+class Aligned(Record):
     """An estimated robot laid onto the true one.
 
     Attributes:
@@ -35,9 +35,6 @@ class Aligned:
 
     T_base_su: F64
     alignments: tuple[Alignment, ...]
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "T_base_su", frozen(self.T_base_su))
 
     def transform(self, limb: str) -> F64 | None:
         """(4, 4) T_truth_estimate of a limb; None where no SU of it could be aligned."""

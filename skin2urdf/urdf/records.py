@@ -9,7 +9,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from skin2urdf.arrays import F64, Bool, frozen
+from skin2urdf.arrays import F64, Bool, Record
 from skin2urdf.structure.records import JointType
 
 NO_LIMITS = "lower and upper are placeholders"
@@ -17,7 +17,7 @@ NO_LIMITS = "lower and upper are placeholders"
 
 
 @dataclass(frozen=True, eq=False)
-class JointLimits:
+class JointLimits(Record):
     """Limits of D joints.
 
     Attributes:
@@ -31,11 +31,6 @@ class JointLimits:
     velocity: F64
     soft: F64
     known: Bool
-
-    def __post_init__(self) -> None:
-        for name in ("position", "velocity", "soft"):
-            object.__setattr__(self, name, frozen(getattr(self, name)))
-        object.__setattr__(self, "known", frozen(self.known, np.bool_))
 
 
 @dataclass(frozen=True)
@@ -147,7 +142,7 @@ class Difference:
 
 
 @dataclass(frozen=True, eq=False)
-class Alignment:
+class Alignment(Record):
     """How one limb of the estimate, or all of it, was laid onto the truth.
 
     Attributes:
@@ -161,9 +156,6 @@ class Alignment:
     sus: tuple[str, ...]
     anchors: tuple[str, ...]
     T_truth_estimate: F64
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "T_truth_estimate", frozen(self.T_truth_estimate))
 
 
 def tilt_between(alignments: Sequence[Alignment]) -> float:

@@ -7,7 +7,7 @@ from typing import Literal
 
 import numpy as np
 
-from skin2urdf.arrays import F64, frozen
+from skin2urdf.arrays import F64, Record
 from skin2urdf.geometry.se3 import screw
 from skin2urdf.model.records import KinematicModel
 
@@ -22,7 +22,7 @@ _SMALLEST = 1e-4  # [m]; shorter links are not drawn
 
 
 @dataclass(frozen=True, eq=False)
-class Shape:
+class Shape(Record):
     """One coloured solid in the frame of its link.
 
     Attributes:
@@ -36,10 +36,6 @@ class Shape:
     size: F64
     T_link_shape: F64
     colour: str
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "size", frozen(self.size))
-        object.__setattr__(self, "T_link_shape", frozen(self.T_link_shape))
 
 
 def thickness(model: KinematicModel) -> float:

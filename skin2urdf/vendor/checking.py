@@ -15,7 +15,7 @@ from typing import Literal
 import numpy as np
 from scipy.special import chdtrc, chdtri
 
-from skin2urdf.arrays import F64, Bool, frozen
+from skin2urdf.arrays import F64, Bool, Record
 from skin2urdf.calibration.clock import Clock, Progress, Tell
 from skin2urdf.calibration.pipeline import recordings_of
 from skin2urdf.calibration.result import GOOD_FIT, Source
@@ -52,7 +52,7 @@ _NEAR = 0.02, 0.1
 
 
 @dataclass(frozen=True, eq=False)
-class SuCheck:
+class SuCheck(Record):
     """One SU, held against what was known of it.
 
     Attributes:
@@ -82,10 +82,6 @@ class SuCheck:
     T_link_su: F64
     covariance_new: F64
     unobservable_new: F64
-
-    def __post_init__(self) -> None:
-        for name in ("twist", "covariance", "T_link_su", "covariance_new", "unobservable_new"):
-            object.__setattr__(self, name, frozen(getattr(self, name)))
 
     @property
     def shift(self) -> tuple[float, float]:

@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 
-from skin2urdf.arrays import F64, frozen
+from skin2urdf.arrays import F64, Record
 from skin2urdf.errors import UnreadableInputError
 from skin2urdf.geometry.se3 import placement, screw
 from skin2urdf.urdf.loading import check_tree, parsed_urdf
@@ -27,7 +27,7 @@ class Mimic:
 
 
 @dataclass(frozen=True, eq=False)
-class ModelJoint:
+class ModelJoint(Record):
     """A joint of a URDF.
 
     Attributes:
@@ -49,10 +49,6 @@ class ModelJoint:
     axis: F64
     limits: tuple[float, float]
     mimic: Mimic | None
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "T_parent_origin", frozen(self.T_parent_origin))
-        object.__setattr__(self, "axis", frozen(self.axis))
 
     @property
     def moves(self) -> bool:

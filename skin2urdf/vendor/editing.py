@@ -10,7 +10,7 @@ from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
-from skin2urdf.arrays import F64, frozen
+from skin2urdf.arrays import F64, Record
 from skin2urdf.errors import UnreadableInputError, UsageError
 from skin2urdf.urdf.rpy import rpy_of_rotation
 
@@ -18,7 +18,7 @@ _ATTRIBUTE = re.compile(rb"""\s([\w:.-]+)\s*=\s*("[^"]*"|'[^']*')""")
 
 
 @dataclass(frozen=True, eq=False)
-class Attachment:
+class Attachment(Record):
     """An SU to be added.
 
     Attributes:
@@ -32,9 +32,6 @@ class Attachment:
     mount: str
     link: str
     T_link_su: F64
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "T_link_su", frozen(self.T_link_su))
 
 
 def with_additions(

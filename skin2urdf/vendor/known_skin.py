@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from skin2urdf.arrays import F64, frozen
+from skin2urdf.arrays import F64, Record
 from skin2urdf.errors import UnreadableInputError
 from skin2urdf.urdf.beside import document_beside
 from skin2urdf.vendor.description import Description, describe
@@ -18,7 +18,7 @@ from skin2urdf.vendor.source import read_model
 
 
 @dataclass(frozen=True, eq=False)
-class KnownSu:
+class KnownSu(Record):
     """An SU as it was found.
 
     Attributes:
@@ -42,13 +42,9 @@ class KnownSu:
     bias: F64
     shape: F64
 
-    def __post_init__(self) -> None:
-        for name in ("T_link_su", "covariance", "unobservable", "bias", "shape"):
-            object.__setattr__(self, name, frozen(getattr(self, name)))
-
 
 @dataclass(frozen=True, eq=False)
-class KnownSkin:
+class KnownSkin(Record):
     """An earlier calibration.
 
     Attributes:
@@ -64,9 +60,6 @@ class KnownSkin:
     beside: Path
     sus: tuple[KnownSu, ...]
     up: F64
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "up", frozen(self.up))
 
 
 def load_skin(urdf: str | Path) -> KnownSkin:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from skin2urdf.arrays import F64, Bool, frozen
+from skin2urdf.arrays import F64, Bool, Record
 from skin2urdf.estimation.trajectory.estimate import MotionEstimate
 from skin2urdf.signals.trajectory import Trajectory
 
@@ -26,7 +26,7 @@ _FEWEST = 8
 
 
 @dataclass(frozen=True, eq=False)
-class Leftover:
+class Leftover(Record):
     """What a fit leaves of U SUs.
 
     Attributes:
@@ -38,10 +38,6 @@ class Leftover:
 
     ratio: F64
     rms: F64
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "ratio", frozen(self.ratio))
-        object.__setattr__(self, "rms", frozen(self.rms))
 
     @property
     def mean(self) -> float:

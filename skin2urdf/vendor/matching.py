@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from skin2urdf.arrays import F64, Int, frozen
+from skin2urdf.arrays import F64, Int, Record
 from skin2urdf.errors import ModelMismatchError
 from skin2urdf.geometry.se3 import inverse, placement, screw
 from skin2urdf.geometry.so3 import frame_with_z
@@ -22,7 +22,7 @@ from skin2urdf.vendor.description import Description, ModelJoint
 
 
 @dataclass(frozen=True, eq=False)
-class Chassis:
+class Chassis(Record):
     """The joints of a model that the logs may move, as the estimation sees them.
 
     Attributes:
@@ -55,12 +55,6 @@ class Chassis:
     extra: tuple[str, ...]
     absent: dict[str, float]
     carried: Mapping[str, tuple[int, F64]]
-
-    def __post_init__(self) -> None:
-        for name in ("T_parent_joint", "T_before", "T_origin_joint", "R_link_joint", "factor"):
-            object.__setattr__(self, name, frozen(getattr(self, name)))
-        for name in ("parent", "measured"):
-            object.__setattr__(self, name, frozen(getattr(self, name), np.int64))
 
     @property
     def n_joints(self) -> int:

@@ -19,7 +19,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from skin2urdf.arrays import F64, Bool, Int, frozen
+from skin2urdf.arrays import F64, Bool, Int, Record
 from skin2urdf.estimation.trajectory.kinematics import FrameMotion, frame_motions
 from skin2urdf.signals.filters import filtered, first_derivative
 from skin2urdf.signals.trajectory import Trajectory
@@ -34,7 +34,7 @@ only where the model lacks something."""
 
 
 @dataclass(frozen=True, eq=False)
-class Moments:
+class Moments(Record):
     """Products over S spans of time of one segment's regressors with U SUs' readings.
 
     Attributes:
@@ -54,11 +54,6 @@ class Moments:
     ys: F64
     ss: F64
     count: Int
-
-    def __post_init__(self) -> None:
-        for name in ("N", "c", "s", "yy", "ys", "ss"):
-            object.__setattr__(self, name, frozen(getattr(self, name)))
-        object.__setattr__(self, "count", frozen(self.count, np.int64))
 
 
 def all_moments(tree: KinematicTree, T_parent_joint: F64, log: Trajectory) -> list[Moments]:

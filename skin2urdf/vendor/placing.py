@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import chdtri
 
-from skin2urdf.arrays import F64, Int, frozen
+from skin2urdf.arrays import F64, Int, Record
 from skin2urdf.estimation.problem.cost import Priors
 from skin2urdf.estimation.problem.state import State
 from skin2urdf.estimation.trajectory.blueprint import turn_axes
@@ -63,7 +63,7 @@ _TURNS = 30
 
 
 @dataclass(frozen=True, eq=False)
-class Placed:
+class Placed(Record):
     """U SUs on a model.
 
     Attributes:
@@ -79,11 +79,6 @@ class Placed:
     up: F64
     instead: tuple[tuple[int, ...], ...]
     left: F64
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "su_joint", frozen(self.su_joint, np.int64))
-        object.__setattr__(self, "up", frozen(self.up))
-        object.__setattr__(self, "left", frozen(self.left))
 
     @property
     def rss(self) -> F64:

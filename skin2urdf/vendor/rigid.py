@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from skin2urdf.arrays import F64, Bool, Int, frozen
+from skin2urdf.arrays import F64, Bool, Int, Record
 from skin2urdf.estimation.problem.cost import Priors
 from skin2urdf.geometry.so3 import axis_rotation, rotation_exp, skew
 from skin2urdf.geometry.units import GRAVITY
@@ -39,7 +39,7 @@ _TURNS = 8
 
 
 @dataclass(frozen=True, eq=False)
-class Fit:
+class Fit(Record):
     """An SU on a segment.
 
     Attributes:
@@ -59,10 +59,6 @@ class Fit:
     lag: float
     rss: F64
     cost: float
-
-    def __post_init__(self) -> None:
-        for name in ("R", "r", "bias", "shape", "rss"):
-            object.__setattr__(self, name, frozen(getattr(self, name)))
 
 
 @dataclass(frozen=True, eq=False)

@@ -118,6 +118,15 @@ def test_a_typo_is_guessed(
     assert capsys.readouterr().err.rstrip().endswith(f"{meant}?")
 
 
+def test_an_option_of_another_command_is_not_what_was_meant(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    with pytest.raises(SystemExit) as stopped:
+        main(["simulate", "ur5", "--force"])
+    assert stopped.value.code == 2
+    assert capsys.readouterr().err.count("--force") == 1
+
+
 def test_a_robot_that_is_misspelt_is_guessed(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["simulate", "pandda", "-o", "log.mcap"]) == 2
     assert " panda?" in capsys.readouterr().err

@@ -100,6 +100,7 @@ def declare(command: Parser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Do it; the exit status."""
     from skin2urdf.recording.writing import write
+    from skin2urdf.report.tables import count
     from skin2urdf.simulation import load_robot, robot_names, simulate
 
     if options.list:
@@ -139,9 +140,10 @@ def run(options: argparse.Namespace) -> int:
     if not options.quiet:
         recording = simulation.recording
         messages = sum(len(su.time) for su in recording.sus) + len(recording.joints[0].time)
+        held = (len(recording.joints), "joint"), (len(recording.sus), "SU")
         print(
-            f"{robot.name}: {len(recording.joints)} joints, {len(recording.sus)} SUs, "
-            f"{len(simulation.truth.poses)} poses in {recording.duration:.0f} s, "
+            f"{robot.name}: {', '.join(count(n, what) for n, what in held)}, "
+            f"{count(len(simulation.truth.poses), 'pose')} in {recording.duration:.0f} s, "
             f"{messages} messages"
         )
         print(wrote(targets, replaced))

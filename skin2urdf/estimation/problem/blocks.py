@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from skin2urdf.arrays import F64, Int, frozen
+from skin2urdf.arrays import F64, Int, Record
 from skin2urdf.model.prediction import Chains
 from skin2urdf.signals.encoder_noise import EncoderNoise
 from skin2urdf.signals.records import Features
@@ -19,7 +19,7 @@ _RANK_TOLERANCE = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
-class FeatureBlocks:
+class FeatureBlocks(Record):
     """Whitened features; the residual of a model's blocks Y is ``(W @ Y - target) / noise``.
 
     Attributes:
@@ -51,12 +51,6 @@ class FeatureBlocks:
     variance: F64
     encoders: EncoderNoise
     pull: F64
-
-    def __post_init__(self) -> None:
-        for name in ("q", "W", "target", "noise", "coefficients", "variance", "pull"):
-            object.__setattr__(self, name, frozen(getattr(self, name)))
-        for name in ("su_joint", "log", "count"):
-            object.__setattr__(self, name, frozen(getattr(self, name), np.int64))
 
     def reweighted(self, weight: F64) -> FeatureBlocks:
         """These blocks with the information of pose p and SU u multiplied by weight (P, U)."""

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from skin2urdf.arrays import F64, Bool, frozen
+from skin2urdf.arrays import F64, Bool, Record
 from skin2urdf.geometry.se3 import exp, placement
 from skin2urdf.geometry.so3 import left_jacobian, rotation_exp
 from skin2urdf.model.records import KinematicModel
@@ -25,7 +25,7 @@ _SHAPE_INDEX = ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))
 
 
 @dataclass(frozen=True, eq=False)
-class State:
+class State(Record):
     """A full set of estimated quantities.
 
     An SU reads ``M f + bias`` where f is the specific force and M = I + symmetric ``shape``: the
@@ -44,10 +44,6 @@ class State:
     up: F64
     bias: F64
     shape: F64
-
-    def __post_init__(self) -> None:
-        for name in ("T_parent_joint", "T_joint_su", "up", "bias", "shape"):
-            object.__setattr__(self, name, frozen(getattr(self, name)))
 
     def model(self, tree: KinematicTree) -> KinematicModel:
         """The placements as a kinematic model."""

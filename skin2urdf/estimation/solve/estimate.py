@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 
-from skin2urdf.arrays import F64, Int, frozen, keep_freed_memory
+from skin2urdf.arrays import F64, Int, Record, keep_freed_memory
 from skin2urdf.errors import InsufficientDataError
 from skin2urdf.estimation.problem.blocks import feature_blocks
 from skin2urdf.estimation.problem.cost import Cost, Priors
@@ -41,7 +41,7 @@ class EstimationSettings:
 
 
 @dataclass(frozen=True, eq=False)
-class Estimate:
+class Estimate(Record):
     """The best state found and how well it explains the features.
 
     Attributes:
@@ -70,11 +70,6 @@ class Estimate:
     free: Free
     hypotheses: tuple[float, ...]
     given: Priors
-
-    def __post_init__(self) -> None:
-        for name in ("chi2_by_block", "weight"):
-            object.__setattr__(self, name, frozen(getattr(self, name)))
-        object.__setattr__(self, "count", frozen(self.count, np.int64))
 
     @property
     def degrees_of_freedom(self) -> int:

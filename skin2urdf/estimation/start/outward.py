@@ -31,6 +31,7 @@ from skin2urdf.geometry.so3 import (
     fibonacci_sphere,
     rotation_exp,
     skew,
+    spread_out,
     wahba,
 )
 from skin2urdf.structure.records import KinematicTree
@@ -117,7 +118,7 @@ def _extend(
     problem = _NextAxis(q[:, -1], h, f0, 1 / var_f0, tau, w_tau, np.array(axes_parent))
     grid = fibonacci_sphere(_GRID)
     candidates = grid[np.argsort(problem.grid_loss(grid), kind="stable")]
-    k, cost = problem.refine(_spread(candidates, _REFINED))
+    k, cost = problem.refine(spread_out(candidates, _REFINED))
     order = np.argsort(cost)
     kept: list[int] = []
     for i in order:
@@ -141,17 +142,6 @@ def _distinct(a: F64, b: F64, h: F64) -> bool:
         angles = np.arccos(np.clip(np.array([a @ mean, b @ mean]), -1, 1))
         return bool(abs(angles[0] - angles[1]) > 0.1)
     return bool(a @ b < 0.999)
-
-
-def _spread(candidates: F64, most: int) -> F64:
-    """The first of each neighbourhood of 15 degrees, ``most`` at most."""
-    kept: list[F64] = []
-    for k in candidates[: 20 * most]:
-        if all(k @ o < np.cos(np.deg2rad(15.0)) for o in kept):
-            kept.append(k)
-        if len(kept) == most:
-            break
-    return np.array(kept)
 
 
 @dataclass(frozen=True, eq=False)

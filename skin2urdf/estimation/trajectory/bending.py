@@ -24,7 +24,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from skin2urdf.arrays import F64, Int, frozen
+from skin2urdf.arrays import F64, Int
 from skin2urdf.estimation.problem.state import State
 from skin2urdf.estimation.trajectory.skeleton import N_HINGES, shift, turn
 from skin2urdf.estimation.trajectory.torques import N_INERTIAL, inertial_sizes, regressors
@@ -84,12 +84,6 @@ class Bending(Unseen):
     parts: Int = field(kw_only=True)
     compliance: F64 = field(kw_only=True)
     basis: F64 = field(kw_only=True)
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        object.__setattr__(self, "parts", frozen(self.parts, np.int64))
-        object.__setattr__(self, "compliance", frozen(self.compliance))
-        object.__setattr__(self, "basis", frozen(self.basis))
 
     @property
     def n_numbers(self) -> int:

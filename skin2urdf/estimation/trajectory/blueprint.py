@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from skin2urdf.arrays import F64, Bool, frozen
+from skin2urdf.arrays import F64, Bool, Record
 from skin2urdf.estimation.problem.state import JOINT_COORDINATES, State
 from skin2urdf.geometry.se3 import inverse, log, screw
 from skin2urdf.geometry.so3 import frame_with_z, rotation_exp
@@ -25,7 +25,7 @@ N_MOUNT = 2
 
 
 @dataclass(frozen=True, eq=False)
-class Blueprint:
+class Blueprint(Record):
     """What is known of D joints before the logs are read.
 
     Attributes:
@@ -43,12 +43,6 @@ class Blueprint:
     up: F64
     tilt: float
     inertials: F64 | None = None
-
-    def __post_init__(self) -> None:
-        for name in ("T_parent_joint", "deviations", "up"):
-            object.__setattr__(self, name, frozen(getattr(self, name)))
-        if self.inertials is not None:
-            object.__setattr__(self, "inertials", frozen(self.inertials))
 
     @property
     def n_coordinates(self) -> int:

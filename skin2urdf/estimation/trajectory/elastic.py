@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from skin2urdf.arrays import F64, Bool, frozen
+from skin2urdf.arrays import F64, Bool
 from skin2urdf.estimation.problem.state import State
 from skin2urdf.estimation.trajectory.torques import regressors
 from skin2urdf.estimation.trajectory.unseen import Unseen
@@ -34,11 +34,6 @@ class Elasticity(Unseen):
 
     damping: Bool
     basis: F64
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        object.__setattr__(self, "damping", frozen(self.damping, np.bool_))
-        object.__setattr__(self, "basis", frozen(self.basis))
 
 
 def followed(

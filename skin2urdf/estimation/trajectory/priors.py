@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from skin2urdf.arrays import F64, frozen
+from skin2urdf.arrays import F64, Record
 from skin2urdf.estimation.problem.cost import Priors
 from skin2urdf.estimation.problem.state import N_JOINT, N_PLACEMENT, N_SU
 from skin2urdf.estimation.trajectory.blueprint import Blueprint
@@ -16,7 +16,7 @@ from skin2urdf.estimation.trajectory.state import N_GYRO, N_GYRO_BIAS, Layout, M
 
 
 @dataclass(frozen=True)
-class MotionPriors:
+class MotionPriors(Record):
     """What is known before the logs are read, as standard deviations; 0 fixes a quantity.
 
     Attributes:
@@ -40,10 +40,6 @@ class MotionPriors:
     unseen: F64
     gyro: F64 = field(default_factory=lambda: np.zeros(N_GYRO + N_GYRO_BIAS))
     blueprint: Blueprint | None = None
-
-    def __post_init__(self) -> None:
-        for name in ("front", "unseen", "gyro"):
-            object.__setattr__(self, name, frozen(getattr(self, name)))
 
 
 def sense(priors: MotionPriors, state: MotionState) -> float:

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-
-from skin2urdf.arrays import F64, Bool, Int, frozen
+from skin2urdf.arrays import F64, Bool, Int, Record
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,7 +89,7 @@ class Spans:
 
 
 @dataclass(frozen=True, eq=False)
-class Gyros:
+class Gyros(Record):
     """What was found of the gyroscopes of U SUs.
 
     Attributes:
@@ -122,8 +120,3 @@ class Gyros:
     misalignment_sd: F64
     bias_sd: F64
     delay_sd: F64
-
-    def __post_init__(self) -> None:
-        for name, value in vars(self).items():
-            whole = np.bool_ if name in ("heard", "used", "contradict") else np.float64
-            object.__setattr__(self, name, frozen(value, whole))

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from skin2urdf.arrays import F64, frozen
+from skin2urdf.arrays import F64, Record
 from skin2urdf.estimation.problem.state import N_JOINT, N_SU, State, Step, screwed
 from skin2urdf.estimation.trajectory.blueprint import further_moved
 from skin2urdf.estimation.trajectory.front_end import N_FRONT
@@ -19,7 +19,7 @@ much it is late, and its droop), and its bias in a log."""
 
 
 @dataclass(frozen=True, eq=False)
-class MotionState:
+class MotionState(Record):
     """All that predicts the readings along G logs of D joints and U SUs.
 
     Attributes:
@@ -43,11 +43,6 @@ class MotionState:
     knots: tuple[F64, ...]
     unseen: F64
     gyro: F64 = field(default_factory=lambda: np.zeros((0, 0)))
-
-    def __post_init__(self) -> None:
-        for name in ("front", "clock", "unseen", "gyro"):
-            object.__setattr__(self, name, frozen(getattr(self, name)))
-        object.__setattr__(self, "knots", tuple(frozen(k) for k in self.knots))
 
 
 @dataclass(frozen=True)

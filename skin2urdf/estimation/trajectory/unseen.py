@@ -13,14 +13,14 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from skin2urdf.arrays import F64, Int, frozen
+from skin2urdf.arrays import F64, Int, Record, frozen
 from skin2urdf.estimation.trajectory.skeleton import N_HINGES
 from skin2urdf.signals.filters import first_derivative, second_derivative
 from skin2urdf.signals.trajectory import Trajectory
 
 
 @dataclass(frozen=True, eq=False)
-class Unseen:
+class Unseen(Record):
     """Motions of joints per unit of S numbers, one entry for each joint that a number moves.
 
     Attributes:
@@ -38,8 +38,7 @@ class Unseen:
     origin: F64 = field(default_factory=lambda: np.zeros(0), kw_only=True)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "joint", frozen(self.joint, np.int64))
-        object.__setattr__(self, "motions", tuple(frozen(d) for d in self.motions))
+        super().__post_init__()
         number = self.number if len(self.number) else np.arange(len(self.joint))
         object.__setattr__(self, "number", frozen(number, np.int64))
         origin = self.origin if len(self.origin) else np.zeros(self.n_numbers)

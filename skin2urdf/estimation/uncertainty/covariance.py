@@ -6,12 +6,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from skin2urdf.arrays import F64, Int, frozen
+from skin2urdf.arrays import F64, Int, Record
 from skin2urdf.estimation.problem.state import N_SU
 
 
 @dataclass(frozen=True, eq=False)
-class ArrowCovariance:
+class ArrowCovariance(Record):
     """Covariance of the joint and log coordinates x and of those of every SU, y_u.
 
     Given the joints the SUs are independent of each other, so that all there is to know is::
@@ -30,11 +30,6 @@ class ArrowCovariance:
     columns: Int
     lean: F64
     own: F64
-
-    def __post_init__(self) -> None:
-        for name in ("joint", "lean", "own"):
-            object.__setattr__(self, name, frozen(getattr(self, name)))
-        object.__setattr__(self, "columns", frozen(self.columns, np.int64))
 
     def scaled(self, factor: float) -> ArrowCovariance:
         """All covariances times a factor."""

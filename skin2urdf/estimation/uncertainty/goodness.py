@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from skin2urdf.arrays import F64, Bool, frozen
+from skin2urdf.arrays import F64, Bool, Record
 from skin2urdf.estimation.problem.state import N_SU
 from skin2urdf.estimation.solve.arrow import ArrowFactor, factor
 from skin2urdf.estimation.solve.estimate import Estimate
@@ -20,7 +20,7 @@ from skin2urdf.estimation.uncertainty.held_out import held_out
 
 
 @dataclass(frozen=True, eq=False)
-class Share:
+class Share(Record):
     """Chi-squared of n parts of the data.
 
     Attributes:
@@ -30,10 +30,6 @@ class Share:
 
     chi2: F64
     dof: F64
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "chi2", frozen(self.chi2))
-        object.__setattr__(self, "dof", frozen(self.dof))
 
     @property
     def per_dof(self) -> F64:
@@ -53,7 +49,7 @@ class Share:
 
 
 @dataclass(frozen=True, eq=False)
-class Goodness:
+class Goodness(Record):
     """Goodness of fit of D joints, U SUs and P poses.
 
     Attributes:
@@ -77,9 +73,6 @@ class Goodness:
     held_out: Share
     patterned: Bool
     scale: float
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "patterned", frozen(self.patterned, bool))
 
     @property
     def prediction(self) -> float:

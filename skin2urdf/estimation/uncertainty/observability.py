@@ -13,7 +13,7 @@ from typing import Literal
 
 import numpy as np
 
-from skin2urdf.arrays import F64, Bool, frozen
+from skin2urdf.arrays import F64, Bool, Record
 from skin2urdf.estimation.problem.cost import NormalEquations, Priors
 from skin2urdf.estimation.problem.state import N_JOINT, N_PLACEMENT, N_SU, Free, State
 from skin2urdf.estimation.solve.estimate import Estimate
@@ -38,7 +38,7 @@ _TINY = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
-class Observability:
+class Observability(Record):
     """Uncertainty of an estimate.
 
     Twists are (linear, angular) in the local frame of the placement they move,
@@ -72,10 +72,6 @@ class Observability:
     hidden_rotation: float
     covariance: ArrowCovariance
     widening: float
-
-    def __post_init__(self) -> None:
-        for name in ("su_covariance", "joint_covariance"):
-            object.__setattr__(self, name, frozen(getattr(self, name)))
 
     @property
     def n_open(self) -> int:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import polygamma, psi, stdtrit
 
-from skin2urdf.arrays import F64, Bool, frozen
+from skin2urdf.arrays import F64, Bool, Record
 from skin2urdf.estimation.uncertainty.goodness import Share
 
 FALSE_ALARM = 1e-4
@@ -27,7 +27,7 @@ _CONFIDENCE = 8.0
 
 
 @dataclass(frozen=True, eq=False)
-class Unlike:
+class Unlike(Record):
     """How n parts of the data fit, compared with each other.
 
     Attributes:
@@ -37,10 +37,6 @@ class Unlike:
 
     times: F64
     odd: Bool
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "times", frozen(self.times))
-        object.__setattr__(self, "odd", frozen(self.odd, bool))
 
 
 def sus_unlike_the_rest(blocks: Share) -> Unlike:

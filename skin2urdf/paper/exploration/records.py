@@ -5,9 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-import numpy as np
-
-from skin2urdf.arrays import Bool, Int, frozen
+from skin2urdf.arrays import Bool, Int, Record
 
 Group = tuple[int, ...]
 """Indices of the SUs of one segment, or of the DoFs of one joint, ascending."""
@@ -96,7 +94,7 @@ class Limb:
 
 
 @dataclass(frozen=True, eq=False)
-class Exploration:
+class Exploration(Record):
     """Every result of Algorithm 1. U SUs, D DoFs, N joints, N + 1 segments.
 
     Segments and joints are in the order of the sorted matrix: segment 0 is the reference segment
@@ -143,11 +141,6 @@ class Exploration:
     limbs: tuple[Limb, ...]
     sub_limbs: tuple[Limb, ...]
     violations: tuple[Violation, ...] = ()
-
-    def __post_init__(self) -> None:
-        for name in ("raw", "merged", "triangular"):
-            object.__setattr__(self, name, frozen(getattr(self, name), np.bool_))
-        object.__setattr__(self, "connectivity", frozen(self.connectivity, np.int64))
 
     @property
     def n_segments(self) -> int:

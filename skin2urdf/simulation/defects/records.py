@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from skin2urdf.arrays import F64, Int, frozen
+from skin2urdf.arrays import F64, Int, Record
 from skin2urdf.recording.records import SuStream
 from skin2urdf.simulation.mechanism import Mechanism
 from skin2urdf.simulation.skins import PlacedSu
@@ -20,7 +20,7 @@ from skin2urdf.simulation.trajectory import JointMotion
 
 
 @dataclass(frozen=True, eq=False)
-class Hinge:
+class Hinge(Record):
     """A place where a body bends, as elastic hinges one after the other in one point.
 
     Attributes:
@@ -38,10 +38,6 @@ class Hinge:
     stiffness: float
     damping: float
     beyond: float
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "point", frozen(self.point))
-        object.__setattr__(self, "axes", frozen(self.axes))
 
     def carries(self, point: F64) -> bool:
         """Whether a point (3,) of the body lies beyond: not on the joint's side of the hinge."""
@@ -68,7 +64,7 @@ class Ripple:
 
 
 @dataclass(frozen=True, eq=False)
-class Flexibility:
+class Flexibility(Record):
     """What gives way between the encoders and the links of D joints.
 
     Attributes:
@@ -85,10 +81,6 @@ class Flexibility:
     ripples: tuple[Ripple, ...] = ()
     hinges: tuple[Hinge, ...] = ()
 
-    def __post_init__(self) -> None:
-        for name in ("stiffness", "damping", "play"):
-            object.__setattr__(self, name, frozen(getattr(self, name)))
-
     @classmethod
     def none(cls, n_joints: int) -> Flexibility:
         """Rigid gears of D joints and rigid bodies."""
@@ -102,7 +94,7 @@ class Flexibility:
 
 
 @dataclass(frozen=True, eq=False)
-class Moved:
+class Moved(Record):
     """What really moves, with all that bends.
 
     Attributes:
@@ -121,11 +113,6 @@ class Moved:
     rows: Int
     motor: JointMotion
     borne: F64 | None = None
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "rows", frozen(self.rows, np.int64))
-        if self.borne is not None:
-            object.__setattr__(self, "borne", frozen(self.borne))
 
     @property
     def links(self) -> JointMotion:

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from skin2urdf.arrays import F64, Bool, frozen
+from skin2urdf.arrays import F64, Bool, Record
 from skin2urdf.simulation.trajectory import JointMotion
 
 STEP = 2e-3
@@ -38,7 +38,7 @@ the position within a step is left out of its matrix: what is left is less than 
 
 
 @dataclass(frozen=True, eq=False)
-class Springs:
+class Springs(Record):
     """Springs between n coordinates and their drives.
 
     Attributes:
@@ -51,10 +51,6 @@ class Springs:
     damping: F64
     play: F64
 
-    def __post_init__(self) -> None:
-        for name in ("stiffness", "damping", "play"):
-            object.__setattr__(self, name, frozen(getattr(self, name)))
-
     @property
     def soft(self) -> Bool:
         """(n,) True where it gives way."""
@@ -62,7 +58,7 @@ class Springs:
 
 
 @dataclass(frozen=True, eq=False)
-class Swing:
+class Swing(Record):
     """What the links do.
 
     Attributes:
@@ -74,10 +70,6 @@ class Swing:
     motion: JointMotion
     velocity: F64
     torque: F64
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "velocity", frozen(self.velocity))
-        object.__setattr__(self, "torque", frozen(self.torque))
 
 
 def swing(model: Any, springs: Springs, drive: JointMotion, step: float = STEP) -> Swing:

@@ -10,7 +10,15 @@ from typing import Any
 
 import numpy as np
 import pytest
-from simulated import PATTERNS, changed_joints, changed_sus, held_against, simulation
+from random_robots import small_arm
+from simulated import (
+    PATTERNS,
+    changed_joints,
+    changed_sus,
+    held_against,
+    simulation,
+    simulation_of,
+)
 
 import skin2urdf
 from skin2urdf.calibration.pipeline import calibrate
@@ -285,8 +293,8 @@ def test_positions_in_degrees_give_no_robot() -> None:
 
 
 def test_a_joint_that_is_not_linear_is_a_bad_fit() -> None:
-    log = simulation("so101", **{**MEMS, "n_poses": 6}).recording
-    name = log.joints[2].name
+    log = simulation_of(small_arm(3), **MEMS, excite="all").recording
+    name = log.joints[1].name
 
     def bent(joint: JointStream) -> JointStream:
         position = joint.position + 0.2 * np.sin(3 * joint.position)

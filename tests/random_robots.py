@@ -8,7 +8,9 @@ continuous and prismatic joints, branches anywhere.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
+from tempfile import mkdtemp
 
 import numpy as np
 
@@ -96,3 +98,9 @@ def robot_of(joints: tuple[Joint, ...], folder: Path, skin: SkinLayout | None = 
 
 def _text(values: Vector) -> str:
     return " ".join(repr(float(v)) for v in values)
+
+
+@cache
+def small_arm(n_joints: int) -> RobotSpec:
+    """An arm without a parallel axis, an SU on every segment: the least that calibrates well."""
+    return robot_of(chain(n_joints, turns=1.4), Path(mkdtemp()))

@@ -6,17 +6,20 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from simulated import held_against, simulation
+from random_robots import small_arm
+from simulated import held_against, simulation_of
 
 from skin2urdf.arrays import frozen
 from skin2urdf.calibration.pipeline import calibrate
-from skin2urdf.calibration.result import Calibration
 from skin2urdf.calibration.settings import CalibrationSettings
+from skin2urdf.recording.records import Recording
+from skin2urdf.signals.publishers import joint_clocks
+
+SETTINGS = CalibrationSettings(gravity_deviation=0.0)
 
 
-def _calibrated(names: tuple[str, ...], late: float) -> Calibration:
-    """The UR5 with some joints in messages of their own, halfway between the others."""
-    plain = simulation("ur5").recording
+def _published_apart(plain: Recording, names: tuple[str, ...], late: float) -> Recording:
+    """A recording with some joints in messages of their own, halfway between the others."""
     time = plain.joints[0].time
     others, stamps = frozen(time[::2]), frozen(time[1::2] + late)
     joints = tuple(
@@ -25,24 +28,29 @@ def _calibrated(names: tuple[str, ...], late: float) -> Calibration:
         else replace(j, time=others, position=j.position[::2])
         for j in plain.joints
     )
-    return calibrate(replace(plain, joints=joints), CalibrationSettings(gravity_deviation=0.0))
+    return replace(plain, joints=joints)
 
 
 def test_a_late_publisher_is_told_and_bends_nothing(tmp_path: Path) -> None:
-    names = ("wrist_2_joint", "wrist_3_joint")
-    found = _calibrated(names, 0.08)
+    names = ("j2", "j3")
+    made = simulation_of(small_arm(4), n_poses=3, excite="all")
+    found = calibrate(_published_apart(made.recording, names, 0.08), SETTINGS)
     ((clock,),) = found.publishers
     assert set(clock.joints) == set(names)
+    assert clock.latency_sd < 1e-4
     assert clock.latency == pytest.approx(0.08, abs=max(4 * clock.latency_sd, 5e-5))
     assert found.faults == ()
     assert found.quality == "good"
-    compared = held_against(found, simulation("ur5").truth.urdf, tmp_path)
+    compared = held_against(found, made.truth.urdf, tmp_path)
     assert compared.tree_equal
     assert all(su.position is None or su.position.rms < 5e-4 for su in compared.sus)
 
 
 def test_a_publisher_whose_clock_is_sound_is_not_told() -> None:
-    # Readings of some seconds, felt through one vertical axis, propose a clock here.
-    found = _calibrated(("shoulder_pan_joint",), 0.0)
+    made = simulation_of(small_arm(4), upright=True)
+    recording = _published_apart(made.recording, ("j3",), 0.0)
+    # Readings of some seconds propose a clock here, which all samples do not confirm.
+    assert joint_clocks(recording)
+    found = calibrate(recording, SETTINGS)
     assert found.publishers == ((),)
     assert found.quality == "good"

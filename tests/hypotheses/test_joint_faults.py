@@ -9,7 +9,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from simulated import PATTERNS, changed_joints, features_of, held_against, simulation
+from random_robots import small_arm
+from simulated import (
+    PATTERNS,
+    changed_joints,
+    features_of,
+    held_against,
+    simulation,
+    simulation_of,
+)
 
 from skin2urdf.arrays import F64
 from skin2urdf.calibration.clock import Clock
@@ -41,17 +49,21 @@ from skin2urdf.recording.records import JointStream, Recording
 from skin2urdf.recording.retiming import retimed
 from skin2urdf.signals.encoders import corrected, corrected_features, leaps, reversal
 from skin2urdf.signals.records import EncoderError
-from skin2urdf.simulation import SimulationSettings, load_robot, simulate
+from skin2urdf.simulation import Simulation, SimulationSettings, load_robot, simulate
 from skin2urdf.simulation.faults import Faulty, Sound
 from skin2urdf.simulation.joint_faults import JOINT_FAULTS
 
 OPTIONS = {"n_poses": 4, "excite": "all", "seed": 3, "imu_rate": 250.0, "joint_rate": 125.0}
-ROBOT = "so101"
-JOINT = "elbow_flex"
+JOINT = "j1"
+
+
+@cache
+def simulated(**options: object) -> Simulation:
+    return simulation_of(small_arm(3), **{**OPTIONS, **options})
 
 
 def recording(**options: object) -> Recording:
-    return retimed(simulation(ROBOT, **{**OPTIONS, **options}).recording)
+    return retimed(simulated(**options).recording)
 
 
 @cache
@@ -72,7 +84,7 @@ def misreported(r: Recording, change: Callable[[F64, F64], F64], name: str = JOI
 
 
 def position_error(found: Calibration, folder: Path) -> float:
-    truth = simulation(ROBOT, **OPTIONS).truth.urdf
+    truth = simulated().truth.urdf
     return held_against(found, truth, folder).position.rms
 
 
@@ -252,8 +264,8 @@ def test_samples_sent_twice_and_pauses_are_no_leaps() -> None:
 
 
 def test_one_wrong_sample_moves_no_zero() -> None:
-    r = recording()
-    (joint,) = (j for j in r.joints if j.name == JOINT)
+    r = retimed(simulation("panda", **OPTIONS).recording)
+    (joint,) = (j for j in r.joints if j.name == "panda_joint4")
     slow = replace(joint, time=joint.time[::4], position=joint.position[::4])
     bend = int(np.argmax(np.abs(np.diff(slow.position, 2))))
     x = np.array(slow.position)
@@ -272,10 +284,12 @@ def test_features_are_corrected_as_the_recording_is() -> None:
     assert a == pytest.approx(b, abs=0.02 * np.abs(b).max())
     ratio = features.information.diagonal() / np.maximum(exact.information.diagonal(), 1e-12)
     assert np.median(ratio[ratio > 0]) == pytest.approx(1.0, rel=0.05)
-    shifted = corrected_features(raw, EncoderError("offset", JOINT, 0.1, 0, 70.0))
+    middle = raw.span.mean(axis=1)
+    begin = float(np.median(middle))
+    shifted = corrected_features(raw, EncoderError("offset", JOINT, 0.1, 0, begin))
     d = raw.dof_names.index(JOINT)
     moved = np.zeros(raw.q.shape)
-    moved[raw.span.mean(axis=1) > 70.0, d] = 0.1
+    moved[middle > begin, d] = 0.1
     assert 0 < moved.sum() < 0.1 * raw.n_poses
     assert raw.q - shifted.q == pytest.approx(moved)
 
@@ -297,7 +311,7 @@ def test_a_sense_that_changes_in_a_log_is_named_with_its_time(
 ) -> None:
     """The position takes the other sign, or is counted backwards from where it is."""
     r = recording()
-    t = 0.6 * r.duration
+    t = 0.66 * r.duration  # while it moves
 
     def wrong(time: F64, x: F64) -> F64:
         about = x[np.searchsorted(time, t) - 1] if goes_on else 0.0
@@ -381,7 +395,7 @@ def faulty(
     kind: str, seed: int, struck: int | list[int] | None = None, poses: int = 4, name: str = "panda"
 ) -> Faulty:
     settings = SimulationSettings(n_poses=poses, excite="all", seed=seed)
-    robot = load_robot(name)
+    robot = small_arm(3) if name == "small arm" else load_robot(name)
     sound = Sound(robot, settings, simulate(robot, settings))
     return JOINT_FAULTS[kind](sound, np.random.default_rng(seed if struck is None else struck))
 
@@ -389,8 +403,8 @@ def faulty(
 @pytest.mark.parametrize(
     ("kind", "robot", "seed"),
     [
-        ("encoder_slip", "so101", 1),
-        ("gear_ratio", "so101", 1),
+        ("encoder_slip", "small arm", 1),
+        ("gear_ratio", "small arm", 1),
         # A short hit, of which the encoder sees a third.
         ("contact", "panda", 26),
     ],

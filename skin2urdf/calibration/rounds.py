@@ -320,7 +320,8 @@ def relinearise(
         found = estimate_once(logs, tree, features, previous.state, clock, search=not again)
         gain = previous.cost_per_dof / max(found.cost_per_dof, 1e-12)
         settled = gain < 1.02 and found.cost_per_dof < GOOD_FIT
-        led_astray = gain < 2.0 and found.cost_per_dof > BAD_FIT
+        # Robust weights may leave a few poses of an SU, which say little of all the others.
+        led_astray = previous.misfit < 2.0 * found.misfit and is_hopeless(found)
         useless = hopeless is not None and hopeless(found)
         if _moved(previous, found) < 1e-4 or settled or led_astray or useless:
             break

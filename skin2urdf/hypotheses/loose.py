@@ -136,8 +136,8 @@ def _best(sums: _Sums, u: int, free: Bool, count: Int, order: Int) -> Slip | Non
         for _, skip, _, two, _, left in tried
     ]
     i, skip, one, two, dof, _ = tried[int(np.argmin(cost))]
-    used = np.concatenate([order[:i], order[i + skip :]])
-    now = float(sums.c0[u] + sums.c[used, u].sum())
+    # Of the pose in which it slipped nothing is left to explain.
+    now = float(sums.c0[u] + sums.c[order, u].sum())
     F = max(one - two, 0.0) / k / (two / dof)
     with np.errstate(divide="ignore"):
         log_p = float(np.log(fdtrc(k, dof, F)))

@@ -24,7 +24,6 @@ from skin2urdf.estimation.solve.estimate import Estimate
 from skin2urdf.hypotheses.names import named_as_felt
 from skin2urdf.signals.records import Features
 from skin2urdf.signals.sampling import Sampled
-from skin2urdf.structure.activity import Activity
 from skin2urdf.structure.ordering import places_of
 from skin2urdf.structure.records import KinematicTree
 
@@ -48,16 +47,18 @@ def sound_part(
     parts = [part for late in (False, True) if (part := _Part.of(alone, border, late, clock))]
     sound = list[_Fit]()
     if tree:
-        fits = [(part, fit) for part in parts if (fit := _Fit.of(part, tree, clock))]
-        sound = [fit for _, fit in fits if fit.explains()]
+        named = [(part, named_as_felt(tree, part.structure(clock).seen)) for part in parts]
+        named = [each for each in named if not alike(each[1], tree)]
+        sound, _ = _explanations(named, clock)
         if not sound:
-            named = [(part, named_as_felt(tree, part.seen(clock))) for part in parts]
-            named += [(part, _exchanged(tree, fit.worst_two())) for part, fit in fits]
-            sound = _explanations([each for each in named if not alike(each[1], tree)], clock)
+            sound, fits = _explanations([(part, tree) for part in parts], clock)
+            swapped = [(part, _exchanged(tree, fit.worst_two())) for part, fit in fits]
+            new = [each for each in swapped if not _is_among(named, *each)]
+            sound = sound or _explanations(new, clock)[0]
     if not sound:
         shown = [(part, other) for part in parts if (other := part.structure(clock).tree)]
         new = [(part, other) for part, other in shown if not (tree and alike(other, tree))]
-        sound = _explanations(new, clock, certain=False)
+        sound, _ = _explanations(new, clock, certain=False)
     if not sound:
         return None
     best = min(sound, key=lambda fit: fit.found.cost_per_dof)
@@ -88,10 +89,6 @@ class _Part:
     def structure(self, clock: Clock) -> Structure:
         """What it shows of the structure."""
         return find_structure(self.logs, self.features, clock)
-
-    def seen(self, clock: Clock) -> Activity:
-        """What its SUs felt."""
-        return self.structure(clock).seen
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,6 +129,10 @@ class _Fit:
         """Whether it explains the part."""
         return self.found.cost_per_dof <= GOOD_FIT
 
+    def explains_all(self) -> bool:
+        """Whether it explains the part with nothing weighed down."""
+        return self.explains() and self.found.misfit <= GOOD_FIT
+
     def worst_two(self) -> list[str]:
         """The SUs that fit worst: others suffer from an exchange by what they share with them."""
         found = self.found
@@ -141,10 +142,27 @@ class _Fit:
 
 def _explanations(
     tried: Sequence[tuple[_Part, KinematicTree]], clock: Clock, *, certain: bool = True
-) -> list[_Fit]:
-    """Of parts and trees that may be theirs the fits that explain the part."""
-    fits = (_Fit.of(part, tree, clock, certain=certain) for part, tree in tried)
-    return [fit for fit in fits if fit and fit.explains()]
+) -> tuple[list[_Fit], list[tuple[_Part, _Fit]]]:
+    """Of parts and trees that may be theirs the fits that explain the part, and all that were made.
+
+    None is needed beside one that explains all of its part.
+    """
+    made: list[tuple[_Part, _Fit]] = []
+    for part, tree in tried:
+        fit = _Fit.of(part, tree, clock, certain=certain)
+        if fit is None:
+            continue
+        made.append((part, fit))
+        if fit.explains_all():
+            break
+    return [fit for _, fit in made if fit.explains()], made
+
+
+def _is_among(
+    known: Sequence[tuple[_Part, KinematicTree]], part: _Part, tree: KinematicTree
+) -> bool:
+    """Whether a tree is one of those that were tried with a part."""
+    return any(of is part and alike(other, tree) for of, other in known)
 
 
 def _exchanged(tree: KinematicTree, names: Sequence[str]) -> KinematicTree:

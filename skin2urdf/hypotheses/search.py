@@ -137,8 +137,7 @@ class Search:
 
         Args:
             amendments: what is allowed for.
-            beside: the attempt that this one has to be better than to be of use; it may start where
-                that one ended.
+            beside: an attempt where this one may start if it is of the same structure.
 
         Raises:
             InsufficientDataError: the logs lack what a calibration needs.
@@ -148,8 +147,7 @@ class Search:
         clock = self.clock
         logs = self._mended(amendments)
         calm = _calm(logs, amendments)
-        features = take_features(calm, clock)
-        structure = find_structure(calm, features, clock)
+        features, structure = self._first_look(calm)
         for each in amendments:
             structure = replace(structure, tree=each.of_structure(structure.tree))
         whole, tree = logs, structure.certain_tree
@@ -161,24 +159,36 @@ class Search:
             latency = np.array([known.get(name, 0.0) for name in calm.su_names])
             features = take_features(calm, clock, latency=latency)
         other = None if beside is None else beside.solution.found
-        before = np.inf if other is None else other.misfit
         found, refined = relinearise(
             calm, tree, features, clock,
             start=None if other is None or not _is_the_same(tree, other.tree) else other.state,
-            hopeless=lambda seen: leads_nowhere(seen) and seen.misfit > before,
+            hopeless=leads_nowhere,
         )  # fmt: skip
         found, refined = _settled(calm, found, refined, clock)
         return Attempt(amendments, Solution(calm, structure.seen, found, refined), whole)
 
     def _mended(self, amendments: Sequence[Amendment]) -> Logs:
         """The recordings without what was wrong, on their grids."""
-        recordings = list(self.recordings)
+        recordings, changing = list(self.recordings), list[Amendment]()
         for each in amendments:
-            recordings = each.of_recordings(recordings)
-        logs = sample_logs(recordings, self.settings, self.clock)
+            changed = each.of_recordings(recordings)
+            changing += [each] if changed is not recordings else []
+            recordings = changed
+        # Most kinds amend what was sampled: then the grids that the search began with will do.
+        known = tuple(changing) == self.evident
+        logs = self.plain if known else sample_logs(recordings, self.settings, self.clock)
         for each in amendments:
             logs = each.of_logs(logs)
         return logs
+
+    def _first_look(self, logs: Logs) -> tuple[Features, Structure]:
+        """First features of logs and what they show; where nothing is amended, taken once."""
+
+        def look() -> tuple[Features, Structure]:
+            features = take_features(logs, self.clock)
+            return features, find_structure(logs, features, self.clock)
+
+        return self.once("first look", look) if logs is self.plain else look()
 
     def finished(self, last: Attempt, kind: Finishing) -> Attempt:
         """An attempt with amendments as large as its estimate says, in its logs as well."""

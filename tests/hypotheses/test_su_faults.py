@@ -17,6 +17,7 @@ from skin2urdf.calibration.clock import Clock
 from skin2urdf.calibration.pipeline import calibrate
 from skin2urdf.calibration.result import Calibration
 from skin2urdf.calibration.rounds import (
+    estimate_once,
     find_structure,
     leads_nowhere,
     relinearise,
@@ -142,6 +143,26 @@ def test_an_su_whose_last_joint_was_missed_in_gaps_is_put_beyond_it() -> None:
 
 def joint_of(tree: KinematicTree, su: str) -> str:
     return tree.joint_names[tree.su_joint[tree.su_names.index(su)]]
+
+
+def test_a_slip_explains_the_pose_in_which_it_happened() -> None:
+    """Readings of both placements together fit neither, and need not."""
+    rng, clock = np.random.default_rng([3, *b"loose"]), Clock()
+    injected = FAULTS["loose"](sound(), rng)
+    logs = sample_logs([retimed(each) for each in injected.recordings], PATTERNS, clock)
+    features = take_features(logs, clock)
+    during = np.argsort(features.span[:, 0])[7]
+    coefficients = np.array(features.coefficients)
+    coefficients[during, features.su_names.index(injected.subjects[0]), 0] += 10.0
+    features = replace(features, coefficients=coefficients)
+    tree = find_structure(logs, features, clock).certain_tree
+    found = estimate_once(logs, tree, features, None, clock)
+    u = tree.su_names.index(injected.subjects[0])
+    (slip,) = (each for each in slips(found, np.argsort(features.span[:, 0])) if each.su == u)
+    assert slip.before < during < slip.after
+    of_su = float(found.chi2_by_block[:, u].sum())
+    assert found.chi2_by_block[during, u] > 0.05 * of_su
+    assert slip.drop == pytest.approx(of_su, rel=0.03)
 
 
 def test_a_fixed_su_does_not_slip() -> None:

@@ -16,6 +16,8 @@ def state_of(found: MotionTree) -> State:
         found: a tree from motion; the state is one of ``found.tree``.
     """
     U = found.tree.n_sus
-    known = Orientations(found.axes, found.R_base_su, found.up, np.zeros((U, 3, 3)), np.zeros(U))
+    known = Orientations(
+        found.axes, found.R_base_su, found.up, np.zeros((U, 3, 3)), *np.zeros((2, U))
+    )
     plain = known.state(found.tree)
     return State(plain.T_parent_joint, plain.T_joint_su, plain.up, found.bias, found.shape)

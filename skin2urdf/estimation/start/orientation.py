@@ -33,6 +33,7 @@ class Orientations:
         information: (U, 3, 3) on the turns of each SU about the base axes, per pose [1/rad^2].
         handed: (U,) chi-squared that speaks for right-handed SUs; negative where a mirror image of
             the readings fits better, 0 where all of them lie in a plane.
+        left: (U,) chi-squared that the better of both images leaves.
     """
 
     axes: F64
@@ -40,6 +41,7 @@ class Orientations:
     up: F64
     information: F64
     handed: F64
+    left: F64
 
     def state(self, tree: KinematicTree) -> State:
         """A state with these orientations and every origin in the base's origin."""
@@ -61,7 +63,7 @@ class Orientations:
 
 def su_orientation(
     blocks: FeatureBlocks, su: int, axes: F64, prismatic: Bool, up: F64, priors: Priors
-) -> tuple[F64, F64, float]:
+) -> tuple[F64, F64, float, float]:
     """Orientation of one SU at position zero, given the axes of its chain.
 
     Wahba's problem over all poses: static gravity, its change with every revolute DoF, and the
@@ -77,7 +79,8 @@ def su_orientation(
 
     Returns:
         R_base_su (3, 3), the information (3, 3) on its turns about the base axes [1/rad^2], per
-        pose, and the chi-squared that a mirror image of the readings would have more.
+        pose, the chi-squared that a mirror image of the readings would have more, and what the
+        better of both images has.
     """
     n, L = len(axes), blocks.chains.joint.shape[1]
     chain = blocks.chains.joint[su, :n]
@@ -110,7 +113,10 @@ def su_orientation(
     information = np.einsum("n,nji,njk->ik", weight, S, S) / max(1, len(q))
     # The last singular value counts for one of the two images, and against the other.
     fit = np.einsum("n,ni,ij,nj->", weight, known, R_ref_body, seen)
-    return R_ref_body, information, float(4 * (fit - singular[0] - singular[1]))
+    handed = float(4 * (fit - singular[0] - singular[1]))
+    square = float(np.einsum("n,ni->", weight, known**2 + seen**2))
+    left = max(0.0, square - 2 * fit + min(handed, 0.0))
+    return R_ref_body, information, handed, left
 
 
 def with_all_sus(
@@ -122,5 +128,5 @@ def with_all_sus(
         su_orientation(blocks, u, axes[list(c)], prismatic[list(c)], up, priors)
         for u, c in enumerate(tree.chain(int(j)) for j in tree.su_joint)
     ]
-    R, information, handed = (np.array(part) for part in zip(*found, strict=True))
-    return Orientations(axes, R, up, information, handed)
+    R, information, handed, left = (np.array(part) for part in zip(*found, strict=True))
+    return Orientations(axes, R, up, information, handed, left)

@@ -17,6 +17,10 @@ from skin2urdf.notes import Note
 _HANDED = 30.0
 """Chi-squared of one image over the other's from which readings tell an SU's handedness; errors of
 ``ROUGH_BIAS`` are allowed for."""
+_LEFT = 0.1
+"""Share of one image's chi-squared that the other leaves at most where that is the only cause.
+Right ones left up to 0.02 (so101 with four poses; panda with six 0.0001), and readings of which
+something else was wrong 0.5 to 1 (panda: names, gears and senses of encoders)."""
 _VERTICAL = 0.05
 """Sine of the angle to gravity up to which an axis counts as vertical."""
 _IMPLAUSIBLE_SHAPE = 0.2
@@ -37,11 +41,14 @@ def mirrored_sus(estimate: Estimate) -> tuple[int, ...]:
     """
     blocks = estimate.cost.blocks
     start = next(inward_starts(estimate.tree, blocks, estimate.given), None)
-    handed = np.zeros(estimate.tree.n_sus) if start is None else start.handed
+    handed, left = np.zeros((2, estimate.tree.n_sus))
+    if start is not None:
+        handed, left = start.handed, start.left
     turned = np.linalg.det(estimate.state.sensor_matrix()) < 0
     tells = np.abs(handed) > _HANDED
-    mirrored = np.where(tells, handed < 0, turned) & (estimate.tree.su_joint >= 0)
-    told = estimate.tree.su_joint >= 0
+    unexplained = tells & (left > _LEFT * (left + np.abs(handed)))
+    told = (estimate.tree.su_joint >= 0) & ~unexplained
+    mirrored = np.where(tells, handed < 0, turned) & told
     if mirrored.sum() * 2 > told.sum():
         mirrored = told & ~mirrored
     return tuple(int(u) for u in np.flatnonzero(mirrored))

@@ -56,6 +56,11 @@ class Trajectory:
         leaps: what sampling leaves open where motion leaps; None where it does not.
         publisher: (D,) number of the publisher whose messages hold each joint, as in
             :class:`~skin2urdf.signals.motion.Motion`; (0,) where all have one.
+        positions: (N, D) joint positions as they were before the low-pass; (0, 0) where they are
+            not known [rad or m].
+        beyond: (K, U, 3) what readings hold beyond those of the low-passed motion, with gyroscopes
+            (K, U, 6), theirs last, see :mod:`~skin2urdf.estimation.trajectory.products`; None where
+            that is not known [m/s^2, rad/s].
     """
 
     log: int
@@ -74,10 +79,14 @@ class Trajectory:
     noise: F64 | None = None
     leaps: Leaps | None = None
     publisher: Int = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    positions: F64 = field(default_factory=lambda: np.zeros((0, 0)))
+    beyond: F64 | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "publisher", frozen(self.publisher, np.int64))
-        for name in ("taps", "q", "qd", "qdd", "readings"):
+        if self.beyond is not None:
+            object.__setattr__(self, "beyond", frozen(self.beyond))
+        for name in ("taps", "q", "qd", "qdd", "readings", "positions"):
             object.__setattr__(self, name, frozen(getattr(self, name)))
         if self.rates is not None and self.turning is not None:
             object.__setattr__(self, "rates", frozen(self.rates))
@@ -179,6 +188,7 @@ def trajectory(
             motion, (sampled.readings[:, u] for u in sus), sampled.period[sus], taps, kept
         ),
         publisher=motion.publisher,
+        positions=motion.q,
     )
 
 
@@ -205,6 +215,7 @@ def in_order(log: Trajectory, dofs: Int, sus: Int) -> Trajectory:
         log = replace(
             log,
             q=log.q[:, dofs],
+            positions=log.positions[:, dofs] if len(log.positions) else log.positions,
             qd=log.qd[:, dofs],
             qdd=log.qdd[:, dofs],
             moving=log.moving[:, dofs],

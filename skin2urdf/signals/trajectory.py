@@ -131,6 +131,17 @@ class Trajectory:
         qd, qdd = first_derivative(q, self.rate), second_derivative(q, self.rate)
         return replace(self, q=q, qd=qd, qdd=qdd)
 
+    def with_joints_times(self, factor: F64) -> Trajectory:
+        """The same with the positions of joints times factors (D,), as others would count them."""
+        known = len(self.positions) > 0
+        return replace(
+            self,
+            q=self.q * factor,
+            qd=self.qd * factor,
+            qdd=self.qdd * factor,
+            positions=self.positions * factor if known else self.positions,
+        )
+
     @property
     def every(self) -> int:
         """Grid samples from one kept sample to the next."""
@@ -228,6 +239,7 @@ def in_order(log: Trajectory, dofs: Int, sus: Int) -> Trajectory:
     return replace(
         log,
         readings=log.readings[:, sus],
+        beyond=None if log.beyond is None else log.beyond[:, sus],
         valid=log.valid[:, sus],
         rates=None if log.rates is None else log.rates[:, sus],
         turning=None if log.turning is None else log.turning[:, sus],

@@ -15,7 +15,7 @@ from skin2urdf.estimation.trajectory.causes import SPAN, Explained, explained, m
 from skin2urdf.estimation.trajectory.deviations import su_covariances
 from skin2urdf.estimation.trajectory.elastic import Elasticity
 from skin2urdf.estimation.trajectory.encoder_noise import without_shortening
-from skin2urdf.estimation.trajectory.fit import ROUGHLY, Fitted, fit
+from skin2urdf.estimation.trajectory.fit import Fitted, fit
 from skin2urdf.estimation.trajectory.front_end import begin_front, droop, droop_variance
 from skin2urdf.estimation.trajectory.gyro import gyro_deviations
 from skin2urdf.estimation.trajectory.listening import found_gyros, listened
@@ -27,7 +27,7 @@ from skin2urdf.estimation.trajectory.misfit import (
 )
 from skin2urdf.estimation.trajectory.priors import MotionPriors
 from skin2urdf.estimation.trajectory.problem import MotionProblem
-from skin2urdf.estimation.trajectory.products import fit_with_products
+from skin2urdf.estimation.trajectory.products import NEAR, fit_with_products
 from skin2urdf.estimation.trajectory.publishers import Late, with_publishers
 from skin2urdf.estimation.trajectory.records import Gyros
 from skin2urdf.estimation.trajectory.slack import pull_of
@@ -183,7 +183,7 @@ def estimate_along(
     )
     # Of the work, a fit takes half or so, and what it is worth a quarter.
     fitted = fit(
-        problem, begin, iterations=iterations, tolerance=ROUGHLY, tell=lambda part: tell(0.4 * part)
+        problem, begin, iterations=iterations, tolerance=NEAR, tell=lambda part: tell(0.4 * part)
     )
     problem, fitted = fit_with_products(problem, fitted, iterations)
     tell(0.5)

@@ -24,9 +24,8 @@ back to succeed would fail again."""
 _SHORT = 0.1
 """Length of a step, over that of a last one, from which it is worth taking. Shorter ones lead
 nowhere: there is nothing to gain, or only for steps that are held back to nothing."""
-ROUGHLY = 30.0
-"""Length of a step, in standard deviations, from which all coordinates may move, and products of
-motions are known: lengths are off by a millimetre or so, and these by a few thousandths."""
+_ROUGHLY = 30.0
+"""Length of a step, in standard deviations, from which all coordinates may move."""
 _QUIET = 1e-5
 """Noise of a sample at least [m/s^2], 1 ug: no accelerometer has less, and simulated ones without
 noise are fitted no worse for it."""
@@ -83,7 +82,7 @@ def fit(
     if not near:
         first = problem.coarse(unseen=far)
         start = _descend(
-            problem, start, first, ROUGHLY, iterations, lambda share: tell(0.5 * share), far
+            problem, start, first, _ROUGHLY, iterations, lambda share: tell(0.5 * share), far
         )[1].state
     begin = 0.0 if near else 0.5
     free = problem.free_joint, problem.free_su

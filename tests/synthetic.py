@@ -233,6 +233,7 @@ def sampled_trajectory(
         independence=0.5,
         rates=None if rates is None else filtered(filtered(rates, taps), taps),
         turning=None if rates is None else whole,
+        positions=q,
     )
 
 

@@ -214,9 +214,11 @@ def expected(
 
 def _with_gravity(information: MotionInformation) -> MotionInformation:
     """The same with the size of gravity as well known as a place on Earth tells."""
-    shared = np.array(information.shared)
-    shared[0, 0] += (GRAVITY / ANOMALY) ** 2 - (GRAVITY / _ELSEWHERE) ** 2
-    return replace(information, shared=shared)
+    shared, before = np.array(information.shared), np.array(information.prior_joint)
+    more = (GRAVITY / ANOMALY) ** 2 - (GRAVITY / _ELSEWHERE) ** 2
+    shared[0, 0] += more
+    before[information.shared_joint.shape[1]] += more
+    return replace(information, shared=shared, prior_joint=before)
 
 
 def _recorded(

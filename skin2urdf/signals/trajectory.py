@@ -56,6 +56,11 @@ class Trajectory(Record):
         leaps: what sampling leaves open where motion leaps; None where it does not.
         publisher: (D,) number of the publisher whose messages hold each joint, as in
             :class:`~skin2urdf.signals.motion.Motion`; (0,) where all have one.
+        positions: (N, D) joint positions as they were before the low-pass; (0, 0) where they are
+            not known [rad or m].
+        beyond: (K, U, 3) what readings hold beyond those of the low-passed motion, with gyroscopes
+            (K, U, 6), theirs last, see :mod:`~skin2urdf.estimation.trajectory.products`; None where
+            that is not known [m/s^2, rad/s].
     """
 
     log: int
@@ -74,6 +79,8 @@ class Trajectory(Record):
     noise: F64 | None = None
     leaps: Leaps | None = None
     publisher: Int = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    positions: F64 = field(default_factory=lambda: np.zeros((0, 0)))
+    beyond: F64 | None = None
 
     @property
     def time(self) -> F64:
@@ -108,6 +115,17 @@ class Trajectory(Record):
         q[:, joints] = Spline(q[:, joints]).within(at)
         qd, qdd = first_derivative(q, self.rate), second_derivative(q, self.rate)
         return replace(self, q=q, qd=qd, qdd=qdd)
+
+    def with_joints_times(self, factor: F64) -> Trajectory:
+        """The same with the positions of joints times factors (D,), as others would count them."""
+        known = len(self.positions) > 0
+        return replace(
+            self,
+            q=self.q * factor,
+            qd=self.qd * factor,
+            qdd=self.qdd * factor,
+            positions=self.positions * factor if known else self.positions,
+        )
 
     @property
     def every(self) -> int:
@@ -166,6 +184,7 @@ def trajectory(
             motion, (sampled.readings[:, u] for u in sus), sampled.period[sus], taps, kept
         ),
         publisher=motion.publisher,
+        positions=motion.q,
     )
 
 
@@ -192,6 +211,7 @@ def in_order(log: Trajectory, dofs: Int, sus: Int) -> Trajectory:
         log = replace(
             log,
             q=log.q[:, dofs],
+            positions=log.positions[:, dofs] if len(log.positions) else log.positions,
             qd=log.qd[:, dofs],
             qdd=log.qdd[:, dofs],
             moving=log.moving[:, dofs],
@@ -204,6 +224,7 @@ def in_order(log: Trajectory, dofs: Int, sus: Int) -> Trajectory:
     return replace(
         log,
         readings=log.readings[:, sus],
+        beyond=None if log.beyond is None else log.beyond[:, sus],
         valid=log.valid[:, sus],
         rates=None if log.rates is None else log.rates[:, sus],
         turning=None if log.turning is None else log.turning[:, sus],

@@ -156,8 +156,7 @@ def _with_senses(bench: Bench, changes: Sequence[_Change]) -> Bench:
     sign[[change.joint for change in changes if change.zero is None]] = -1.0
     if (sign > 0).all():
         return bench
-    logs = [replace(x, q=x.q * sign, qd=x.qd * sign, qdd=x.qdd * sign) for x in bench.logs]
-    return replace(bench, logs=logs)
+    return replace(bench, logs=[log.with_joints_times(sign) for log in bench.logs])
 
 
 def _with_given_zeros(T_parent_joint: F64, changes: Sequence[_Change]) -> F64:

@@ -91,13 +91,8 @@ class Chassis(Record):
         there = np.maximum(self.measured, 0)
         found = in_order(log, there, sus)
         factor = np.where(self.measured >= 0, self.factor, 0.0)
-        return replace(
-            found,
-            q=found.q * factor,
-            qd=found.qd * factor,
-            qdd=found.qdd * factor,
-            moving=found.moving & (factor != 0),
-        )
+        found = found.with_joints_times(factor)
+        return replace(found, moving=found.moving & (factor != 0))
 
     def T_link_su(self, joint: int, T_joint_su: F64) -> F64:
         """(4, 4) an SU's frame in that of the link it sits on, from that in the joint's."""

@@ -139,4 +139,6 @@ def _posed_log(log: Trajectory, pushed: int | None) -> Trajectory:
         moving=log.moving[::_EVERY],
         rates=None,
         turning=None,
+        positions=q,
+        beyond=None,
     )

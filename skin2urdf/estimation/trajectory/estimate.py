@@ -27,6 +27,7 @@ from skin2urdf.estimation.trajectory.misfit import (
 )
 from skin2urdf.estimation.trajectory.priors import MotionPriors
 from skin2urdf.estimation.trajectory.problem import MotionProblem
+from skin2urdf.estimation.trajectory.products import NEAR, fit_with_products
 from skin2urdf.estimation.trajectory.publishers import Late, with_publishers
 from skin2urdf.estimation.trajectory.records import Gyros
 from skin2urdf.estimation.trajectory.slack import pull_of
@@ -181,7 +182,11 @@ def estimate_along(
         gyro=np.zeros((U, problem.layout.gyro.stop - problem.layout.gyro.start)),
     )
     # Of the work, a fit takes half or so, and what it is worth a quarter.
-    fitted = fit(problem, begin, iterations=iterations, tell=lambda share: tell(0.5 * share))
+    fitted = fit(
+        problem, begin, iterations=iterations, tolerance=NEAR, tell=lambda part: tell(0.4 * part)
+    )
+    problem, fitted = fit_with_products(problem, fitted, iterations)
+    tell(0.5)
     problem, fitted, contradict = listened(problem, fitted)
     problem, fitted, late = with_publishers(
         problem, fitted, begin, lambda about, at: misfit_of(about, at, SPAN)

@@ -129,6 +129,8 @@ def predicted_turning(
     residual, splines = np.zeros_like(predicted), log.rate_splines
     for u in np.flatnonzero(log.turning.any(axis=0)):
         residual[:, u] = splines[u].at(at[:, u]) - predicted[:, u]
+    if log.beyond is not None:
+        residual -= log.beyond[..., 3:]
     measured = log.turning & np.isfinite(residual).all(axis=2)
     return Turned(np.where(measured[..., None], residual, 0.0), measured, slope, bend)
 

@@ -134,6 +134,8 @@ class MotionProblem(Derivatives):
                 for u, mine in zip(some.sus, read, strict=True):
                     bias = places.bias[u] + shares @ state.knots[g][:, u]
                     residual[:, u] = splines[u].at(at[:, u]) - mine.T - bias
+        if log.beyond is not None:
+            residual -= log.beyond[..., :3]
         measured = log.valid & np.isfinite(residual).all(axis=2)
         links = self.skeleton.numbers
         turned = predicted_turning(

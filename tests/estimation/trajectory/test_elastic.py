@@ -98,8 +98,8 @@ def test_joints_that_yield_are_followed() -> None:
     near, far = np.diag(bends.compliance)
     assert far / near == pytest.approx(2.0, rel=0.05)
     np.testing.assert_allclose(soft.deflections, [6.0e-3, 6.4e-3], rtol=0.05)
-    # Of a fit with rigid joints they are 14 times as large.
-    assert _reading_errors(soft.state) < 5 * _reading_errors(stiff.state)
+    # Of a fit with rigid joints they are some 20 times as large.
+    assert _reading_errors(soft.state) < 7 * _reading_errors(stiff.state)
     for part in (soft.information.shared, soft.information.shared_su):
         assert np.isfinite(part).all()
 

@@ -1,0 +1,88 @@
+"""What readings hold beyond those of a low-passed motion: products of motions.
+
+Readings are low-passed, and so are positions before accelerations are predicted from them, which is
+the same to first order. Centripetal and Coriolis accelerations and what gravity does in a link that
+turns are products: motions of 3 Hz make readings of 6 Hz, which come with the gain that the
+low-pass has at 6 Hz, and are predicted from motions with the gain at 3 Hz. Where the low-pass falls
+between the two, lengths make up for the difference. A state that explains the readings to first
+order is near enough to tell what it is: the prediction from the motion as it was sampled, which is
+low-passed twice afterwards, less that from the low-passed motion.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from skin2urdf.arrays import F64
+from skin2urdf.estimation.trajectory.fit import Fitted, fit
+from skin2urdf.estimation.trajectory.problem import MotionProblem
+from skin2urdf.estimation.trajectory.records import Predicted
+from skin2urdf.signals.filters import first_derivative, second_derivative
+from skin2urdf.signals.trajectory import Trajectory
+
+NEAR = 1.0
+"""Length of the last step, in standard deviations, from which products are known: to a thousandth,
+as lengths are."""
+_MOST_OF_IT = 0.5
+"""Part of what a fit left that may stay with products where these were most of it."""
+
+
+def fit_with_products(
+    problem: MotionProblem, fitted: Fitted, iterations: int
+) -> tuple[MotionProblem, Fitted]:
+    """The fit with what readings hold beyond those of the logs' low-passed motion.
+
+    Where that was most of what the fit left, it had led the fit astray, and is looked at again.
+
+    Args:
+        problem: the logs, the tree and what is known before.
+        fitted: a fit that explains the readings to first order.
+        iterations: linearisations, at most, of each fit.
+    """
+    while True:
+        left = _left(fitted)
+        problem = _with_products(problem, fitted)
+        fitted = fit(problem, fitted.state, near=True, iterations=iterations)
+        if not _left(fitted) < _MOST_OF_IT * left:
+            return problem, fitted
+
+
+def _left(fitted: Fitted) -> float:
+    """Root mean square of all residuals [m/s^2]."""
+    square = [(p.residual[p.measured] ** 2).sum() for p in fitted.predicted]
+    count = [3 * p.measured.sum() for p in fitted.predicted]
+    return float(np.sqrt(sum(square) / max(1, sum(count))))
+
+
+def _with_products(problem: MotionProblem, fitted: Fitted) -> MotionProblem:
+    """The same problem with what readings hold beyond those of low-passed motion, as of a fit."""
+    whole = problem.again(logs=[_as_sampled(log) for log in problem.logs])
+    logs = []
+    for g, (log, p) in enumerate(zip(problem.logs, fitted.predicted, strict=True)):
+        if len(log.positions):
+            # Both sides lack alike what was known of it before.
+            log = replace(log, beyond=_residual(p) - _residual(whole.predict(fitted.state, g)))
+        logs.append(log)
+    return problem.again(logs=logs)
+
+
+def _residual(predicted: Predicted) -> F64:
+    """(K, U, 3) residuals, 0 where nothing is measured; (K, U, 6) with gyroscopes', theirs last."""
+    residual = np.where(predicted.measured[..., None], predicted.residual, 0.0)
+    turned = predicted.turned
+    return residual if turned is None else np.concatenate([residual, turned.residual], axis=2)
+
+
+def _as_sampled(log: Trajectory) -> Trajectory:
+    """A log whose motion is not low-passed, its prediction twice instead."""
+    if not len(log.positions):
+        return log
+    return replace(
+        log,
+        taps=np.convolve(log.taps, log.taps),
+        q=log.positions,
+        qd=first_derivative(log.positions, log.rate),
+        qdd=second_derivative(log.positions, log.rate),
+    )

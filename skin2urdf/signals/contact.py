@@ -20,8 +20,10 @@ from skin2urdf.geometry.units import GRAVITY
 from skin2urdf.signals.features import Curvature
 from skin2urdf.signals.filters import filtered, low_pass, noise_bandwidth, shifted
 from skin2urdf.signals.mending import computed
+from skin2urdf.signals.poses import find_stops, stop_blur
 from skin2urdf.signals.records import Features
 from skin2urdf.signals.regression import regressors
+from skin2urdf.signals.ringing import rises_after_stops
 from skin2urdf.signals.rounding import regressor_noise
 from skin2urdf.signals.sampling import Sampled
 
@@ -108,6 +110,7 @@ def disturbances(
     done = 0
     for log, s in enumerate(sampled):
         grid = s.motion.grid
+        stops = find_stops(s.motion)
         readings = np.stack(
             [shifted(s.readings[:, u], grid.rate, v) for u, v in enumerate(features.latency)],
             axis=1,
@@ -115,12 +118,28 @@ def disturbances(
         for cutoff, allowance in _bands(s):
             variance = regressor_noise(s.motion, cutoff)[0][1 + features.n_dofs :]
             taps = low_pass(cutoff, grid.rate)
+            reach = _reach(grid.rate, cutoff)
+            sizes: list[tuple[int, F64]] = []
+            looked: list[tuple[int, F64, F64] | None] = []
             for p, begin, residual in _residuals(s, readings, features, curvature, log, taps):
                 done += 1
                 progress(done / windows)
                 own = own_noise(residual, features.tau[p], variance)
                 pushes = push_strengths(residual, features.tau[p], variance, own)
-                for a, b, at, strength in moments(pushes, allowance * limit, grid.rate, cutoff):
+                size = standing_out(pushes, grid.rate)
+                if not len(size):
+                    continue
+                sizes.append((begin, size))
+                plain = size.max() <= allowance * limit
+                looked.append(None if plain else (p, residual, own))
+            rises = rises_after_stops(sizes, stops, max(reach, stop_blur(grid.rate)))
+            for (begin, size), rise, seen in zip(sizes, rises, looked, strict=True):
+                if seen is None:
+                    continue
+                p, residual, own = seen
+                for a, b, at, strength in moments(
+                    size / rise, allowance * limit, grid.rate, cutoff
+                ):
                     out.append(
                         Disturbance(
                             log, p, begin + a, begin + b, float(grid.time[begin + at]), strength,
@@ -258,13 +277,31 @@ def _residuals(
             yield p, a, smooth[a - lo : b - lo]
 
 
+def standing_out(pushes: F64, rate: float) -> F64:
+    """(N,) how far the joint that stands out most does so, over what is usual for seconds.
+
+    Args:
+        pushes: (N, J) of a window, of variance 1 where nothing does.
+        rate: samples per second [Hz].
+
+    Returns:
+        The same; (0,) where the window is too short to tell what is usual.
+    """
+    if len(pushes) < rate or not pushes.size:
+        return np.zeros(0)
+    size = np.abs(pushes)
+    usual = _level(size, int(rate * _STEADY / _PARTS))
+    usual = np.maximum(usual, np.median(size, axis=0)) / -ndtri(0.25)
+    return np.asarray((size / np.hypot(_UNSTEADY * usual, _EXPECTED)).max(axis=1))
+
+
 def moments(
-    pushes: F64, limit: float, rate: float, cutoff: float
+    size: F64, limit: float, rate: float, cutoff: float
 ) -> Iterator[tuple[int, int, int, float]]:
     """Intervals of a window in which something stands out.
 
     Args:
-        pushes: (N, J) of variance 1 where nothing does.
+        size: (N,) how far something does, see :func:`standing_out`.
         limit: how far noise stands out by chance.
         rate: samples per second [Hz].
         cutoff: of the low-pass [Hz].
@@ -272,19 +309,18 @@ def moments(
     Returns:
         Begin, end, peak, and how far it stands out over what is usual.
     """
-    if len(pushes) < rate or not pushes.size:
-        return
-    size = np.abs(pushes)
-    usual = _level(size, int(rate * _STEADY / _PARTS))
-    usual = np.maximum(usual, np.median(size, axis=0)) / -ndtri(0.25)
-    highest = (size / np.hypot(_UNSTEADY * usual, _EXPECTED)).max(axis=1)
     # A swing goes through zero.
-    reach = int(rate * max(_MARGIN, 0.5 / cutoff))
-    beyond = np.r_[False, maximum_filter1d(highest, 2 * reach + 1) > _TAIL, False]
+    reach = _reach(rate, cutoff)
+    beyond = np.r_[False, maximum_filter1d(size, 2 * reach + 1) > _TAIL, False]
     for a, b in np.flatnonzero(np.diff(beyond.astype(np.int8))).reshape(-1, 2):
-        at = int(a + highest[a:b].argmax())
-        if highest[at] > limit and (b - a - 2 * reach) / rate < _LONGEST + 2 / cutoff:
-            yield int(a), int(b), at, float(highest[at])
+        at = int(a + size[a:b].argmax())
+        if size[at] > limit and (b - a - 2 * reach) / rate < _LONGEST + 2 / cutoff:
+            yield int(a), int(b), at, float(size[at])
+
+
+def _reach(rate: float, cutoff: float) -> int:
+    """Samples on either side in which a swing of low-passed readings has its largest."""
+    return int(rate * max(_MARGIN, 0.5 / cutoff))
 
 
 def _level(size: F64, part: int) -> F64:

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from skin2urdf.arrays import F64, Int, Record
-from skin2urdf.signals.filters import filtered
-from skin2urdf.signals.motion import Motion
+from skin2urdf.signals.filters import filtered, low_pass
+from skin2urdf.signals.motion import SMOOTH, Motion
 
 _CLEAR = 5.0
 """Standard deviations of noise from which steps count: chance makes one in a million samples, a
@@ -51,7 +51,7 @@ class Leaps(Record):
             kept: (K,) samples that are wanted.
         """
         rate = motion.grid.rate
-        noise = motion.noise * np.sqrt(20 / np.maximum(1.0, motion.raw_rate / rate)) * rate**2
+        noise = _noise_of_steps(motion, taps)
         # Positions tell how much velocity changed between two of them: it may have been at once.
         spread = np.maximum(1.0, rate / motion.raw_rate)
         joints = _steps(motion.qdd, taps)
@@ -90,6 +90,22 @@ def _steps(x: F64, taps: F64) -> F64:
     """
     fast = x - filtered(x, taps)
     return np.diff(fast, axis=0, append=fast[-1:])
+
+
+def _noise_of_steps(motion: Motion, taps: F64) -> F64:
+    """(D,) standard deviation of the steps that white noise of the positions makes.
+
+    Accelerations are second derivatives of low-passed positions. A stream slower than the grid
+    holds nothing beyond half its rate.
+    """
+    rate = motion.grid.rate
+    # Both low-passes are a few dozen taps long: a period of 1024 samples holds them.
+    f = np.fft.rfftfreq(1024, 1 / rate)
+    smooth, slow = (np.abs(np.fft.rfft(t, 1024)) for t in (low_pass(SMOOTH, rate), taps))
+    power = ((2 * np.pi * f) ** 2 * smooth * (1 - slow) * 2 * np.sin(np.pi * f / rate)) ** 2
+    held = f[:, None] <= motion.raw_rate / 2
+    variance = 2 * motion.noise**2 / motion.raw_rate
+    return np.asarray(np.sqrt(variance * np.trapezoid(power[:, None] * held, f, axis=0)))
 
 
 def _low_passed(squares: F64, taps: F64) -> F64:

@@ -16,6 +16,8 @@ from skin2urdf.signals.turns import unwrapped
 
 GRID_RATE = 125.0
 """Rate of the common grid [Hz]; patterns are a few Hz."""
+SMOOTH = GRID_RATE / 5
+"""Cutoff of the low-pass that positions go through before they are differentiated [Hz]."""
 STILL = 1e-3
 """Travel [rad or m] that is none: it turns gravity by less than 0.01 m/s^2."""
 _CREEP = 6.0
@@ -133,7 +135,7 @@ def joint_motion(recording: Recording, dof_names: Sequence[str] | None = None) -
             resolution[d], noise[d] = encoder_noise(stream)
             stamps[d] = stream.stamp_noise
             rate[d] = 1 / float(np.median(np.diff(stream.time)))
-    smooth = filtered(q, low_pass(GRID_RATE / 5, GRID_RATE))
+    smooth = filtered(q, low_pass(SMOOTH, GRID_RATE))
     named = np.array([name in found for name in names])
     wraps = np.array([name in found and found[name][1] for name in names])
     return Motion(

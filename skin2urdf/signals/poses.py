@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
-from skin2urdf.arrays import F64, Record
+from skin2urdf.arrays import F64, Bool, Int, Record
 from skin2urdf.signals.filters import Grid, filtered, first_derivative, low_pass
 from skin2urdf.signals.motion import Motion
 
+_SETTLED = 6.0
+"""Cutoff [Hz] of the low-pass of the positions that tell whether joints rest."""
 _SHORTEST_REST = 0.25
 """Time [s] that is a rest: two low-passes of some Hz have settled in its middle."""
 _LARGEST_SPEED = 0.05
@@ -63,19 +66,48 @@ class Neighbourhood(Record):
 
 def find_rests(motion: Motion) -> tuple[Rest, ...]:
     """All rests of a quarter of a second or longer."""
+    still = _still(motion).all(axis=1) & motion.valid
+    return tuple(
+        Rest(begin, end, motion.q[begin:end].mean(axis=0))
+        for begin, end in _intervals(still, motion.grid.rate)
+    )
+
+
+def find_stops(motion: Motion) -> Int:
+    """Grid samples at which a joint comes to rest for a quarter of a second or longer, increasing.
+
+    Others may move on. A log that begins at rest does not begin with a stop.
+    """
+    still = _still(motion)
+    begins = (begin for one in still.T for begin, _ in _intervals(one, motion.grid.rate) if begin)
+    return np.unique(np.fromiter(begins, dtype=np.int64))
+
+
+def _still(motion: Motion) -> Bool:
+    """(N, D) where joints are slower than what encoders make of rest, and patterns of motion."""
     rate = motion.grid.rate
-    speed = np.abs(first_derivative(filtered(motion.q, low_pass(6.0, rate)), rate))
+    speed = np.abs(first_derivative(filtered(motion.q, low_pass(_SETTLED, rate)), rate))
     span = np.ptp(motion.q, axis=0)
-    floor = motion.noise * np.sqrt(2 * 6.0 / motion.raw_rate) * 2 * np.pi * 6.0
+    floor = motion.noise * np.sqrt(2 * _SETTLED / motion.raw_rate) * 2 * np.pi * _SETTLED
     largest = np.maximum(_LARGEST_SPEED, 6 * floor)
-    limit = np.clip(np.maximum(0.012 * span, 6 * floor), 1e-4, largest)
-    still = (speed < limit).all(axis=1) & motion.valid
+    return np.asarray(speed < np.clip(np.maximum(0.012 * span, 6 * floor), 1e-4, largest))
+
+
+def _intervals(still: Bool, rate: float) -> Iterator[tuple[int, int]]:
+    """Begin and end of what lasts for a rest in (N,) samples."""
     edges = np.flatnonzero(np.diff(np.r_[False, still, False].astype(np.int8)))
-    rests = []
-    for begin, end in edges.reshape(-1, 2):
+    for begin, end in edges.reshape(-1, 2).tolist():
         if end - begin >= _SHORTEST_REST * rate:
-            rests.append(Rest(int(begin), int(end), motion.q[begin:end].mean(axis=0)))
-    return tuple(rests)
+            yield begin, end
+
+
+def stop_blur(rate: float) -> int:
+    """Samples by which the begin of a rest may be early or late: half a period at that cutoff.
+
+    Args:
+        rate: samples per second [Hz].
+    """
+    return int(np.ceil(0.5 * rate / _SETTLED))
 
 
 def slowest_moments(motion: Motion, most: int = 8) -> tuple[Rest, ...]:

@@ -7,7 +7,7 @@ import pytest
 
 from skin2urdf.arrays import F64
 from skin2urdf.hypotheses.contact import unexplained
-from skin2urdf.signals.contact import felt_by, moments, own_noise, push_strengths
+from skin2urdf.signals.contact import felt_by, moments, own_noise, push_strengths, standing_out
 
 RATE, CUTOFF, LIMIT = 125.0, 9.0, 7.0
 OWN = np.array([0.02, 0.05, 0.03])
@@ -99,7 +99,7 @@ def test_a_swing_through_zero_is_one_moment() -> None:
     t = np.arange(1000) / RATE
     inside = np.abs(t - 4.0) < 0.15
     x[inside, 1] += 60 * np.sin(2 * np.pi * 6 * (t[inside] - 3.9))
-    ((a, b, at, strength),) = moments(x, LIMIT, RATE, CUTOFF)
+    ((a, b, at, strength),) = moments(standing_out(x, RATE), LIMIT, RATE, CUTOFF)
     assert t[a] < 3.86
     assert t[b] > 4.14
     assert b - a < 0.6 * RATE
@@ -109,11 +109,11 @@ def test_a_swing_through_zero_is_one_moment() -> None:
 
 def test_noise_does_not_stand_out_and_what_lasts_is_no_moment() -> None:
     x = np.random.default_rng(5).normal(size=(4000, 30))
-    assert not list(moments(x, LIMIT, RATE, CUTOFF))
+    assert not list(moments(standing_out(x, RATE), LIMIT, RATE, CUTOFF))
     x[1000:1200, 0] += 60
-    assert not list(moments(x, LIMIT, RATE, CUTOFF))
-    assert not list(moments(x[:100], LIMIT, RATE, CUTOFF))
-    assert not list(moments(x[:, :0], LIMIT, RATE, CUTOFF))
+    assert not list(moments(standing_out(x, RATE), LIMIT, RATE, CUTOFF))
+    assert not list(moments(standing_out(x[:100], RATE), LIMIT, RATE, CUTOFF))
+    assert not list(moments(standing_out(x[:, :0], RATE), LIMIT, RATE, CUTOFF))
 
 
 def test_at_least_one_su_feels_a_push() -> None:

@@ -36,15 +36,49 @@ def test_smooth_motion_does_not_leap() -> None:
     assert leaps.readings.max() == 0.0
 
 
+FINE = np.arange(0.0, 120.0, 1e-3)
+BEGINS = np.arange(1.0, 118.0, 0.75) + np.random.default_rng(3).uniform(0.0, 0.1, 156)
+
+
+def pushes(size: float) -> F64:
+    """Acceleration of a drive that starts and stops within 30 ms."""
+    push = np.zeros(len(FINE))
+    for n, begin in enumerate(BEGINS):
+        inside = slice(*np.searchsorted(FINE, [begin, begin + 0.03]))
+        push[inside] = (size, -size)[n % 2]
+    return push
+
+
+@pytest.mark.parametrize("size", [20.0, 40.0])
+def test_no_leap_is_missed_where_joints_are_slower_than_sus(size: float) -> None:
+    """Joints at 50 Hz know little of what lasts for 30 ms, but always that it was there."""
+    push = pushes(size)
+    position = np.cumsum(np.cumsum(push)) * 1e-6
+    motion = motion_of(position[::20], FINE[::20])
+    grid, taps = motion.grid, low_pass(CUTOFF, motion.grid.rate)
+    # Twice summed, positions are those of a millisecond before.
+    felt = sample(FINE, np.interp(FINE + 1e-3, FINE, push)[:, None], grid)[0]
+    off = LEVER * filtered(filtered(motion.qdd - felt, taps), taps)[:, 0]
+    variance = leaps_of(motion, np.zeros((grid.size, 1, 3)), 0.002).variance(np.array([[LEVER]]))
+    for begin in BEGINS:
+        about = np.abs(grid.time - begin) < 0.15
+        assert np.abs(off[about]).max() < 3.0 * np.sqrt(variance[about].max())
+
+
+@pytest.mark.parametrize("period", [0.02, 0.01, 0.004, 0.001])
+def test_noise_of_positions_does_not_leap(period: float) -> None:
+    time = np.arange(0.0, 60.0, period)
+    noise = 1e-5 * np.random.default_rng(4).normal(size=len(time))
+    position = 0.1 * np.sin(2 * np.pi * 0.3 * time) + noise
+    motion = joint_motion(Recording((JointStream("j", time, position),), ()))
+    leaps = leaps_of(motion, np.zeros((motion.grid.size, 1, 3)), 0.01)
+    assert (leaps.joints[100:-100] > 1e-9).mean() < 0.01
+
+
 @pytest.mark.parametrize("period", [0.01, 0.016])
 def test_what_readings_miss_of_a_drive_that_starts_at_once_is_stated(period: float) -> None:
     """The velocity changes within 30 ms, at times that readings know nothing of."""
-    rng = np.random.default_rng(3)
-    fine = np.arange(0.0, 120.0, 1e-3)
-    push = np.zeros(len(fine))
-    begins = np.arange(1.0, 118.0, 0.75) + rng.uniform(0.0, 0.1, 156)
-    for n, begin in enumerate(begins):
-        push[(fine >= begin) & (fine < begin + 0.03)] = (40.0, -40.0)[n % 2]
+    fine, push = FINE, pushes(40.0)
     position = np.cumsum(np.cumsum(push)) * 1e-6
     motion = motion_of(position[::4], fine[::4])
     grid, taps = motion.grid, low_pass(CUTOFF, motion.grid.rate)

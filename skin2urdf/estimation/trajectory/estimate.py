@@ -28,7 +28,7 @@ from skin2urdf.estimation.trajectory.misfit import (
 from skin2urdf.estimation.trajectory.priors import MotionPriors
 from skin2urdf.estimation.trajectory.problem import MotionProblem
 from skin2urdf.estimation.trajectory.products import NEAR, fit_with_products
-from skin2urdf.estimation.trajectory.publishers import Late, with_publishers
+from skin2urdf.estimation.trajectory.publishers import Late, with_deviations, with_publishers
 from skin2urdf.estimation.trajectory.records import Gyros
 from skin2urdf.estimation.trajectory.slack import pull_of
 from skin2urdf.estimation.trajectory.state import MotionState
@@ -204,6 +204,8 @@ def estimate_along(
     sways = swaying(problem, fitted.state)
     lacking = [] if sways is None else [pull_of(problem, fitted, sways)]
     information = motion_information(problem, fitted, lacking)
+    if late is not None:
+        late = with_deviations(late, problem, fitted)
     tell(1.0)
     gyros = found_gyros(problem, fitted, contradict)
     what = found.causes, found.tried, found.under_known

@@ -21,6 +21,7 @@ from skin2urdf.estimation.trajectory.fit import Fitted, fit
 from skin2urdf.estimation.trajectory.problem import MotionProblem
 from skin2urdf.estimation.trajectory.slack import size_of
 from skin2urdf.estimation.trajectory.state import MotionState
+from skin2urdf.estimation.trajectory.uncertainty import shared_covariance
 from skin2urdf.estimation.trajectory.unseen import Unseen, together
 from skin2urdf.signals.motion import publishers_beyond_first
 from skin2urdf.signals.stretches import STRETCH, best_line
@@ -113,20 +114,33 @@ def with_publishers(
         state = replace(found.state, unseen=found.state.unseen[late.size :])
         if (np.abs(step) <= _SETTLED * deviation).all():
             break
-    fitted = fit(problem, state, near=True)
-    deviation *= np.sqrt(max(1.0, misfit(problem, fitted)))
-    return (
-        problem,
-        fitted,
-        Late(
-            log=np.array([g for g, _ in clocks]),
-            joints=tuple(joints for _, joints in clocks),
-            latency=late[:, 0],
-            drift=late[:, 1] / halves,
-            latency_sd=deviation[:, 0],
-            drift_sd=deviation[:, 1] / halves,
-        ),
+    clock = Late(
+        log=np.array([g for g, _ in clocks]),
+        joints=tuple(joints for _, joints in clocks),
+        latency=late[:, 0],
+        drift=late[:, 1] / halves,
+        latency_sd=deviation[:, 0],
+        drift_sd=deviation[:, 1] / halves,
     )
+    return problem, fit(problem, state, near=True), clock
+
+
+def with_deviations(late: Late, problem: MotionProblem, fitted: Fitted) -> Late:
+    """Clocks with deviations under all errors that the residuals of a fit show.
+
+    Args:
+        late: clocks that were found.
+        problem: what was fitted in the end, with positions where these clocks put them.
+        fitted: the fit.
+    """
+    clocks = list(zip(late.log.tolist(), late.joints, strict=True))
+    more, state = _wider(problem, fitted.state, clocks)
+    again = fit(more, state, near=True, iterations=1)
+    at = slice(more.layout.unseen.start - more.layout.gravity, None)
+    variance = np.diag(shared_covariance(more, again))[at][: N_CLOCK * len(clocks)]
+    deviation = np.sqrt(variance.clip(min=0.0)).reshape(-1, N_CLOCK)
+    halves = np.array([_half(problem.logs[g]) for g, _ in clocks])
+    return replace(late, latency_sd=deviation[:, 0], drift_sd=deviation[:, 1] / halves)
 
 
 def _others(log: Trajectory) -> list[Int]:

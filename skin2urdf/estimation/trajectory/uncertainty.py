@@ -26,7 +26,7 @@ from skin2urdf.arrays import F64, Bool, Int
 from skin2urdf.estimation.problem.cost import NormalEquations
 from skin2urdf.estimation.problem.residuals import columns_of
 from skin2urdf.estimation.problem.state import N_JOINT, N_SU
-from skin2urdf.estimation.trajectory.arrow import eliminated, newton_step
+from skin2urdf.estimation.trajectory.arrow import eliminated, joint_inverse, newton_step
 from skin2urdf.estimation.trajectory.clusters import clusters
 from skin2urdf.estimation.trajectory.fit import Fitted
 from skin2urdf.estimation.trajectory.problem import MotionProblem
@@ -314,6 +314,39 @@ def disturbed(weights: ArrowCovariance, info: MotionInformation) -> tuple[ArrowC
     told = np.diag(weights.joint) > 0
     widening = float(by_joint[told].mean()) if told.any() else 1.0
     return ArrowCovariance(joint, columns, lean, own), widening
+
+
+def shared_covariance(problem: MotionProblem, fitted: Fitted) -> F64:
+    """Covariance of what all SUs share beyond the joints, under the errors that residuals show.
+
+    Args:
+        problem: what was fitted.
+        fitted: the fit.
+
+    Returns:
+        (Z, Z) of gravity's size and of the numbers of unseen motion.
+    """
+    info = motion_information(problem, fitted)
+    full, _ = disturbed(_weights(problem, info), info)
+    Z = len(info.shared)
+    return np.asarray(full.joint[-Z:, -Z:])
+
+
+def _weights(problem: MotionProblem, info: MotionInformation) -> ArrowCovariance:
+    """Inverse of the information on x and y for known z, offsets held by what is known before."""
+    equations = info.equations
+    J, free_su = len(equations.joint), problem.free_su[:, :N_SU]
+    weight = problem.priors.sensors.position**-2.0
+    H, su = np.array(equations.joint), np.array(equations.su)
+    held = N_JOINT * np.arange(problem.tree.n_joints)[:, None] + np.arange(2)
+    H[held, held] += weight
+    su[:, range(3), range(3)] += weight
+    own = np.stack([joint_inverse(H_su, free) for H_su, free in zip(su, free_su, strict=True)])
+    lean = -own @ equations.mixed
+    columns = equations.columns
+    back = np.swapaxes(equations.mixed, 1, 2) @ lean
+    np.add.at(H, (columns[:, :, None], columns[:, None, :]), back)
+    return ArrowCovariance(joint_inverse(H, problem.free_joint[:J]), columns, lean, own)
 
 
 def _widening(response: _Response, info: MotionInformation) -> tuple[F64, F64, F64]:

@@ -107,8 +107,10 @@ def calibrate(
             looked = looked if first is not None and _untouched(first, solution) else None
     fit = clock.run("goodness of fit", lambda _: goodness(solution.found))
     if settings.method != "paper" and settings.motion == "all":
+        # No physics leaves so much in the features of any SU, be it weighed down or not.
+        most = np.inf if solution.found.misfit <= HOPELESS_FIT else 0.0
         along = looked or clock.run(
-            "all samples", lambda tell: fit_samples(solution, tell, without=in_vain)
+            "all samples", lambda tell: fit_samples(solution, tell, without=in_vain, most=most)
         )
         if along is not None:
             fitted = along

@@ -13,9 +13,10 @@ from hypothesis import strategies as st
 from random_robots import chain, robot_of, small_arm
 from simulated import PATTERNS, held_against
 
+from skin2urdf.calibration import pipeline
 from skin2urdf.calibration.clock import Clock
 from skin2urdf.calibration.pipeline import calibrate
-from skin2urdf.calibration.result import Calibration
+from skin2urdf.calibration.result import HOPELESS_FIT, Calibration
 from skin2urdf.calibration.rounds import (
     estimate_once,
     find_structure,
@@ -163,6 +164,16 @@ def test_a_slip_explains_the_pose_in_which_it_happened() -> None:
     of_su = float(found.chi2_by_block[:, u].sum())
     assert found.chi2_by_block[during, u] > 0.05 * of_su
     assert slip.drop == pytest.approx(of_su, rel=0.03)
+
+
+def test_no_physics_is_tried_for_what_leaves_more_than_any(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where a search has not found what is wrong, fits with gears that yield take minutes."""
+    monkeypatch.setattr(pipeline, "KINDS", ())
+    injected = FAULTS["loose"](sound(), np.random.default_rng([2, *b"loose"]))
+    found = calibrate([retimed(recording) for recording in injected.recordings])
+    assert found.estimate.misfit > HOPELESS_FIT
+    assert found.along is not None
+    assert not found.along.tried
 
 
 def test_a_fixed_su_does_not_slip() -> None:

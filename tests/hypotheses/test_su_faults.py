@@ -149,7 +149,7 @@ def joint_of(tree: KinematicTree, su: str) -> str:
 def test_a_slip_explains_the_pose_in_which_it_happened() -> None:
     """Readings of both placements together fit neither, and need not."""
     rng, clock = np.random.default_rng([3, *b"loose"]), Clock()
-    injected = FAULTS["loose"](sound(), rng)
+    injected = FAULTS["loose"](sound(slips=True), rng)
     logs = sample_logs([retimed(each) for each in injected.recordings], PATTERNS, clock)
     features = take_features(logs, clock)
     during = np.argsort(features.span[:, 0])[7]
@@ -169,7 +169,7 @@ def test_a_slip_explains_the_pose_in_which_it_happened() -> None:
 def test_no_physics_is_tried_for_what_leaves_more_than_any(monkeypatch: pytest.MonkeyPatch) -> None:
     """Where a search has not found what is wrong, fits with gears that yield take minutes."""
     monkeypatch.setattr(pipeline, "KINDS", ())
-    injected = FAULTS["loose"](sound(), np.random.default_rng([2, *b"loose"]))
+    injected = FAULTS["loose"](sound(slips=True), np.random.default_rng([2, *b"loose"]))
     found = calibrate([retimed(recording) for recording in injected.recordings])
     assert found.estimate.misfit > HOPELESS_FIT
     assert found.along is not None

@@ -13,7 +13,7 @@ from skin2urdf.calibration.settings import CalibrationSettings
 from skin2urdf.estimation.solve.estimate import Estimate
 from skin2urdf.estimation.trajectory.estimate import MotionEstimate
 from skin2urdf.estimation.uncertainty.goodness import Goodness
-from skin2urdf.estimation.uncertainty.health import is_plausible
+from skin2urdf.estimation.uncertainty.health import are_plausible
 from skin2urdf.estimation.uncertainty.observability import Observability
 from skin2urdf.estimation.uncertainty.outliers import (
     Unlike,
@@ -171,12 +171,15 @@ class Calibration(Record):
         an error that none has, no joint is weak, half of the joints are determined, and the base
         stands still, since lengths along the first axis may else be off by more than is stated. It
         is bad where the readings are not explained, or only in part while all SUs beyond the first
-        joint are weak. What no recording can tell must not spoil it, such as where branches that
-        meet in one joint sit along its axis.
+        joint are weak, or where most SUs are not determined and would need errors that no sensor
+        has: then it is the model that is wrong. What no recording can tell must not spoil it, such
+        as where branches that meet in one joint sit along its axis.
         """
         if not self.misfit <= self.largest_misfit:
             return "bad"
         if self.misfit > GOOD_FIT and set(self._placed) == {"weak"}:
+            return "bad"
+        if self.mostly_open and self.mostly_implausible:
             return "bad"
         goodness, seen = self.goodness, self.observability
         explained = max(self.misfit, goodness.prediction, seen.widening) <= GOOD_FIT
@@ -184,7 +187,8 @@ class Calibration(Record):
         verdicts = seen.joint_verdict
         known = "weak" not in verdicts and 2 * verdicts.count("determined") >= len(verdicts)
         known &= not self.mostly_open
-        sound = not self.faults and not self.base_gives_way and is_plausible(self.estimate.state)
+        sound = not self.faults and not self.base_gives_way
+        sound &= bool(are_plausible(self.estimate.state).all())
         return "good" if explained and alike and known and sound else "fair"
 
     @property
@@ -197,6 +201,11 @@ class Calibration(Record):
         """Whether more than half of the SUs that a recording could place are not determined."""
         placed = self._placed
         return 2 * placed.count("determined") < len(placed)
+
+    @property
+    def mostly_implausible(self) -> bool:
+        """Whether most SUs would need errors that no working sensor has."""
+        return bool(2 * are_plausible(self.estimate.state).sum() < self.model.tree.n_sus)
 
     @property
     def _placed(self) -> list[str]:

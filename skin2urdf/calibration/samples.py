@@ -22,7 +22,7 @@ from skin2urdf.estimation.trajectory.estimate import (
 from skin2urdf.estimation.trajectory.front_end import common_front_end
 from skin2urdf.estimation.trajectory.kinematics import levers
 from skin2urdf.estimation.trajectory.priors import MotionPriors
-from skin2urdf.estimation.uncertainty.health import is_plausible
+from skin2urdf.estimation.uncertainty.health import are_plausible
 from skin2urdf.faults import Fault
 from skin2urdf.signals.records import JointClock, SuClock
 from skin2urdf.signals.sampling import Sampled
@@ -195,7 +195,7 @@ def is_explained_by_physics(along: MotionEstimate) -> bool:
     Args:
         along: the fit of all samples of logs that nothing was mended in.
     """
-    if "slack" in along.causes or not is_plausible(along.state):
+    if "slack" in along.causes or not are_plausible(along.state).all():
         return False
     return along.misfit <= GOOD_FIT and not _anything_stands_out(along)
 

@@ -21,12 +21,13 @@ _NAMED = 3
 
 DoubtKind = Literal[
     "faults", "soft base", "SUs misfit", "poses misfit", "prediction", "errors come back",
-    "sensors", "weak joints", "open limbs", "joints open", "SUs open",
+    "sensors", "no such sensors", "weak joints", "open limbs", "joints open", "SUs open",
 ]  # fmt: skip
 """What speaks against a result: things found wrong, a base that gives way, SUs and poses that fit
 worse than the rest, poses that are predicted worse than stated, what is left of the readings and
-comes back with the motion, sensors that are worse than the options say, axes that are known weakly,
-limbs whose places are open, and what of the joints and SUs the log does not determine."""
+comes back with the motion, sensors that are worse than the options say, or than any, axes that are
+known weakly, limbs whose places are open, and what of the joints and SUs the log does not
+determine."""
 
 
 @dataclass(frozen=True)
@@ -144,6 +145,12 @@ def _doubts(calibration: Calibration) -> list[Doubt]:
     if narrow and calibration.misfit > GOOD_FIT:
         words = "the sensors are worse than the options say of them (see the notes)"
         found.append(Doubt("sensors", words))
+    if calibration.mostly_implausible:
+        words = (
+            "most SUs would need errors that no sensor has (see the notes): record more, on a base "
+            "that stands still, or give the robot's own URDF by --model"
+        )
+        found.append(Doubt("no such sensors", words))
     weak = _with_verdict(tree.joint_names, seen.joint_verdict, ("weak",))
     if weak:
         words = f"the axis of {shortened(weak, _NAMED)} is known weakly"

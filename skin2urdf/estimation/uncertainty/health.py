@@ -6,6 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from skin2urdf.arrays import Bool
 from skin2urdf.estimation.problem.state import State
 from skin2urdf.estimation.solve.estimate import Estimate
 from skin2urdf.estimation.start.inward import inward_starts
@@ -54,10 +55,10 @@ def mirrored_sus(estimate: Estimate) -> tuple[int, ...]:
     return tuple(int(u) for u in np.flatnonzero(mirrored))
 
 
-def is_plausible(state: State) -> bool:
-    """Whether every sensor has a bias, scale and cross-axis errors as working sensors have."""
-    shape, bias = np.abs(state.shape).max(initial=0.0), np.abs(state.bias).max(initial=0.0)
-    return bool(shape <= _IMPLAUSIBLE_SHAPE and bias <= _IMPLAUSIBLE_BIAS)
+def are_plausible(state: State) -> Bool:
+    """(U,) whether each sensor has a bias, scale and cross-axis errors as working sensors have."""
+    shape, bias = (np.abs(x).max(axis=1, initial=0.0) for x in (state.shape, state.bias))
+    return np.asarray((shape <= _IMPLAUSIBLE_SHAPE) & (bias <= _IMPLAUSIBLE_BIAS))
 
 
 def unlike_the_rest(estimate: Estimate) -> tuple[int, ...]:

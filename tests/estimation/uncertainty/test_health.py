@@ -5,11 +5,12 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from calibrated import calibration
 
 from skin2urdf.arrays import F64
 from skin2urdf.estimation.uncertainty.goodness import Goodness, Share
-from skin2urdf.estimation.uncertainty.health import health_notes, is_plausible, unlike_the_rest
+from skin2urdf.estimation.uncertainty.health import are_plausible, health_notes, unlike_the_rest
 from skin2urdf.notes import Note, of_kind
 
 
@@ -56,9 +57,30 @@ def test_no_result_with_a_sensor_that_counts_one_axis_the_other_way_is_good() ->
     """A scale of -1 explains its readings as well as a left-handed frame does."""
     sound = calibration()
     assert sound.quality == "good"
-    assert is_plausible(sound.estimate.state)
+    assert are_plausible(sound.estimate.state).all()
     shape = np.array(sound.estimate.state.shape)
     shape[2, 2] = -2.0
     state = replace(sound.estimate.state, shape=shape)
-    assert not is_plausible(state)
+    assert np.flatnonzero(~are_plausible(state)).tolist() == [2]
     assert replace(sound, estimate=replace(sound.estimate, state=state)).quality == "fair"
+
+
+@pytest.mark.parametrize(
+    ("implausible", "open_", "quality"), [(3, 4, "fair"), (4, 1, "fair"), (4, 4, "bad")]
+)
+def test_sensors_that_none_is_like_speak_against_a_model_that_leaves_them_open(
+    implausible: int, open_: int, quality: str
+) -> None:
+    """All readings may be too large by one scale, which gravity tells; then SUs are determined."""
+    sound = calibration()
+    shape = np.array(sound.estimate.state.shape)
+    assert 3 <= len(shape) / 2 < 4
+    shape[:implausible, 0] = 0.5
+    state = replace(sound.estimate.state, shape=shape)
+    verdicts = sound.observability.su_verdict
+    seen = replace(
+        sound.observability,
+        su_verdict=(*verdicts[: len(verdicts) - open_], *(open_ * ("not observable",))),
+    )
+    found = replace(sound, estimate=replace(sound.estimate, state=state), observability=seen)
+    assert found.quality == quality

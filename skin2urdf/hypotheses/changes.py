@@ -21,14 +21,13 @@ from skin2urdf.hypotheses.encoder import Corrected, errors_of
 from skin2urdf.hypotheses.names import columns_of, names_in
 from skin2urdf.hypotheses.parts import sound_part
 from skin2urdf.hypotheses.records import Amendment, Attempt, Candidate
-from skin2urdf.hypotheses.search import Search, excess, explains, imitations
+from skin2urdf.hypotheses.search import Search, excess, explains, imitations, of_logs
 from skin2urdf.hypotheses.sense import FOLLOWED, TURNED, felt_at_rest, felt_in_patterns
 from skin2urdf.signals.encoders import reversal
 from skin2urdf.signals.mending import computed
 from skin2urdf.signals.motion import Motion
 from skin2urdf.signals.records import EncoderError, Features
 from skin2urdf.signals.sampling import Sampled
-from skin2urdf.structure.records import KinematicTree
 
 _ALLOWANCE = 3.0
 """Time of a change into a pose, over what the pose's misfit says: patterns begin gently."""
@@ -101,7 +100,7 @@ def _changes(
         found: an estimate from all of them, where there is one.
     """
     logs = search.plain
-    tree = None if found is None else _as_logged(found.tree, logs.su_names)
+    tree = None if found is None else of_logs(found.tree, logs)
     exchanges, turns = list[Exchanged](), list[Corrected]()
     for log, s in enumerate(logs.sampled):
         sound = sound_part(logs.of([s]), tree, search.clock)
@@ -123,12 +122,6 @@ def _changes(
     if exchanges:
         out.append(("swapped in a log", [n for e in exchanges for n in e.names], tuple(exchanges)))
     return out
-
-
-def _as_logged(tree: KinematicTree, names: Sequence[str]) -> KinematicTree:
-    """A tree without the SUs that stand for earlier placements of others."""
-    own = np.flatnonzero([name in names for name in tree.su_names])
-    return replace(tree, su_names=tuple(tree.su_names[u] for u in own), su_joint=tree.su_joint[own])
 
 
 @dataclass(frozen=True)

@@ -52,9 +52,10 @@ def sound_part(
         sound, _ = _explanations(named, clock)
         if not sound:
             sound, fits = _explanations([(part, tree) for part in parts], clock)
-            swapped = [(part, _exchanged(tree, fit.worst_two())) for part, fit in fits]
-            new = [each for each in swapped if not _is_among(named, *each)]
-            sound = sound or _explanations(new, clock)[0]
+            # Either part may show best which two were exchanged, and either may be pure.
+            swapped = [_exchanged(tree, fit.worst_two()) for _, fit in fits]
+            pairs = _new([(part, other) for other in swapped for part in parts], named)
+            sound = sound or _explanations(pairs, clock)[0]
     if not sound:
         shown = [(part, other) for part in parts if (other := part.structure(clock).tree)]
         new = [(part, other) for part, other in shown if not (tree and alike(other, tree))]
@@ -158,11 +159,15 @@ def _explanations(
     return [fit for _, fit in made if fit.explains()], made
 
 
-def _is_among(
-    known: Sequence[tuple[_Part, KinematicTree]], part: _Part, tree: KinematicTree
-) -> bool:
-    """Whether a tree is one of those that were tried with a part."""
-    return any(of is part and alike(other, tree) for of, other in known)
+def _new(
+    pairs: Sequence[tuple[_Part, KinematicTree]], tried: Sequence[tuple[_Part, KinematicTree]]
+) -> list[tuple[_Part, KinematicTree]]:
+    """Parts and trees that are not among those that were tried, each once."""
+    known = list(tried)
+    for part, tree in pairs:
+        if not any(of is part and alike(other, tree) for of, other in known):
+            known.append((part, tree))
+    return known[len(tried) :]
 
 
 def _exchanged(tree: KinematicTree, names: Sequence[str]) -> KinematicTree:

@@ -153,6 +153,8 @@ class Search:
         whole, tree = logs, structure.certain_tree
         for each in amendments:
             whole, tree = each.of_placements(whole, tree)
+        # A structure that was found beside a slip knows SUs that are none without it.
+        tree = of_logs(tree, whole)
         if whole is not logs:
             calm = _calm(whole, amendments)
             known = dict(zip(features.su_names, features.latency, strict=True))
@@ -409,6 +411,12 @@ def _pruned(search: Search, first: Attempt | None, last: Attempt | None) -> Atte
         if worth <= price(after, each.parameters, search.tried, of_poses=True):
             last = without
     return last
+
+
+def of_logs(tree: KinematicTree, logs: Logs) -> KinematicTree:
+    """A tree without the SUs that logs do not have: those that stand for earlier placements."""
+    own = np.flatnonzero([name in logs.su_names for name in tree.su_names])
+    return replace(tree, su_names=tuple(tree.su_names[u] for u in own), su_joint=tree.su_joint[own])
 
 
 def promise(now: Attempt | None, candidate: Candidate, tried: int) -> float:

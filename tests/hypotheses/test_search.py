@@ -28,6 +28,7 @@ from skin2urdf.hypotheses.kinds import KINDS
 from skin2urdf.hypotheses.mirrored import Mirrored, Negated
 from skin2urdf.hypotheses.records import Amendment, Attempt, Candidate
 from skin2urdf.hypotheses.search import Kind, Search, explain, gain, price
+from skin2urdf.hypotheses.structure import Known
 from skin2urdf.recording.records import Recording
 from skin2urdf.signals.records import EncoderError
 
@@ -103,6 +104,23 @@ def test_what_the_others_explain_goes_at_the_end() -> None:
     recording = with_su_negated(simulation().recording, name)
     found, _ = searched(recording, [Proposing((Negated(name), Idle()))])
     assert [fault.subject for fault in found.faults] == ["Negated"]
+    assert found.found.misfit < 1.3
+
+
+def test_a_structure_that_was_found_beside_a_slip_is_one_without_it() -> None:
+    """It has an SU for the earlier placement, which no log has."""
+    name = simulation().recording.sus[-1].name
+    recording = with_su_negated(simulation().recording, name)
+    logs = sample_logs([recording], CalibrationSettings(), Clock())
+    tree = find_structure(logs, take_features(logs, Clock()), Clock()).certain_tree
+    joint = tree.su_joint[tree.su_names.index(name)]
+    known = replace(
+        tree,
+        su_names=(*tree.su_names, f"{name}_before"),
+        su_joint=np.append(tree.su_joint, joint),
+    )
+    found, _ = searched(recording, [Proposing((Negated(name), Known(known)))])
+    assert found.found.tree.su_names == tree.su_names
     assert found.found.misfit < 1.3
 
 

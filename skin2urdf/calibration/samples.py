@@ -261,8 +261,9 @@ def without_false_hits(
     everything = first if loose else replace(solution, logs=whole)
     if everything is None:
         return solution, along
-    # An SU that did leaves so much that every cause would be tried in vain.
-    most = 0.0 if loose else np.inf
+    # An SU that did leaves so much that every cause would be tried in vain. So would they be where
+    # the logs without the hits leave only noise: what yields or is slow shows there as well.
+    most = 0.0 if loose or leaves_only_noise(along) else np.inf
     again = fit_samples(everything, tell, without=rejected(along), most=most)
     if again is None or (loose and not leaves_only_noise(again)):
         return solution, along

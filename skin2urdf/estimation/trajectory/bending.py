@@ -207,7 +207,7 @@ def followed(
         effects["rate"] = first_derivative(deflection, log.rate)
         if found.base:
             acceleration = second_derivative(deflection, log.rate)
-            effects["acceleration"] = filtered(acceleration, log.taps)
+            effects["acceleration"] = _smooth(acceleration, log.taps)
         others = [e.factor * effects[e.of][:, e.part] for e in entries[loads.shape[1] :]]
         motions.append(np.column_stack([loads, *others]))
     along = replace(
@@ -350,10 +350,19 @@ def _under_loads(
             bent = np.concatenate([bent, np.einsum("ji,njp->nip", about, bent[:, -3:])], axis=1)
         per_unit[at] = bent[:, part, number]
     # Above the low-pass, accelerations are noise, and more so with every differentiation.
-    return filtered(per_unit, log.taps), {
-        "torque": filtered(torques, log.taps),
-        "force": filtered(forces, log.taps),
+    return _smooth(per_unit, log.taps), {
+        "torque": _smooth(torques, log.taps),
+        "force": _smooth(forces, log.taps),
     }
+
+
+def _smooth(x: F64, taps: F64) -> F64:
+    """Low-passed (N, ...) with twice the residual added back, so that little is lost of what passes.
+
+    A gain of H becomes one of ``1 - (1 - H)^2`` (twicing: Tukey 1977).
+    """
+    once = filtered(x, taps)
+    return 2 * once - filtered(once, taps)
 
 
 def _compliance(found: Bending, x: F64) -> F64:

@@ -357,7 +357,7 @@ def _under_loads(
 
 
 def _smooth(x: F64, taps: F64) -> F64:
-    """Low-passed (N, ...) with twice the residual added back, so that little is lost of what passes.
+    """Low-pass (N, ...) and add back what the residual holds, so that little is lost that passes.
 
     A gain of H becomes one of ``1 - (1 - H)^2`` (twicing: Tukey 1977).
     """

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -20,7 +21,8 @@ from simulated import (
 )
 
 from skin2urdf.arrays import F64
-from skin2urdf.calibration.clock import Clock
+from skin2urdf.calibration import samples
+from skin2urdf.calibration.clock import Clock, Tell
 from skin2urdf.calibration.pipeline import calibrate
 from skin2urdf.calibration.result import Calibration
 from skin2urdf.calibration.rounds import (
@@ -233,6 +235,27 @@ def test_all_samples_have_the_last_word_about_hits_alone() -> None:
         named = replace(solution, faults=(fault,))
         kept, _ = without_false_hits(named, along, solution.logs, solution, lambda _: None)
         assert (kept.faults == (fault,)) == stays
+
+
+def test_nothing_that_yields_is_tried_with_a_hit_in_a_log_that_leaves_only_noise(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """It takes twenty times as long, and explains no hit."""
+    most = list[float]()
+
+    def watched(solution: Solution, tell: Tell, **options: Any) -> object:
+        most.append(options["most"])
+        return fit_samples(solution, tell, **options)
+
+    solution = solved_panda()
+    along = fit_samples(solution, lambda _: None)
+    assert along is not None
+    monkeypatch.setattr(samples, "fit_samples", watched)
+    named = replace(solution, faults=(Fault("contact", "panda_joint4", log=0, begin=9.0, end=9.3),))
+    without_false_hits(named, along, solution.logs, solution, lambda _: None)
+    monkeypatch.setattr(samples, "leaves_only_noise", lambda _: False)
+    without_false_hits(named, along, solution.logs, solution, lambda _: None)
+    assert most == [0.0, np.inf]
 
 
 def test_leaps_are_found_to_their_sample_and_size() -> None:

@@ -126,6 +126,14 @@ def test_a_slip_on_an_upright_first_joint_is_not_its_encoders_scale() -> None:
     assert [(f.kind, f.subject) for f in found.faults] == [("loose", injected.subjects[0])]
 
 
+def test_names_that_one_part_of_a_log_tells_apart_are_exchanged_in_the_other() -> None:
+    """The early part shows which two changed places, and the late one is explained by it."""
+    injected, logs = of_six_poses("renamed", 97003)
+    found = calibrate(logs, PATTERNS)
+    named = {(fault.kind, fault.subject) for fault in found.faults}
+    assert named == {("swapped", name) for name in injected.subjects}
+
+
 def test_an_su_whose_last_joint_was_missed_in_gaps_is_put_beyond_it() -> None:
     """By what its readings fit, where their activity says otherwise."""
     injected, recordings = of_six_poses("gaps", 10282)

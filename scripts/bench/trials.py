@@ -158,16 +158,17 @@ def perform(case: Case) -> Figures:
     begin = time.perf_counter()
     try:
         found = calibrate(recording, settings)
+        seconds = time.perf_counter() - begin
+        with tempfile.TemporaryDirectory() as folder:
+            return _compared(found, truth, Path(folder), seconds)
     except Skin2UrdfError as error:
+        # A bad result is refused where it would be written.
         return Figures(
             exit_status=error.exit_status,
             refusal=f"{type(error).__name__}: {error}",
             n_sus=len(truth.sus),
             seconds=time.perf_counter() - begin,
         )
-    seconds = time.perf_counter() - begin
-    with tempfile.TemporaryDirectory() as folder:
-        return _compared(found, truth, Path(folder), seconds)
 
 
 def _compared(found: Calibration, truth: Truth, folder: Path, seconds: float) -> Figures:

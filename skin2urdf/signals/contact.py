@@ -278,14 +278,14 @@ def _residuals(
 
 
 def standing_out(pushes: F64, rate: float) -> F64:
-    """(N,) how far the joint that stands out most does so, over what is usual for seconds.
+    """How far the joint that stands out most does so, over what is usual for seconds.
 
     Args:
         pushes: (N, J) of a window, of variance 1 where nothing does.
         rate: samples per second [Hz].
 
     Returns:
-        The same; (0,) where the window is too short to tell what is usual.
+        (N,) 1 and less where nothing does; (0,) where a window is too short to tell what is usual.
     """
     if len(pushes) < rate or not pushes.size:
         return np.zeros(0)

@@ -333,7 +333,10 @@ def shared_covariance(problem: MotionProblem, fitted: Fitted) -> F64:
 
 
 def _weights(problem: MotionProblem, info: MotionInformation) -> ArrowCovariance:
-    """Inverse of the information on x and y for known z, offsets held by what is known before."""
+    """Inverse of the information on joints (J,) and SUs (U, 15) for given shared numbers (Z,).
+
+    Offsets of joints and places of SUs that nothing shows are held by what is known before [m].
+    """
     equations = info.equations
     J, free_su = len(equations.joint), problem.free_su[:, :N_SU]
     weight = problem.priors.sensors.position**-2.0

@@ -1,9 +1,10 @@
 r"""Change one constant of the code at a time and see what becomes of short recordings.
 
 Every number that a module names is halved and doubled, and recordings that lead through its room
-are calibrated: with patterns, with ordinary moves, with cheap sensors, late clocks, a slip, an
-encoder that jumps, a hit, and gears that yield. Each trial is one line of JSON in the output as
-soon as it is finished; what is there already is not done again.
+are calibrated: with patterns, with ordinary moves, with cheap sensors, with gyroscopes, late clocks
+of SUs and of a publisher of joints, a slip, an encoder that jumps, a hit, and gears that yield.
+Each trial is one line of JSON in the output as soon as it is finished; what is there already is not
+done again.
 
     python scripts/sensitivity.py --rooms hypotheses signals/clocks
     python scripts/sensitivity.py --output sensitivity.jsonl --summary-only

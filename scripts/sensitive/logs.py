@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import replace
 from functools import lru_cache
 from types import MappingProxyType
 from typing import Any
@@ -11,6 +12,7 @@ import numpy as np
 from bench.rows import ROWS
 from faulty.trials import INJECTIONS
 
+from skin2urdf.arrays import frozen
 from skin2urdf.recording.records import Recording
 from skin2urdf.simulation import SimulationSettings, load_robot, simulate
 from skin2urdf.simulation.faults import Sound
@@ -28,6 +30,30 @@ def _recorded(robot: str, row: str = "sound", fault: str = "", **changes: Any) -
     return recording
 
 
+def published_apart(plain: Recording, names: Collection[str], late: float) -> Recording:
+    """A recording with some joints in messages of their own, halfway between the others.
+
+    Args:
+        plain: the recording.
+        names: the joints whose publisher has a clock of its own.
+        late: lag of that clock [s].
+    """
+    time = plain.joints[0].time
+    others, stamps = frozen(time[::2]), frozen(time[1::2] + late)
+    joints = tuple(
+        replace(j, time=stamps, position=j.position[1::2])
+        if j.name in names
+        else replace(j, time=others, position=j.position[::2])
+        for j in plain.joints
+    )
+    return replace(plain, joints=joints)
+
+
+def _late_publisher(seed: int) -> Recording:
+    plain = _recorded("ur3", seed=seed, excite="all", joint_rate=250.0)
+    return published_apart(plain, {joint.name for joint in plain.joints[3:]}, 0.08)
+
+
 LOGS: Mapping[str, Callable[[int], Recording]] = MappingProxyType(
     {
         "patterns": lambda seed: _recorded("panda", seed=seed),
@@ -37,6 +63,8 @@ LOGS: Mapping[str, Callable[[int], Recording]] = MappingProxyType(
         "slip": lambda seed: _recorded("panda", fault="loose", seed=seed, excite="all"),
         "jump": lambda seed: _recorded("ur3", fault="encoder_jump", seed=seed, excite="all"),
         "hit": lambda seed: _recorded("panda", fault="contact", seed=seed, excite="all"),
+        "publishers": _late_publisher,
+        "gyros": lambda seed: _recorded("ur3", seed=seed, excite="none", minutes=1.0, gyro="mems"),
         "gears": lambda seed: _recorded("ur3", "gears 56/28 kNm/rad", seed=seed),
     }
 )
@@ -44,9 +72,9 @@ LOGS: Mapping[str, Callable[[int], Recording]] = MappingProxyType(
 
 SEEN_BY: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {
-        "signals": ("patterns", "late", "hit"),
-        "structure": ("cheap", "moves"),
-        "estimation": ("patterns", "moves", "gears"),
+        "signals": ("patterns", "late", "hit", "publishers"),
+        "structure": ("cheap", "moves", "gyros"),
+        "estimation": ("patterns", "moves", "gears", "publishers"),
         "hypotheses": ("slip", "jump", "hit"),
     }
 )

@@ -2,39 +2,24 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
 from random_robots import small_arm
+from sensitive.logs import published_apart
 from simulated import held_against, simulation_of
 
-from skin2urdf.arrays import frozen
 from skin2urdf.calibration.pipeline import calibrate
 from skin2urdf.calibration.settings import CalibrationSettings
-from skin2urdf.recording.records import Recording
 from skin2urdf.signals.publishers import joint_clocks
 
 SETTINGS = CalibrationSettings(gravity_deviation=0.0)
 
 
-def _published_apart(plain: Recording, names: tuple[str, ...], late: float) -> Recording:
-    """A recording with some joints in messages of their own, halfway between the others."""
-    time = plain.joints[0].time
-    others, stamps = frozen(time[::2]), frozen(time[1::2] + late)
-    joints = tuple(
-        replace(j, time=stamps, position=j.position[1::2])
-        if j.name in names
-        else replace(j, time=others, position=j.position[::2])
-        for j in plain.joints
-    )
-    return replace(plain, joints=joints)
-
-
 def test_a_late_publisher_is_told_and_bends_nothing(tmp_path: Path) -> None:
     names = ("j2", "j3")
     made = simulation_of(small_arm(4), n_poses=3, excite="all")
-    found = calibrate(_published_apart(made.recording, names, 0.08), SETTINGS)
+    found = calibrate(published_apart(made.recording, names, 0.08), SETTINGS)
     ((clock,),) = found.publishers
     assert set(clock.joints) == set(names)
     assert clock.latency_sd < 1e-4
@@ -48,7 +33,7 @@ def test_a_late_publisher_is_told_and_bends_nothing(tmp_path: Path) -> None:
 
 def test_a_publisher_whose_clock_is_sound_is_not_told() -> None:
     made = simulation_of(small_arm(4), upright=True)
-    recording = _published_apart(made.recording, ("j3",), 0.0)
+    recording = published_apart(made.recording, ("j3",), 0.0)
     # Readings of some seconds propose a clock here, which all samples do not confirm.
     assert joint_clocks(recording)
     found = calibrate(recording, SETTINGS)

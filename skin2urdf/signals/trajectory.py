@@ -61,6 +61,8 @@ class Trajectory(Record):
         beyond: (K, U, 3) what readings hold beyond those of the low-passed motion, with gyroscopes
             (K, U, 6), theirs last, see :mod:`~skin2urdf.estimation.trajectory.products`; None where
             that is not known [m/s^2, rad/s].
+        resolution: (D,) smallest step of each encoder [rad or m], 0 for none; (0,) where all have
+            none.
     """
 
     log: int
@@ -81,6 +83,7 @@ class Trajectory(Record):
     publisher: Int = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
     positions: F64 = field(default_factory=lambda: np.zeros((0, 0)))
     beyond: F64 | None = None
+    resolution: F64 = field(default_factory=lambda: np.zeros(0))
 
     @property
     def time(self) -> F64:
@@ -125,6 +128,9 @@ class Trajectory(Record):
             qd=self.qd * factor,
             qdd=self.qdd * factor,
             positions=self.positions * factor if known else self.positions,
+            resolution=self.resolution * np.abs(factor)
+            if len(self.resolution)
+            else self.resolution,
         )
 
     @property
@@ -185,6 +191,7 @@ def trajectory(
         ),
         publisher=motion.publisher,
         positions=motion.q,
+        resolution=motion.resolution,
     )
 
 
@@ -217,6 +224,7 @@ def in_order(log: Trajectory, dofs: Int, sus: Int) -> Trajectory:
             moving=log.moving[:, dofs],
             publisher=log.publisher[dofs] if len(log.publisher) else log.publisher,
             noise=None if log.noise is None else log.noise[dofs],
+            resolution=log.resolution[dofs] if len(log.resolution) else log.resolution,
         )
     # What stays in its order, as mostly, is not copied.
     if np.array_equal(sus, np.arange(log.readings.shape[1])):

@@ -3,7 +3,8 @@
 A rigid robot with steady sensors is fitted first. Where it leaves more than noise, or where joints
 are off their encoders from place to place, causes are tried: uneven gears, joints that yield, a
 base that gives way, biases that drift, several of these; slack of a learnt size takes up what none
-of them explains.
+of them explains. Slack no larger than half an encoder's step needs no cause: rounding makes it
+wherever a robot rests, and many joints and SUs show what one of them hides in noise.
 """
 
 from __future__ import annotations
@@ -27,7 +28,14 @@ from skin2urdf.estimation.trajectory.known_torque import known_elasticity
 from skin2urdf.estimation.trajectory.misfit import misfit, span_means
 from skin2urdf.estimation.trajectory.on_the_base import turned_as_the_base
 from skin2urdf.estimation.trajectory.problem import MotionProblem
-from skin2urdf.estimation.trajectory.slack import Size, learnt_size, size_of, slack, with_unseen
+from skin2urdf.estimation.trajectory.slack import (
+    Size,
+    learnt_size,
+    rounded_off,
+    size_of,
+    slack,
+    with_unseen,
+)
 from skin2urdf.estimation.trajectory.state import MotionState
 from skin2urdf.estimation.trajectory.unseen import Unseen
 
@@ -112,6 +120,10 @@ def explained(
     rigid = _Attempt(problem, fitted, (), places)
     if rigid.misfit > min(most, _BEYOND) or not rigid.lacks:
         return Explained(problem, fitted)
+    if rigid.may_round:
+        rounded = rigid.with_slack()
+        if not rounded.lacks:
+            return Explained(rounded.problem, rounded.fitted)
     # Few numbers that say more than many would.
     known = rigid.with_known_torque()
     if known is not None and yields(known.problem, known.fitted) and _explains_most(known, rigid):
@@ -235,6 +247,13 @@ class _Attempt:
         return replace(
             self, problem=problem, fitted=fit(problem, state), causes=(*self.causes, name)
         )
+
+    @property
+    def may_round(self) -> bool:
+        """Whether it lacks slack that is no larger than what encoders round off."""
+        if self.slack_size is None or self.slack_size.gain <= _CERTAIN:
+            return False
+        return self.slack_size.size <= rounded_off(self.problem.tree, self.problem.logs)
 
     def with_slack(self) -> _Attempt:
         """With slack of the size that the readings show."""

@@ -108,6 +108,18 @@ def slack(
     return Unseen(np.concatenate([np.repeat(joints, P), joints]), motions)
 
 
+def rounded_off(tree: KinematicTree, logs: Sequence[Trajectory]) -> float:
+    """Slack up to which encoders may have rounded it off: half a step of the coarsest [rad].
+
+    Args:
+        tree: D joints.
+        logs: trajectories.
+    """
+    unit = np.where(tree.prismatic, LEVER, 1.0)
+    steps = [log.resolution / unit for log in logs if len(log.resolution)]
+    return 0.5 * float(np.max(steps, initial=0.0))
+
+
 def size_of(problem: MotionProblem, fitted: Fitted, more: Unseen) -> Size:
     """The size that the readings give to more unseen motion, by their likelihood.
 

@@ -60,9 +60,11 @@ def _log(unseen: str) -> Trajectory:
 
 
 @cache
-def _fit(unseen: str) -> MotionEstimate:
+def _fit(unseen: str, step: float = 0.0) -> MotionEstimate:
+    """The fit of a log whose encoders have steps of some size."""
+    log = replace(_log(unseen), resolution=np.full(2, step))
     priors = motion_priors(Priors(), gravity=0.0, front=(np.zeros(2), np.zeros(2)))
-    return estimate_along([_log(unseen)], _TREE, _truth(), priors, np.zeros(2))
+    return estimate_along([log], _TREE, _truth(), priors, np.zeros(2))
 
 
 def test_a_sound_recording_gets_nothing() -> None:
@@ -109,3 +111,12 @@ def test_slack_of_places_is_of_the_size_that_it_has() -> None:
     shared = loose.information.shared
     assert len(shared) > len(_fit("nothing").information.shared)
     assert np.isfinite(shared).all()
+
+
+def test_slack_within_half_a_step_of_the_encoders_has_no_other_cause() -> None:
+    rounded, loose = _fit("slack", 2e-3), _fit("slack")
+    assert rounded.causes == ()
+    assert rounded.tried == {}
+    # It is taken up all the same, and no finer encoder could have made it.
+    assert rounded.deflections == pytest.approx(loose.deflections, rel=0.1)
+    assert _fit("slack", 1e-4).causes == ("slack",)

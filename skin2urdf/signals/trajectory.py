@@ -63,6 +63,7 @@ class Trajectory(Record):
             that is not known [m/s^2, rad/s].
         resolution: (D,) smallest step of each encoder [rad or m], 0 for none; (0,) where all have
             none.
+        thin: of the samples that hold all that the low-pass lets through, one in so many is kept.
     """
 
     log: int
@@ -84,6 +85,7 @@ class Trajectory(Record):
     positions: F64 = field(default_factory=lambda: np.zeros((0, 0)))
     beyond: F64 | None = None
     resolution: F64 = field(default_factory=lambda: np.zeros(0))
+    thin: int = 1
 
     @property
     def time(self) -> F64:
@@ -135,8 +137,22 @@ class Trajectory(Record):
 
     @property
     def every(self) -> int:
-        """Grid samples from one kept sample to the next."""
-        return int(self.kept[1] - self.kept[0]) if len(self.kept) > 1 else 1
+        """Grid samples from one of those that hold all to the next."""
+        return int(self.kept[1] - self.kept[0]) // self.thin if len(self.kept) > 1 else 1
+
+    def thinned(self, by: int) -> Trajectory:
+        """The same with one in so many of the kept samples."""
+        return replace(
+            self,
+            kept=self.kept[::by],
+            valid=self.valid[::by],
+            moving=self.moving[::by],
+            turning=None if self.turning is None else self.turning[::by],
+            leaps=None if self.leaps is None else self.leaps.thinned(by),
+            beyond=None if self.beyond is None else self.beyond[::by],
+            independence=min(1.0, by * self.independence),
+            thin=by * self.thin,
+        )
 
 
 def trajectory(

@@ -121,7 +121,7 @@ def explained(
     if rigid.misfit > min(most, _BEYOND) or not rigid.lacks:
         return Explained(problem, fitted)
     if rigid.may_round:
-        rounded = rigid.with_slack(near=True)
+        rounded = rigid.with_slack()
         if rounded.misfit <= _EXPLAINED:
             return Explained(rounded.problem, rounded.fitted)
     # Few numbers that say more than many would.
@@ -238,17 +238,14 @@ class _Attempt:
         """More unseen motion, and the size that the readings show."""
         return more, size_of(self.problem, self.fitted, more)
 
-    def with_more(self, name: str, more: Unseen, size: float, *, near: bool = False) -> _Attempt:
-        """With more unseen motion of a common size, which may be known to be small."""
+    def with_more(self, name: str, more: Unseen, size: float) -> _Attempt:
+        """With more unseen motion of a common size."""
         problem = with_unseen(self.problem, more, size)
         zero = np.zeros(more.n_numbers)
         state = self.fitted.state
         state = replace(state, unseen=np.concatenate([state.unseen, zero]))
         return replace(
-            self,
-            problem=problem,
-            fitted=fit(problem, state, near=near),
-            causes=(*self.causes, name),
+            self, problem=problem, fitted=fit(problem, state), causes=(*self.causes, name)
         )
 
     @property
@@ -258,11 +255,11 @@ class _Attempt:
             return False
         return self.slack_size.size <= rounded_off(self.problem.tree, self.problem.logs)
 
-    def with_slack(self, *, near: bool = False) -> _Attempt:
-        """With slack of the size that the readings show, which may be known to be small."""
+    def with_slack(self) -> _Attempt:
+        """With slack of the size that the readings show."""
         if self.places is None or self.slack_size is None:
             return self
-        return self.with_more("slack", self.places, self.slack_size.size, near=near)
+        return self.with_more("slack", self.places, self.slack_size.size)
 
     def with_known_torque(self) -> _Attempt | None:
         """With joints that yield under torques that are known; None where these are not."""

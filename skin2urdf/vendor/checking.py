@@ -232,7 +232,8 @@ def _fitted(bench: Bench, before: Sequence[KnownSu], up: F64, tell: Tell) -> Exp
             T[:3] = chassis.R_link_joint[joint].T @ T[:3]
         fits.append(Fit(T[:3, :3], T[:3, 3], su.bias, su.shape, 0.0, np.zeros(0), 0.0))
     ups = np.tile(up, (len(bench.logs), 1))
-    there = Placed(segments, tuple(fits), ups, ((),) * len(fits), np.zeros(len(fits)))
+    nothing = ((),) * len(fits)
+    there = Placed(segments, tuple(fits), ups, nothing, np.zeros(len(fits)), nothing)
     there = replace(there, up=turned_up(chassis, bench.logs, there, sensors))
     found = _explained(bench, there, lambda share: tell(0.5 * share))
     odd = _odd(found)
@@ -253,7 +254,7 @@ def _fitted(bench: Bench, before: Sequence[KnownSu], up: F64, tell: Tell) -> Exp
     learnt = bench.learnt(found.along, sensors)
     begin = 0.75 if odd.any() else 0.5
     along = bench.fit(
-        found.placed, found.blueprint, learnt, found.along.state,
+        found.placed, found.blueprint, learnt, found.along.state, last=True,
         tell=lambda share: tell(begin + (1.0 - begin) * share),
     )  # fmt: skip
     return replace(found, along=along)

@@ -80,7 +80,7 @@ def _looked_further(found: Explained, start: State) -> Explained:
     learnt = bench.learnt(found.along, bench.settings.estimation.priors)
     along = bench.fit(
         found.placed, found.blueprint, learnt, start,
-        look_further=found.fits or _looked(found.along),
+        look_further=found.fits or _looked(found.along), last=True,
     )  # fmt: skip
     return replace(found, along=along)
 
@@ -92,8 +92,8 @@ def _decided(found: Explained) -> Explained:
     """
     odd = [
         u
-        for u, others in enumerate(found.placed.instead)
-        if others and not found.left.ratio[u] <= GOOD_FIT
+        for u in range(len(found.placed.fits))
+        if found.placed.others(u) and not found.left.ratio[u] <= GOOD_FIT
     ]
     if not odd:
         return found
@@ -258,5 +258,6 @@ def without(bench: Bench, placed: Placed, odd: Bool) -> tuple[Bench, Placed]:
         su_joint=placed.su_joint[stay],
         fits=tuple(placed.fits[u] for u in stay),
         instead=tuple(placed.instead[u] for u in stay),
+        by_chance=tuple(placed.by_chance[u] for u in stay),
         left=placed.left[stay],
     )

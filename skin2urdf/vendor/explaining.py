@@ -156,7 +156,7 @@ def _cause(kept: Explained, correction: Correction) -> Explained:
         return specimen  # many joints are off by more than is common
     tried += [found for found in map(_without_odd_sus, tried) if found is not None]
     best = min(tried, key=lambda each: each.left.mean)
-    if np.nanmax(best.left.rms) > GROSS:
+    if np.nanmax(best.left.rms) > GROSS or not best.possible.all():
         raise another_robot(best)
     return best
 
@@ -236,9 +236,12 @@ def _allowed(off: Off, kept: Explained, correction: Correction) -> Explained:
 
 
 def _without_odd_sus(first: Explained) -> Explained | None:
-    """The same without SUs that fit far worse than the rest; None where there are none."""
+    """The same without SUs that fit far worse than the rest, or only with sensors that can not be.
+
+    None where there are none, and where the others do not fit either.
+    """
     each = first.left.ratio
-    odd = each > _FAR * max(float(np.nanmedian(each)), GOOD_FIT)
+    odd = (each > _FAR * max(float(np.nanmedian(each)), GOOD_FIT)) | ~first.possible
     if not odd.any() or 2 * odd.sum() >= len(odd):
         return None
     bench, placed = without(first.bench, first.placed, odd)

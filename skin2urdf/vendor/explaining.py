@@ -154,7 +154,9 @@ def _cause(kept: Explained, correction: Correction) -> Explained:
         return _allowed(elsewhere, kept, correction)
     if specimen.fits:
         return specimen  # many joints are off by more than is common
-    tried += [found for found in map(_without_odd_sus, tried) if found is not None]
+    for attempt in tried:
+        if (left := _without_odd_sus(attempt)) is not None:
+            return left
     best = min(tried, key=lambda each: each.left.mean)
     if np.nanmax(best.left.rms) > GROSS or not best.possible.all():
         raise another_robot(best)

@@ -29,6 +29,7 @@ from skin2urdf.report.on_model import as_text, model_verdict
 from skin2urdf.signals.motion import joint_motion
 from skin2urdf.signals.poses import find_rests
 from skin2urdf.signals.records import SuClock
+from skin2urdf.simulation.robots import GivenSu, SkinLayout
 from skin2urdf.urdf.compare import compare
 from skin2urdf.urdf.loading import Robot, configuration
 from skin2urdf.vendor.calibrate import calibrate_with_model
@@ -357,6 +358,17 @@ def test_all_samples_decide_where_a_rough_look_left_two_links(
     found = calibrate_with_model(toy.recording, model())
     assert found.links == tuple(toy.link[name] for name in found.tree.su_names)
     assert not found.deviates
+
+
+def test_an_su_beside_a_vertical_axis_is_not_on_the_base(tmp_path: Path) -> None:
+    beside = (
+        GivenSu("one", (0.005, 0.0, 0.1), (0.3, 0.2, 0.1)),
+        GivenSu("two", (0.1, 0.0, 0.05), (0.0, 0.0, 0.0)),
+    )
+    robot = recorded(tmp_path, skin=SkinLayout(0, 0, given=beside), base_rpy=(0.0, 0.0, 0.0))
+    found = calibrate_with_model(robot.recording, model())
+    of = dict(zip(found.tree.su_names, found.links, strict=True))
+    assert of == {name: robot.link[name] for name in of}
 
 
 def test_a_log_without_a_rest_does_and_what_it_leaves_open_is_named(toy: Recorded) -> None:

@@ -27,6 +27,8 @@ from skin2urdf.vendor.placing import Placed, placed_elsewhere, placed_from
 from skin2urdf.vendor.records import Correction
 from skin2urdf.vendor.refusing import another_placement, another_robot, another_sense, another_zero
 
+_NOISE = 1.0
+"""What noise leaves, at most, over what it makes of means over spans of time."""
 _YIELDING = 0.5
 """The same as GROSS with gears that yield, under loads that are known [m/s^2]: those of 5 mrad per
 hundred newton metres leave 0.08 on an arm of 18 kg, and no gear yields by more than a few times
@@ -131,7 +133,7 @@ def _cause(kept: Explained, correction: Correction) -> Explained:
     zeros = other_zeros(specimen)
     few = _few_joints(specimen, zeros)
     # What few numbers explain down to noise needs nothing that has many.
-    if few is not None and few.found.left.mean <= 1.0:
+    if few is not None and few.found.left.mean <= _NOISE:
         return _allowed(few, kept, correction)
     tried = [kept]
     if not strange(specimen):
@@ -217,11 +219,13 @@ def _with_doubts(found: Explained) -> Explained:
 def _few_joints(specimen: Explained, zeros: Explained) -> Off | None:
     """Few joints off by more than is common that explain the readings; None where none do.
 
-    Zeros beside which placements are off by more than is common hide a joint that sits elsewhere.
+    Zeros beside which placements are off by more than is common, or which leave what is no noise,
+    may hide a joint that sits elsewhere.
     """
-    if zeros.offsets and zeros.fits and not strange(zeros):
-        return Off(zeros)
-    return placed_otherwise(specimen) if specimen.fits or zeros.fits else None
+    few = [Off(zeros)] if zeros.offsets and zeros.fits and not strange(zeros) else []
+    if not (few and zeros.left.mean <= _NOISE) and (specimen.fits or zeros.fits):
+        few += [off for off in [placed_otherwise(specimen)] if off is not None]
+    return min(few, key=lambda off: off.found.left.mean, default=None)
 
 
 def _allowed(off: Off, kept: Explained, correction: Correction) -> Explained:

@@ -2,6 +2,8 @@ r"""Slips of SUs, and none: what `skin2urdf check` finds from half a minute of o
 
 A robot is calibrated on its model once, from three minutes; then SUs slip by given sizes, one in
 each recording, or none does. Every slip has to be found, and where there is none no alarm raised.
+How many would be found on average, as stated by the check, and by the Cramer-Rao bound (with the
+joints, the sensors and the calibration known exactly), stands beside it.
 
     python scripts/check_slips.py --robots panda --slips 0,0 1,0 0,0.2 --recordings 20
     python scripts/check_slips.py --output slips.jsonl --summary-only
@@ -72,7 +74,8 @@ def report(runs: Sequence[Run]) -> str:
         return run.case.robot, run.case.shift_mm, run.case.turn_deg
 
     heads = (
-        ("", "trials"), ("as it", "should"), ("slip", "found"), ("alarms", "beside"),
+        ("", "trials"), ("as it", "should"), ("slip", "found"), ("expected", "to be"),
+        ("by the", "bound"), ("alarms", "beside"),
         ("shift", "sd mm"), ("turn", "sd deg"), ("largest", "chi2/dof"), ("time", "s"),
     )  # fmt: skip
     rows = []
@@ -85,6 +88,8 @@ def report(runs: Sequence[Run]) -> str:
             str(len(mine)),
             count(good, len(mine)),
             str(sum(f.slipped in f.changed for f in slips)),
+            cell(sum(f.expected or 0.0 for f in slips) if slips else None, 1),
+            cell(sum(f.found_by_bound or 0.0 for f in slips) if slips else None, 1),
             str(sum(bool(set(f.changed) - {f.slipped}) for f in done)),
             cell(rms(f.shift_sd_mm for f in slips), 3),
             cell(rms(f.turn_sd_deg for f in slips), 4),

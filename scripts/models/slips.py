@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 from batch.records import Record
+from scipy.special import chdtri, chndtr
 
 from skin2urdf.arrays import F64
 from skin2urdf.geometry.se3 import exp, inverse, log
@@ -22,8 +23,9 @@ from skin2urdf.simulation import SimulationSettings, load_robot, simulate
 from skin2urdf.simulation.robots import GivenSu, SkinLayout
 from skin2urdf.urdf.rpy import rpy_of_rotation
 from skin2urdf.vendor.calibrate import calibrate_with_model
-from skin2urdf.vendor.checking import check
+from skin2urdf.vendor.checking import FALSE_ALARM, Checked, SuCheck, check
 from skin2urdf.vendor.description import origin_transform
+from skin2urdf.vendor.noticing import N_TESTS
 
 CALIBRATED_FROM = 3.0
 """Length of the log that a robot is calibrated from [min]."""
@@ -68,6 +70,10 @@ class Noticed:
         shift_sd_mm: the standard deviation of that.
         turn_deg: by how much it was found to be turned [deg], and
         turn_sd_deg: the standard deviation of that.
+        found_by_bound: probability that the same test finds this slip with the noise of the log
+            alone: with the joints, the sensors, their clocks, and where the SU was known exactly
+            (the Cramer-Rao bound); of the one that slipped.
+        expected: the same probability with the covariance that the check has.
         chi2_per_dof: largest of the SUs that did not slip.
         seconds: time of the check [s].
     """
@@ -79,6 +85,8 @@ class Noticed:
     shift_sd_mm: float | None
     turn_deg: float | None
     turn_sd_deg: float | None
+    found_by_bound: float | None
+    expected: float | None
     chi2_per_dof: float
     seconds: float
 
@@ -136,20 +144,32 @@ def perform(trial: Slip) -> Noticed:
         checked = check(recording, path)
     seconds = time.perf_counter() - begin
     by_name = {su.name: su for su in checked.sus}
-    others = [su.chi2 / su.dof for su in checked.sus if su.name != slipped and su.dof]
+    others = [su.off.chi2 / su.off.dof for su in checked.sus if su.name != slipped and su.off.dof]
     one = by_name.get(slipped)
     deg = float(np.rad2deg(1.0))
     return Noticed(
         slipped,
         tuple(su.name for su in checked.sus if su.changed),
-        one is not None and one.dof == 6,
+        one is not None and one.off.dof == 6,
         one.shift[0] * 1e3 if one else None,
         one.shift[1] * 1e3 if one else None,
         one.turn[0] * deg if one else None,
         one.turn[1] * deg if one else None,
+        *(_powers(checked, one, twist) if one else (None, None)),
         float(max(others, default=0.0)),
         seconds,
     )
+
+
+def _powers(checked: Checked, su: SuCheck, twist: F64) -> tuple[float, float]:
+    """Probabilities that a slip is found: with the log's noise alone, and as stated."""
+    fit = checked.explained
+    least = fit.along.fitted.equations.su[fit.bench.su_names.index(su.name), :6, :6]
+    threshold = chdtri(3, FALSE_ALARM / len(fit.bench.su_names) / N_TESTS)
+    stated = np.linalg.inv(su.covariance)
+    both = (float(chndtr(threshold, 3, twist @ each @ twist)) for each in (least, stated))
+    bound, expected = (1.0 - missed for missed in both)
+    return bound, expected
 
 
 def _is_known(name: str, beside: str) -> bool:

@@ -2,7 +2,7 @@
 
 The joints are taken as they were found, and each SU's placement is estimated anew from whatever
 motion a short log holds; the difference from where it was is held against what both say of
-themselves. One test for each SU, on all the directions that both know.
+themselves, on all the directions that both know (:mod:`noticing`).
 """
 
 from __future__ import annotations
@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from scipy.special import chdtrc, chdtri
 
 from skin2urdf.arrays import F64, Bool, Record
 from skin2urdf.calibration.clock import Clock, Progress, Tell
@@ -22,7 +21,6 @@ from skin2urdf.calibration.result import GOOD_FIT, Source
 from skin2urdf.calibration.rounds import sample_logs
 from skin2urdf.calibration.settings import CalibrationSettings
 from skin2urdf.errors import InsufficientDataError
-from skin2urdf.estimation.uncertainty.observability import ARM
 from skin2urdf.faults import Fault, distinct
 from skin2urdf.geometry.se3 import inverse, log
 from skin2urdf.notes import Noted
@@ -33,6 +31,7 @@ from skin2urdf.vendor.fitting import REACH, Bench
 from skin2urdf.vendor.known_skin import KnownSkin, KnownSu, load_skin
 from skin2urdf.vendor.leftover import Leftover
 from skin2urdf.vendor.matching import Chassis, match
+from skin2urdf.vendor.noticing import Difference, differing
 from skin2urdf.vendor.placing import Placed, placed_from, turned_up
 from skin2urdf.vendor.records import Correction
 from skin2urdf.vendor.refusing import another_robot
@@ -61,9 +60,7 @@ class SuCheck(Record):
         link: the link that it sits on.
         twist: (6,) from where it was to where it is, in its frame (linear [m], angular [rad]).
         covariance: (6, 6) of it, both estimates' together.
-        chi2: squared difference over its covariance, in the directions that both know.
-        dof: number of these.
-        probability: of as much by chance.
+        off: that difference over its covariance, and how large a slip such a log tells.
         place_of: the SU whose place it has taken; empty where none.
         T_link_su: (4, 4) where it is on its link [m].
         covariance_new: (6, 6) of that.
@@ -75,9 +72,7 @@ class SuCheck(Record):
     link: str
     twist: F64
     covariance: F64
-    chi2: float
-    dof: int
-    probability: float
+    off: Difference
     place_of: str
     T_link_su: F64
     covariance_new: F64
@@ -232,7 +227,8 @@ def _fitted(bench: Bench, before: Sequence[KnownSu], up: F64, tell: Tell) -> Exp
             T[:3] = chassis.R_link_joint[joint].T @ T[:3]
         fits.append(Fit(T[:3, :3], T[:3, 3], su.bias, su.shape, 0.0, np.zeros(0), 0.0))
     ups = np.tile(up, (len(bench.logs), 1))
-    there = Placed(segments, tuple(fits), ups, ((),) * len(fits), np.zeros(len(fits)))
+    nothing = ((),) * len(fits)
+    there = Placed(segments, tuple(fits), ups, nothing, np.zeros(len(fits)), nothing)
     there = replace(there, up=turned_up(chassis, bench.logs, there, sensors))
     found = _explained(bench, there, lambda share: tell(0.5 * share))
     odd = _odd(found)
@@ -253,7 +249,7 @@ def _fitted(bench: Bench, before: Sequence[KnownSu], up: F64, tell: Tell) -> Exp
     learnt = bench.learnt(found.along, sensors)
     begin = 0.75 if odd.any() else 0.5
     along = bench.fit(
-        found.placed, found.blueprint, learnt, found.along.state,
+        found.placed, found.blueprint, learnt, found.along.state, last=True,
         tell=lambda share: tell(begin + (1.0 - begin) * share),
     )  # fmt: skip
     return replace(found, along=along)
@@ -298,11 +294,12 @@ def _compared(found: Explained, before: Sequence[KnownSu], skin: KnownSkin) -> t
         link = chassis.link(joint)
         both = su.covariance + seen.su_covariance[u]
         twist = log(inverse(su.T_link_su) @ T)
-        chi2, dof = _distance(twist, both, su.unobservable, seen.su_unobservable[u])
-        what: What = "open" if dof == 0 else "as it was"
+        level = FALSE_ALARM / len(before)
+        off = differing(twist, both, level, su.unobservable, seen.su_unobservable[u])
+        what: What = "open" if off.dof == 0 else "as it was"
         if link != links[su.name]:
-            what, chi2, dof = "elsewhere", np.inf, 6
-        elif dof and chi2 > chdtri(dof, FALSE_ALARM / len(before)):
+            what, off = "elsewhere", off._replace(chi2=np.inf, dof=6, probability=0.0)
+        elif off.probability < level:
             what = "moved"
         if odd[u]:
             what = "does not fit"
@@ -310,8 +307,7 @@ def _compared(found: Explained, before: Sequence[KnownSu], skin: KnownSkin) -> t
         if place_of:
             what = "exchanged"
         out[su.name] = SuCheck(
-            su.name, what, link, twist, both, float(chi2), dof,
-            float(chdtrc(dof, chi2)) if dof else 1.0, place_of, T,
+            su.name, what, link, twist, both, off, place_of, T,
             seen.su_covariance[u], seen.su_unobservable[u],
         )  # fmt: skip
     return tuple(out.get(su.name) or _gone(su, links[su.name]) for su in skin.sus)
@@ -327,27 +323,9 @@ def _gone(su: KnownSu, link: str) -> SuCheck:
     """An SU without usable readings."""
     nothing = np.zeros((6, 6))
     return SuCheck(
-        su.name, "gone", link, np.zeros(6), nothing, np.inf, 0, 0.0, "", su.T_link_su,
-        su.covariance, su.unobservable,
+        su.name, "gone", link, np.zeros(6), nothing, Difference(np.inf, 0, 0.0, np.nan, np.nan), "",
+        su.T_link_su, su.covariance, su.unobservable,
     )  # fmt: skip
-
-
-def _distance(twist: F64, covariance: F64, *unknown: F64) -> tuple[float, int]:
-    """Squared difference over its covariance in the directions that are known, and their number."""
-    scale = np.array([1.0, 1.0, 1.0, ARM, ARM, ARM])
-    rows = np.concatenate([np.reshape(each, (-1, 6)) for each in unknown])
-    if len(rows):
-        _, size, basis = np.linalg.svd(rows)
-        rank = int((size > 1e-6).sum())
-        known = basis[rank:]
-    else:
-        known = np.eye(6)
-    if not len(known):
-        return 0.0, 0
-    x, P = known @ (scale * twist), known @ (scale[:, None] * covariance * scale) @ known.T
-    lam, V = np.linalg.eigh(P)
-    some = lam > 1e-9 * lam.max()
-    return float(((V.T @ x)[some] ** 2 / lam[some]).sum()), int(some.sum())
 
 
 def _place_of(su: KnownSu, link: str, T: F64, skin: KnownSkin, links: dict[str, str]) -> str:

@@ -15,11 +15,12 @@ import numpy as np
 
 from skin2urdf.arrays import F64
 from skin2urdf.estimation.trajectory.blueprint import Blueprint
+from skin2urdf.estimation.uncertainty.health import are_plausible
 from skin2urdf.geometry.se3 import screw
 from skin2urdf.vendor.deviating import FEW, LOOKED_AT, with_zeros
 from skin2urdf.vendor.explained import Explained
 from skin2urdf.vendor.fitting import Bench
-from skin2urdf.vendor.placing import place_sus, roughly_left
+from skin2urdf.vendor.placing import Placed, place_sus, roughly_left
 from skin2urdf.vendor.rigid import NOISE
 
 _ZEROS = np.deg2rad([-150, -120, -90, -60, -30, 30, 60, 90, 120, 150, 180])
@@ -107,16 +108,22 @@ def _placed_sense(kept: Explained) -> _Change | None:
     """
     bench, sensors = kept.bench, kept.bench.settings.estimation.priors
     T = bench.chassis.T_parent_joint
-    best, least = None, float(kept.placed.left.max())
+    best, least = None, _left(kept.placed)
     for j in _moved(bench):
         change = _Change(j, None)
         there = _with_senses(bench, [change])
         if roughly_left(bench.chassis, T, there.logs).max() > NOISE**2:
             continue
-        left = float(place_sus(bench.chassis, there.logs, sensors).left.max())
+        left = _left(place_sus(bench.chassis, there.logs, sensors))
         if left < min(least, NOISE):
             best, least = change, left
     return best
+
+
+def _left(placed: Placed) -> float:
+    """What is left of the SU that fits worst [m/s^2]; infinite with a sensor that can not be."""
+    possible = are_plausible(placed.state(np.zeros((0, 4, 4))))
+    return float(placed.left.max()) if possible.all() else float("inf")
 
 
 def _order(found: Explained) -> tuple[bool, int, float]:

@@ -7,10 +7,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
 from skin2urdf.arrays import F64, Int
+from skin2urdf.estimation.problem.state import JOINT_COORDINATES
+from skin2urdf.estimation.trajectory.arrow import eliminated, joint_inverse
+from skin2urdf.estimation.trajectory.blueprint import ALONG_AXIS, N_MOUNT
 from skin2urdf.vendor.explained import Explained, placed_again
 
 _ANY_ZERO = 1.0
@@ -19,12 +23,26 @@ _USUAL = 4.0
 """Deviation of a zero, in standard deviations of what is common, from which it is another zero."""
 FEW = 3
 """Joints with another zero or sense that are looked for at most."""
+_ENDED = 0.1
+"""Length of a fit's last step in standard deviations: so far from its optimum it may end."""
 _TIMES = 3
 """Fits, one from the other, by which a placement is followed that is far off."""
 _ARRIVED = 0.9
 """Part of what was left before, from which a fit that does not explain the readings has arrived."""
 LOOKED_AT = 3
 """Changes that are followed by a whole fit: rough fits may leave less on a wrong one."""
+
+
+class Off(NamedTuple):
+    """Joints that are off by more than is common.
+
+    Attributes:
+        found: the readings explained with that.
+        joint: the one that sits elsewhere; None where it is zeros that are off.
+    """
+
+    found: Explained
+    joint: int | None = None
 
 
 def strange(specimen: Explained) -> bool:
@@ -51,7 +69,7 @@ def other_zeros(specimen: Explained) -> Explained:
     return found
 
 
-def placed_otherwise(specimen: Explained) -> tuple[int, Explained] | None:
+def placed_otherwise(specimen: Explained) -> Off | None:
     """The joint whose placement explains the readings where it may be any; None where none does.
 
     Joints whose placements are pulled farthest from what is common are tried.
@@ -77,7 +95,7 @@ def placed_otherwise(specimen: Explained) -> tuple[int, Explained] | None:
             others = np.delete(_all_pulls(found), j, axis=0)
             # What others had taken up they give back last, by what is common alone.
             if found.fits and not others.max(initial=0.0) > _USUAL:
-                return int(j), found
+                return Off(found, int(j))
     return None
 
 
@@ -97,9 +115,24 @@ def with_zeros(specimen: Explained, joints: Sequence[int], start: Explained) -> 
 
 
 def _all_pulls(found: Explained) -> F64:
-    """(D, 6) deviations of the joints' placements in standard deviations of what is common."""
-    xi, sd = found.blueprint.corrections(found.along.state), found.blueprint.deviations
-    return np.divide(np.abs(xi), sd, out=np.zeros_like(xi), where=sd > 0)
+    """(D, 6) deviations of the joints' placements, over what specimens would show of them.
+
+    Of a deviation with variance s^2 that readings tell to a variance C, an estimate that knows s
+    keeps s^2 - C: what the zeros of parallel axes share shows in neither, and half of it in each is
+    more than chance. Where readings say nothing, that a fit ends near its optimum counts.
+    """
+    along, sd = found.along, found.blueprint.deviations
+    problem, layout = along.problem, along.problem.layout
+    system = eliminated(along.fitted.equations, problem.free_joint, problem.free_su)
+    left = np.diag(joint_inverse(system.schur, problem.free_joint))
+    C = np.zeros_like(sd)
+    C[:, JOINT_COORDINATES] = left[layout.joints].reshape(-1, len(JOINT_COORDINATES))
+    C[:, ALONG_AXIS] = left[layout.further][N_MOUNT:].reshape(-1, len(ALONG_AXIS))
+    variance = np.maximum(sd**2 - C, 0.0) + _ENDED**2 * C
+    xi = found.blueprint.corrections(along.state)
+    out = np.zeros_like(xi)
+    np.divide(np.abs(xi), np.sqrt(variance), out=out, where=sd > 0)
+    return out
 
 
 def _pulls(found: Explained) -> F64:

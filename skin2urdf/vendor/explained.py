@@ -7,9 +7,11 @@ from functools import cached_property
 
 import numpy as np
 
+from skin2urdf.arrays import Bool
 from skin2urdf.calibration.result import GOOD_FIT
 from skin2urdf.estimation.trajectory.blueprint import Blueprint
 from skin2urdf.estimation.trajectory.estimate import MotionEstimate
+from skin2urdf.estimation.uncertainty.health import are_plausible
 from skin2urdf.vendor.fitting import Bench
 from skin2urdf.vendor.leftover import Leftover, leftover
 from skin2urdf.vendor.placing import Placed, placed_from
@@ -49,13 +51,22 @@ class Explained:
         return leftover(self.along)
 
     @property
+    def possible(self) -> Bool:
+        """(U,) whether each sensor would have errors as working ones have.
+
+        One with an axis the other way round lets a mirrored robot explain readings.
+        """
+        return are_plausible(self.along.state)
+
+    @property
     def fits(self) -> bool:
-        """Whether the model explains the readings of all SUs."""
-        return self.left.mean <= GOOD_FIT and self.left.largest <= 2 * GOOD_FIT
+        """Whether the model explains the readings of all SUs, with sensors that can be."""
+        small = self.left.mean <= GOOD_FIT and self.left.largest <= 2 * GOOD_FIT
+        return bool(small and self.possible.all())
 
     def settles(self, other: Explained) -> bool:
         """Whether this is the cause of what another explanation leaves."""
-        if self.fits or not np.nanmax(self.left.rms) <= GROSS:
+        if self.fits or not self.possible.all() or not np.nanmax(self.left.rms) <= GROSS:
             return self.fits
         pairs = ((self.left.mean, other.left.mean), (self.left.largest, other.left.largest))
         return all(here - 1 < _MOST_OF_IT * (there - 1) for here, there in pairs)

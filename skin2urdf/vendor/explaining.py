@@ -1,9 +1,9 @@
 """What of a given model the readings contradict, and what explains them then.
 
-A model that fits is taken as it is. Where it does not, what is common is tried before what is not:
-a specimen that differs by what makers state; gears that yield and biases that drift; encoders with
-another zero, or that count the other way; single SUs that fit nowhere. What is left is another
-robot.
+A model that fits is taken as it is. Where it does not, what is common is tried before what is not,
+and few numbers before many: a specimen that differs by what makers state; few joints with another
+zero, or one that sits elsewhere; gears that yield and biases that drift; encoders that are far off,
+or count the other way; single SUs that fit nowhere. What is left is another robot.
 """
 
 from __future__ import annotations
@@ -20,13 +20,15 @@ from skin2urdf.estimation.trajectory.blueprint import Blueprint
 from skin2urdf.estimation.trajectory.estimate import MotionEstimate
 from skin2urdf.signals.trajectory import in_order
 from skin2urdf.vendor.counting import count_otherwise
-from skin2urdf.vendor.deviating import other_zeros, placed_otherwise, strange
+from skin2urdf.vendor.deviating import Off, other_zeros, placed_otherwise, strange
 from skin2urdf.vendor.explained import GROSS, Explained, placed_again
 from skin2urdf.vendor.fitting import Bench
 from skin2urdf.vendor.placing import Placed, placed_elsewhere, placed_from
 from skin2urdf.vendor.records import Correction
 from skin2urdf.vendor.refusing import another_placement, another_robot, another_sense, another_zero
 
+_NOISE = 1.0
+"""What noise leaves, at most, over what it makes of means over spans of time."""
 _YIELDING = 0.5
 """The same as GROSS with gears that yield, under loads that are known [m/s^2]: those of 5 mrad per
 hundred newton metres leave 0.08 on an arm of 18 kg, and no gear yields by more than a few times
@@ -80,7 +82,7 @@ def _looked_further(found: Explained, start: State) -> Explained:
     learnt = bench.learnt(found.along, bench.settings.estimation.priors)
     along = bench.fit(
         found.placed, found.blueprint, learnt, start,
-        look_further=found.fits or _looked(found.along),
+        look_further=found.fits or _looked(found.along), last=True,
     )  # fmt: skip
     return replace(found, along=along)
 
@@ -92,8 +94,8 @@ def _decided(found: Explained) -> Explained:
     """
     odd = [
         u
-        for u, others in enumerate(found.placed.instead)
-        if others and not found.left.ratio[u] <= GOOD_FIT
+        for u in range(len(found.placed.fits))
+        if found.placed.others(u) and not found.left.ratio[u] <= GOOD_FIT
     ]
     if not odd:
         return found
@@ -128,33 +130,37 @@ def _cause(kept: Explained, correction: Correction) -> Explained:
         specimen = placed_again(specimen)
     if specimen.fits and not strange(specimen):
         return specimen
+    zeros = other_zeros(specimen)
+    few = _few_joints(specimen, zeros)
+    # What few numbers explain down to noise needs nothing that has many.
+    if few is not None and few.found.left.mean <= _NOISE:
+        return _allowed(few, kept, correction)
     tried = [kept]
     if not strange(specimen):
         tried.append(specimen)
     for attempt in _yielding(tried):
         tried.append(attempt)
-        if attempt.fits:
+        if attempt.fits and not (few and few.found.left.mean <= attempt.left.mean):
             return attempt
+    if few is not None:
+        return _allowed(few, kept, correction)
     least = min(tried, key=lambda each: each.left.mean)
-    zeros = other_zeros(specimen)
-    settled = bool(zeros.offsets) and zeros.settles(least)
-    # Zeros beside which placements are off by more than is common hide a joint that sits elsewhere.
-    if settled and zeros.fits and not strange(zeros):
-        return _allowed(zeros, kept, correction)
-    # So do zeros that leave what is no noise.
-    if (specimen.fits or settled) and (elsewhere := placed_otherwise(specimen)) is not None:
-        return _allowed_elsewhere(*elsewhere, kept, correction)
-    if settled:
-        return _allowed(zeros, kept, correction)
+    looked = specimen.fits or zeros.fits
+    if zeros.offsets and zeros.settles(least):
+        # Zeros that leave what is no noise may hide a joint that sits elsewhere.
+        elsewhere = None if looked else placed_otherwise(specimen)
+        return _allowed(elsewhere or Off(zeros), kept, correction)
     if not gross and (found := _another_count(kept, common, least, correction)) is not None:
         return found
-    if not specimen.fits and (elsewhere := placed_otherwise(specimen)) is not None:
-        return _allowed_elsewhere(*elsewhere, kept, correction)
+    if not looked and (elsewhere := placed_otherwise(specimen)) is not None:
+        return _allowed(elsewhere, kept, correction)
     if specimen.fits:
         return specimen  # many joints are off by more than is common
-    tried += [found for found in map(_without_odd_sus, tried) if found is not None]
+    for attempt in tried:
+        if (left := _without_odd_sus(attempt)) is not None:
+            return left
     best = min(tried, key=lambda each: each.left.mean)
-    if np.nanmax(best.left.rms) > GROSS:
+    if np.nanmax(best.left.rms) > GROSS or not best.possible.all():
         raise another_robot(best)
     return best
 
@@ -172,7 +178,7 @@ def _another_count(
         return None
     if changed.senses:
         raise another_sense(changed.senses, changed.found, kept, changed.alike)
-    return _allowed(changed.found, kept, correction)
+    return _allowed(Off(changed.found), kept, correction)
 
 
 def _yielding(tried: Sequence[Explained]) -> Iterator[Explained]:
@@ -210,34 +216,38 @@ def _with_doubts(found: Explained) -> Explained:
     return replace(found, placed=replace(found.placed, instead=instead))
 
 
-def _allowed_elsewhere(
-    joint: int, there: Explained, kept: Explained, correction: Correction
-) -> Explained:
-    """A joint that sits elsewhere, where placements may be corrected.
+def _few_joints(specimen: Explained, zeros: Explained) -> Off | None:
+    """Few joints off by more than is common that explain the readings; None where none do.
+
+    Zeros beside which placements are off by more than is common, or which leave what is no noise,
+    may hide a joint that sits elsewhere.
+    """
+    few = [Off(zeros)] if zeros.offsets and zeros.fits and not strange(zeros) else []
+    if not (few and zeros.left.mean <= _NOISE) and (specimen.fits or zeros.fits):
+        few += [off for off in [placed_otherwise(specimen)] if off is not None]
+    return min(few, key=lambda off: off.found.left.mean, default=None)
+
+
+def _allowed(off: Off, kept: Explained, correction: Correction) -> Explained:
+    """Joints off by more than is common, where that may be corrected.
 
     Raises:
-        ModelMismatchError: they may not.
+        ModelMismatchError: it may not.
     """
-    if correction.what != "all":
-        raise another_placement(joint, there, kept)
-    return there
-
-
-def _allowed(zeros: Explained, kept: Explained, correction: Correction) -> Explained:
-    """Other zeros, where zeros may be corrected.
-
-    Raises:
-        ModelMismatchError: they may not.
-    """
-    if correction.what == "none":
-        raise another_zero(zeros, kept)
-    return zeros
+    if off.joint is not None and correction.what != "all":
+        raise another_placement(off.joint, off.found, kept)
+    if off.joint is None and correction.what == "none":
+        raise another_zero(off.found, kept)
+    return off.found
 
 
 def _without_odd_sus(first: Explained) -> Explained | None:
-    """The same without SUs that fit far worse than the rest; None where there are none."""
+    """The same without SUs that fit far worse than the rest, or only with sensors that can not be.
+
+    None where there are none, and where the others do not fit either.
+    """
     each = first.left.ratio
-    odd = each > _FAR * max(float(np.nanmedian(each)), GOOD_FIT)
+    odd = (each > _FAR * max(float(np.nanmedian(each)), GOOD_FIT)) | ~first.possible
     if not odd.any() or 2 * odd.sum() >= len(odd):
         return None
     bench, placed = without(first.bench, first.placed, odd)
@@ -258,5 +268,6 @@ def without(bench: Bench, placed: Placed, odd: Bool) -> tuple[Bench, Placed]:
         su_joint=placed.su_joint[stay],
         fits=tuple(placed.fits[u] for u in stay),
         instead=tuple(placed.instead[u] for u in stay),
+        by_chance=tuple(placed.by_chance[u] for u in stay),
         left=placed.left[stay],
     )

@@ -85,6 +85,7 @@ class Bench:
         *,
         look_further: bool = False,
         only_known: bool = False,
+        last: bool = False,
         tell: Callable[[float], None] = lambda _: None,
     ) -> MotionEstimate:
         """Fit all samples.
@@ -96,6 +97,7 @@ class Bench:
             start: placements to begin with; those that were found at first by default.
             look_further: try what else may be in the readings;
             only_known: of that only joints that yield under the loads that the model knows.
+            last: whether lengths count by tenths of a millimetre, and not only what is left.
             tell: told the share of the work that is done.
         """
         known = sample_priors(self.settings, sensors)
@@ -103,7 +105,7 @@ class Bench:
         begin = start or placed.state(blueprint.T_parent_joint)
         return estimate_along(
             self.logs, self.tree(placed), begin, priors, placed.lags, tell,
-            look_further=look_further, only_known=only_known,
+            look_further=look_further, only_known=only_known, lengths=last,
         )  # fmt: skip
 
     def judged(self, along: MotionEstimate, sensors: Priors) -> Observability:

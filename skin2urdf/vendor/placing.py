@@ -71,6 +71,8 @@ class Placed(Record):
         fits: their placements.
         up: (G, 3) direction opposite to gravity in the base frame, by log.
         instead: per SU the joints that do as well: no motion in the logs tells.
+        by_chance: per SU the joints that a rough look allows as well, were it right on the axis of
+            one.
         left: (U,) rms of what is left of each SU's readings [m/s^2].
     """
 
@@ -79,11 +81,16 @@ class Placed(Record):
     up: F64
     instead: tuple[tuple[int, ...], ...]
     left: F64
+    by_chance: tuple[tuple[int, ...], ...]
 
     @property
     def rss(self) -> F64:
         """(S,) sums of squares of all SUs, by span of time."""
         return np.asarray(np.sum([fit.rss for fit in self.fits], axis=0))
+
+    def others(self, u: int) -> tuple[int, ...]:
+        """All joints behind which a rough look allows an SU beside the one it was placed on."""
+        return (*self.instead[u], *self.by_chance[u])
 
     @property
     def lags(self) -> F64:
@@ -162,7 +169,8 @@ def placed_elsewhere(
     su_joint, fits, instead = np.array(placed.su_joint), list(placed.fits), list(placed.instead)
     for u in sus:
         there = {
-            j: fitted(sums_of(moments[j], u, placed.up), moments[j], u, priors) for j in instead[u]
+            j: fitted(sums_of(moments[j], u, placed.up), moments[j], u, priors)
+            for j in placed.others(u)
         }
         best = min(there, key=lambda j: there[j].cost)
         instead[u] = tuple(j for j in instead[u] if j != best)
@@ -333,7 +341,8 @@ def _well_placed(fit: Fit, sums: Sums, priors: Priors, noise: float) -> bool:
 def _placed(moments: list[list[Moments]], su_joint: Int, fits: list[Fit], up: F64) -> Placed:
     count = sum(m.count.sum(axis=1) for m in moments[0])
     left = [np.sqrt(fit.rss.sum() / (3 * max(n, 1))) for fit, n in zip(fits, count, strict=True)]
-    return Placed(su_joint, tuple(fits), up, ((),) * len(fits), np.array(left))
+    nothing = ((),) * len(fits)
+    return Placed(su_joint, tuple(fits), up, nothing, np.array(left), nothing)
 
 
 def _with_alternatives(found: Placed, moments: list[list[Moments]], priors: Priors) -> Placed:
@@ -341,7 +350,7 @@ def _with_alternatives(found: Placed, moments: list[list[Moments]], priors: Prio
 
     The one that leaves least is taken.
     """
-    su_joint, fits, instead = np.array(found.su_joint), list(found.fits), []
+    su_joint, fits, instead, by_chance = np.array(found.su_joint), list(found.fits), [], []
     order = [-1, *range(len(moments) - 1)]
     for u, (k, fit) in enumerate(zip(found.su_joint, found.fits, strict=True)):
         alike = {int(k): fit}
@@ -358,17 +367,21 @@ def _with_alternatives(found: Placed, moments: list[list[Moments]], priors: Prio
         # Where no joint between moved at all, the one nearest to the base.
         least = min(each.cost for each in alike.values())
         first = next(j for j in order if j in alike and alike[j].cost <= least * (1 + _SAME))
+        rare = set[int]()
         if -1 in alike:
             # What keeps still sits on the base, and on a joint's very axis by rare chance alone.
             first = -1
-            alike = {
-                j: there
+            rare = {
+                j
                 for j, there in alike.items()
-                if j == -1
-                or not _well_placed(there, sums_of(moments[j], u, found.up), priors, found.left[u])
+                if j != -1
+                and _well_placed(there, sums_of(moments[j], u, found.up), priors, found.left[u])
             }
         su_joint[u], fits[u] = first, alike[first]
-        instead.append(tuple(j for j in order if j in alike and j != first))
+        others = [j for j in order if j in alike and j != first]
+        instead.append(tuple(j for j in others if j not in rare))
+        by_chance.append(tuple(j for j in others if j in rare))
     count = sum(m.count.sum(axis=1) for m in moments[0])
     left = [np.sqrt(fit.rss.sum() / (3 * max(n, 1))) for fit, n in zip(fits, count, strict=True)]
-    return Placed(su_joint, tuple(fits), found.up, tuple(instead), np.array(left))
+    both = tuple(instead), np.array(left), tuple(by_chance)
+    return Placed(su_joint, tuple(fits), found.up, *both)

@@ -66,7 +66,8 @@ def another_sense(
 def another_robot(found: Explained) -> ModelMismatchError:
     """Why no model of this kind fits."""
     each, names = found.left, found.bench.su_names
-    good = int((each.rms <= GROSS).sum())
+    odd = (each.rms > GROSS) | ~found.possible
+    good = int((~odd).sum())
     chassis = found.bench.chassis
     remedy = (
         "give the model of this very robot, as it was mounted and with the tool it had; "
@@ -79,6 +80,9 @@ def another_robot(found: Explained) -> ModelMismatchError:
         if absent:
             same = f"where {extra} of the log is one of the model's ({absent}), let both have one"
             remedy = f"{same} name; else {remedy}"
+    if not found.possible.all():
+        count = int((~found.possible).sum())
+        lacking += f"; {count} of its SUs would need errors that no working sensor has"
     worst = [names[int(u)] for u in np.argsort(-np.nan_to_num(each.rms))[:3]]
     return ModelMismatchError(
         f"{_source(found)}: the model is not the robot in the log: {good} of {len(names)} SUs fit "
@@ -87,7 +91,7 @@ def another_robot(found: Explained) -> ModelMismatchError:
         f"few joints do not explain them; worst are {', '.join(worst)}{lacking}",
         remedy,
         joints=tuple(joint.name for joint in chassis.joints),
-        sus=tuple(names[int(u)] for u in np.flatnonzero(each.rms > GROSS)),
+        sus=tuple(names[int(u)] for u in np.flatnonzero(odd)),
         cost_per_dof=each.mean,
     )
 

@@ -71,7 +71,13 @@ class Recorded:
 
 
 @cache
-def recorded(folder: Path, sus_on_base: int = 0, text: str = URDF, **options: Any) -> Recorded:
+def recorded(
+    folder: Path,
+    sus_on_base: int = 0,
+    text: str = URDF,
+    skin: SkinLayout | None = None,
+    **options: Any,
+) -> Recorded:
     """Half a minute of ordinary moves with an SU on every moving link; a sliding finger rests."""
     path = folder / "toy.urdf"
     path.write_bytes(text.encode())
@@ -79,7 +85,7 @@ def recorded(folder: Path, sus_on_base: int = 0, text: str = URDF, **options: An
         name="toy",
         urdf=path,
         locked={"grip": 0.0} if "prismatic" in text else {},
-        skin=SkinLayout(sus_per_segment=1, sus_on_base=sus_on_base),
+        skin=skin or SkinLayout(sus_per_segment=1, sus_on_base=sus_on_base),
     )
     settings = {"excite": "none", "minutes": 0.5, "seed": 2, "base_rpy": (0.02, -0.01, 0.0)}
     done = simulate(spec, SimulationSettings(**{**settings, **options}))

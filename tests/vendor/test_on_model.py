@@ -29,6 +29,7 @@ from skin2urdf.report.on_model import as_text, model_verdict
 from skin2urdf.signals.motion import joint_motion
 from skin2urdf.signals.poses import find_rests
 from skin2urdf.signals.records import SuClock
+from skin2urdf.simulation.robots import GivenSu, SkinLayout
 from skin2urdf.urdf.compare import compare
 from skin2urdf.urdf.loading import Robot, configuration
 from skin2urdf.vendor.calibrate import calibrate_with_model
@@ -132,6 +133,20 @@ def test_a_zero_far_off_is_named_and_found_where_asked(calibrated: Calibrate) ->
     assert error.value.exit_status == 1
 
 
+@pytest.fixture(scope="module")
+def short(tmp_path_factory: pytest.TempPathFactory) -> Recorded:
+    return recorded(tmp_path_factory.mktemp("short"), minutes=0.25)
+
+
+def elsewhere(joint: str, xi: list[float]) -> str:
+    """The vendor's file with a joint moved by a twist."""
+    chassis = match(describe(model()), ["turn", "lift", "roll"])
+    j = [each.name for each in chassis.joints].index(joint)
+    T = np.array(chassis.T_parent_joint)
+    T[j] = T[j] @ exp(np.array(xi))
+    return with_additions(URDF, "toy.urdf", [], {joint: chassis.origins(T)[j]})
+
+
 def test_a_joint_of_the_other_sense_is_named(calibrated: Calibrate) -> None:
     with pytest.raises(ModelMismatchError) as error:
         calibrated(REVERSED, Correction())
@@ -175,6 +190,44 @@ def test_a_sense_is_named_before_a_half_turn_of_an_axis_beyond(
         calibrate_with_model(wrist.recording, model(reversed_))
     assert error.value.joints == ("lift",)
     assert "roll" in str(error.value)
+
+
+def test_the_mirror_image_of_a_leg_is_no_robot_with_mirrored_sensors(tmp_path: Path) -> None:
+    # About the plane of the parallel axes, the other sense of the first joint mirrors all motion.
+    text = URDF.replace('xyz="0 0 1"/><limit', 'xyz="1 0 0"/><limit').replace('"2 0 1"', '"0 1 0"')
+    text = text.replace('rpy="0.2 0 0"', 'rpy="0 0 0"')
+    leg = recorded(tmp_path, text=text, minutes=0.25, base_rpy=(0.0, 0.0, 0.0))
+    other = text.replace('xyz="1 0 0"/><limit', 'xyz="-1 0 0"/><limit')
+    with pytest.raises(ModelMismatchError) as error:
+        calibrate_with_model(leg.recording, model(other))
+    assert error.value.joints == ("turn",)
+
+
+def test_an_su_with_an_axis_the_other_way_round_is_left_out(short: Recorded) -> None:
+    three = next(su.name for su in short.recording.sus if short.link[su.name] == "three")
+    sus = [
+        replace(su, specific_force=su.specific_force * (-1.0, 1.0, 1.0)) if su.name == three else su
+        for su in short.recording.sus
+    ]
+    found = calibrate_with_model(replace(short.recording, sus=tuple(sus), digest=""), model())
+    assert found.odd.keys() == {three}
+    assert not found.deviates
+    assert found.to_repair
+
+
+def test_a_small_tilt_of_an_axis_is_no_base_that_gives_way(calibrated: Calibrate) -> None:
+    with pytest.raises(ModelMismatchError) as error:
+        calibrated(elsewhere("lift", [0.003, 0.002, 0.0, 0.008, 0.008, 0.0]), Correction())
+    assert error.value.joints == ("lift",)
+
+
+def test_a_zero_that_parallel_axes_share_is_named(tmp_path: Path) -> None:
+    text = URDF.replace('"2 0 1"', '"0 1 0"').replace('rpy="0.2 0 0"', 'rpy="0 0 0"')
+    arm = recorded(tmp_path, text=text, minutes=0.25)
+    off = text.replace('<origin xyz="0.02 0 0.2"/>', '<origin xyz="0.02 0 0.2" rpy="0 0.03 0"/>')
+    with pytest.raises(ModelMismatchError) as error:
+        calibrate_with_model(arm.recording, model(off))
+    assert error.value.joints == ("lift",)
 
 
 def test_a_model_without_a_joint_of_that_name_is_refused(calibrated: Calibrate) -> None:
@@ -307,6 +360,17 @@ def test_all_samples_decide_where_a_rough_look_left_two_links(
     assert not found.deviates
 
 
+def test_an_su_beside_a_vertical_axis_is_not_on_the_base(tmp_path: Path) -> None:
+    beside = (
+        GivenSu("one", (0.005, 0.0, 0.1), (0.3, 0.2, 0.1)),
+        GivenSu("two", (0.1, 0.0, 0.05), (0.0, 0.0, 0.0)),
+    )
+    robot = recorded(tmp_path, skin=SkinLayout(0, 0, given=beside), base_rpy=(0.0, 0.0, 0.0))
+    found = calibrate_with_model(robot.recording, model())
+    of = dict(zip(found.tree.su_names, found.links, strict=True))
+    assert of == {name: robot.link[name] for name in of}
+
+
 def test_a_log_without_a_rest_does_and_what_it_leaves_open_is_named(toy: Recorded) -> None:
     recording = between(toy.recording, 21.35, 27.35)
     assert not find_rests(joint_motion(recording))
@@ -391,20 +455,10 @@ def test_the_noise_of_sensors_is_told_as_densities(calibrated: Calibrate) -> Non
 def test_a_joint_that_sits_elsewhere_is_named(
     joint: str, xi: list[float], calibrated: Calibrate
 ) -> None:
-    chassis = match(describe(model()), ["turn", "lift", "roll"])
-    j = [each.name for each in chassis.joints].index(joint)
-    T = np.array(chassis.T_parent_joint)
-    T[j] = T[j] @ exp(np.array(xi))
-    text = with_additions(URDF, "toy.urdf", [], {joint: chassis.origins(T)[j]})
     with pytest.raises(ModelMismatchError) as error:
-        calibrated(text, Correction())
+        calibrated(elsewhere(joint, xi), Correction())
     assert error.value.joints == (joint,)
     assert error.value.remedy
-
-
-@pytest.fixture(scope="module")
-def short(tmp_path_factory: pytest.TempPathFactory) -> Recorded:
-    return recorded(tmp_path_factory.mktemp("short"), minutes=0.25)
 
 
 def renamed(recording: Recording, joint: str) -> Recording:

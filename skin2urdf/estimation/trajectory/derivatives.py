@@ -72,6 +72,13 @@ class Derivatives:
         self._seconds = tuple(float(log.time[-1] - log.time[0]) for log in self.logs)
         knots = tuple(n_knots or [0] * len(self.logs))
         self.gyros = with_gyros(tree, self.logs)
+        # Of a known robot, those whose placements are estimated.
+        blueprint = priors.blueprint
+        self._estimated = (
+            np.any(blueprint.deviations > 0, axis=1)
+            if blueprint
+            else np.ones(tree.n_joints, dtype=bool)
+        )
         self.layout = Layout(
             tree.n_joints,
             len(self.logs),
@@ -177,7 +184,7 @@ class Derivatives:
 
     def _joint_columns(self, u: int, g: int) -> list[int]:
         """Columns of the joint part that an SU's readings in a log depend on."""
-        layout, chain = self.layout, self.tree.chain(int(self.tree.su_joint[u]))
+        layout, chain = self.layout, self._estimated_before(u)
         columns = [N_JOINT * k + i for k in chain for i in range(N_JOINT)]
         if g > 0:
             columns += range(layout.logs.start + 2 * (g - 1), layout.logs.start + 2 * g)
@@ -187,6 +194,11 @@ class Derivatives:
         if self.priors.blueprint:
             columns += further_columns(layout.further.start, chain, g)
         return columns
+
+    def _estimated_before(self, u: int) -> list[int]:
+        """Joints before an SU, from the ground on, whose placements are estimated."""
+        chain = self.tree.chain(int(self.tree.su_joint[u]))
+        return [k for k in chain if self._estimated[k]]
 
     def _moving(self, u: int) -> Int:
         """Which of the numbers that make unseen motion an SU feels."""
@@ -225,7 +237,8 @@ class Derivatives:
         slides = dict(zip(numbers.tolist(), tree.prismatic.tolist(), strict=True))
         of_number = dict(zip(numbers.tolist(), fixed, strict=True)), here
         slopes = turned.slope[:, u], turned.bend[:, u], self._since_middle(g)
-        return rate_columns(self.tree, state, self.layout, g, u, of_number, slides, unseen, slopes)
+        before = self._estimated_before(u)
+        return rate_columns(before, state, self.layout, g, u, of_number, slides, unseen, slopes)
 
     def _columns_of_points(
         self,
@@ -267,7 +280,7 @@ class Derivatives:
         Returns:
             In the coordinates before the size of gravity, and in those behind it.
         """
-        layout, places = self.layout, state.placements
+        places = state.placements
         tree, numbers = self.skeleton.tree, self.skeleton.numbers
         q, qd, qdd = motion
         K = q.shape[1]
@@ -279,10 +292,14 @@ class Derivatives:
         wanted = JOINT_COORDINATES + ALONG_AXIS if known else JOINT_COORDINATES
         along_axis: list[F64] = []
         placements = self.skeleton.placements(places.T_parent_joint)
+        estimated = set(self._estimated_before(u))
         for j in reversed(self._chain(u)):
+            if not self.unseen and not estimated:
+                break
             slides = bool(tree.prismatic[j])
             path = seen_before_joint(path, slides, q[j], qd[j], qdd[j])
-            if numbers[j] < layout.n_joints:
+            if numbers[j] in estimated:
+                estimated.remove(int(numbers[j]))
                 columns = placement_columns(fixed[j], path, wanted)
                 rows.append(columns[: len(JOINT_COORDINATES)])
                 along_axis.append(columns[len(JOINT_COORDINATES) :])

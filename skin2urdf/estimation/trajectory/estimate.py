@@ -49,7 +49,6 @@ class MotionEstimate:
     Attributes:
         problem: the logs and what was known before.
         fitted: the fit.
-        information: what it is worth.
         misfit: squares of mean residuals over spans of time, over what noise makes of them; up to 1
             where the model explains the readings.
         gyros: what was found of gyroscopes; None where no SU has one.
@@ -64,7 +63,6 @@ class MotionEstimate:
 
     problem: MotionProblem
     fitted: Fitted
-    information: MotionInformation
     misfit: float
     gyros: Gyros | None = None
     causes: tuple[str, ...] = ()
@@ -76,6 +74,13 @@ class MotionEstimate:
     def state(self) -> State:
         """Placements, gravity's directions, bias and shape."""
         return self.fitted.state.placements
+
+    @cached_property
+    def information(self) -> MotionInformation:
+        """What the fit is worth: a quarter of the work, for those who ask."""
+        sways = swaying(self.problem, self.fitted.state)
+        lacking = [] if sways is None else [pull_of(self.problem, self.fitted, sways)]
+        return motion_information(self.problem, self.fitted, lacking)
 
     @property
     def misfit_of_sus(self) -> F64:
@@ -151,6 +156,7 @@ def estimate_along(
     without: Collection[str] = (),
     most: float = np.inf,
     iterations: int = 30,
+    lengths: bool = True,
 ) -> MotionEstimate:
     """Fit all samples of all logs.
 
@@ -167,6 +173,7 @@ def estimate_along(
         without: causes of what drifts and bends that need not be tried.
         most: misfit beyond which they are not tried either.
         iterations: linearisations, at most, of a first fit and of the last.
+        lengths: whether what the noise of encoders does to lengths is taken off.
     """
     U, G = tree.n_sus, len(logs)
     problem = MotionProblem(tree, logs, priors)
@@ -181,12 +188,11 @@ def estimate_along(
         unseen=np.zeros(problem.layout.n_unseen),
         gyro=np.zeros((U, problem.layout.gyro.stop - problem.layout.gyro.start)),
     )
-    # Of the work, a fit takes half or so, and what it is worth a quarter.
     fitted = fit(
-        problem, begin, iterations=iterations, tolerance=NEAR, tell=lambda part: tell(0.4 * part)
+        problem, begin, iterations=iterations, tolerance=NEAR, tell=lambda part: tell(0.5 * part)
     )
     problem, fitted = fit_with_products(problem, fitted, iterations)
-    tell(0.5)
+    tell(0.7)
     problem, fitted, contradict = listened(problem, fitted)
     problem, fitted, late = with_publishers(
         problem, fitted, begin, lambda about, at: misfit_of(about, at, SPAN)
@@ -198,18 +204,15 @@ def estimate_along(
             without = {*without, "elastic", "base"}
         found = explained(problem, fitted, most, only_known=only_known, without=without)
         problem, fitted = found.problem, found.fitted
-    fitted = without_shortening(problem, fitted)
+    if lengths:
+        fitted = without_shortening(problem, fitted)
     left = misfit_of(problem, fitted, SPAN)
-    tell(0.75)
-    sways = swaying(problem, fitted.state)
-    lacking = [] if sways is None else [pull_of(problem, fitted, sways)]
-    information = motion_information(problem, fitted, lacking)
     if late is not None:
         late = with_deviations(late, problem, fitted)
     tell(1.0)
     gyros = found_gyros(problem, fitted, contradict)
     what = found.causes, found.tried, found.under_known
-    return MotionEstimate(problem, fitted, information, left, gyros, *what, late)
+    return MotionEstimate(problem, fitted, left, gyros, *what, late)
 
 
 def _links_may_explain(problem: MotionProblem, fitted: Fitted) -> bool:

@@ -136,7 +136,7 @@ def predicted_turning(
 
 
 def rate_columns(
-    tree: KinematicTree,
+    before: Sequence[int],
     state: MotionState,
     layout: Layout,
     g: int,
@@ -149,7 +149,7 @@ def rate_columns(
     """(C + n, 3, K) derivatives of a gyroscope's prediction, joint columns first.
 
     Args:
-        tree: the structure.
+        before: joints before the SU, from the ground on, whose placements are estimated.
         state: where.
         layout: where coordinates stand.
         g: number of the log.
@@ -172,7 +172,7 @@ def rate_columns(
         return np.asarray(np.einsum("ijk,jk->ik", here.R_frame_base, cross(w_base, R[axis])))
 
     rows: list[F64] = []
-    for k in tree.chain(int(tree.su_joint[u])):
+    for k in before:
         rows += [np.zeros((2, 3, K)), np.stack([turned(k, 0), turned(k, 1)])]
     # Gravity's direction and size say nothing of how an SU turns.
     rows.append(np.zeros((3 if g > 0 else 1, 3, K)))
@@ -186,7 +186,7 @@ def rate_columns(
     if layout.n_further:
         # Neither how a robot is mounted nor shifts along axes; turns about axes, as those above.
         rows.append(np.zeros((2 if g == 0 else 0, 3, K)))
-        for k in tree.chain(int(tree.su_joint[u])):
+        for k in before:
             rows.append(np.stack([np.zeros((3, K)), turned(k, 2)]))
     joint = np.concatenate(rows)
     out = np.zeros((len(joint) + layout.n_su, 3, K))

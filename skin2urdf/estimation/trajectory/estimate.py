@@ -30,7 +30,8 @@ from skin2urdf.estimation.trajectory.problem import MotionProblem
 from skin2urdf.estimation.trajectory.products import NEAR, fit_with_products
 from skin2urdf.estimation.trajectory.publishers import Late, with_deviations, with_publishers
 from skin2urdf.estimation.trajectory.records import Gyros
-from skin2urdf.estimation.trajectory.slack import pull_of
+from skin2urdf.estimation.trajectory.rounded import rounded_off_again
+from skin2urdf.estimation.trajectory.slack import pull_of, pulls_of
 from skin2urdf.estimation.trajectory.state import MotionState
 from skin2urdf.estimation.trajectory.swaying import swaying
 from skin2urdf.estimation.trajectory.uncertainty import MotionInformation, motion_information
@@ -80,7 +81,9 @@ class MotionEstimate:
         """What the fit is worth: a quarter of the work, for those who ask."""
         sways = swaying(self.problem, self.fitted.state)
         lacking = [] if sways is None else [pull_of(self.problem, self.fitted, sways)]
-        return motion_information(self.problem, self.fitted, lacking)
+        again = rounded_off_again(self.problem.logs)
+        rounding = None if again is None else pulls_of(self.problem, self.fitted, again)
+        return motion_information(self.problem, self.fitted, lacking, rounding)
 
     @property
     def misfit_of_sus(self) -> F64:

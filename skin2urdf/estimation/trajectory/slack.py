@@ -144,8 +144,29 @@ def pull_of(problem: MotionProblem, fitted: Fitted, more: Unseen) -> tuple[F64, 
     """
     wider, equations, at, spread, x = _with_any(problem, fitted, more)
     numbers = _likeliest(wider, equations, at, spread, x).numbers
-    others = np.setdiff1d(np.arange(wider.layout.n_joint), at)
-    return equations.joint[np.ix_(others, at)] @ numbers, equations.mixed[:, :, at] @ numbers
+    joint, su = _couplings(equations, at)
+    return numbers @ joint, np.einsum("s,sun->un", numbers, su)
+
+
+def pulls_of(problem: MotionProblem, fitted: Fitted, more: Unseen) -> tuple[F64, F64]:
+    """What a unit of each of some unseen motions does to an estimate without them.
+
+    Args:
+        problem: what was fitted.
+        fitted: the fit.
+        more: motions of S numbers that it lacks.
+
+    Returns:
+        (S, J) and (S, U, n) parts of the gradient in the coordinates that were fitted.
+    """
+    _, equations, at, _, _ = _with_any(problem, fitted, more)
+    return _couplings(equations, at)
+
+
+def _couplings(equations: Equations, at: Int) -> tuple[F64, F64]:
+    """(S, J) and (S, U, n) information that some coordinates share with all others."""
+    others = np.setdiff1d(np.arange(len(equations.joint)), at)
+    return equations.joint[np.ix_(at, others)], np.moveaxis(equations.mixed[:, :, at], 2, 0)
 
 
 def _with_any(

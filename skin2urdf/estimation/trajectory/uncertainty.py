@@ -10,6 +10,8 @@ independent noise leaves, drawn, fitted and added up alike: the ratio tells by h
 larger or smaller than the weights say, coordinate by coordinate. Where few clusters tell of a
 coordinate, that of all joints' or all SUs' coordinates speaks for it.
 
+No error is smaller than what encoders round off makes alone, see :mod:`rounded`.
+
 What goes with the motion in the same way all the time, as a base that yields to the robot's weight,
 shows in no cluster: the estimate bends to it. What it would change is stated as well, as the
 difference of two estimates of which neither can be ruled out (Hausman 1978), see :mod:`swaying`.
@@ -56,6 +58,7 @@ class MotionInformation:
         shared_joint: (Z, J), and
         shared_su: (U, 15, Z) its coupling with x and with y.
         defects: pulls of what the fit lacks, and the readings do not rule out.
+        rounding: pulls of what encoders round off, drawn anew.
         errors: pulls of spans of time with the residuals as they are, and
         draws: with independent noise.
         prior_xz: (U, Q, J + Z) pulls of what is known of each SU before, on x and z, and
@@ -71,6 +74,7 @@ class MotionInformation:
     shared_joint: F64
     shared_su: F64
     defects: Pulls
+    rounding: Pulls
     errors: Pulls
     draws: tuple[Pulls, ...]
     prior_xz: F64
@@ -103,6 +107,7 @@ def motion_information(
     problem: MotionProblem,
     fitted: Fitted,
     defects: Sequence[tuple[F64, F64]] = (),
+    rounding: tuple[F64, F64] | None = None,
 ) -> MotionInformation:
     """Information and disturbances at the end of a fit.
 
@@ -111,6 +116,8 @@ def motion_information(
         fitted: the fit.
         defects: parts (J,) and (U, n) of the gradient, each by something that the fit lacks, of the
             size that the readings give it.
+        rounding: (R, J) and (R, U, n) parts of the gradient, each by what encoders might have
+            rounded off; None where they round nothing off.
     """
     layout, tree, full = problem.layout, problem.tree, fitted.equations
     free_joint, free_su = problem.free_joint, problem.free_su
@@ -148,6 +155,8 @@ def motion_information(
         np.array([joint for joint, _ in defects]).reshape(-1, layout.n_joint) * free_joint,
         np.array([own for _, own in defects]).reshape(-1, tree.n_sus, layout.n_su) * free_su,
     )
+    none = np.zeros((0, layout.n_joint)), np.zeros((0, tree.n_sus, layout.n_su))
+    off_joint, off_su = none if rounding is None else rounding
     joint_prior, su_prior, _, _ = problem.prior_information(fitted.state)
     scores = _roots(np.where(free_su[:, :, None] & free_su[:, None, :], su_prior, 0.0))
     chains = Chains.of(tree)
@@ -163,6 +172,7 @@ def motion_information(
         shared_joint=joint[J:, :J],
         shared_su=coupling[..., J:],
         defects=_pulls(*lacking, by_x, by_y, J),
+        rounding=_pulls(off_joint * free_joint, off_su * free_su, by_x, by_y, J),
         errors=pulls[0],
         draws=tuple(pulls[1:]),
         prior_xz=-scores[..., N_SU:] @ by_x,
@@ -354,9 +364,21 @@ def _weights(problem: MotionProblem, info: MotionInformation) -> ArrowCovariance
 
 def _widening(response: _Response, info: MotionInformation) -> tuple[F64, F64, F64]:
     """By how much larger variances (J,), (U, 15) and (Z,) are than those of the weights."""
-    of_place, of_time = (_ratios(response, info, kind) for kind in info.kinds)
-    x, y, z = (np.maximum(*both) for both in zip(of_place, of_time, strict=True))
+    shown = [_ratios(response, info, kind) for kind in info.kinds]
+    alone = _by_rounding(response, info)
+    x, y, z = (np.max(each, axis=0) for each in zip(*shown, alone, strict=True))
     return x, y, z
+
+
+def _by_rounding(response: _Response, info: MotionInformation) -> list[F64]:
+    """Variances that rounding alone makes, over those of the weights."""
+    draws = max(len(info.rounding.x), 1)
+    own = np.einsum("uii->ui", response.weights.own)
+    weights = np.diag(response.weights.joint), own, np.diag(response.inverse_z)
+    return [
+        np.divide(seen / draws, expected, out=np.zeros_like(seen), where=expected > 0)
+        for seen, expected in zip(_variances(response, info.rounding), weights, strict=True)
+    ]
 
 
 def _variances(response: _Response, pulls: Pulls) -> tuple[F64, F64, F64]:

@@ -152,8 +152,9 @@ def history_line(checked: Checked, when: str) -> dict[str, Any]:
         when: date and time of it (ISO 8601).
     """
     document = as_document(checked)
-    kept = ("what", "shift", "shift_sd", "turn", "turn_sd", "finds_shift", "finds_turn")
-    kept += ("chi2", "dof")
+    kept = (
+        "what", "shift", "shift_sd", "turn", "turn_sd", "finds_shift", "finds_turn", "chi2", "dof",
+    )  # fmt: skip
     return {
         "when": when,
         "urdf": document["urdf"],

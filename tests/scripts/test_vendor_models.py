@@ -54,7 +54,7 @@ def test_a_trial_is_right_where_what_is_wrong_was_named(
 def test_a_slip_has_to_be_found_and_nothing_else(
     slipped: str, changed: tuple[str, ...], right: bool
 ) -> None:
-    found = Noticed(slipped, changed, True, 1.0, 0.1, 0.0, 0.01, 1.0, 1.0)
+    found = Noticed(slipped, changed, True, 1.0, 0.1, 0.0, 0.01, 1.0, 0.9, 1.0, 1.0)
     run = Record(Slip("panda", 0, 1.0 if slipped else 0.0, 0.0), found, "")
     assert (check_slips.shortfalls(run) == []) is right
     assert np.isfinite(len(check_slips.report([run])))

@@ -61,6 +61,7 @@ class Trajectory(Record):
         beyond: (K, U, 3) what readings hold beyond those of the low-passed motion, with gyroscopes
             (K, U, 6), theirs last, see :mod:`~skin2urdf.estimation.trajectory.products`; None where
             that is not known [m/s^2, rad/s].
+        thin: of the samples that hold all that the low-pass lets through, one in so many is kept.
     """
 
     log: int
@@ -81,6 +82,7 @@ class Trajectory(Record):
     publisher: Int = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
     positions: F64 = field(default_factory=lambda: np.zeros((0, 0)))
     beyond: F64 | None = None
+    thin: int = 1
 
     @property
     def time(self) -> F64:
@@ -129,8 +131,22 @@ class Trajectory(Record):
 
     @property
     def every(self) -> int:
-        """Grid samples from one kept sample to the next."""
-        return int(self.kept[1] - self.kept[0]) if len(self.kept) > 1 else 1
+        """Grid samples from one of those that hold all to the next."""
+        return int(self.kept[1] - self.kept[0]) // self.thin if len(self.kept) > 1 else 1
+
+    def thinned(self, by: int) -> Trajectory:
+        """The same with one in so many of the kept samples."""
+        return replace(
+            self,
+            kept=self.kept[::by],
+            valid=self.valid[::by],
+            moving=self.moving[::by],
+            turning=None if self.turning is None else self.turning[::by],
+            leaps=None if self.leaps is None else self.leaps.thinned(by),
+            beyond=None if self.beyond is None else self.beyond[::by],
+            independence=min(1.0, by * self.independence),
+            thin=by * self.thin,
+        )
 
 
 def trajectory(

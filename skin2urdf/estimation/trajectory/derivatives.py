@@ -127,6 +127,8 @@ class Derivatives:
         for g, (p, w) in enumerate(zip(predicted, weights, strict=True)):
             motion, frames = self._frames(state, g)
             for link in self.points(state):
+                if not w[:, link.sus].any():
+                    continue
                 columns = self._joint_columns(int(link.sus[0]), g)
                 of_points = self._columns_of_points(state, g, link, frames, motion)
                 for some in link.parts():
@@ -299,7 +301,11 @@ class Derivatives:
                 of_joint = np.flatnonzero(self.unseen.joint == k)
                 number = np.searchsorted(felt, self.unseen.number[of_joint])
                 e = self._motions[g][:, of_joint]
-                np.add.at(beyond, number, np.einsum("dck,dsk->sck", columns, e))
+                added = np.einsum("dck,dsk->sck", columns, e)
+                if len(set(number.tolist())) == len(number):
+                    beyond[number] += added
+                else:
+                    np.add.at(beyond, number, added)
             behind.append(beyond)
         if known:
             if g == 0:
@@ -363,4 +369,5 @@ def compared(log: Trajectory) -> tuple[slice, float, int]:
     """
     first = int(log.kept[0]) // log.every
     margin = -(-len(log.taps) // log.every)
-    return slice(first, first + len(log.kept)), log.rate / log.every, margin
+    within = slice(first, first + log.thin * len(log.kept), log.thin)
+    return within, log.rate / log.every, margin

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -17,15 +18,19 @@ from skin2urdf.estimation.trajectory.state import MotionState
 
 _HUBER = 3.0
 """Residual, in standard deviations, beyond which a sample counts less; noise is one in 400."""
-_DAMPING, _FALL = 1e-4, 10.0
-"""Share of its own information by which each coordinate is held at first. It grows by ten with
-every step that fails, and falls by ten with every one that succeeds at once: what had to be held
-back to succeed would fail again."""
+_DAMPING, _FELT, _FALL = 1e-4, 1e-2, 10.0
+"""Share of its own information by which each coordinate is held at first, and of which steps are
+held back at all. It grows to that, and by ten, with every step that fails, and falls by ten with
+every one that succeeds at once: what had to be held back to succeed would fail again."""
+_ARRIVED = 0.5
+"""Length of a last step in standard deviations, all coordinates together. Weights that follow the
+residuals let steps become shorter by three each time; some hundred coordinates share the rest."""
 _SHORT = 0.1
-"""Length of a step, over that of a last one, from which it is worth taking. Shorter ones lead
-nowhere: there is nothing to gain, or only for steps that are held back to nothing."""
+"""Length of a step, over that of a last one, from which it is worth taking."""
 _ROUGHLY = 30.0
 """Length of a step, in standard deviations, from which all coordinates may move."""
+_ENOUGH, _THINNEST = 1500, 4
+"""Samples that lead near, and the part of all that they are at least."""
 _QUIET = 1e-5
 """Noise of a sample at least [m/s^2], 1 ug: no accelerometer has less, and simulated ones without
 noise are fitted no worse for it."""
@@ -39,21 +44,26 @@ class Fitted:
     """A state that explains all samples as well as it can.
 
     Attributes:
+        problem: what was fitted.
         state: the state.
         noise: per log (K, U, 3) standard deviation of each sample as the residuals show it; with
             gyroscopes (K, U, 6), theirs last [m/s^2, rad/s].
         weights: per log, of the same shape, information that each sample counted with.
         predicted: per log, residuals at the state.
-        equations: normal equations there.
         chi2: sum of squared residuals over noise, times independence, priors included.
     """
 
+    problem: MotionProblem
     state: MotionState
     noise: tuple[F64, ...]
     weights: tuple[F64, ...]
     predicted: tuple[Predicted, ...]
-    equations: Equations
     chi2: float
+
+    @cached_property
+    def equations(self) -> Equations:
+        """Normal equations at the state."""
+        return self.problem.equations(self.state, self.predicted, self.weights)
 
 
 def fit(
@@ -61,7 +71,7 @@ def fit(
     start: MotionState,
     *,
     iterations: int = 30,
-    tolerance: float = 0.1,
+    tolerance: float = _ARRIVED,
     near: bool = False,
     far: bool = False,
     tell: Callable[[float], None] = lambda _: None,
@@ -80,16 +90,34 @@ def fit(
         tell: told the share of the work that is done.
     """
     if not near:
-        first = problem.coarse(unseen=far)
-        start = _descend(
-            problem, start, first, _ROUGHLY, iterations, lambda share: tell(0.5 * share), far
-        )[1].state
+        start = _near(problem, start, iterations, lambda share: tell(0.5 * share), far)
     begin = 0.0 if near else 0.5
     free = problem.free_joint, problem.free_su
     return _descend(
         problem, start, free, tolerance, iterations,
         lambda share: tell(begin + (1.0 - begin) * share), far,
     )[1]  # fmt: skip
+
+
+def _near(
+    problem: MotionProblem,
+    start: MotionState,
+    iterations: int,
+    tell: Callable[[float], None],
+    far: bool,
+) -> MotionState:
+    """A state as near to the optimum as part of the samples leads.
+
+    All coordinates move once those are near that the others would make up for.
+    """
+    thin = min(_THINNEST, sum(len(log.kept) for log in problem.logs) // _ENOUGH)
+    if thin > 1:
+        problem = problem.again(logs=[log.thinned(thin) for log in problem.logs])
+    coarse, free = problem.coarse(unseen=far), (problem.free_joint, problem.free_su)
+    found = _descend(problem, start, coarse, _ROUGHLY, iterations, tell, far)[1]
+    if thin > 1:
+        found = _descend(problem, found.state, free, _ROUGHLY, iterations, tell, far)[1]
+    return found.state
 
 
 Follow = Callable[[MotionProblem, MotionState], tuple[MotionProblem, MotionState]]
@@ -144,21 +172,26 @@ def _descend(
     longest = 0.0
     for _ in range(iterations):
         equations = problem.equations(state, predicted, weights)
-        at_once = True
+        at_once, enough = True, _SHORT * tolerance
         while True:
             system = eliminated(equations, free_joint, free_su, damping)
             joint, sus = newton_step(system, free_joint)
             length = _length(equations, joint, sus)
-            if not length >= _SHORT * tolerance:  # NaN is not
+            if not length >= enough:  # NaN is not
                 tell(1.0)
-                return problem, Fitted(state, noise, weights, predicted, equations, cost)
+                here = Fitted(problem, state, noise, weights, predicted, cost)
+                vars(here)["equations"] = equations  # which need not be worked out again
+                return problem, here
             about, trial = follow(problem, problem.layout.moved(state, joint, sus))
             ahead = tuple(about.predict(trial, g) for g in range(len(problem.logs)))
             trial, ahead = about.refit_sensors(trial, ahead, weights, free_su)
             there = _cost(about, trial, ahead, weights)
             if there <= cost:
                 break
-            damping *= _FALL
+            if not far:
+                # There is nothing to gain any more: it is as near as it was to come.
+                enough = tolerance
+            damping = max(_FALL * damping, _FELT)
             at_once = False
         if far and damping > _DAMPING:
             length = np.inf  # a step that was held back says nothing of how far it still is
@@ -174,9 +207,8 @@ def _descend(
             tell(float(np.log(longest / length) / np.log(longest / tolerance)))
         if length < tolerance or gain < _NO_GAIN:
             break
-    equations = problem.equations(state, predicted, weights)
     tell(1.0)
-    return problem, Fitted(state, noise, weights, predicted, equations, cost)
+    return problem, Fitted(problem, state, noise, weights, predicted, cost)
 
 
 def held(problem: MotionProblem, state: MotionState) -> Fitted:
@@ -188,9 +220,8 @@ def held(problem: MotionProblem, state: MotionState) -> Fitted:
     """
     predicted = tuple(problem.predict(state, g) for g in range(len(problem.logs)))
     noise, weights = _noise(problem, state, predicted)
-    equations = problem.equations(state, predicted, weights)
     cost = _cost(problem, state, predicted, weights)
-    return Fitted(state, noise, weights, predicted, equations, cost)
+    return Fitted(problem, state, noise, weights, predicted, cost)
 
 
 def _length(equations: Equations, joint: F64, sus: F64) -> float:

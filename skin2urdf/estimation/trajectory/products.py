@@ -22,9 +22,9 @@ from skin2urdf.estimation.trajectory.records import Predicted
 from skin2urdf.signals.filters import first_derivative, second_derivative
 from skin2urdf.signals.trajectory import Trajectory
 
-NEAR = 1.0
-"""Length of the last step, in standard deviations, from which products are known: to a thousandth,
-as lengths are."""
+NEAR = 30.0
+"""Length of a step, in standard deviations of all coordinates together, behind which products are
+known: to a thousandth, as lengths are."""
 _MOST_OF_IT = 0.5
 """Part of what a fit left that may stay with products where these were most of it."""
 

@@ -191,3 +191,26 @@ def test_no_motion_of_revolute_joints_tells_the_size_of_gravity() -> None:
     rest = whole[:-1, :-1] + 1e-3 * np.eye(len(whole) - 1)
     left = whole[-1, -1] - whole[-1, :-1] @ np.linalg.solve(rest, whole[:-1, -1])
     assert left == pytest.approx(0.01**-2, rel=0.05)
+
+
+def test_a_part_of_the_samples_is_predicted_as_all_are() -> None:
+    """The low-pass of a sensor is that of all samples, however few of them are compared."""
+    rng = np.random.default_rng(4)
+    log = _trajectory(rng, pole=0.01)
+    priors = motion_priors(Priors(), gravity=0.02, front=(np.zeros(2), np.full(2, 6e-5)))
+    whole, part = (MotionProblem(_TREE, [each], priors) for each in (log, log.thinned(3)))
+    state = MotionState(
+        placements=_truth(),
+        gravity=9.81,
+        front=np.full((3, 2), 5e-5),
+        clock=np.zeros((1, 3, 2)),
+        knots=(np.zeros((0, 3, 3)),),
+        unseen=np.zeros(0),
+    )
+    assert len(part.logs[0].kept) == -(-len(log.kept) // 3)
+    for of_all, of_part in zip(
+        (whole.predict(state, 0).residual, log.time, log.valid),
+        (part.predict(state, 0).residual, part.logs[0].time, part.logs[0].valid),
+        strict=True,
+    ):
+        np.testing.assert_allclose(of_part, of_all[::3], atol=1e-12)

@@ -12,7 +12,7 @@ import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft
 from scipy.ndimage import convolve1d, map_coordinates, minimum_filter1d, spline_filter1d
 
-from skin2urdf.arrays import F64, Bool
+from skin2urdf.arrays import F64, Bool, Int
 
 # Central differences of eighth order: at a tenth of the sampling rate still exact to 1e-5.
 _FIRST = np.array([1 / 280, -4 / 105, 1 / 5, -4 / 5, 0, 4 / 5, -1 / 5, 4 / 105, -1 / 280])
@@ -248,14 +248,25 @@ def _convolved(values: F64, taps: F64) -> F64:
     return out
 
 
-def first_derivative(values: F64, rate: float) -> F64:
-    """First derivative along the first axis."""
-    return np.asarray(convolve1d(values, _FIRST[::-1] * rate, axis=0, mode="nearest"))
+def first_derivative(values: F64, rate: float, at: Int | None = None) -> F64:
+    """First derivative along the first axis, of all samples or where it is wanted."""
+    return _differentiated(values, _FIRST * rate, at)
 
 
-def second_derivative(values: F64, rate: float) -> F64:
-    """Second derivative along the first axis."""
-    return np.asarray(convolve1d(values, _SECOND * rate**2, axis=0, mode="nearest"))
+def second_derivative(values: F64, rate: float, at: Int | None = None) -> F64:
+    """Second derivative along the first axis, of all samples or where it is wanted."""
+    return _differentiated(values, _SECOND * rate**2, at)
+
+
+def _differentiated(values: F64, weights: F64, at: Int | None) -> F64:
+    """Differences of neighbours, weighed; ends repeat the outermost samples."""
+    if at is None:
+        return np.asarray(convolve1d(values, weights[::-1], axis=0, mode="nearest"))
+    out = np.zeros((len(at), *values.shape[1:]))
+    for k, weight in zip(range(-(len(weights) // 2), len(weights)), weights, strict=False):
+        if weight:
+            out += weight * values[np.clip(at + k, 0, len(values) - 1)]
+    return out
 
 
 def eroded(mask: Bool, reach: int) -> Bool:

@@ -17,6 +17,7 @@ import numpy as np
 from skin2urdf.arrays import F64
 from skin2urdf.estimation.trajectory.arrow import eliminated, newton_step
 from skin2urdf.estimation.trajectory.fit import Fitted, held
+from skin2urdf.estimation.trajectory.front_end import N_FRONT
 from skin2urdf.estimation.trajectory.problem import MotionProblem
 from skin2urdf.estimation.trajectory.records import Predicted
 from skin2urdf.estimation.trajectory.state import MotionState
@@ -57,30 +58,40 @@ def without_shortening(problem: MotionProblem, fitted: Fitted) -> Fitted:
     shared = slice(0, layout.gravity + 1)
     # What is steady shows nothing of clocks, and of front ends what is added below.
     own = slice(0, layout.front.start)
-    joint, su = np.zeros(layout.n_joint), np.zeros((tree.n_sus, layout.n_su))
+    joint, su = np.zeros(still.layout.n_joint), np.zeros((tree.n_sus, still.layout.n_su))
+    ends = np.zeros((tree.n_sus, N_FRONT))
+    of_all = [np.zeros_like(p.residual) for p in at_rest]
     for d in range(tree.n_joints):
         pushed = _posed(problem, d)
         driven = _predicted(pushed, state)
+        beyond = np.array([d in tree.chain(int(k)) for k in tree.su_joint])
         # Residuals are readings less predictions, so this is what a unit of acceleration does.
         tau = [
-            np.where(a.measured[..., None], a.residual - b.residual, 0.0)
+            np.where((a.measured & beyond)[..., None], a.residual - b.residual, 0.0)
             for a, b in zip(at_rest, driven, strict=True)
         ]
         weights = [
-            w[::_EVERY, :, :3] * (_EVERY * log.moving[::_EVERY, d, None, None])
+            w[::_EVERY, :, :3] * (_EVERY * (log.moving[::_EVERY, d, None] & beyond)[..., None])
             for w, log in zip(fitted.weights, problem.logs, strict=True)
         ]
         louder = [w * n[d, 0] for w, n in zip(weights, noise, strict=True)]
-        with_push = _gradients(pushed, state, driven, tau, louder)
-        without = _gradients(still, state, at_rest, tau, louder)
-        joint[shared] += (with_push[0] - without[0])[shared]
-        joint[layout.further] += (with_push[0] - without[0])[still.layout.further]
-        su[:, own] += (with_push[1] - without[1])[:, own]
-        for n, w, t in zip(noise, weights, tau, strict=True):
+        of_joint, of_su = _gradients(pushed, state, driven, tau, louder)
+        joint += of_joint
+        su += of_su
+        for n, w, t, every in zip(noise, weights, tau, of_all, strict=True):
+            every += n[d, 0] * w * t
             shaken = n[d, 1] * np.einsum("kuc,kuc->u", w, t**2)
             # A front end's coordinates weigh the second derivative of a reading by 1/2 and -1.
-            su[:, layout.front] += shaken[:, None] * np.array([-0.5, 1.0])
-    equations = replace(fitted.equations, joint_gradient=joint, su_gradient=su)
+            ends += shaken[:, None] * np.array([-0.5, 1.0])
+    # What stands still has the same derivatives whichever joint is pushed.
+    ones = [np.ones_like(each) for each in of_all]
+    of_joint, of_su = _gradients(still, state, at_rest, of_all, ones)
+    to_joint, to_su = np.zeros(layout.n_joint), np.zeros((tree.n_sus, layout.n_su))
+    to_joint[shared] = (joint - of_joint)[shared]
+    to_joint[layout.further] = (joint - of_joint)[still.layout.further]
+    to_su[:, own] = (su - of_su)[:, own]
+    to_su[:, layout.front] = ends
+    equations = replace(fitted.equations, joint_gradient=to_joint, su_gradient=to_su)
     system = eliminated(equations, problem.free_joint, problem.free_su)
     taken_off = held(problem, layout.moved(fitted.state, *newton_step(system, problem.free_joint)))
     left = _left(fitted, fitted)
@@ -104,10 +115,12 @@ def _gradients(
     residual: Sequence[F64],
     weights: Sequence[F64],
 ) -> tuple[F64, F64]:
-    """Gradients (J,) and (U, n) that given residuals (K, U, 3) would make."""
+    """Gradients (J,) and (U, n) that given residuals (K, U, 3) would make, without priors."""
     swapped = [replace(p, residual=r) for p, r in zip(predicted, residual, strict=True)]
-    equations = problem.equations(state, swapped, weights)
-    return equations.joint_gradient, equations.su_gradient
+    found = problem.equations(state, swapped, weights)
+    prior = problem.equations(state, swapped, [np.zeros_like(w) for w in weights])
+    joint = found.joint_gradient - prior.joint_gradient
+    return joint, found.su_gradient - prior.su_gradient
 
 
 def _predicted(problem: MotionProblem, state: MotionState) -> list[Predicted]:

@@ -55,8 +55,8 @@ class Unseen(Record):
             np.stack(
                 [
                     d[log.kept].T,
-                    first_derivative(d, log.rate)[log.kept].T,
-                    second_derivative(d, log.rate)[log.kept].T,
+                    first_derivative(d, log.rate, log.kept).T,
+                    second_derivative(d, log.rate, log.kept).T,
                 ]
             )
             for d, log in zip(self.motions, logs, strict=True)

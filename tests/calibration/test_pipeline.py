@@ -135,7 +135,7 @@ def test_upright_and_tilted_logs_together_show_what_neither_shows_alone(tmp_path
     """Axis 1 vertical in one log only: the yaw of the first segment's SU becomes known."""
     upright, alone = calibrated("ur5, upright")
     tilted = simulation("ur5", **MEMS, excite="all")
-    both = calibrate([upright.recording, tilted.recording])
+    both = calibrate([upright.recording, tilted.recording], PATTERNS)
     assert len(both.sources) == 2
     tree = both.model.tree
     first = int(np.flatnonzero(tree.su_joint == 0)[0])

@@ -38,10 +38,14 @@ SHORT = {"n_poses": 4, "seed": 1, "imu_rate": 250.0, "joint_rate": 125.0}
 """Settings of a short recording; what is not asked of streams costs half as much at these rates."""
 
 
-@cache
 def simulation(robot: str = "panda", **options: Any) -> Simulation:
-    """A short recording of a robot of the package; the same object for the same arguments."""
-    return simulate(load_robot(robot), SimulationSettings(**{**SHORT, **options}))
+    """A short recording of a robot of the package; the same object for the same settings."""
+    return _simulated(robot, SimulationSettings(**{**SHORT, **options}))
+
+
+@cache
+def _simulated(robot: str, settings: SimulationSettings) -> Simulation:
+    return simulate(load_robot(robot), settings)
 
 
 def simulation_of(spec: RobotSpec, **options: Any) -> Simulation:

@@ -8,7 +8,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from simulated import PATTERNS, changed_joints, changed_sus, held_against, simulation
+from random_robots import small_arm
+from simulated import PATTERNS, changed_joints, changed_sus, held_against, simulation_of
 
 from skin2urdf.calibration.pipeline import calibrate
 from skin2urdf.calibration.result import Calibration
@@ -18,8 +19,9 @@ from skin2urdf.recording.writing import write
 from skin2urdf.simulation import Simulation
 
 
+@cache
 def sound() -> Simulation:
-    return simulation("ur3", n_poses=4, excite="all", seed=3, imu_rate=250.0, joint_rate=125.0)
+    return simulation_of(small_arm(3), excite="all", seed=3)
 
 
 @cache

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from random_robots import Joint, chain, robot_of
-from simulated import changed_joints, held_against
+from simulated import PATTERNS, changed_joints, held_against
 
 from skin2urdf.calibration.pipeline import calibrate
 from skin2urdf.calibration.result import Calibration
@@ -38,10 +38,12 @@ def skin(*links: int, at: tuple[float, float, float] = (0.05, 0.02, 0.07)) -> Sk
     return SkinLayout(sus_per_segment=0, sus_on_base=0, given=tuple(given))
 
 
-def found(robot: RobotSpec, folder: Path, **options: object) -> tuple[Calibration, Comparison]:
-    """Calibration of a short recording, and how it compares."""
+def found(
+    robot: RobotSpec, folder: Path, along: bool = True, **options: object
+) -> tuple[Calibration, Comparison]:
+    """Calibration of a short recording, with all samples or by its patterns; how it compares."""
     sim = recorded(robot, **options)
-    calibration = calibrate(sim.recording)
+    calibration = calibrate(sim.recording, None if along else PATTERNS)
     return calibration, held_against(calibration, sim.truth.urdf, folder)
 
 
@@ -68,7 +70,7 @@ def test_twenty_degrees_of_range_do(
     A sensor that hardly turns can hardly tell its bias of 5 mg (0.3 deg) from its tilt.
     """
     robot = robot_of(chain(4, turns=1.4, limits=limits), tmp_path)
-    calibration, comparison = found(robot, tmp_path, upright=upright)
+    calibration, comparison = found(robot, tmp_path, along=upright, upright=upright)
     check(calibration, comparison, 0.5, 0.3)
     assert (np.ptp(calibration.limits, axis=1) < 0.36).all()
 
@@ -84,8 +86,8 @@ def test_many_turns_wrapped_or_not(tmp_path: Path) -> None:
         sim.recording,
         lambda j: replace(j, position=(j.position + np.pi) % (2 * np.pi) - np.pi),
     )
-    for recording in (sim.recording, wrapped):
-        calibration = calibrate(recording)
+    for recording, settings in ((sim.recording, None), (wrapped, PATTERNS)):
+        calibration = calibrate(recording, settings)
         check(calibration, held_against(calibration, sim.truth.urdf, tmp_path), 0.5)
         endless = dict(zip(calibration.model.tree.joint_names, calibration.continuous, strict=True))
         assert endless == {"j0": False, "j1": True, "j2": False}
@@ -99,7 +101,7 @@ def test_many_turns_wrapped_or_not(tmp_path: Path) -> None:
 def test_every_su_on_the_axis_of_its_joint(upright: bool, tmp_path: Path) -> None:
     """No lever arm within a segment. On a vertical axis such an SU feels no more than the base."""
     robot = robot_of(wrist(4, *AXES), tmp_path, skin(0, 1, 2, 3, at=(0.0, 0.0, 0.0)))
-    calibration, comparison = found(robot, tmp_path, upright=upright)
+    calibration, comparison = found(robot, tmp_path, along=not upright, upright=upright)
     if not upright:
         check(calibration, comparison, 0.5)
         return
@@ -116,7 +118,7 @@ def test_every_su_on_the_axis_of_its_joint(upright: bool, tmp_path: Path) -> Non
 def test_segments_without_sus(links: tuple[int, ...], tmp_path: Path) -> None:
     """At the root, in between, all but the tip; a joint beyond the last SU is left out and said."""
     robot = robot_of(wrist(4, *AXES), tmp_path, skin(*links))
-    calibration, comparison = found(robot, tmp_path)
+    calibration, comparison = found(robot, tmp_path, along=links == (3,))
     if 3 in links:
         check(calibration, comparison, 0.5)
         assert comparison.joints_left_out == ()
@@ -131,7 +133,7 @@ def test_segments_without_sus(links: tuple[int, ...], tmp_path: Path) -> None:
 def test_parallel_axes(upright: bool, tmp_path: Path) -> None:
     """Three parallel axes in a row, like shoulder, elbow and wrist of a planar arm."""
     robot = robot_of(wrist(5, AXES[0], AXES[1], AXES[1], AXES[1], AXES[2]), tmp_path)
-    check(*found(robot, tmp_path, upright=upright), 0.5)
+    check(*found(robot, tmp_path, along=upright, upright=upright), 0.5)
 
 
 def test_several_sus_on_a_segment(tmp_path: Path) -> None:

@@ -77,14 +77,15 @@ def test_motion_that_spans_all_readings_tells_no_clock_wrong() -> None:
 
 def test_patterns_that_begin_at_once_are_no_hits(tmp_path: Path) -> None:
     """A step of the velocity that a drive is told holds more than is sampled."""
-    arm = random_arm(SEED + 1, JOINTS)
+    D = 4
+    arm = random_arm(SEED + 1, D)
     rng = np.random.default_rng(6)
-    path = JointPath([0.0] * JOINTS).rest(1.0)
-    for joint in range(JOINTS):
-        path.move(0.8 * np.eye(JOINTS)[joint], 1.2).rest(0.7).move([0.0] * JOINTS, 1.2).rest(0.7)
-    for pose in rng.uniform(-1.3, 1.3, (4, JOINTS)):
+    path = JointPath([0.0] * D).rest(1.0)
+    for joint in range(D):
+        path.move(0.8 * np.eye(D)[joint], 1.2).rest(0.7).move([0.0] * D, 1.2).rest(0.7)
+    for pose in rng.uniform(-1.3, 1.3, (4, D)):
         path.move(pose, 2.0).rest(1.0)
-        for joint in range(JOINTS):
+        for joint in range(D):
             path.abrupt(joint, 0.1, seconds=2.0, hertz=2.0).rest(0.5)
     sus, joints = names(arm)
     found = calibrate(record(arm, path, sus, joints, rng, lag=0.0))

@@ -78,7 +78,7 @@ def test_a_robot_is_found_without_the_truth(case: str, tmp_path: Path) -> None:
 
 def test_a_cheap_sensor_is_good_enough(tmp_path: Path) -> None:
     """The targets for bma150: 1.5 mm, axes 0.1 deg, SUs 0.6 deg."""
-    sim = simulation("panda", **{**MEMS, "n_poses": 6, "grade": "bma150", "imu_rate": 500.0})
+    sim = simulation("so101", **{**MEMS, "n_poses": 6, "grade": "bma150", "imu_rate": 500.0})
     found = calibrate(sim.recording)
     comparison = held_against(found, sim.truth.urdf, tmp_path)
     assert comparison.tree_equal
@@ -135,7 +135,7 @@ def test_upright_and_tilted_logs_together_show_what_neither_shows_alone(tmp_path
     """Axis 1 vertical in one log only: the yaw of the first segment's SU becomes known."""
     upright, alone = calibrated("ur5, upright")
     tilted = simulation("ur5", **MEMS, excite="all")
-    both = calibrate([upright.recording, tilted.recording])
+    both = calibrate([upright.recording, tilted.recording], PATTERNS)
     assert len(both.sources) == 2
     tree = both.model.tree
     first = int(np.flatnonzero(tree.su_joint == 0)[0])

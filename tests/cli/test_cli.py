@@ -29,7 +29,7 @@ from skin2urdf.files import write_atomically
 from skin2urdf.recording.reading import read
 from skin2urdf.recording.writing import write
 
-SHORT = ["--poses", "3", "--imu-rate", "250", "--joint-rate", "125", "--seed", "5"]
+SHORT = ["--poses", "3", "--excite", "all", "--imu-rate", "100", "--joint-rate", "50", "--seed=5"]
 
 
 class Files(NamedTuple):

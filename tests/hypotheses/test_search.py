@@ -5,12 +5,14 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
-from calibrated import simulation
+from random_robots import small_arm
+from simulated import simulation_of
 
 from skin2urdf.calibration.clock import Clock
 from skin2urdf.calibration.rounds import (
@@ -31,6 +33,12 @@ from skin2urdf.hypotheses.search import Kind, Search, explain, gain, price
 from skin2urdf.hypotheses.structure import Known
 from skin2urdf.recording.records import Recording
 from skin2urdf.signals.records import EncoderError
+from skin2urdf.simulation import Simulation
+
+
+@cache
+def simulation() -> Simulation:
+    return simulation_of(small_arm(3), excite="all")
 
 
 def searched(recording: Recording, kinds: Sequence[Kind]) -> tuple[Solution, Counter[str]]:

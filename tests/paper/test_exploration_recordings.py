@@ -15,7 +15,7 @@ from skin2urdf.structure.activity import activity
 from skin2urdf.structure.tree import nested
 
 BASES = tuple((radians(roll), radians(15.0), 0.0) for roll in (25.0, 115.0))
-SHORT = {"excite": "all", "imu_rate": 200, "joint_rate": 200, "seed": 1}
+SHORT = {"excite": "all", "imu_rate": 100, "joint_rate": 100, "seed": 1}
 
 
 def true_activity(name: str, su_joints: list[int]) -> Bool:

@@ -100,7 +100,7 @@ def yielding(deflections: dict[int, float]) -> Calibration:
     priors = replace(problem.priors, unseen=np.ones(len(joints)))
     bent = MotionProblem(problem.tree, problem.logs, priors, unseen=elastic)
     state = replace(along.fitted.state, unseen=np.array(list(deflections.values())))
-    fitted = replace(along.fitted, state=state)
+    fitted = replace(along.fitted, problem=bent, state=state)
     return replace(
         calibration(), along=replace(along, problem=bent, fitted=fitted, causes=("elastic",))
     )

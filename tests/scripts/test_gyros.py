@@ -30,7 +30,7 @@ def trial(listening: Judged, deaf: Judged = GOOD) -> Trial:
 
 def test_a_recording_is_calibrated_twice_and_kept(tmp_path: Path) -> None:
     output = tmp_path / "out.jsonl"
-    words = ["--robots", "so101", "--postures", "tilted", "--recordings", "1", "--poses", "3"]
+    words = ["--robots", "so101", "--postures", "tilted", "--recordings", "1", "--poses", "2"]
     assert gyros.main([*words, "--jobs", "0", "--output", str(output)]) == 0
     (kept,) = Store(output, Case, Figures).records.values()
     for judged in (kept.figures.listening, kept.figures.deaf):

@@ -9,7 +9,18 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+import reproduce_paper
+
 ROOT = Path(__file__).resolve().parents[2]
+
+
+def reproduced(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
+    """What the script prints, without a start of Python."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(sys, "argv", ["scripts/reproduce_paper.py", *arguments])
+        reproduce_paper.main()
+    return capsys.readouterr().out
 
 
 def reproduce(*arguments: str) -> str:
@@ -38,8 +49,10 @@ def test_tables_of_fig_6_are_printed() -> None:
     assert "Over" not in text.split()
 
 
-def test_default_is_more_exact_than_the_papers_method_and_faster() -> None:
-    found = json.loads(reproduce("--json", "--seeds", "3"))
+def test_default_is_more_exact_than_the_papers_method_and_faster(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    found = json.loads(reproduced(capsys, "--json", "--seeds", "3"))
     statistics = found["statistics"]
     assert statistics["default_optimum"] == statistics["paper_converged"] == 3
     assert sum(statistics["default_seconds"]) < sum(statistics["paper_seconds"])
@@ -58,7 +71,7 @@ def test_default_is_more_exact_than_the_papers_method_and_faster() -> None:
         assert default < max(paper, 2 * bound), parameter
 
 
-def test_markdown_without_the_papers_method() -> None:
-    text = reproduce("--markdown", "--default-only", "--seeds", "2")
+def test_markdown_without_the_papers_method(capsys: pytest.CaptureFixture[str]) -> None:
+    text = reproduced(capsys, "--markdown", "--default-only", "--seeds", "2")
     assert "| DoF 1-2 a | 0.200 | 0.204 | +0.004 | - | - |" in text
     assert ("2", "2") in re.findall(r"(\d+) of (\d+)", text)

@@ -12,7 +12,7 @@ from skin2urdf.errors import UsageError
 from skin2urdf.simulation import Simulation, SimulationSettings, load_robot, robot_names, simulate
 from skin2urdf.simulation.settings import Excitation
 
-SHORT = SimulationSettings(n_poses=1, imu_rate=100.0, joint_rate=50.0)
+SHORT = SimulationSettings(n_poses=1, imu_rate=50.0, joint_rate=25.0)
 
 
 @pytest.mark.parametrize("excite", ["one", "all"])

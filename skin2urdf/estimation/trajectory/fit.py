@@ -74,6 +74,7 @@ def fit(
     tolerance: float = _ARRIVED,
     near: bool = False,
     far: bool = False,
+    predicted: tuple[Predicted, ...] | None = None,
     tell: Callable[[float], None] = lambda _: None,
 ) -> Fitted:
     """Minimise chi-squared of all samples.
@@ -87,15 +88,17 @@ def fit(
             move at once.
         far: whether it begins so far away that steps have to be held back on the way, and that
             placements can not be found without what encoders do not see.
+        predicted: per log, residuals where it begins, if they are known.
         tell: told the share of the work that is done.
     """
     if not near:
-        start = _near(problem, start, iterations, lambda share: tell(0.5 * share), far)
+        rough = _near(problem, start, iterations, lambda share: tell(0.5 * share), far)
+        start, predicted = rough.state, rough.predicted if rough.problem is problem else None
     begin = 0.0 if near else 0.5
     free = problem.free_joint, problem.free_su
     return _descend(
         problem, start, free, tolerance, iterations,
-        lambda share: tell(begin + (1.0 - begin) * share), far,
+        lambda share: tell(begin + (1.0 - begin) * share), far, predicted=predicted,
     )[1]  # fmt: skip
 
 
@@ -105,7 +108,7 @@ def _near(
     iterations: int,
     tell: Callable[[float], None],
     far: bool,
-) -> MotionState:
+) -> Fitted:
     """A state as near to the optimum as part of the samples leads.
 
     All coordinates move once those are near that the others would make up for.
@@ -117,7 +120,7 @@ def _near(
     found = _descend(problem, start, coarse, _ROUGHLY, iterations, tell, far)[1]
     if thin > 1:
         found = _descend(problem, found.state, free, _ROUGHLY, iterations, tell, far)[1]
-    return found.state
+    return found
 
 
 Follow = Callable[[MotionProblem, MotionState], tuple[MotionProblem, MotionState]]
@@ -161,11 +164,12 @@ def _descend(
     tell: Callable[[float], None],
     far: bool = False,
     follow: Follow = lambda problem, state: (problem, state),
+    predicted: tuple[Predicted, ...] | None = None,
 ) -> tuple[MotionProblem, Fitted]:
     """Minimise chi-squared over some coordinates; from far away steps may have to be held back."""
     free_joint, free_su = free
     state = start
-    predicted = tuple(problem.predict(state, g) for g in range(len(problem.logs)))
+    predicted = predicted or tuple(problem.predict(state, g) for g in range(len(problem.logs)))
     noise, weights = _noise(problem, state, predicted)
     cost = _cost(problem, state, predicted, weights)
     damping = _DAMPING

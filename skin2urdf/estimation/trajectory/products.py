@@ -43,8 +43,8 @@ def fit_with_products(
     """
     while True:
         left = _left(fitted)
-        problem = _with_products(problem, fitted)
-        fitted = fit(problem, fitted.state, near=True, iterations=iterations)
+        problem, predicted = _with_products(problem, fitted)
+        fitted = fit(problem, fitted.state, near=True, iterations=iterations, predicted=predicted)
         if not _left(fitted) < _MOST_OF_IT * left:
             return problem, fitted
 
@@ -56,16 +56,25 @@ def _left(fitted: Fitted) -> float:
     return float(np.sqrt(sum(square) / max(1, sum(count))))
 
 
-def _with_products(problem: MotionProblem, fitted: Fitted) -> MotionProblem:
-    """The same problem with what readings hold beyond those of low-passed motion, as of a fit."""
+def _with_products(
+    problem: MotionProblem, fitted: Fitted
+) -> tuple[MotionProblem, tuple[Predicted, ...]]:
+    """The same problem with what readings hold beyond those of low-passed motion, as of a fit.
+
+    Residuals at the fit are then those of the motion as it was sampled.
+    """
     whole = problem.again(logs=[_as_sampled(log) for log in problem.logs])
-    logs = []
+    logs, predicted = [], []
     for g, (log, p) in enumerate(zip(problem.logs, fitted.predicted, strict=True)):
         if len(log.positions):
-            # Both sides lack alike what was known of it before.
-            log = replace(log, beyond=_residual(p) - _residual(whole.predict(fitted.state, g)))
+            at = whole.predict(fitted.state, g)
+            known = 0.0 if log.beyond is None else log.beyond
+            log = replace(log, beyond=known + _residual(p) - _residual(at))
+            turned = p.turned and at.turned and replace(p.turned, residual=at.turned.residual)
+            p = replace(p, residual=at.residual, turned=turned)
         logs.append(log)
-    return problem.again(logs=logs)
+        predicted.append(p)
+    return problem.again(logs=logs), tuple(predicted)
 
 
 def _residual(predicted: Predicted) -> F64:
@@ -85,4 +94,5 @@ def _as_sampled(log: Trajectory) -> Trajectory:
         q=log.positions,
         qd=first_derivative(log.positions, log.rate),
         qdd=second_derivative(log.positions, log.rate),
+        beyond=None,
     )

@@ -23,7 +23,7 @@ from skin2urdf.signals.filters import filtered, low_pass
 
 _CHAIN = serial_tree(2)
 _TREE = replace(_CHAIN, su_names=(*_CHAIN.su_names, "base"), su_joint=np.array([0, 1, -1]))
-_STAY, _MOVE, _PLACES = 180, 120, 12
+_STAY, _MOVE, _PLACES = 180, 120, 8
 
 
 @cache

@@ -57,7 +57,7 @@ def _read(motion: tuple[F64, F64, F64]) -> tuple[F64, F64]:
 
 
 @cache
-def _found(*, gyros: bool, sampled: bool = True) -> MotionEstimate:
+def _found(gyros: bool, sampled: bool) -> MotionEstimate:
     """An estimate, with positions as they were sampled or with none but low-passed ones."""
     motion = _motion()
     force, rate = _read(motion)
@@ -84,15 +84,14 @@ def _error(found: MotionEstimate) -> float:
 
 @pytest.mark.parametrize("gyros", [False, True])
 def test_products_of_swings_are_no_lengths(gyros: bool) -> None:
-    assert _error(_found(gyros=gyros)) < 5e-6
-    assert _error(_found(gyros=gyros, sampled=False)) > 5e-5
+    assert _error(_found(gyros, True)) < 5e-6
+    assert _error(_found(gyros, False)) > 5e-5
 
 
 @pytest.mark.parametrize("gyros", [False, True])
 def test_products_of_swings_leave_nothing(gyros: bool) -> None:
     left = [
-        np.sqrt(np.mean(_found(gyros=gyros, sampled=s).fitted.predicted[0].residual ** 2))
-        for s in (True, False)
+        np.sqrt(np.mean(_found(gyros, s).fitted.predicted[0].residual ** 2)) for s in (True, False)
     ]
     assert left[0] < 0.05 * left[1]
 
@@ -100,7 +99,7 @@ def test_products_of_swings_leave_nothing(gyros: bool) -> None:
 def test_gyroscopes_feel_products_as_well() -> None:
     left = []
     for sampled in (True, False):
-        turned = _found(gyros=True, sampled=sampled).fitted.predicted[0].turned
+        turned = _found(True, sampled).fitted.predicted[0].turned
         assert turned is not None
         left.append(float(np.sqrt(np.mean(turned.residual**2))))
     assert left[0] < 0.05 * left[1]

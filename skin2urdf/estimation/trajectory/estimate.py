@@ -203,7 +203,7 @@ def estimate_along(
     tell(0.75)
     sways = swaying(problem, fitted.state)
     lacking = [] if sways is None else [pull_of(problem, fitted, sways)]
-    information = motion_information(problem, fitted, lacking)
+    information = motion_information(problem, fitted, lacking, misfit=left)
     if late is not None:
         late = with_deviations(late, problem, fitted)
     tell(1.0)

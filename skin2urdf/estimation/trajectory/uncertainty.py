@@ -10,6 +10,10 @@ independent noise leaves, drawn, fitted and added up alike: the ratio tells by h
 larger or smaller than the weights say, coordinate by coordinate. Where few clusters tell of a
 coordinate, that of all joints' or all SUs' coordinates speaks for it.
 
+Where a fit leaves more than noise, errors of its clusters have a part in common that its estimate
+has bent to, of unknown size. That is taken to be as much larger than what is seen of it as all that
+is left is larger than noise (Birge 1932).
+
 What goes with the motion in the same way all the time, as a base that yields to the robot's weight,
 shows in no cluster: the estimate bends to it. What it would change is stated as well, as the
 difference of two estimates of which neither can be ruled out (Hausman 1978), see :mod:`swaying`.
@@ -94,6 +98,10 @@ class Pulls:
     z: F64
     y: F64
 
+    def times(self, factor: float) -> Pulls:
+        """Errors that are larger by a factor."""
+        return Pulls(factor * self.x, factor * self.z, factor * self.y)
+
     def of(self, which: slice) -> Pulls:
         """Some of the errors."""
         return Pulls(self.x[which], self.z[which], self.y[:, which])
@@ -103,6 +111,8 @@ def motion_information(
     problem: MotionProblem,
     fitted: Fitted,
     defects: Sequence[tuple[F64, F64]] = (),
+    *,
+    misfit: float = 1.0,
 ) -> MotionInformation:
     """Information and disturbances at the end of a fit.
 
@@ -111,6 +121,8 @@ def motion_information(
         fitted: the fit.
         defects: parts (J,) and (U, n) of the gradient, each by something that the fit lacks, of the
             size that the readings give it.
+        misfit: what the fit leaves over spans of time, over what noise makes of it; what is beyond
+            1 makes all errors larger.
     """
     layout, tree, full = problem.layout, problem.tree, fitted.equations
     free_joint, free_su = problem.free_joint, problem.free_su
@@ -163,7 +175,7 @@ def motion_information(
         shared_joint=joint[J:, :J],
         shared_su=coupling[..., J:],
         defects=_pulls(*lacking, by_x, by_y, J),
-        errors=pulls[0],
+        errors=pulls[0].times(np.sqrt(max(1.0, misfit))),
         draws=tuple(pulls[1:]),
         prior_xz=-scores[..., N_SU:] @ by_x,
         prior_y=scores[..., :N_SU] - scores[..., N_SU:] @ by_y,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -31,6 +32,7 @@ from skin2urdf.calibration.samples import (
     is_explained_by_physics,
     late_publishers,
     rejected,
+    stands_out,
     with_samples,
     without_false_hits,
 )
@@ -43,8 +45,9 @@ from skin2urdf.estimation.uncertainty.health import health_notes, why_bad, why_u
 from skin2urdf.estimation.uncertainty.narrow import narrow_priors
 from skin2urdf.estimation.uncertainty.observability import Observability, observability
 from skin2urdf.faults import distinct, without_slips
+from skin2urdf.hypotheses.contact import without_backlash
 from skin2urdf.hypotheses.kinds import KINDS
-from skin2urdf.hypotheses.search import explain
+from skin2urdf.hypotheses.search import StandsOut, explain
 from skin2urdf.model.canonical import canonical
 from skin2urdf.recording.progress import Share
 from skin2urdf.recording.records import Recording
@@ -98,8 +101,14 @@ def calibrate(
         else:
             solution = clock.run(
                 "what is wrong",
-                lambda tell: explain(
-                    begun.recordings, begun.leaps, (sampled, structure, first), KINDS, clock, tell
+                partial(
+                    explain,
+                    begun.recordings,
+                    begun.leaps,
+                    (sampled, structure, first),
+                    KINDS,
+                    clock,
+                    stands_out=_what_stands_out(looked, sampled.sampled),
                 ),
             )
             _refuse_beyond(HOPELESS_FIT, solution.found.cost_per_dof, solution.found)
@@ -139,6 +148,13 @@ def _look(first: Solution | None, clock: Clock) -> MotionEstimate | None:
     # What is bent by more is first to be mended.
     along = clock.run("all samples", lambda tell: fit_samples(first, tell, most=BAD_MISFIT))
     return along if along is not None and along.misfit <= BAD_MISFIT else None
+
+
+def _what_stands_out(along: MotionEstimate | None, sampled: Sequence[Sampled]) -> StandsOut:
+    """What tells hits from the play of gears; where samples are not explained, all are hits."""
+    if along is None or not along.misfit <= GOOD_FIT:
+        return lambda *_: True
+    return partial(stands_out, along, sampled)
 
 
 def _untouched(first: Solution, solution: Solution) -> bool:
@@ -203,7 +219,7 @@ def _calibration(
         continuous=_endless(sampled, tree, span[:, 1] - span[:, 0]),
         sources=tuple(Source(r.source, r.digest, r.duration) for r in recordings),
         settings=solution.logs.settings,
-        faults=distinct(without_slips((*streams, *solution.faults))),
+        faults=distinct(without_backlash(without_slips((*streams, *solution.faults)))),
         notes=tuple(
             dict.fromkeys(
                 (

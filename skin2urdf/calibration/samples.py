@@ -23,7 +23,6 @@ from skin2urdf.estimation.trajectory.front_end import common_front_end
 from skin2urdf.estimation.trajectory.kinematics import levers
 from skin2urdf.estimation.trajectory.priors import MotionPriors
 from skin2urdf.estimation.uncertainty.health import are_plausible
-from skin2urdf.faults import Fault
 from skin2urdf.signals.records import JointClock, SuClock
 from skin2urdf.signals.sampling import Sampled
 from skin2urdf.signals.trajectory import Trajectory, in_order, trajectory
@@ -267,25 +266,36 @@ def without_false_hits(
     again = fit_samples(everything, tell, without=rejected(along), most=most)
     if again is None or (loose and not leaves_only_noise(again)):
         return solution, along
-    hits = (f for f in solution.faults if f.kind == "contact")
-    real = tuple(f for f in hits if _stands_out(f, again, whole.sampled))
+    real = tuple(
+        f for f in solution.faults
+        if f.kind == "contact" and stands_out(again, whole.sampled, f.log or 0, f.begin, f.end)
+    )  # fmt: skip
     if real:
         return (solution if loose else replace(solution, faults=real)), along
     return replace(everything, faults=()), again
 
 
-def _stands_out(hit: Fault, along: MotionEstimate, sampled: Sequence[Sampled]) -> bool:
-    """Whether what a fit leaves at the time of a hit is more than noise and play, in any SU."""
-    g = hit.log or 0
+def stands_out(
+    along: MotionEstimate, sampled: Sequence[Sampled], g: int, begin: float, end: float
+) -> bool:
+    """Whether what a fit leaves in some time is more than noise and play, in any SU.
+
+    Args:
+        along: the fit.
+        sampled: its logs.
+        g: number of the log.
+        begin: of the time [s], and
+        end: its end; a time that is not known stands out.
+    """
     log, fitted = along.problem.logs[g], along.fitted
-    if not (np.isfinite(hit.begin) and np.isfinite(hit.end)):
+    if not (np.isfinite(begin) and np.isfinite(end)):
         return True
     time = log.time + sampled[g].motion.grid.start
-    during = (time >= hit.begin) & (time <= hit.end)
+    during = (time >= begin) & (time <= end)
     if not during.any():
         return True
     seen = fitted.predicted[g].measured[during, :, None]
-    noise = np.hypot(_usual(along, g)[during], _rattle(along, log))
+    noise = np.hypot(_usual(along, g)[during], _rattle(along, log)[:, None])
     ratio = np.where(seen, fitted.predicted[g].residual[during] / noise, 0.0)
     return bool((ratio**2).mean(axis=(0, 2)).max() > _HIT**2)
 
@@ -299,15 +309,17 @@ def _usual(along: MotionEstimate, g: int) -> F64:
     return noise if leaps is None else np.hypot(noise, np.sqrt(leaps.readings)[..., None])
 
 
-def _rattle(along: MotionEstimate, log: Trajectory) -> float:
-    """What joints make SUs feel that cross their slack at once [m/s^2]; 0 where they have none.
+def _rattle(along: MotionEstimate, log: Trajectory) -> F64:
+    """(U,) what SUs feel of joints that cross their slack at once [m/s^2]; 0 where they have none.
 
-    Both sides of the slack are two standard deviations apart. A step that is low-passed as readings
-    are has an acceleration of which the root mean square counts, over the lever of the whole robot.
+    A joint goes from what its slack is in one place to what it is in another. A step that is
+    low-passed as readings are has a largest acceleration, which joints that cross back and forth
+    come near to for long; it counts over the levers of all joints.
     """
     step = np.convolve(log.taps, log.taps) * log.rate
-    push = float(np.sqrt(np.mean((np.diff(step) * log.rate) ** 2)))
-    return 2 * along.slack * push * float(levers(along.problem.tree, along.state).max(initial=0.0))
+    push = float(np.abs(np.diff(step) * log.rate).max())
+    arm = np.sqrt((levers(along.problem.tree, along.state) ** 2).sum(axis=1))
+    return np.asarray(np.sqrt(2) * along.slack * push * arm)
 
 
 def _share_of_poses(trajectories: Sequence[Trajectory], sampled: Sequence[Sampled]) -> float:

@@ -45,6 +45,8 @@ from skin2urdf.signals.records import Features
 from skin2urdf.structure.records import KinematicTree
 
 T = TypeVar("T")
+StandsOut = Callable[[int, float, float], bool]
+"""Of a log, a time and a later one [s]."""
 
 _RANKS = (0, 1, 2, 3)
 _MOST = 12
@@ -110,6 +112,8 @@ class Search:
         evident: amendments that need no estimate, such as leaps that no joint can make.
         plain: the logs with those alone, on their grids.
         tell: told how many of all ranks of kinds were looked at since the last finding.
+        stands_out: whether all samples show more between two times of a log [s] than the play of
+            gears makes; always, where they were not looked at.
         tried: number of hypotheses that were compared so far.
         attempts: number of attempts so far.
     """
@@ -120,6 +124,7 @@ class Search:
     evident: tuple[Amendment, ...]
     plain: Logs
     tell: Tell = lambda _: None
+    stands_out: StandsOut = lambda *_: True
     tried: int = 0
     attempts: int = 0
 
@@ -229,6 +234,7 @@ def explain(
     kinds: Sequence[Kind],
     clock: Clock,
     tell: Tell = lambda _: None,
+    stands_out: StandsOut = lambda *_: True,
 ) -> Solution:
     """Search for what is wrong until nothing more pays.
 
@@ -239,6 +245,7 @@ def explain(
         kinds: the kinds of hypotheses.
         clock: runs the stages.
         tell: told how many of all ranks of kinds were looked at since the last finding.
+        stands_out: what all samples show, see :class:`Search`.
 
     Returns:
         The solution that explains the logs, with the findings as its faults.
@@ -247,7 +254,7 @@ def explain(
         StructureError: the SUs' activity contradicts every kinematic tree, whatever is amended.
     """
     logs, structure, solution = first
-    search = Search(recordings, logs.settings, clock, evident, logs, tell)
+    search = Search(recordings, logs.settings, clock, evident, logs, tell, stands_out)
     begin = None
     if solution is not None:
         found, features = _settled(logs, solution.found, solution.features, clock)

@@ -83,7 +83,7 @@ class MotionEstimate:
         lacking = [] if sways is None else [pull_of(self.problem, self.fitted, sways)]
         again = rounded_off_again(self.problem.logs)
         rounding = None if again is None else pulls_of(self.problem, self.fitted, again)
-        return motion_information(self.problem, self.fitted, lacking, rounding)
+        return motion_information(self.problem, self.fitted, lacking, rounding, misfit=self.misfit)
 
     @property
     def misfit_of_sus(self) -> F64:

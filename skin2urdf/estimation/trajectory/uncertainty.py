@@ -12,6 +12,10 @@ coordinate, that of all joints' or all SUs' coordinates speaks for it.
 
 No error is smaller than what encoders round off makes alone, see :mod:`rounded`.
 
+Where a fit leaves more than noise, errors of its clusters have a part in common that its estimate
+has bent to, of unknown size. That is taken to be as much larger than what is seen of it as all that
+is left is larger than noise (Birge 1932).
+
 What goes with the motion in the same way all the time, as a base that yields to the robot's weight,
 shows in no cluster: the estimate bends to it. What it would change is stated as well, as the
 difference of two estimates of which neither can be ruled out (Hausman 1978), see :mod:`swaying`.
@@ -98,6 +102,10 @@ class Pulls:
     z: F64
     y: F64
 
+    def times(self, factor: float) -> Pulls:
+        """Errors that are larger by a factor."""
+        return Pulls(factor * self.x, factor * self.z, factor * self.y)
+
     def of(self, which: slice) -> Pulls:
         """Some of the errors."""
         return Pulls(self.x[which], self.z[which], self.y[:, which])
@@ -108,6 +116,8 @@ def motion_information(
     fitted: Fitted,
     defects: Sequence[tuple[F64, F64]] = (),
     rounding: tuple[F64, F64] | None = None,
+    *,
+    misfit: float = 1.0,
 ) -> MotionInformation:
     """Information and disturbances at the end of a fit.
 
@@ -118,6 +128,8 @@ def motion_information(
             size that the readings give it.
         rounding: (R, J) and (R, U, n) parts of the gradient, each by what encoders might have
             rounded off; None where they round nothing off.
+        misfit: what the fit leaves over spans of time, over what noise makes of it; what is beyond
+            1 makes all errors larger.
     """
     layout, tree, full = problem.layout, problem.tree, fitted.equations
     free_joint, free_su = problem.free_joint, problem.free_su
@@ -173,7 +185,7 @@ def motion_information(
         shared_su=coupling[..., J:],
         defects=_pulls(*lacking, by_x, by_y, J),
         rounding=_pulls(off_joint * free_joint, off_su * free_su, by_x, by_y, J),
-        errors=pulls[0],
+        errors=pulls[0].times(np.sqrt(max(1.0, misfit))),
         draws=tuple(pulls[1:]),
         prior_xz=-scores[..., N_SU:] @ by_x,
         prior_y=scores[..., :N_SU] - scores[..., N_SU:] @ by_y,

@@ -20,6 +20,7 @@ from skin2urdf.estimation.problem.cost import Priors
 from skin2urdf.estimation.problem.state import State, identifiable
 from skin2urdf.estimation.trajectory.clusters import CLUSTERS, clusters
 from skin2urdf.estimation.trajectory.estimate import MotionEstimate, estimate_along, motion_priors
+from skin2urdf.estimation.trajectory.uncertainty import motion_information
 from skin2urdf.estimation.uncertainty.observability import (
     Observability,
     Subject,
@@ -132,6 +133,15 @@ def test_stated_errors_hold_a_base_that_gives_way_unseen(compliance: float) -> N
     assert found.misfit < 1.1
     assert _true(found) > 2 * _true(_found()[0])
     assert 0.5 < _true(found) / _stated(found, seen) < 2
+
+
+def test_what_is_left_beyond_noise_makes_all_stated_errors_larger() -> None:
+    found, seen = _found()
+    plain = _stated(found, seen)
+    for misfit, times in ((0.5, 1.0), (1.0, 1.0), (4.0, 2.0)):
+        information = motion_information(found.problem, found.fitted, misfit=misfit)
+        stated = _stated(found, observability_along(_subject(found), information))
+        assert stated / plain == pytest.approx(times, rel=0.15)
 
 
 def test_errors_that_come_back_with_the_motion_do_not_average_out() -> None:

@@ -13,7 +13,7 @@ import pinocchio as pin
 import pytest
 from scipy.spatial.transform import Rotation
 from stand import UP, readings_on_a_stand
-from synthetic import RATE, random_state, sampled_trajectory, serial_tree
+from synthetic import RATE, random_state, sampled_trajectory, serial_tree, stays
 
 from skin2urdf.arrays import F64
 from skin2urdf.estimation.problem.cost import Priors
@@ -31,6 +31,7 @@ from skin2urdf.model.kinematics import to_pinocchio
 
 _TREE = serial_tree(3)
 _PERIOD = 10.0
+_STEP = 2 * np.pi / 2**10
 _CONFIGURATIONS = np.random.default_rng(6).uniform(-1.0, 1.0, (40, 3))
 
 
@@ -142,6 +143,35 @@ def test_what_is_left_beyond_noise_makes_all_stated_errors_larger() -> None:
         information = motion_information(found.problem, found.fitted, misfit=misfit)
         stated = _stated(found, observability_along(_subject(found), information))
         assert stated / plain == pytest.approx(times, rel=0.15)
+
+
+@cache
+def _rounded() -> MotionEstimate:
+    """One joint swings at a time, others yield to it by a step of their encoders or so."""
+    rng = np.random.default_rng(10)
+    n, move = round(4.0 * RATE), round(1.0 * RATE)
+    t = np.arange(n) / RATE
+    swing = 0.1 * np.sin(2 * np.pi * 1.5 * t) * np.clip(2 * np.minimum(t, t[-1] - t), 0, 1) ** 3
+    q = stays(rng.uniform(-1.0, 1.0, (18, 3)), n, move)
+    for part in range(18):
+        follows = rng.uniform(-1.5, 1.5, 3) * _STEP / 0.1
+        follows[part % 3] = 1.0
+        begin = part * (n + move)
+        q[begin : begin + n] += swing[:, None] * follows
+    read = _read(q, 0.0)
+    log = sampled_trajectory(_STEP * np.round(q / _STEP), read)
+    priors = motion_priors(Priors(), gravity=0.0, front=(np.zeros(2), np.zeros(2)))
+    log = replace(log, resolution=np.full(3, _STEP))
+    return estimate_along([log], _TREE, _truth(), priors, np.zeros(3), look_further=False)
+
+
+def test_stated_errors_hold_what_encoders_round_off() -> None:
+    found = _rounded()
+    stated = _stated(found, observability_along(_subject(found), found.information))
+    assert 0.5 < _true(found) / stated < 2
+    ignored = motion_information(found.problem, found.fitted, misfit=found.misfit)
+    narrow = _stated(found, observability_along(_subject(found), ignored))
+    assert _true(found) / narrow > 2
 
 
 def test_errors_that_come_back_with_the_motion_do_not_average_out() -> None:

@@ -130,10 +130,8 @@ def calibrate(
             solution = replace(solution, found=with_samples(solution.found, along))
     if settings.method != "paper":
         check_fit(solution.found, along)
-    seen = clock.run(
-        "observability",
-        lambda _: observability(solution.found, along.information if along else None),
-    )
+    information = clock.run("all samples", lambda _: along.information) if along else None
+    seen = clock.run("observability", lambda _: observability(solution.found, information))
     late = late_publishers(along, solution.logs.sampled)
     off = all_that_are_off(begun.publishers, late)
     return _calibration(recordings, solution, along, fit, seen, off, clock)

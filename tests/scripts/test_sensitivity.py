@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 from sensitive.constants import Constant, another, constants
+from sensitive.logs import SEEN_BY
 from sensitive.table import changes
 from sensitive.trials import Case, Figures, Trial
 from sensitivity import cases_of, parser
@@ -51,6 +52,8 @@ def test_what_changes_is_told_with_the_recordings() -> None:
 
 
 def test_rooms_without_recordings_are_named() -> None:
-    assert len(cases_of(parser().parse_args(["--rooms", "signals/leaps"]))) == 6
+    assert len(cases_of(parser().parse_args(["--rooms", "signals/leaps"]))) == 2 * len(
+        SEEN_BY["signals"]
+    )
     with pytest.raises(UsageError):
         cases_of(parser().parse_args(["--rooms", "report"]))

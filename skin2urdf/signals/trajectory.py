@@ -25,11 +25,10 @@ from skin2urdf.signals.filters import (
 from skin2urdf.signals.leaps import Leaps
 from skin2urdf.signals.motion import Motion
 from skin2urdf.signals.sampling import Sampled
+from skin2urdf.signals.stillness import MOVING, without_toggling
 
 _RATE_OVER_CUTOFF = 3.0
 """Samples kept per second over the low-pass' cutoff [Hz]; aliases appear below 2.8."""
-_MOVING = 20.0
-"""Encoder steps per second from which a joint moves; below, rounding does not average out [1/s]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -171,7 +170,8 @@ def trajectory(
     motion, rate = sampled.motion, sampled.motion.grid.rate
     taps = low_pass(sampled.cutoff, rate)
     half = len(taps) // 2
-    q = filtered(motion.q, taps)
+    positions = without_toggling(motion, taps)
+    q = filtered(positions, taps)
     every = max(1, int(rate / (_RATE_OVER_CUTOFF * sampled.cutoff)))
     kept = np.arange(half, motion.grid.size - half, every)
     readings = np.empty((motion.grid.size, len(sus), 3))
@@ -197,7 +197,7 @@ def trajectory(
         readings=readings,
         kept=kept,
         valid=valid,
-        moving=(np.abs(motion.qd) >= np.maximum(_MOVING * motion.resolution, 1e-3))[kept],
+        moving=(np.abs(motion.qd) >= np.maximum(MOVING * motion.resolution, 1e-3))[kept],
         independence=min(1.0, 2 * noise_bandwidth(twice, rate) * every / rate),
         noise=_noise(motion, taps),
         rates=rates,
@@ -206,7 +206,7 @@ def trajectory(
             motion, (sampled.readings[:, u] for u in sus), sampled.period[sus], taps, kept
         ),
         publisher=motion.publisher,
-        positions=motion.q,
+        positions=positions,
         resolution=motion.resolution,
     )
 

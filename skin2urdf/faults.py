@@ -21,14 +21,13 @@ FaultKind = Literal[
     "encoder scale",
     "encoder jump",
     "contact",
-    "backlash",
 ]
 """Of SUs: no readings at all or zeros; one value repeated; readings cut off at the end of the
 range; samples missing again and again; far noisier than the others, or values among
 its readings that no motion made; another placement from some time on; two names exchanged between
 logs; negated or left-handed; a unit that is no m/s^2.
 Of joints: an encoder that counts the other way; by another factor; from another zero from some
-time on; a joint that something touched; one that jumps again and again as gears with play do."""
+time on; a joint that something touched."""
 
 
 _TO_REPAIR: tuple[FaultKind, ...] = (
@@ -67,14 +66,13 @@ class Fault:
         end: when it ends, of a slip the first moment at which the SU certainly sits as after; of a
             silent SU its last sample; NaN where it lasts.
         end_log: index of the log of ``end``.
-        size: how large it is; of a contact how far it stands out over what is usual, of backlash
-            how often the joint jumped.
+        size: how large it is.
         unit: of ``size`` and ``deviation``: ``rad``, ``m``, ``g``, ``s``, or ``1`` for a factor or
             a share.
         deviation: standard deviation of ``size``.
         turn: of a slip, how far the SU turned [rad].
-        sus: of a contact, and of backlash, the SUs that felt it, of a loose SU its names before
-            and after, of a swapped SU the name it has.
+        sus: of a contact the SUs that felt it, of a loose SU its names before and after, of a
+            swapped SU the name it has.
     """
 
     kind: FaultKind

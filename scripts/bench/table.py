@@ -11,7 +11,6 @@ from batch import figures
 
 from bench.rows import ROWS, SOUND
 from bench.trials import Trial
-from skin2urdf.simulation.defects import Backlash
 
 LIMIT = 2.0
 """True error over the stated one that makes a result one that can not be believed."""
@@ -69,9 +68,7 @@ def shortfalls(trial: Trial) -> list[str]:
     if not own.tree_right:
         reasons.append("wrong tree")
     # No row hits a joint, moves an SU on its segment, or breaks one.
-    play = any(isinstance(defect, Backlash) for defect in ROWS[trial.case.row])
-    false = _FALSE if play else _FALSE | {"backlash"}
-    reasons += [f"named {kind} {subject}" for kind, subject in own.named if kind in false]
+    reasons += [f"named {kind} {subject}" for kind, subject in own.named if kind in _FALSE]
     if trial.case.row == SOUND and own.named:
         reasons.append("something named in a sound recording")
     return reasons

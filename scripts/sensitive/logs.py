@@ -30,16 +30,20 @@ def _recorded(robot: str, row: str = "sound", fault: str = "", **changes: Any) -
     return recording
 
 
-def published_apart(plain: Recording, names: Collection[str], late: float) -> Recording:
+def published_apart(
+    plain: Recording, names: Collection[str], late: float, drift: float = 0.0
+) -> Recording:
     """A recording with some joints in messages of their own, halfway between the others.
 
     Args:
         plain: the recording.
         names: the joints whose publisher has a clock of its own.
-        late: lag of that clock [s].
+        late: lag of that clock in the middle of the log [s].
+        drift: by how much it gains [s/s].
     """
     time = plain.joints[0].time
-    others, stamps = frozen(time[::2]), frozen(time[1::2] + late)
+    since_middle = time[1::2] - (time[0] + time[-1]) / 2
+    others, stamps = frozen(time[::2]), frozen(time[1::2] + late + drift * since_middle)
     joints = tuple(
         replace(j, time=stamps, position=j.position[1::2])
         if j.name in names

@@ -45,7 +45,6 @@ from skin2urdf.estimation.uncertainty.health import health_notes, why_bad, why_u
 from skin2urdf.estimation.uncertainty.narrow import narrow_priors
 from skin2urdf.estimation.uncertainty.observability import Observability, observability
 from skin2urdf.faults import distinct, without_slips
-from skin2urdf.hypotheses.contact import without_backlash
 from skin2urdf.hypotheses.kinds import KINDS
 from skin2urdf.hypotheses.search import StandsOut, explain
 from skin2urdf.model.canonical import canonical
@@ -217,7 +216,7 @@ def _calibration(
         continuous=_endless(sampled, tree, span[:, 1] - span[:, 0]),
         sources=tuple(Source(r.source, r.digest, r.duration) for r in recordings),
         settings=solution.logs.settings,
-        faults=distinct(without_backlash(without_slips((*streams, *solution.faults)))),
+        faults=distinct(without_slips((*streams, *solution.faults))),
         notes=tuple(
             dict.fromkeys(
                 (

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Iterable, Sequence
+from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -16,7 +16,7 @@ from skin2urdf.faults import Fault
 from skin2urdf.hypotheses.records import Amendment, Attempt, Candidate
 from skin2urdf.hypotheses.search import Search
 from skin2urdf.model.prediction import Chains
-from skin2urdf.signals.contact import LONGEST, Disturbance, disturbances, without
+from skin2urdf.signals.contact import Disturbance, disturbances, without
 from skin2urdf.signals.records import Features
 from skin2urdf.signals.sampling import Sampled
 
@@ -213,44 +213,6 @@ def _fault(
         "contact", joint, log=log, begin=begin, end=end, size=touched.strength,
         sus=tuple(su_names[u] for u in touched.felt),
     )  # fmt: skip
-
-
-def without_backlash(faults: Iterable[Fault]) -> tuple[Fault, ...]:
-    """Faults in which hits that come again and again are the play of a gear, each joint's as one.
-
-    What pushes a joint does so once. What comes back is the joint's own: a link that falls to the
-    other side of its gear's play whenever the load changes its side jumps as if it were hit. Gears
-    of one robot are much alike, so that a joint's only jump is play as well where those of others
-    that come back are no weaker.
-    """
-    faults = tuple(faults)
-    hits = [fault for fault in faults if fault.kind == "contact"]
-    again = [hit for hit in hits if any(_later(hit, o) or _later(o, hit) for o in hits)]
-    strongest = max((hit.size for hit in again), default=0.0)
-    play = {
-        joint: _backlash([hit for hit in hits if hit.subject == joint and hit.size <= strongest])
-        for joint in {hit.subject for hit in hits if hit.size <= strongest}
-    }
-    return tuple(
-        play[fault.subject] if fault.kind == "contact" and fault.size <= strongest else fault
-        for fault in faults
-    )
-
-
-def _later(hit: Fault, other: Fault) -> bool:
-    """Whether a hit of the same joint comes so long after another that it is another one."""
-    if hit.subject != other.subject:
-        return False
-    return hit.log != other.log or hit.begin - other.end > LONGEST
-
-
-def _backlash(hits: Sequence[Fault]) -> Fault:
-    """The jumps of one joint as the play of its gear."""
-    first = hits[0]
-    felt = tuple(sorted({su for hit in hits for su in hit.sus}))
-    return Fault(
-        "backlash", first.subject, log=first.log, begin=first.begin, size=float(len(hits)), sus=felt
-    )
 
 
 def _when(touched: Disturbance, sampled: Sequence[Sampled]) -> tuple[int, float, float]:

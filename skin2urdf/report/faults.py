@@ -42,8 +42,15 @@ def fault_words(fault: Fault, n_logs: int) -> Words:
     match fault.kind:
         case "encoder sign" | "encoder scale" | "encoder jump":
             return _of_an_encoder(fault, log)
-        case "contact" | "backlash":
-            return _of_a_jump(fault, log)
+        case "contact":
+            felt = ", ".join(fault.sus[:_NAMED])
+            more = f" and {len(fault.sus) - _NAMED} others" if len(fault.sus) > _NAMED else ""
+            return Words(
+                f"something hit or pushed the robot at {fault.begin:.1f} s{log}: {fault.subject} "
+                f"moved without its encoder seeing all of it, felt by {felt}{more}; those readings "
+                "are left out",
+                "keep people and things away from the robot while it moves",
+            )
         case "loose":
             return _of_a_slip(fault, log)
         case "swapped":
@@ -56,25 +63,6 @@ def fault_words(fault: Fault, n_logs: int) -> Words:
             )
         case _:
             return _of_a_stream(fault)
-
-
-def _of_a_jump(fault: Fault, log: str) -> Words:
-    """A joint that moved without its encoder seeing all of it, once or again and again."""
-    felt = ", ".join(fault.sus[:_NAMED])
-    more = f" and {len(fault.sus) - _NAMED} others" if len(fault.sus) > _NAMED else ""
-    unseen = f"without its encoder seeing all of it, felt by {felt}{more}; those readings are left"
-    if fault.kind == "contact":
-        return Words(
-            f"something hit or pushed the robot at {fault.begin:.1f} s{log}: {fault.subject} moved "
-            f"{unseen} out",
-            "keep people and things away from the robot while it moves",
-        )
-    times = f"{fault.size:.0f} times" if fault.size > 1 else "once"
-    return Words(
-        f"{fault.subject} jumps as gears with play do, {times}, first at {fault.begin:.1f} s{log}, "
-        f"{unseen} out",
-        "check its gear for backlash, and that nothing touches the robot",
-    )
 
 
 def _of_a_stream(fault: Fault) -> Words:

@@ -41,7 +41,7 @@ _STEADY = 4.0
 """Time over which the noise level is taken [s]."""
 _PARTS = 8
 """Parts of that time whose medians are taken first."""
-LONGEST = 1.0
+_LONGEST = 1.0
 """Time that readings are disturbed by a contact at most, the filter's reach aside [s]."""
 _TAIL = 2.0
 """Usual deviations at which a disturbance begins and ends."""
@@ -314,7 +314,7 @@ def moments(
     beyond = np.r_[False, maximum_filter1d(size, 2 * reach + 1) > _TAIL, False]
     for a, b in np.flatnonzero(np.diff(beyond.astype(np.int8))).reshape(-1, 2):
         at = int(a + size[a:b].argmax())
-        if size[at] > limit and (b - a - 2 * reach) / rate < LONGEST + 2 / cutoff:
+        if size[at] > limit and (b - a - 2 * reach) / rate < _LONGEST + 2 / cutoff:
             yield int(a), int(b), at, float(size[at])
 
 

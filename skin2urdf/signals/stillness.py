@@ -21,11 +21,14 @@ short rest."""
 
 
 def without_toggling(motion: Motion, taps: F64) -> F64:
-    """(N, D) positions on the grid, averaged where a joint stays within its encoder's steps.
+    """Average positions over a second where a joint stays within its encoder's steps.
 
     Args:
-        motion: the motion.
-        taps: the low-pass with which a joint's speed is told.
+        motion: N samples of D joints on the grid.
+        taps: the low-pass of the positions that a joint's speed is told from.
+
+    Returns:
+        (N, D) positions [rad or m].
     """
     n = max(3, round(_SPAN * motion.grid.rate) | 1)
     window = np.hanning(n + 2)[1:-1]

@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from sensitive.logs import published_apart
 from simulated import simulation
 
-from skin2urdf.arrays import frozen
 from skin2urdf.recording.records import Recording
 from skin2urdf.signals.motion import joint_motion, publishers_beyond_first
 from skin2urdf.signals.publishers import (
@@ -20,23 +20,6 @@ from skin2urdf.signals.publishers import (
 from skin2urdf.signals.records import JointClock
 
 _WRIST = ("wrist_2_joint", "wrist_3_joint")
-
-
-def published_apart(
-    recording: Recording, names: tuple[str, ...], late: float, drift: float = 0.0
-) -> Recording:
-    """Joints in messages of their own, taken between those of the others, on another clock."""
-    time = recording.joints[0].time
-    middle = (time[0] + time[-1]) / 2
-    stamps = frozen(time[1::2] + late + drift * (time[1::2] - middle))
-    others = frozen(time[::2])
-    joints = tuple(
-        replace(joint, time=stamps, position=joint.position[1::2])
-        if joint.name in names
-        else replace(joint, time=others, position=joint.position[::2])
-        for joint in recording.joints
-    )
-    return replace(recording, joints=joints)
 
 
 def _beyond_first(recording: Recording) -> list[tuple[str, ...]]:

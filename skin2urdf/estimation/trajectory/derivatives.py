@@ -318,11 +318,8 @@ class Derivatives:
                 of_joint = np.flatnonzero(self.unseen.joint == k)
                 number = np.searchsorted(felt, self.unseen.number[of_joint])
                 e = self._motions[g][:, of_joint]
-                added = np.einsum("dck,dsk->sck", columns, e)
-                if len(set(number.tolist())) == len(number):
-                    beyond[number] += added
-                else:
-                    np.add.at(beyond, number, added)
+                for s, added in zip(number, np.einsum("dck,dsk->sck", columns, e), strict=True):
+                    beyond[s] += added
             behind.append(beyond)
         if known:
             if g == 0:

@@ -211,7 +211,7 @@ def estimate_along(
         fitted = without_shortening(problem, fitted)
     left = misfit_of(problem, fitted, SPAN)
     if late is not None:
-        late = with_deviations(late, problem, fitted)
+        late = with_deviations(late, problem, fitted, left)
     tell(1.0)
     gyros = found_gyros(problem, fitted, contradict)
     what = found.causes, found.tried, found.under_known

@@ -125,19 +125,20 @@ def with_publishers(
     return problem, fit(problem, state, near=True), clock
 
 
-def with_deviations(late: Late, problem: MotionProblem, fitted: Fitted) -> Late:
+def with_deviations(late: Late, problem: MotionProblem, fitted: Fitted, misfit: float) -> Late:
     """Clocks with deviations under all errors that the residuals of a fit show.
 
     Args:
         late: clocks that were found.
         problem: what was fitted in the end, with positions where these clocks put them.
         fitted: the fit.
+        misfit: what it leaves over spans of time, over what noise makes of it.
     """
     clocks = list(zip(late.log.tolist(), late.joints, strict=True))
     more, state = _wider(problem, fitted.state, clocks)
     again = fit(more, state, near=True, iterations=1)
     at = slice(more.layout.unseen.start - more.layout.gravity, None)
-    variance = np.diag(shared_covariance(more, again))[at][: N_CLOCK * len(clocks)]
+    variance = np.diag(shared_covariance(more, again, misfit))[at][: N_CLOCK * len(clocks)]
     deviation = np.sqrt(variance.clip(min=0.0)).reshape(-1, N_CLOCK)
     halves = np.array([_half(problem.logs[g]) for g, _ in clocks])
     return replace(late, latency_sd=deviation[:, 0], drift_sd=deviation[:, 1] / halves)

@@ -338,17 +338,18 @@ def disturbed(weights: ArrowCovariance, info: MotionInformation) -> tuple[ArrowC
     return ArrowCovariance(joint, columns, lean, own), widening
 
 
-def shared_covariance(problem: MotionProblem, fitted: Fitted) -> F64:
+def shared_covariance(problem: MotionProblem, fitted: Fitted, misfit: float) -> F64:
     """Covariance of what all SUs share beyond the joints, under the errors that residuals show.
 
     Args:
         problem: what was fitted.
         fitted: the fit.
+        misfit: what it leaves over spans of time, over what noise makes of it.
 
     Returns:
         (Z, Z) of gravity's size and of the numbers of unseen motion.
     """
-    info = motion_information(problem, fitted)
+    info = motion_information(problem, fitted, misfit=misfit)
     full, _ = disturbed(_weights(problem, info), info)
     Z = len(info.shared)
     return np.asarray(full.joint[-Z:, -Z:])

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import TypeAlias
 
 import numpy as np
 
@@ -34,15 +33,13 @@ from skin2urdf.estimation.trajectory.priors import (
     sense,
 )
 from skin2urdf.estimation.trajectory.records import Predicted, Turned
+from skin2urdf.estimation.trajectory.rows import Beyond, Rows
 from skin2urdf.estimation.trajectory.skeleton import Skeleton
 from skin2urdf.estimation.trajectory.state import Layout, MotionState
 from skin2urdf.estimation.trajectory.unseen import Unseen
 from skin2urdf.signals.trajectory import Trajectory
 from skin2urdf.structure.records import KinematicTree
 
-Row: TypeAlias = tuple[int, int, list[int], F64, F64]
-"""Number of a log and of an SU, the C columns of the joint part that its readings depend on, and
-whitened derivatives (C + n, 3, K) and residuals (3, K)."""
 _SHAPE = ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))
 
 
@@ -129,47 +126,53 @@ class Derivatives:
 
     def _rows(
         self, state: MotionState, predicted: Sequence[Predicted], weights: Sequence[F64]
-    ) -> Iterator[Row]:
+    ) -> Iterator[Rows]:
         """Whitened derivatives and residuals of every log and SU."""
         for g, (p, w) in enumerate(zip(predicted, weights, strict=True)):
             motion, frames = self._frames(state, g)
             for link in self.points(state):
                 if not w[:, link.sus].any():
                     continue
-                columns = self._joint_columns(int(link.sus[0]), g)
                 of_points = self._columns_of_points(state, g, link, frames, motion)
                 for some in link.parts():
-                    yield from self._rows_of(state, g, some, (columns, of_points), frames, p, w)
+                    yield from self._rows_of(state, g, some, of_points, frames, p, w)
 
     def _rows_of(
         self,
         state: MotionState,
         g: int,
         some: SharedPoints,
-        of_joints: tuple[list[int], F64],
+        of_points: F64,
         frames: tuple[list[FrameMotion], list[FrameMotion]],
         predicted: Predicted,
         weights: F64,
-    ) -> Iterator[Row]:
-        """The rows of some SUs of a link, given columns of the joint part and its points' rows."""
-        (columns, of_points), C = of_joints, len(of_joints[0])
+    ) -> Iterator[Rows]:
+        """The rows of some SUs of a link, given those of its points (3 p, C K)."""
         matrices = state.placements.sensor_matrix()[some.sus] * sense(self.priors, state)
         placements = self.skeleton.su_placements(state.placements.T_joint_su)
         rates = self._rates(state, g, some, predicted)
+        columns = self._joint_columns(int(some.sus[0]), g)
+        joints, C = self._yielding(int(some.sus[0])), len(columns)
         for u, mine, rate in zip(some.sus.tolist(), some.sensed(matrices), rates, strict=True):
             root = np.sqrt(weights[:, u, :3].T)
+            K = root.shape[1]
             residual = np.where(predicted.measured[:, u], predicted.residual[:, u].T, 0.0)
-            A = np.empty((C + self.layout.n_su, 3, residual.shape[1]))
-            by_joints = (mine @ of_points).reshape(3, C, -1)
-            np.multiply(by_joints.swapaxes(0, 1), root, out=A[:C])
+            by_joints = (mine @ of_points).reshape(3, -1, K).swapaxes(0, 1)
+            A = np.empty((C + self.layout.n_su, 3, K))
+            np.multiply(by_joints[:C], root, out=A[:C])
             here = placed(frames[1][some.joint], placements[u])
             np.multiply(self._own_columns(state, g, u, here, rate), root, out=A[C:])
-            yield g, u, columns, A, residual * root
+            by_motion = (by_joints[C:] * root).reshape(len(joints), 3, 3, K)
+            yield Rows(g, u, columns, A, residual * root, joints, by_motion)
             turned = predicted.turned
             if turned is not None and self.gyros[u]:
                 A = self._gyro_columns(state, g, u, frames, turned)
                 root = np.sqrt(weights[:, u, 3:].T)
-                yield g, u, columns, A * root, turned.residual[:, u].T * root
+                none = np.zeros(0, dtype=np.int64), np.zeros((0, 3, 3, K))
+                yield Rows(
+                    g, u, self._all_columns(u, g), A * root,
+                    turned.residual[:, u].T * root, *none,
+                )  # fmt: skip
 
     def _rates(self, state: MotionState, g: int, some: SharedPoints, predicted: Predicted) -> F64:
         """(S, 3, 3, K) derivatives of the readings of some SUs in time and in their front ends."""
@@ -183,17 +186,32 @@ class Derivatives:
         return np.concatenate([in_time[None], by_front])[..., within].swapaxes(0, 1)
 
     def _joint_columns(self, u: int, g: int) -> list[int]:
-        """Columns of the joint part that an SU's readings in a log depend on."""
+        """Columns of the joint part that an SU's readings depend on, but for what is unseen."""
         layout, chain = self.layout, self._estimated_before(u)
         columns = [N_JOINT * k + i for k in chain for i in range(N_JOINT)]
         if g > 0:
             columns += range(layout.logs.start + 2 * (g - 1), layout.logs.start + 2 * g)
         columns.append(layout.gravity)
-        if self.unseen:
-            columns += list(layout.unseen.start + self._moving(u))
         if self.priors.blueprint:
             columns += further_columns(layout.further.start, chain, g)
         return columns
+
+    def _all_columns(self, u: int, g: int) -> list[int]:
+        """The same with those of what is unseen, as rows of gyroscopes have them."""
+        layout, columns = self.layout, self._joint_columns(u, g)
+        behind = columns.index(layout.gravity) + 1
+        return [*columns[:behind], *(layout.unseen.start + self._moving(u)), *columns[behind:]]
+
+    def beyond(self) -> tuple[Beyond, ...]:
+        """Per log what encoders do not see; () where they see all."""
+        first = self.layout.unseen.start
+        return tuple(Beyond(self.unseen, each, first) for each in self._motions if self.unseen)
+
+    def _yielding(self, u: int) -> Int:
+        """(m,) numbers of what carries an SU and moves beyond its encoder."""
+        if self.unseen is None:
+            return np.zeros(0, dtype=np.int64)
+        return np.unique(self.unseen.joint[self._felt(self.unseen, u)])
 
     def _estimated_before(self, u: int) -> list[int]:
         """Joints before an SU, from the ground on, whose placements are estimated."""
@@ -248,12 +266,17 @@ class Derivatives:
         frames: tuple[list[FrameMotion], list[FrameMotion]],
         motion: tuple[F64, F64, F64],
     ) -> F64:
-        """(3 p, C K) derivatives of what a link's points feel in the joint part, in its frame."""
+        """Derivatives of what a link's points feel in the joint part, in its frame.
+
+        Returns:
+            (3 p, (C + 3 m) K) in C coordinates, and in position, velocity and acceleration of each
+            of m joints that move beyond their encoders.
+        """
         u, (fixed, carried) = int(link.sus[0]), frames
         pull = np.einsum(
             "ijk,j->ik", carried[link.joint].R_frame_base, state.placements.up[g] * state.gravity
         )
-        C, K = len(self._joint_columns(u, g)), pull.shape[1]
+        C, K = len(self._joint_columns(u, g)) + 3 * len(self._yielding(u)), pull.shape[1]
         out = np.empty((len(link.arms), 3, C, K))
         for i, arm in enumerate(link.arms):
             T = np.eye(4)
@@ -278,15 +301,16 @@ class Derivatives:
         """Derivatives (c, 3, K) of what is felt at T (4, 4) of an SU's link, in its frame.
 
         Returns:
-            In the coordinates before the size of gravity, and in those behind it.
+            In the coordinates before the size of gravity, and in those behind it and in the motion
+            that encoders do not see.
         """
         places = state.placements
         tree, numbers = self.skeleton.tree, self.skeleton.numbers
         q, qd, qdd = motion
-        K = q.shape[1]
         rows: list[F64] = []
-        by_joint: dict[int, F64] = {}
-        path = fixed_path(T, K)
+        yielding = set(self._yielding(u).tolist())
+        by_motion: dict[int, F64] = {}
+        path = fixed_path(T, q.shape[1])
         # A known robot may also deviate along and about its axes.
         known = self.priors.blueprint is not None
         wanted = JOINT_COORDINATES + ALONG_AXIS if known else JOINT_COORDINATES
@@ -294,38 +318,30 @@ class Derivatives:
         placements = self.skeleton.placements(places.T_parent_joint)
         estimated = set(self._estimated_before(u))
         for j in reversed(self._chain(u)):
-            if not self.unseen and not estimated:
+            if not yielding and not estimated:
                 break
-            slides = bool(tree.prismatic[j])
+            slides, number = bool(tree.prismatic[j]), int(numbers[j])
             path = seen_before_joint(path, slides, q[j], qd[j], qdd[j])
-            if numbers[j] in estimated:
-                estimated.remove(int(numbers[j]))
+            if number in estimated:
+                estimated.remove(number)
                 columns = placement_columns(fixed[j], path, wanted)
                 rows.append(columns[: len(JOINT_COORDINATES)])
                 along_axis.append(columns[len(JOINT_COORDINATES) :])
-            if self.unseen:
-                by_joint[int(numbers[j])] = joint_columns(fixed[j], path, slides)
+            if number in yielding:
+                yielding.remove(number)
+                by_motion[number] = joint_columns(fixed[j], path, slides)
             path = seen_from_parent(path, placements[j])
         rows.reverse()
         if g > 0:
             turn = np.cross(np.eye(3)[:2], places.up[g]) * state.gravity
             rows.append(np.einsum("ijk,cj->cik", R_link_base, turn))
         behind: list[F64] = []
-        if self.unseen:
-            felt = self._moving(u)
-            beyond = np.zeros((len(felt), 3, K))
-            for k, columns in by_joint.items():
-                of_joint = np.flatnonzero(self.unseen.joint == k)
-                number = np.searchsorted(felt, self.unseen.number[of_joint])
-                e = self._motions[g][:, of_joint]
-                for s, added in zip(number, np.einsum("dck,dsk->sck", columns, e), strict=True):
-                    beyond[s] += added
-            behind.append(beyond)
         if known:
             if g == 0:
                 turn = np.cross(turn_axes(places.up[0]).T, places.up[0]) * state.gravity
                 behind.append(np.einsum("ijk,cj->cik", R_link_base, turn))
             behind += reversed(along_axis)
+        behind += [by_motion[number] for number in sorted(by_motion)]
         return rows, behind
 
     def _own_columns(

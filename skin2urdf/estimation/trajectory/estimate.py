@@ -31,7 +31,7 @@ from skin2urdf.estimation.trajectory.products import NEAR, fit_with_products
 from skin2urdf.estimation.trajectory.publishers import Late, with_deviations, with_publishers
 from skin2urdf.estimation.trajectory.records import Gyros
 from skin2urdf.estimation.trajectory.rounded import rounded_off_again
-from skin2urdf.estimation.trajectory.slack import pull_of, pulls_of
+from skin2urdf.estimation.trajectory.slack import lacking
 from skin2urdf.estimation.trajectory.state import MotionState
 from skin2urdf.estimation.trajectory.swaying import swaying
 from skin2urdf.estimation.trajectory.uncertainty import MotionInformation, motion_information
@@ -80,10 +80,14 @@ class MotionEstimate:
     def information(self) -> MotionInformation:
         """What the fit is worth: a quarter of the work, for those who ask."""
         sways = swaying(self.problem, self.fitted.state)
-        lacking = [] if sways is None else [pull_of(self.problem, self.fitted, sways)]
         again = rounded_off_again(self.problem.logs)
-        rounding = None if again is None else pulls_of(self.problem, self.fitted, again)
-        return motion_information(self.problem, self.fitted, lacking, rounding, misfit=self.misfit)
+        groups = [each for each in (sways, again) if each is not None]
+        defects, rounding = [], None
+        if groups:
+            seen = lacking(self.problem, self.fitted, groups)
+            defects = [seen.pull(0)] if sways is not None else []
+            rounding = seen.pulls(len(groups) - 1) if again is not None else None
+        return motion_information(self.problem, self.fitted, defects, rounding, misfit=self.misfit)
 
     @property
     def misfit_of_sus(self) -> F64:

@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from skin2urdf.arrays import F64, Bool
+from skin2urdf.estimation.problem.state import N_SU
 from skin2urdf.estimation.trajectory.arrow import eliminated, newton_step
 from skin2urdf.estimation.trajectory.gyro import rate_weights
 from skin2urdf.estimation.trajectory.kinematics import levers
@@ -23,8 +24,9 @@ _DAMPING, _FELT, _FALL = 1e-4, 1e-2, 10.0
 held back at all. It grows to that, and by ten, with every step that fails, and falls by ten with
 every one that succeeds at once: what had to be held back to succeed would fail again."""
 _ARRIVED = 0.5
-"""Length of a last step in standard deviations, all coordinates together. Weights that follow the
-residuals let steps become shorter by three each time; some hundred coordinates share the rest."""
+"""Length of a last step in standard deviations, those of placements, biases and shapes together.
+Weights that follow the residuals let steps become shorter by three each time and more; some hundred
+coordinates share the rest."""
 _SHORT = 0.1
 """Length of a step, over that of a last one, from which it is worth taking."""
 _ROUGHLY = 30.0
@@ -64,6 +66,10 @@ class Fitted:
     def equations(self) -> Equations:
         """Normal equations at the state."""
         return self.problem.equations(self.state, self.predicted, self.weights)
+
+    def keep(self, equations: Equations) -> None:
+        """Take normal equations at the state, which need not be worked out again."""
+        vars(self)["equations"] = equations
 
 
 def fit(
@@ -180,11 +186,11 @@ def _descend(
         while True:
             system = eliminated(equations, free_joint, free_su, damping)
             joint, sus = newton_step(system, free_joint)
-            length = _length(equations, joint, sus)
+            length = _length(equations, joint, sus, free_su)
             if not length >= enough:  # NaN is not
                 tell(1.0)
                 here = Fitted(problem, state, noise, weights, predicted, cost)
-                vars(here)["equations"] = equations  # which need not be worked out again
+                here.keep(equations)
                 return problem, here
             about, trial = follow(problem, problem.layout.moved(state, joint, sus))
             ahead = tuple(about.predict(trial, g) for g in range(len(problem.logs)))
@@ -228,11 +234,23 @@ def held(problem: MotionProblem, state: MotionState) -> Fitted:
     return Fitted(problem, state, noise, weights, predicted, cost)
 
 
-def _length(equations: Equations, joint: F64, sus: F64) -> float:
-    """Length of a step in standard deviations."""
-    own = np.einsum("un,unm,um->", sus, equations.su, sus)
-    both = np.einsum("un,unj,j->", sus, equations.mixed, joint)
-    return float(np.sqrt(max(0.0, joint @ equations.joint @ joint + 2 * both + own)))
+def _length(equations: Equations, joint: F64, sus: F64, free_su: Bool) -> float:
+    """Length of a step in standard deviations of placements, biases and shapes.
+
+    What clocks and front ends would make up for does not count: where a sensor has no low-pass that
+    shows, these wander along a valley without an end, in which nothing else moves.
+    """
+    towards = np.einsum("unm,um->un", equations.su, sus) + equations.mixed @ joint
+    along = joint @ equations.joint @ joint + np.einsum("unj,un,j->", equations.mixed, sus, joint)
+    square = float(along + np.einsum("un,un->", sus, towards))
+    own = slice(N_SU, None)
+    both = free_su[:, own, None] & free_su[:, None, own]
+    left = np.where(free_su[:, own], towards[:, own], 0.0)
+    H = np.where(both, equations.su[:, own, own], 0.0)
+    index = np.arange(H.shape[1])
+    H[:, index, index] += ~free_su[:, own]
+    square -= float(np.einsum("un,un->", left, np.linalg.solve(H, left[..., None])[..., 0]))
+    return float(np.sqrt(max(0.0, square)))
 
 
 def _cost(

@@ -156,10 +156,10 @@ class MotionProblem(Derivatives):
         q, qd, qdd = (x[:, self.skeleton.numbers] for x in (log.q, log.qd, log.qdd))
         force = specific_forces(model, q, qd, qdd, places.up[g] * state.gravity)
         force = filtered(force * sense(self.priors, state), log.taps)
-        both = np.concatenate([force, first_derivative(force, log.rate)], axis=2)
         # Low-passed, nothing is lost at the rate of the samples that are compared.
-        coarse = both[int(log.kept[0]) % log.every :: log.every]
-        return np.ascontiguousarray(np.moveaxis(coarse, 0, 2))
+        at = np.arange(int(log.kept[0]) % log.every, len(force), log.every)
+        both = np.concatenate([force[at], first_derivative(force, log.rate, at)], axis=2)
+        return np.ascontiguousarray(np.moveaxis(both, 0, 2))
 
     def ideal(self, state: MotionState, g: int, predicted: Predicted) -> Iterator[tuple[int, F64]]:
         """What perfect sensors in the SUs' places would read, SU by SU: (3, K) [m/s^2]."""
@@ -252,7 +252,10 @@ class MotionProblem(Derivatives):
         J, n = layout.n_joint, layout.n_su
         joint, su, mixed = np.zeros((J, J)), np.zeros((U, n, n)), np.zeros((U, n, J))
         joint_gradient, su_gradient = np.zeros(J), np.zeros((U, n))
-        for _, u, columns, A, r in self._rows(state, predicted, weights):
+        beyond = self.beyond()
+        for rows in self._rows(state, predicted, weights):
+            u, A, r = rows.su, rows.by_coordinates, rows.residual
+            columns = np.array(rows.columns)
             nj, flat = len(columns), A.reshape(len(A), -1)
             H, gradient = flat @ flat.T, flat @ r.ravel()
             joint[np.ix_(columns, columns)] += H[:nj, :nj]
@@ -260,6 +263,14 @@ class MotionProblem(Derivatives):
             mixed[u][:, columns] += H[nj:, :nj]
             joint_gradient[columns] += gradient[:nj]
             su_gradient[u] += gradient[nj:]
+            for at, numbers, B in beyond[rows.log].blocks(rows) if beyond else ():
+                own, others = B.reshape(len(B), -1), A[:, :, at].reshape(len(A), -1)
+                H = own @ others.T
+                joint[np.ix_(numbers, numbers)] += own @ own.T
+                joint[np.ix_(numbers, columns)] += H[:, :nj]
+                joint[np.ix_(columns, numbers)] += H[:, :nj].T
+                mixed[u][:, numbers] += H[:, nj:].T
+                joint_gradient[numbers] += own @ r[:, at].ravel()
         data = Equations(joint, su, mixed, joint_gradient, su_gradient)
         return with_priors(self.priors, self.layout, self._seconds, state, data)
 
@@ -285,9 +296,7 @@ class MotionProblem(Derivatives):
         """
         layout, U, G = self.layout, self.tree.n_sus, len(self.logs)
         J, n, S = layout.n_joint, layout.n_su, 1 + max(int(each.max()) for each in members)
-        of_all = [
-            sorted({c for g in range(G) for c in self._joint_columns(u, g)}) for u in range(U)
-        ]
+        of_all = [sorted({c for g in range(G) for c in self._all_columns(u, g)}) for u in range(U)]
         width = max(map(len, of_all))
         columns = np.full((U, width), -1)
         joint, su = np.zeros((S, J, J)), np.zeros((S, U, n, n))
@@ -296,7 +305,10 @@ class MotionProblem(Derivatives):
         su_scores = np.zeros((1 + n_draws, S, U, n))
         for u in range(U):
             columns[u, : len(of_all[u])] = of_all[u]
-        for g, u, own, A, r in self._rows(state, predicted, weights):
+        beyond = self.beyond()
+        for rows in self._rows(state, predicted, weights):
+            g, u, r = rows.log, rows.su, rows.residual
+            own, A = rows.whole(beyond[g] if beyond else None)
             nj, K = len(own), r.shape[1]
             place = np.searchsorted(columns[u][columns[u] >= 0], own)
             noise = rng.standard_normal((n_draws, 3, K))

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from skin2urdf.arrays import F64, Bool, Int, Record
 
 
@@ -62,6 +64,16 @@ class Equations:
     mixed: F64
     joint_gradient: F64
     su_gradient: F64
+
+    def of_joint(self, which: Int) -> Equations:
+        """Those in some of the joint part's coordinates, as if all others were known."""
+        return Equations(
+            joint=self.joint[np.ix_(which, which)],
+            su=self.su,
+            mixed=self.mixed[:, :, which],
+            joint_gradient=self.joint_gradient[which],
+            su_gradient=self.su_gradient,
+        )
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.linalg import null_space
 
-from skin2urdf.arrays import F64, Int
+from skin2urdf.arrays import F64, Bool, Int
 from skin2urdf.estimation.trajectory.arrow import eliminated, joint_inverse
 from skin2urdf.estimation.trajectory.fit import Fitted
 from skin2urdf.estimation.trajectory.problem import MotionProblem
@@ -120,6 +120,81 @@ def rounded_off(tree: KinematicTree, logs: Sequence[Trajectory]) -> float:
     return 0.5 * float(np.max(steps, initial=0.0))
 
 
+@dataclass(frozen=True, eq=False)
+class Lacking:
+    """Groups of unseen motion that a fit lacks, and what the readings say of each alone.
+
+    Attributes:
+        problem: what was fitted, with all groups.
+        equations: of that, where the fit is.
+        groups: coordinates of the joint part that each group's numbers are.
+    """
+
+    problem: MotionProblem
+    equations: Equations
+    groups: tuple[Int, ...]
+
+    def size(self, group: int) -> Size:
+        """The size that the readings give to a group, by their likelihood."""
+        at = self.groups[group]
+        kept = np.setdiff1d(np.arange(self.problem.layout.n_joint), self._but(group))
+        free = self.problem.free_joint[kept], self.problem.free_su
+        place, wide = np.searchsorted(kept, at), np.full(len(at), _WIDE)
+        return _likeliest(self.equations.of_joint(kept), free, place, wide, np.zeros(len(at)))
+
+    def pull(self, group: int) -> tuple[F64, F64]:
+        """What a group of that size does to the estimate.
+
+        Returns:
+            (J,) and (U, n) its part of the gradient in the coordinates that were fitted.
+        """
+        numbers = self.size(group).numbers
+        joint, su = self.pulls(group)
+        return numbers @ joint, np.einsum("s,sun->un", numbers, su)
+
+    def pulls(self, group: int) -> tuple[F64, F64]:
+        """(S, J) and (S, U, n) the same of a unit of each of a group's numbers."""
+        at, fitted = self.groups[group], self._fitted
+        to_joint = self.equations.joint[np.ix_(at, fitted)]
+        return to_joint, np.moveaxis(self.equations.mixed[:, :, at], 2, 0)
+
+    @property
+    def without(self) -> Equations:
+        """The equations of what was fitted, without any group."""
+        return self.equations.of_joint(self._fitted)
+
+    @property
+    def _fitted(self) -> Int:
+        """Coordinates of the joint part that were fitted."""
+        return np.setdiff1d(np.arange(self.problem.layout.n_joint), np.concatenate(self.groups))
+
+    def _but(self, group: int) -> Int:
+        """Coordinates of all groups but one."""
+        others = [at for i, at in enumerate(self.groups) if i != group]
+        return np.concatenate(others) if others else np.zeros(0, dtype=np.int64)
+
+
+def lacking(problem: MotionProblem, fitted: Fitted, groups: Sequence[Unseen]) -> Lacking:
+    """What the readings say of motions that a fit lacks, of which the fit's own equations are part.
+
+    Args:
+        problem: what was fitted.
+        fitted: the fit; it keeps its normal equations, which are found on the way.
+        groups: motions, one group or more.
+    """
+    wider, state = problem, fitted.state
+    places = []
+    for more in groups:
+        wider = with_unseen(wider, more, _WIDE)
+        state = replace(state, unseen=np.concatenate([state.unseen, np.zeros(more.n_numbers)]))
+        end = wider.layout.unseen.stop
+        places.append(np.arange(end - more.n_numbers, end))
+    equations = wider.equations(state, fitted.predicted, fitted.weights)
+    found = Lacking(wider, equations, tuple(places))
+    fitted.keep(found.without)
+    return found
+
+
 def size_of(problem: MotionProblem, fitted: Fitted, more: Unseen) -> Size:
     """The size that the readings give to more unseen motion, by their likelihood.
 
@@ -128,64 +203,7 @@ def size_of(problem: MotionProblem, fitted: Fitted, more: Unseen) -> Size:
         fitted: the fit.
         more: motions that it lacks.
     """
-    return _likeliest(*_with_any(problem, fitted, more))
-
-
-def pull_of(problem: MotionProblem, fitted: Fitted, more: Unseen) -> tuple[F64, F64]:
-    """What unseen motion of the size that the readings give it does to an estimate without it.
-
-    Args:
-        problem: what was fitted.
-        fitted: the fit.
-        more: motions that it lacks.
-
-    Returns:
-        (J,) and (U, n) its part of the gradient in the coordinates that were fitted.
-    """
-    wider, equations, at, spread, x = _with_any(problem, fitted, more)
-    numbers = _likeliest(wider, equations, at, spread, x).numbers
-    joint, su = _couplings(equations, at)
-    return numbers @ joint, np.einsum("s,sun->un", numbers, su)
-
-
-def pulls_of(problem: MotionProblem, fitted: Fitted, more: Unseen) -> tuple[F64, F64]:
-    """What a unit of each of some unseen motions does to an estimate without them.
-
-    Args:
-        problem: what was fitted.
-        fitted: the fit.
-        more: motions of S numbers that it lacks.
-
-    Returns:
-        (S, J) and (S, U, n) parts of the gradient in the coordinates that were fitted.
-    """
-    _, equations, at, _, _ = _with_any(problem, fitted, more)
-    return _couplings(equations, at)
-
-
-def _couplings(equations: Equations, at: Int) -> tuple[F64, F64]:
-    """(S, J) and (S, U, n) information that some coordinates share with all others."""
-    others = np.setdiff1d(np.arange(len(equations.joint)), at)
-    return equations.joint[np.ix_(at, others)], np.moveaxis(equations.mixed[:, :, at], 2, 0)
-
-
-def _with_any(
-    problem: MotionProblem, fitted: Fitted, more: Unseen
-) -> tuple[MotionProblem, Equations, Int, F64, F64]:
-    """A problem with more unseen motion of any size, and its equations where the fit is.
-
-    Returns:
-        Both, and the (S,) coordinates of the joint part that the numbers are, with their deviations
-        and values.
-    """
-    wider = with_unseen(problem, more, _WIDE)
-    state = replace(
-        fitted.state, unseen=np.concatenate([fitted.state.unseen, np.zeros(more.n_numbers)])
-    )
-    equations = wider.equations(state, fitted.predicted, fitted.weights)
-    end = wider.layout.unseen.stop
-    at = np.arange(end - more.n_numbers, end)
-    return wider, equations, at, np.full(len(at), _WIDE), np.zeros(len(at))
+    return lacking(problem, fitted, [more]).size(0)
 
 
 def learnt_size(problem: MotionProblem, fitted: Fitted, numbers: slice) -> Size:
@@ -198,29 +216,30 @@ def learnt_size(problem: MotionProblem, fitted: Fitted, numbers: slice) -> Size:
     """
     at = problem.layout.unseen.start + np.arange(problem.layout.n_unseen)[numbers]
     spread, x = problem.priors.unseen[numbers], fitted.state.unseen[numbers]
-    return _likeliest(problem, fitted.equations, at, spread, x)
+    return _likeliest(fitted.equations, (problem.free_joint, problem.free_su), at, spread, x)
 
 
-def _likeliest(problem: MotionProblem, equations: Equations, at: Int, spread: F64, x: F64) -> Size:
+def _likeliest(equations: Equations, free: tuple[Bool, Bool], at: Int, spread: F64, x: F64) -> Size:
     """The size of some coordinates of the joint part that makes the readings most likely.
 
     All else follows them to first order, as the normal equations say (restricted maximum
     likelihood: Patterson and Thompson 1971).
 
     Args:
-        problem: what the equations are of.
         equations: at some state.
+        free: (J,) and (U, n) coordinates that are estimated.
         at: (S,) which coordinates.
         spread: (S,) standard deviations that the equations have of them.
         x: (S,) where they are.
     """
-    system = eliminated(equations, problem.free_joint, problem.free_su)
+    free_joint, free_su = free
+    system = eliminated(equations, free_joint, free_su)
     H, g = np.array(system.schur), np.array(system.gradient)
     # Without what was said of them before, and seen from zero, as all others are where they are.
     H[at, at] -= spread**-2
     g[at] += spread**-2 * x
     g += H[:, at] @ x
-    others = problem.free_joint.copy()
+    others = free_joint.copy()
     others[at] = False
     follow = joint_inverse(H, others) @ np.column_stack([H[:, at], g])
     left = H[np.ix_(at, at)] - H[at] @ follow[:, :-1]

@@ -1,0 +1,100 @@
+"""Derivatives of the readings of one SU in one log, and their products.
+
+What encoders do not see is made by many numbers, of which few count at any moment: slack of a place
+is felt there, and on the way to it and from it. A reading's derivatives are therefore kept in the
+motion of each joint, which are three, and multiplied by what each number makes of that motion for
+the stretch of time in which it makes any.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from skin2urdf.arrays import F64, Int
+from skin2urdf.estimation.trajectory.unseen import Unseen
+
+_BLOCK = 512
+"""Samples of which products are formed at once: what they are formed from fits into caches."""
+
+
+@dataclass(frozen=True, eq=False)
+class Rows:
+    """Whitened derivatives of K samples of what an SU reads.
+
+    Attributes:
+        log: number of the log.
+        su: number of the SU.
+        columns: C columns of the joint part that the readings depend on, but for those below.
+        by_coordinates: (C + n, 3, K) in these and in the SU's own coordinates.
+        residual: (3, K) whitened residuals.
+        joints: (m,) numbers of the joints and hinges that move beyond their encoders.
+        by_motion: (m, 3, 3, K) in the position, velocity and acceleration of each of them.
+    """
+
+    log: int
+    su: int
+    columns: list[int]
+    by_coordinates: F64
+    residual: F64
+    joints: Int
+    by_motion: F64
+
+    def whole(self, beyond: Beyond | None) -> tuple[list[int], F64]:
+        """All columns, and derivatives in these and in the SU's own coordinates.
+
+        Args:
+            beyond: what encoders do not see in the log.
+        """
+        if beyond is None or not len(self.joints):
+            return self.columns, self.by_coordinates
+        numbers, derivatives = beyond.derivatives(self, slice(0, self.residual.shape[1]))
+        return [*numbers.tolist(), *self.columns], np.concatenate(
+            [derivatives, self.by_coordinates]
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Beyond:
+    """What encoders do not see at the K samples of a log that are compared.
+
+    Attributes:
+        unseen: which numbers move which joints.
+        motions: (3, E, K) by how much, its velocity and its acceleration per unit.
+        first: column of the joint part of the first number.
+    """
+
+    unseen: Unseen
+    motions: F64
+    first: int
+
+    def blocks(self, rows: Rows) -> Iterator[tuple[slice, Int, F64]]:
+        """Stretches of time, columns of the numbers that count in each, and derivatives in those.
+
+        Args:
+            rows: of an SU in this log.
+
+        Yields:
+            The samples, (s,) columns of the joint part and (s, 3, k) whitened derivatives.
+        """
+        if not len(rows.joints):
+            return
+        for begin in range(0, rows.residual.shape[1], _BLOCK):
+            at = slice(begin, min(begin + _BLOCK, rows.residual.shape[1]))
+            yield at, *self.derivatives(rows, at)
+
+    def derivatives(self, rows: Rows, at: slice) -> tuple[Int, F64]:
+        """Columns (s,) of the numbers that count at some samples, and derivatives (s, 3, k)."""
+        motions = self.motions[:, :, at]
+        counts = np.isin(self.unseen.joint, rows.joints) & motions.any(axis=(0, 2))
+        numbers = np.unique(self.unseen.number[counts])
+        out = np.zeros((len(numbers), 3, motions.shape[2]))
+        for joint, of_joint in zip(rows.joints, rows.by_motion, strict=True):
+            entries = np.flatnonzero(counts & (self.unseen.joint == joint))
+            place = np.searchsorted(numbers, self.unseen.number[entries])
+            added = np.einsum("dck,dsk->sck", of_joint[..., at], motions[:, entries])
+            for s, each in zip(place, added, strict=True):
+                out[s] += each
+        return self.first + numbers, out

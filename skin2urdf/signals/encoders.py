@@ -7,6 +7,7 @@ from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
+from scipy.ndimage import median_filter
 
 from skin2urdf.arrays import F64, Bool
 from skin2urdf.recording.records import JointStream, Recording
@@ -71,9 +72,7 @@ def _leaps(joint: JointStream, log: int) -> list[EncoderError]:
 
 def _middle(values: F64) -> F64:
     """(N,) running median of values (N,)."""
-    pad = np.pad(values, _NEARBY, mode="edge")
-    around = np.lib.stride_tricks.sliding_window_view(pad, 2 * _NEARBY + 1)
-    return np.asarray(np.median(around, axis=1))
+    return np.asarray(median_filter(values, 2 * _NEARBY + 1, mode="nearest"))
 
 
 def reversal(joint: JointStream, between: tuple[float, float], about: float = np.nan) -> float:

@@ -141,13 +141,22 @@ def _decimated(values: F64, taps: F64, factor: int, first: int, size: int) -> F6
         first: of the samples that are left, the first that is wanted, and
         size: how many.
     """
-    half = len(taps) // 2
-    # Sample i of the full convolution has its middle at i - half.
-    middle = np.arange(first, first + size) * factor - half
-    ends = max(0, half - int(middle[0])), max(0, int(middle[-1]) + half + 1 - len(values))
-    padded = np.pad(values, (ends, (0, 0)))
-    windows = np.lib.stride_tricks.sliding_window_view(padded, len(taps), axis=0)
-    return np.ascontiguousarray(windows[middle - half + ends[0]] @ taps[::-1])
+    begin, T = first * factor - 2 * (len(taps) // 2), len(taps)
+    # Outputs side by side are one product with a matrix whose columns are the taps, moved along.
+    rows = (_SIDE_BY_SIDE - 1) * factor + T
+    matrix = np.zeros((rows, _SIDE_BY_SIDE))
+    for i in range(_SIDE_BY_SIDE):
+        matrix[i * factor : i * factor + T, i] = taps[::-1]
+    products = -(-size // _SIDE_BY_SIDE)
+    end = begin + (products - 1) * _SIDE_BY_SIDE * factor + rows
+    padded = np.pad(values[: max(0, end)], ((max(0, -begin), max(0, end - len(values))), (0, 0)))
+    windows = np.lib.stride_tricks.sliding_window_view(padded, rows, axis=0)
+    seen = windows[max(0, begin) :: _SIDE_BY_SIDE * factor][:products] @ matrix
+    return np.ascontiguousarray(np.moveaxis(seen, 1, 2).reshape(-1, values.shape[1])[:size])
+
+
+_SIDE_BY_SIDE = 32
+"""Samples that are decimated at once; a product with a matrix that caches hold."""
 
 
 class Spline:
@@ -263,8 +272,14 @@ def _differentiated(values: F64, weights: F64, at: Int | None) -> F64:
     if at is None:
         return np.asarray(convolve1d(values, weights[::-1], axis=0, mode="nearest"))
     out = np.zeros((len(at), *values.shape[1:]))
-    for k, weight in zip(range(-(len(weights) // 2), len(weights)), weights, strict=False):
-        if weight:
+    half, steps = len(weights) // 2, np.unique(np.diff(at))
+    inside = len(steps) == 1 and at[0] >= half and at[-1] + half < len(values)
+    for k, weight in zip(range(-half, len(weights)), weights, strict=False):
+        if not weight:
+            continue
+        if inside:  # samples in a row need no copies
+            out += weight * values[at[0] + k : at[-1] + k + 1 : steps[0]]
+        else:
             out += weight * values[np.clip(at + k, 0, len(values) - 1)]
     return out
 

@@ -282,17 +282,21 @@ def clipping(raw: F64, still: Bool) -> Bool:
 
 def _ends(column: F64, still: Bool, noise: float) -> list[float]:
     """Ends of the range that one axis (M,) meets while the robot moves."""
-    values, counts = np.unique(column[~still], return_counts=True)
-    if values[-1] - values[0] < _LEAST_NOISE:
+    moving = column[~still]
+    low, high = moving.min(), moving.max()
+    if high - low < _LEAST_NOISE:
         return []
     ends = []
-    for inward in (slice(None), slice(None, None, -1)):
-        end, many = values[inward], counts[inward]
-        begin, stop = _longest((column == end[0]) & ~still)
+    for extreme, inward in ((low, slice(None)), (high, slice(None, None, -1))):
+        at = moving == extreme
+        if at.sum() < min(_PLATEAU, _AGAIN):
+            continue  # so few are neither, and most sensors' extremes hold one
+        values, counts = np.unique(moving, return_counts=True)
+        begin, stop = _longest((column == extreme) & ~still)
         long = len(values) > _VARIED and stop - begin >= _PLATEAU
-        at = column[~still] == end[0]
-        if (long and _steep(column, begin, stop)) or _piled(at, end, many, noise):
-            ends.append(float(end[0]))
+        piled = _piled(at, values[inward], counts[inward], noise)
+        if (long and _steep(column, begin, stop)) or piled:
+            ends.append(float(extreme))
     return ends
 
 

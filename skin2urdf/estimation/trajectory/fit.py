@@ -125,7 +125,9 @@ def _near(
     coarse, free = problem.coarse(unseen=far), (problem.free_joint, problem.free_su)
     found = _descend(problem, start, coarse, _ROUGHLY, iterations, tell, far)[1]
     if thin > 1:
-        found = _descend(problem, found.state, free, _ROUGHLY, iterations, tell, far)[1]
+        found = _descend(
+            problem, found.state, free, _ROUGHLY, iterations, tell, far, predicted=found.predicted
+        )[1]
     return found
 
 

@@ -10,10 +10,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
-from skin2urdf.arrays import F64, Int
+from skin2urdf.arrays import F64, Bool, Int
 from skin2urdf.estimation.trajectory.unseen import Unseen
 
 _BLOCK = 512
@@ -50,7 +51,7 @@ class Rows:
         """
         if beyond is None or not len(self.joints):
             return self.columns, self.by_coordinates
-        numbers, derivatives = beyond.derivatives(self, slice(0, self.residual.shape[1]))
+        numbers, derivatives = beyond.derivatives(self)
         return [*numbers.tolist(), *self.columns], np.concatenate(
             [derivatives, self.by_coordinates]
         )
@@ -81,20 +82,35 @@ class Beyond:
         """
         if not len(rows.joints):
             return
-        for begin in range(0, rows.residual.shape[1], _BLOCK):
+        for begin, counts in self._counting:
             at = slice(begin, min(begin + _BLOCK, rows.residual.shape[1]))
-            yield at, *self.derivatives(rows, at)
+            yield at, *self._derivatives(rows, at, counts)
 
-    def derivatives(self, rows: Rows, at: slice) -> tuple[Int, F64]:
-        """Columns (s,) of the numbers that count at some samples, and derivatives (s, 3, k)."""
+    def derivatives(self, rows: Rows) -> tuple[Int, F64]:
+        """Columns (s,) of all numbers that count, and derivatives (s, 3, K) in these."""
+        every = np.ones(self.motions.shape[1], dtype=bool)
+        return self._derivatives(rows, slice(0, rows.residual.shape[1]), every)
+
+    @cached_property
+    def _counting(self) -> list[tuple[int, Bool]]:
+        """First sample of each block, and (E,) which motions are any in it."""
+        size = self.motions.shape[2]
+        return [
+            (begin, np.asarray(self.motions[:, :, begin : begin + _BLOCK].any(axis=(0, 2))))
+            for begin in range(0, size, _BLOCK)
+        ]
+
+    def _derivatives(self, rows: Rows, at: slice, counts: Bool) -> tuple[Int, F64]:
+        """The same at some samples, of the motions (E,) that count."""
         motions = self.motions[:, :, at]
-        counts = np.isin(self.unseen.joint, rows.joints) & motions.any(axis=(0, 2))
+        counts = counts & np.isin(self.unseen.joint, rows.joints)
         numbers = np.unique(self.unseen.number[counts])
         out = np.zeros((len(numbers), 3, motions.shape[2]))
         for joint, of_joint in zip(rows.joints, rows.by_motion, strict=True):
             entries = np.flatnonzero(counts & (self.unseen.joint == joint))
             place = np.searchsorted(numbers, self.unseen.number[entries])
             added = np.einsum("dck,dsk->sck", of_joint[..., at], motions[:, entries])
+            # A number may move a joint in more than one way.
             for s, each in zip(place, added, strict=True):
                 out[s] += each
         return self.first + numbers, out

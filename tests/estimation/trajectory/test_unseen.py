@@ -15,7 +15,8 @@ from skin2urdf.estimation.problem.state import State
 from skin2urdf.estimation.trajectory.estimate import MotionEstimate, estimate_along, motion_priors
 from skin2urdf.estimation.trajectory.gears import find_ripples, harmonics, ripples
 from skin2urdf.estimation.trajectory.problem import MotionProblem
-from skin2urdf.estimation.trajectory.slack import size_of, slack
+from skin2urdf.estimation.trajectory.slack import lacking, size_of, slack
+from skin2urdf.estimation.trajectory.state import MotionState
 from skin2urdf.model.specific_force import specific_forces
 from skin2urdf.signals.filters import filtered, first_derivative, second_derivative
 from skin2urdf.signals.trajectory import Trajectory
@@ -76,6 +77,43 @@ def test_a_sound_recording_gets_nothing() -> None:
     assert places is not None
     assert size_of(sound.problem, sound.fitted, places).gain < 3.0
     assert find_ripples(sound.problem, sound.fitted) == []
+
+
+def test_what_a_fit_lacks_is_seen_together_as_it_is_alone() -> None:
+    loose = _fit("slack", 2e-3)
+    problem, fitted = _fit("nothing").problem, _fit("nothing").fitted
+    problem = problem.again(logs=loose.problem.logs)
+    predicted = (problem.predict(fitted.state, 0),)
+    held_against = replace(fitted, problem=problem, predicted=predicted)
+    places, gears = slack(_TREE, problem.logs), harmonics(_TREE, problem.logs)
+    assert places is not None
+    assert gears is not None
+    both = lacking(problem, held_against, [places, gears])
+    for group, more in enumerate((places, gears)):
+        alone = lacking(problem, held_against, [more])
+        assert alone.size(0).gain == pytest.approx(both.size(group).gain, rel=1e-5)
+        for one, other in zip(alone.pull(0), both.pull(group), strict=True):
+            np.testing.assert_allclose(one, other, rtol=0, atol=1e-5 * np.abs(other).max())
+    own = problem.equations(fitted.state, predicted, fitted.weights)
+    for name in ("joint", "su", "mixed", "joint_gradient", "su_gradient"):
+        one, other = getattr(both.without, name), getattr(own, name)
+        np.testing.assert_allclose(one, other, rtol=0, atol=1e-9 * np.abs(other).max())
+    wider, weights = both.problem, fitted.weights[0]
+    state = replace(fitted.state, unseen=np.zeros(wider.layout.n_unseen))
+    still = np.zeros_like(wider.free_su, dtype=np.float64)
+
+    def chi2(at: MotionState) -> float:
+        residual = wider.predict(at, 0).residual
+        return float((weights * residual**2).sum()) + wider.prior_chi2(at)
+
+    for i in both.groups[0][::4]:
+        joint = np.zeros(wider.layout.n_joint)
+        joint[i] = 1e-6
+        ahead, behind = (wider.layout.moved(state, sign * joint, still) for sign in (1, -1))
+        slope = (chi2(ahead) - chi2(behind)) / 2e-6
+        # Columns are not low-passed once more, residuals are: what that changes is small.
+        scale = 2 * np.sqrt(both.equations.joint[i, i] * chi2(state))
+        assert slope == pytest.approx(-2 * both.equations.joint_gradient[i], abs=2e-2 * scale)
 
 
 @pytest.mark.parametrize("unseen", ["harmonics", "ripples"])

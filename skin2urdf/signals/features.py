@@ -12,33 +12,19 @@ from skin2urdf.arrays import F64, Bool
 from skin2urdf.errors import InsufficientDataError
 from skin2urdf.faults import distinct
 from skin2urdf.signals.encoder_noise import EncoderNoise
-from skin2urdf.signals.filters import eroded, filtered, low_pass, noise_bandwidth, shifted
+from skin2urdf.signals.filters import eroded, filtered, shifted
 from skin2urdf.signals.information import Information
-from skin2urdf.signals.motion import Motion
 from skin2urdf.signals.pose_fit import PoseFit, Samples, pose_fit
 from skin2urdf.signals.poses import Neighbourhood
 from skin2urdf.signals.records import Features
-from skin2urdf.signals.regression import excited, regressors
-from skin2urdf.signals.rounding import (
-    hidden_motion,
-    pattern_products,
-    regressor_noise,
-    rest_pull,
-    tones,
-    white_noise,
-)
 from skin2urdf.signals.sampling import Sampled, static_moves
 from skin2urdf.signals.steadiness import allowance, moderated
+from skin2urdf.signals.swings import Swing
 from skin2urdf.signals.turn_evidence import turn_evidence
 
 Curvature = Callable[[F64, F64, F64, F64, int], tuple[F64, F64]]
 """(q (D,), dq (N, D), qd, qdd, log) -> (N, U, 3) readings beyond first order around pose q, and
 (1 + 2 D, U, 3) the coefficients that the first order should have."""
-
-_RATE_OVER_CUTOFF = 3.0
-"""Samples kept per second over the low-pass' cutoff [Hz]; aliases appear below 2.8."""
-_STILL = 20.0
-"""Encoder steps per second below which rounding does not average out [1/s]."""
 
 
 def extract_features(
@@ -121,66 +107,33 @@ def _poses(
     s: Sampled, lag: F64, curvature: Curvature | None, log: int, told: Callable[[int], None]
 ) -> list[_Pose]:
     """Regress around every pose of one log."""
-    motion, rate = s.motion, s.motion.grid.rate
-    taps = low_pass(s.cutoff, rate)
-    half = len(taps) // 2
+    motion, rate, swings = s.motion, s.motion.grid.rate, s.swings
+    half, every = len(swings.taps) // 2, swings.every
     readings = _aligned(s.readings, rate, lag)
     reach = int(np.ceil(np.max(np.abs(lag), initial=0.0) * rate))
-    noise = regressor_noise(motion, s.cutoff)
-    # What the low-pass leaves needs few samples: beyond 1.4 times the cutoff there is nothing.
-    every = max(1, int(rate / (_RATE_OVER_CUTOFF * s.cutoff)))
-    independence = min(1.0, 2 * noise_bandwidth(taps, rate) * every / rate)
+    around = swings.with_nuisances if curvature is None else swings.linear
     out = []
-    for done, pose in enumerate(s.neighbourhoods):
+    for done, (pose, swing) in enumerate(zip(s.neighbourhoods, around, strict=True)):
         told(done)
-        pieces = [_span(motion, a, b, half) for a, b in pose.windows]
-        spans = np.concatenate([np.arange(lo, hi) for lo, hi in pieces])
-        dq = motion.q[spans] - pose.q
-        qd, qdd = motion.qd[spans], motion.qdd[spans]
-        X, Z = regressors(dq, qd, qdd, curvature is not None)
-        y = readings[spans]
-        expected = np.zeros((X.shape[1], len(lag), 3))
+        y = readings[swing.spans]
+        expected = np.zeros((swing.X.shape[1], len(lag), 3))
         if curvature is not None:
-            beyond, expected = curvature(pose.q, dq, qd, qdd, log)
+            beyond, expected = curvature(pose.q, swing.dq, swing.qd, swing.qdd, log)
             y = y - beyond
-            _recompute(X, y, s, pose, pieces, taps, reach)
-        own = np.concatenate([np.arange(a, b) for a, b in pose.windows])
-        moving = np.abs(motion.qd) >= _STILL * motion.resolution
-        offset = np.where(motion.named, (~moving[own]).mean(axis=0) * motion.noise, np.inf)
-        columns = np.concatenate([X, Z, y.reshape(len(y), -1)], axis=1)
-        kept, usable, lost, at = [], [], [], 0
-        for (a, b), (lo, hi) in zip(pose.windows, pieces, strict=True):
-            inside = slice(a - lo, b - lo, every)
-            kept.append(filtered(columns[at : at + hi - lo], taps)[inside])
+            _recompute(swing, y, s, pose, reach)
+        usable, lost = [], []
+        for (a, b), (lo, hi) in zip(pose.windows, swings.pieces(pose), strict=True):
             trim = min(half, max(0, (b - a) // 4))
             ok = np.zeros((hi - lo, len(lag)), dtype=bool)
             ok[a - lo + trim : b - lo - trim] = True
-            usable.append((ok & eroded_columns(s.valid[lo:hi], half + reach))[inside])
+            whole = eroded_columns(s.valid[lo:hi], half + reach)
+            usable.append((ok & whole)[a - lo : b - lo : every])
             lost.append(s.computed[a:b:every])
-            at += hi - lo
-        X, Z, y = np.split(np.concatenate(kept), [X.shape[1], X.shape[1] + Z.shape[1]], axis=1)
-        dq, qdd = np.split(X[:, 1:], 2, axis=1)
-        moving = np.concatenate([moving[a:b:every] for a, b in pose.windows])
-        white = white_noise(
-            qdd, moving, motion.noise**2 / motion.raw_rate * independence * rate / every
-        )
-        squares = tones(qdd, rate / every, s.cutoff)
-        moved = qdd * (squares[:, 0] > 0)
-        hidden, omega2 = hidden_motion(dq, qdd, motion.resolution)
-        encoders = EncoderNoise(
-            position_sd=offset,
-            pull=rest_pull(excited(X, noise[0]), moving),
-            hidden=hidden,
-            omega2=omega2,
-            tones=squares,
-            products=independence * pattern_products(dq, moved),
-            white=white,
-        )
         ok = np.concatenate(usable)
         found = pose_fit(
             Samples(
-                X, Z, y.reshape(len(y), -1, 3), ok, expected, noise,
-                independence, rate / every, s.cutoff,
+                swing.low_passed, swing.nuisances, swings.kept(y, pose), ok, expected,
+                swings.noise, swings.independence, rate / every, s.cutoff,
             )
         )  # fmt: skip
         measured = _measured(ok, np.concatenate(lost))
@@ -189,7 +142,7 @@ def _poses(
                 q=pose.q,
                 log=log,
                 fit=replace(found, noise=found.noise / measured),
-                encoders=encoders,
+                encoders=swing.encoders,
                 span=pose.span(motion.grid),
                 left=pose.left,
             )
@@ -212,21 +165,13 @@ def _moderated(poses: Sequence[_Pose]) -> list[_Pose]:
     return [replace(p, fit=replace(p.fit, noise=n)) for p, n in zip(poses, noise, strict=True)]
 
 
-def _recompute(
-    X: F64,
-    y: F64,
-    s: Sampled,
-    pose: Neighbourhood,
-    pieces: Sequence[tuple[int, int]],
-    taps: F64,
-    reach: int,
-) -> None:
-    """Compute missing samples of y (N, U, 3) again, in place, now that X alone explains it.
+def _recompute(swing: Swing, y: F64, s: Sampled, pose: Neighbourhood, reach: int) -> None:
+    """Compute missing samples of y (N, U, 3) again, in place, now that the regressors explain it.
 
-    Regressors are low-passed, the readings can not be while samples are missing: their noise does
+    They are low-passed, the readings can not be while samples are missing: their noise does
     no harm in a regression, that of the encoders would.
     """
-    spans = np.concatenate([np.arange(lo, hi) for lo, hi in pieces])
+    X, spans, taps, pieces = swing.X, swing.spans, s.swings.taps, s.swings.pieces(pose)
     if not s.computed[spans].any():
         return
     starts = np.cumsum([0, *(hi - lo for lo, hi in pieces)])
@@ -268,11 +213,6 @@ def _aligned(readings: F64, rate: float, lag: F64) -> F64:
     for u in np.flatnonzero(lag):
         out[:, u] = shifted(readings[:, u], rate, lag[u])
     return out
-
-
-def _span(motion: Motion, begin: int, end: int, margin: int) -> tuple[int, int]:
-    """A window widened by the filter's reach, inside the grid."""
-    return max(0, begin - margin), min(motion.grid.size, end + margin)
 
 
 def eroded_columns(valid: Bool, reach: int) -> Bool:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -28,6 +29,7 @@ from skin2urdf.signals.poses import (
     slowest_moments,
 )
 from skin2urdf.signals.records import StaticMoves, SuClock
+from skin2urdf.signals.swings import Swings
 from skin2urdf.signals.turning import Turning, sampled_turning
 
 _POSED = 0.5
@@ -76,6 +78,11 @@ class Sampled:
     faults: tuple[Fault, ...] = ()
     clocks: tuple[SuClock, ...] = ()
     turning: Turning | None = None
+
+    @cached_property
+    def swings(self) -> Swings:
+        """What joints do around the poses."""
+        return Swings(self.motion, self.neighbourhoods, self.cutoff)
 
     @property
     def at_rest(self) -> tuple[Rest, ...]:

@@ -120,6 +120,7 @@ def shrinking(earlier: Earlier, found: Expected, most: int = 3) -> tuple[Shrinki
     """
     tree, seen = earlier.model.tree, found.observability
     new_su = seen.su_covariance + _along(seen.su_unobservable)
+    new_su[:, range(3, 6), range(3, 6)] -= seen.hidden_rotation**2  # as in what is known
     known = _inverse(seen.joint_covariance), _inverse(new_su)
     # What nothing tells of a joint has no variance, which is not to be mistaken for knowledge.
     known[0][[verdict == "not observable" for verdict in seen.joint_verdict]] = 0.0

@@ -3,7 +3,9 @@
 The motion is sampled as encoders and accelerometers will, with their noise and rounding, put on the
 grid and low-passed by the program's own way from a recording to samples. The fit of all samples
 starts at the truth, and its information, disturbed by that noise, gives the covariance that a
-calibration will state (Cramer-Rao, and what encoders add that all SUs feel).
+calibration will state (Cramer-Rao, and what encoders add that all SUs feel). A calibration does not
+know how good the sensors are. What it will learn of that, from errors of their size seen through
+the noise, is part of what it states.
 """
 
 from __future__ import annotations
@@ -16,7 +18,8 @@ import numpy as np
 
 from skin2urdf.arrays import F64, Bool
 from skin2urdf.estimation.problem.cost import Priors
-from skin2urdf.estimation.problem.state import State, identifiable
+from skin2urdf.estimation.problem.state import N_PLACEMENT, N_SU, State, identifiable
+from skin2urdf.estimation.solve.spread import learnt_hidden, narrowed
 from skin2urdf.estimation.trajectory.estimate import estimate_along, motion_priors
 from skin2urdf.estimation.trajectory.uncertainty import MotionInformation
 from skin2urdf.estimation.uncertainty.observability import (
@@ -178,9 +181,9 @@ def expected(
         seen.append(logs[-1].q[logs[-1].kept])
         tell(_SAMPLED * (g + 1) / len(motions))
     state = State(model.T_parent_joint, model.T_joint_su, ups, np.zeros((U, 3)), np.zeros((U, 6)))
-    known = Priors(bias=sensors.bias, scale=sensors.scale, cross=sensors.cross)
+    given = Priors()
     front = np.zeros(2), np.full(2, _SLOWEST_POLE**2)
-    priors = motion_priors(known, gravity=_ELSEWHERE, front=front)
+    priors = motion_priors(given, gravity=_ELSEWHERE, front=front)
     along = estimate_along(
         logs, tree, state, priors, np.zeros(U),
         lambda share: tell(_SAMPLED + (_FITTED - _SAMPLED) * share),
@@ -188,37 +191,67 @@ def expected(
     )  # fmt: skip
     tell(_FITTED)
     q = np.concatenate(seen)
-    free = identifiable(tree, len(motions), True)
-    moving = known.deviations > 0
-    sus_free = np.array(free.sus)
-    sus_free[:, 6:] &= moving
     subject = Subject(
         tree=tree,
         state=along.state,
-        free=replace(free, sus=sus_free),
+        free=identifiable(tree, len(motions), True),
         q=q,
-        priors=known,
-        given=Priors(),
+        priors=given,
+        given=given,
     )
+    subject = replace(subject, priors=_learnt(subject, along.information, sensors))
+    elsewhere = _with(along.information, subject.priors, given, _ELSEWHERE)
+    here = _with(along.information, subject.priors, given, ANOMALY)
     low, high = q.min(axis=0), q.max(axis=0)
     far = low + (high - low) * np.random.default_rng(0).random((_CONFIGURATIONS, len(low)))
-    found = [
-        observability_along(subject, information)
-        for information in (_with_gravity(along.information), along.information)
-    ]
-    (position, orientation), (elsewhere, _) = (
-        aligned_deviations(subject, each, far) for each in found
-    )
-    return Expected(sensors, position, orientation, elsewhere, found[0])
+    found = observability_along(subject, here)
+    position, orientation = aligned_deviations(subject, found, far)
+    less, _ = aligned_deviations(subject, observability_along(subject, elsewhere), far)
+    return Expected(sensors, position, orientation, less, found)
 
 
-def _with_gravity(information: MotionInformation) -> MotionInformation:
-    """The same with the size of gravity as well known as a place on Earth tells."""
+def _learnt(subject: Subject, information: MotionInformation, sensors: Sensors) -> Priors:
+    """What a calibration will learn of sensors whose errors are of a size that is typical."""
+    covariance = observability_along(subject, information).covariance.su()
+    variance = np.einsum("uii->ui", covariance)
+    noise, free = variance[:, N_PLACEMENT:], subject.free
+    size = np.repeat([sensors.bias, sensors.scale, sensors.cross], 3)
+    typical = np.sqrt(size**2 + noise)
+    learnt = narrowed(subject.given, typical, noise, free.sus[:, N_PLACEMENT:])
+    seen = replace(subject.state, shape=typical[:, 3:])
+    return replace(learnt, hidden=learnt_hidden(subject.given, seen, variance, free))
+
+
+def _with(
+    information: MotionInformation, sensors: Priors, given: Priors, gravity: float
+) -> MotionInformation:
+    """The same with more that is known before.
+
+    Args:
+        information: of a fit.
+        sensors: what is known of sensors, and
+        given: what was known in the fit.
+        gravity: how well its size is known [m/s^2].
+    """
     shared, before = np.array(information.shared), np.array(information.prior_joint)
-    more = (GRAVITY / ANOMALY) ** 2 - (GRAVITY / _ELSEWHERE) ** 2
+    more = (GRAVITY / gravity) ** 2 - (GRAVITY / _ELSEWHERE) ** 2
     shared[0, 0] += more
     before[information.shared_joint.shape[1]] += more
-    return replace(information, shared=shared, prior_joint=before)
+    su = np.array(information.equations.su)
+    own = np.zeros(N_SU)
+    own[N_PLACEMENT:] = sensors.deviations**-2 - given.deviations**-2
+    su[:, range(N_SU), range(N_SU)] += own
+    U, _, both = information.prior_xz.shape
+    return replace(
+        information,
+        equations=replace(information.equations, su=su),
+        shared=shared,
+        prior_joint=before,
+        prior_xz=np.concatenate([information.prior_xz, np.zeros((U, N_SU, both))], axis=1),
+        prior_y=np.concatenate(
+            [information.prior_y, np.tile(np.diag(np.sqrt(own)), (U, 1, 1))], axis=1
+        ),
+    )
 
 
 def _recorded(

@@ -113,7 +113,6 @@ def calibrate(
             _refuse_beyond(HOPELESS_FIT, solution.found.cost_per_dof, solution.found)
             in_vain = rejected(looked)
             looked = looked if first is not None and _untouched(first, solution) else None
-    fit = clock.run("goodness of fit", lambda _: goodness(solution.found))
     if settings.method != "paper" and settings.motion == "all":
         # No physics leaves so much in the features of any SU, be it weighed down or not.
         most = np.inf if solution.found.misfit <= HOPELESS_FIT else 0.0
@@ -126,7 +125,10 @@ def calibrate(
                 "all samples",
                 lambda tell: without_false_hits(solution, fitted, sampled, first, tell),
             )
-            solution = replace(solution, found=with_samples(solution.found, along))
+    # Of features, so that each pose can be predicted from the others.
+    fit = clock.run("goodness of fit", lambda _: goodness(solution.found))
+    if along is not None:
+        solution = replace(solution, found=with_samples(solution.found, along))
     if settings.method != "paper":
         check_fit(solution.found, along)
     information = clock.run("all samples", lambda _: along.information) if along else None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -18,6 +19,9 @@ from skin2urdf.calibration.clock import Clock
 from skin2urdf.calibration.pipeline import calibrate
 from skin2urdf.calibration.result import HOPELESS_FIT, Calibration
 from skin2urdf.calibration.rounds import (
+    Logs,
+    Solution,
+    Structure,
     estimate_once,
     find_structure,
     leads_nowhere,
@@ -30,6 +34,9 @@ from skin2urdf.calibration.settings import CalibrationSettings
 from skin2urdf.faults import Fault, distinct, without_slips
 from skin2urdf.hypotheses.loose import slips
 from skin2urdf.hypotheses.names import named_as_felt
+from skin2urdf.hypotheses.records import Amendment
+from skin2urdf.hypotheses.search import Search
+from skin2urdf.hypotheses.slip import Moment, Slipped
 from skin2urdf.notes import Note
 from skin2urdf.recording.records import JointStream, Recording, SuStream
 from skin2urdf.recording.retiming import retimed
@@ -180,6 +187,32 @@ def test_no_physics_is_tried_for_what_leaves_more_than_any(monkeypatch: pytest.M
 def test_a_fixed_su_does_not_slip() -> None:
     found = clean()
     assert slips(found.estimate, np.arange(found.features.n_poses)) == ()
+
+
+def test_all_that_is_told_is_of_an_su_that_did_not_slip(monkeypatch: pytest.MonkeyPatch) -> None:
+    """All samples have the last word about slips: goodness of fit is that of what they leave."""
+
+    def explained(
+        recordings: Sequence[Recording],
+        evident: tuple[Amendment, ...],
+        first: tuple[Logs, Structure, Solution | None],
+        _: object,
+        clock: Clock,
+        *__: object,
+        **___: object,
+    ) -> Solution:
+        search = Search(recordings, first[0].settings, clock, evident, first[0])
+        (log,), name = first[0].sampled, first[1].certain_tree.su_names[-1]
+        middle = (0, float(np.median(log.motion.grid.time)))
+        slipped = Slipped(name, f"{name}_before", Moment(middle, middle))
+        solution = search.attempt((*evident, slipped), None).solution
+        assert slipped.earlier in solution.found.tree.su_names
+        return replace(solution, faults=(Fault("loose", name, sus=(name, slipped.earlier)),))
+
+    monkeypatch.setattr(pipeline, "explain", explained)
+    found = calibrate(retimed(sound(slips=True).recording))
+    assert found.faults == ()
+    assert found.goodness.by_su.dof.shape == (found.model.tree.n_sus,)
 
 
 def test_the_earlier_placement_of_a_loose_su_is_an_su_of_its_own() -> None:

@@ -252,6 +252,11 @@ def test_a_missing_library_is_named_with_how_to_get_it(
     assert "skin2urdf[report]" in told
 
 
+_WHOLE = """document.getElementById('robot').data?.every(
+    trace => trace.visible === true || trace.visible === undefined
+             || trace.name === 'names of joints')"""
+
+
 def drawn(tab: Tab) -> None:
     """Bring everything into sight and wait for it; for the robot, until it is drawn in 3D."""
     ready = "e => e.querySelector(e.id === 'robot' ? 'canvas' : '.main-svg') !== null"
@@ -259,6 +264,7 @@ def drawn(tab: Tab) -> None:
     for name in tab.run("[...document.querySelectorAll('.plot')].map(e => e.id)"):
         tab.run(f"document.getElementById('{name}').scrollIntoView()")
         tab.wait_for(f"({ready})(document.getElementById('{name}'))")
+    tab.wait_for(_WHOLE)
 
 
 @needs_chromium
@@ -274,6 +280,20 @@ def test_the_page_renders_without_an_error_and_asks_for_nothing(page: str, tmp_p
         assert tab.run("document.querySelectorAll('#su option').length") > 0
         assert not tab.errors
         assert {re.sub(":.*", "", address) for address in tab.requests} <= {"file", "data", "blob"}
+
+
+@needs_chromium
+def test_what_is_out_of_sight_is_drawn_at_once_for_a_printer(page: str, tmp_path: Path) -> None:
+    file = tmp_path / "robot.html"
+    file.write_text(page)
+    with opened(file.as_uri(), height=60) as tab:
+        tab.wait_for("document.readyState === 'complete'")
+        figures = "[...document.querySelectorAll('.plot')]"
+        assert not tab.run(f"{figures}.some(e => e.querySelector('.main-svg'))")
+        tab.run("window.dispatchEvent(new Event('beforeprint'))")
+        assert tab.run(f"{figures}.every(e => e.querySelector('.main-svg'))")
+        assert tab.run(_WHOLE)
+        assert not tab.errors
 
 
 @needs_chromium

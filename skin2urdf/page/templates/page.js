@@ -3,12 +3,23 @@
   const data = JSON.parse(document.getElementById("data").textContent);
   const config = { responsive: true, displaylogo: false, modeBarButtonsToRemove: ["toImage"] };
   const narrow = () => window.innerWidth < 600;
+  // The second frame begins when the first one is on the screen.
+  const painted = () => new Promise((done) =>
+    requestAnimationFrame(() => requestAnimationFrame(() => setTimeout(done))));
   const draw = {};
 
-  for (const [name, figure] of Object.entries(data.figures)) {
-    draw[name] = (place) => {
+  // Names, markers and lines in space take as long as all solids: the robot is seen before them.
+  for (const [name, { data: traces, layout }] of Object.entries(data.figures)) {
+    draw[name] = async (place, atOnce) => {
       const settings = { ...config, displayModeBar: name === "robot" && !narrow() };
-      return Plotly.newPlot(place, figure.data, figure.layout, settings);
+      const later = atOnce ? [] : traces.flatMap(({ type, visible }, i) =>
+        type === "scatter3d" && visible === undefined ? [i] : []);
+      const first = traces.map((trace, i) =>
+        later.includes(i) ? { ...trace, visible: "legendonly" } : trace);
+      await Plotly.newPlot(place, first, layout, settings);
+      if (later.length === 0) return;
+      await painted();
+      await Plotly.restyle(place, { visible: true }, later);
     };
   }
 
@@ -59,18 +70,24 @@
     choice.addEventListener("change", () => draw.traces(document.getElementById("traces")));
   }
 
-  // What is out of sight is drawn when it comes near, so that the page opens at once.
+  // What is out of sight is drawn when it comes near, and one thing is seen before the next is
+  // drawn, so that the page opens at once.
   const drawn = new Set();
-  const show = (place) => {
-    if (drawn.has(place.id)) return;
+  const show = (place, atOnce) => {
+    if (drawn.has(place.id)) return undefined;
     drawn.add(place.id);
-    draw[place.id](place);
+    return draw[place.id](place, atOnce);
   };
   const places = document.querySelectorAll(".plot");
+  let before = Promise.resolve();
   const watch = new IntersectionObserver(
-    (seen) => seen.filter((s) => s.isIntersecting).forEach((s) => show(s.target)),
+    (seen) => {
+      for (const { target } of seen.filter((s) => s.isIntersecting)) {
+        before = before.then(() => show(target, false)).then(painted);
+      }
+    },
     { rootMargin: "400px" },
   );
   places.forEach((place) => watch.observe(place));
-  window.addEventListener("beforeprint", () => places.forEach(show));
+  window.addEventListener("beforeprint", () => places.forEach((place) => show(place, true)));
 })();

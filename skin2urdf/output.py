@@ -12,9 +12,10 @@ from typing import Any
 from skin2urdf.calibration.result import Calibration
 from skin2urdf.errors import BadFitError, UsageError
 from skin2urdf.files import check_target, write_atomically
-from skin2urdf.report.document import as_document, dumps
+from skin2urdf.report.document import as_document
 from skin2urdf.report.findings import findings
 from skin2urdf.report.model_document import as_document as model_document
+from skin2urdf.report.plain import dumps
 from skin2urdf.report.remarks import remarks
 from skin2urdf.urdf.beside import document_beside
 from skin2urdf.urdf.check import check_urdf

@@ -152,7 +152,7 @@ def shown(path: Path) -> str:
 
 def print_json(document: Mapping[str, Any]) -> None:
     """Print a document as JSON."""
-    from skin2urdf.report.document import dumps
+    from skin2urdf.report.plain import dumps
 
     print(dumps(document), end="")
 

@@ -7,9 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from skin2urdf.report.document import fault_document, to_plain, versions
+from skin2urdf.report.document import fault_document
 from skin2urdf.report.faults import fault_words
 from skin2urdf.report.notes import note_documents, note_words
+from skin2urdf.report.plain import to_plain, versions
 from skin2urdf.report.tables import bullets, count, number, table
 from skin2urdf.vendor.checking import Checked, SuCheck
 

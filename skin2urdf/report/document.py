@@ -2,12 +2,8 @@
 
 from __future__ import annotations
 
-import json
-import math
-import platform
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict
-from importlib import metadata
 from typing import Any
 
 import numpy as np
@@ -21,6 +17,7 @@ from skin2urdf.report.faults import fault_words
 from skin2urdf.report.findings import Findings, findings
 from skin2urdf.report.gyros import gyro_document
 from skin2urdf.report.notes import note_documents
+from skin2urdf.report.plain import to_plain, versions
 from skin2urdf.report.summary import all_notes
 from skin2urdf.report.words import NO_POSITIONS, Unknown
 from skin2urdf.signals.records import Features
@@ -28,7 +25,6 @@ from skin2urdf.structure.activity import Activity
 from skin2urdf.structure.records import KinematicTree
 
 SCHEMA = "skin2urdf/calibration/1"
-_LIBRARIES = ("numpy", "scipy", "pin", "nlopt", "casadi")
 _MM, _DEG = 1e3, float(np.rad2deg(1.0))
 
 
@@ -136,48 +132,6 @@ def activity_document(activity: Activity) -> dict[str, Any]:
         }
     )
     return plain
-
-
-def versions() -> dict[str, str | None]:
-    """Versions of this package, of Python and of the libraries that compute."""
-    result: dict[str, str | None] = {"python": platform.python_version()}
-    for name in ("skin2urdf", *_LIBRARIES):
-        try:
-            result[name] = metadata.version(name)
-        except metadata.PackageNotFoundError:
-            result[name] = None
-    return result
-
-
-def to_plain(value: Any) -> Any:
-    """Turn records' values into what JSON can hold; NaN and infinity become None."""
-    if isinstance(value, Mapping):
-        return {str(key): to_plain(item) for key, item in value.items()}
-    if isinstance(value, np.ndarray | np.generic):
-        return to_plain(value.tolist())
-    if isinstance(value, Sequence) and not isinstance(value, str):
-        return [to_plain(item) for item in value]
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value
-
-
-def dumps(document: Mapping[str, Any]) -> str:
-    """JSON text of a plain document: indented, lists of plain values on one line."""
-    return _lines(document, "") + "\n"
-
-
-def _lines(value: Any, indent: str) -> str:
-    """JSON text of plain values, indented."""
-    deeper = indent + "  "
-    if isinstance(value, dict) and value:
-        items = [f"{json.dumps(key)}: {_lines(item, deeper)}" for key, item in value.items()]
-    elif isinstance(value, list) and any(isinstance(item, dict | list) for item in value):
-        items = [_lines(item, deeper) for item in value]
-    else:
-        return json.dumps(value, allow_nan=False)
-    begin, end = "{}" if isinstance(value, dict) else "[]"
-    return f"{begin}\n{deeper}" + f",\n{deeper}".join(items) + f"\n{indent}{end}"
 
 
 def _fit(calibration: Calibration, found: Findings) -> dict[str, Any]:

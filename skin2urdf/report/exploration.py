@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 
 from skin2urdf.arrays import Int
-from skin2urdf.report.document import activity_document, to_plain
+from skin2urdf.report.document import activity_document
 from skin2urdf.report.notes import note_documents, note_words
+from skin2urdf.report.plain import to_plain
 from skin2urdf.report.tables import bullets, table
 from skin2urdf.structure.activity import Activity
 from skin2urdf.structure.ordering import Ordering

@@ -9,9 +9,9 @@ import numpy as np
 from skin2urdf.arrays import F64
 from skin2urdf.recording.records import JointStream, Recording, SuStream
 from skin2urdf.report.clocks import clock_notes
-from skin2urdf.report.document import to_plain
 from skin2urdf.report.faults import fault_words
 from skin2urdf.report.notes import note_words
+from skin2urdf.report.plain import to_plain
 from skin2urdf.report.tables import bullets, count, number, span, table
 from skin2urdf.survey import Surveyed
 

@@ -13,13 +13,12 @@ from skin2urdf.report.document import (
     SCHEMA,
     fault_document,
     name_of,
-    to_plain,
     tree_document,
-    versions,
 )
 from skin2urdf.report.gyros import gyro_document
 from skin2urdf.report.notes import note_documents
 from skin2urdf.report.on_model import all_notes, deviations, model_verdict, stiffness
+from skin2urdf.report.plain import to_plain, versions
 from skin2urdf.report.words import unknowns
 from skin2urdf.vendor.records import ModelCalibration
 

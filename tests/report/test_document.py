@@ -16,8 +16,9 @@ from hypothesis import strategies as st
 
 from skin2urdf.geometry.dh import ExtendedDh
 from skin2urdf.model.records import OpenDirection
-from skin2urdf.report.document import SCHEMA, as_document, dumps, to_plain, versions
+from skin2urdf.report.document import SCHEMA, as_document
 from skin2urdf.report.findings import findings
+from skin2urdf.report.plain import dumps, to_plain, versions
 from skin2urdf.urdf.compare import load_open, load_unobservable
 
 PLAIN = st.recursive(

@@ -10,8 +10,9 @@ import pytest
 from calibrated import calibration
 
 from skin2urdf.faults import Fault, FaultKind
-from skin2urdf.report.document import as_document, dumps
+from skin2urdf.report.document import as_document
 from skin2urdf.report.faults import fault_words
+from skin2urdf.report.plain import dumps
 from skin2urdf.report.summary import as_text
 
 

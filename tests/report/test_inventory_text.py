@@ -12,8 +12,8 @@ from calibrated import simulation
 
 from skin2urdf.recording.records import JointStream, Recording
 from skin2urdf.recording.writing import write
-from skin2urdf.report.document import dumps
 from skin2urdf.report.inventory import as_document, as_text
+from skin2urdf.report.plain import dumps
 from skin2urdf.survey import explore, survey
 
 

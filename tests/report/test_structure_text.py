@@ -10,9 +10,9 @@ import numpy as np
 from skin2urdf.errors import StructureError
 from skin2urdf.notes import Note
 from skin2urdf.paper.exploration import explore
-from skin2urdf.report.document import dumps
 from skin2urdf.report.exploration import as_document, as_text, limbs
 from skin2urdf.report.notes import note_words
+from skin2urdf.report.plain import dumps
 from skin2urdf.structure.activity import Activity
 from skin2urdf.structure.records import KinematicTree
 from skin2urdf.survey import Explored

@@ -1,13 +1,14 @@
-"""Mutate a small log and see that every command ends in time, in words, and never wrong in silence.
+"""Mutate small logs and see that every command ends in time, in words, and never wrong in silence.
 
-A sound log of a robot with two joints is simulated and calibrated once. Mutants of its bytes
-(flipped, cut, repeated), of its MCAP records (left out, doubled, exchanged, with other lengths), of
-its messages (stamps, values, order, payloads) and of the bytes of the same log in other formats
-(database, ROS 1 bag, table, packed) then go through `info`, `explore` and `calibrate`, each in a
-process of its own with a limit of time and memory. A mutant fails where a command is killed by a
-limit or a signal, prints a traceback or an internal error, ends with an unknown status, or writes a
-URDF that is wrong by more than twice what it states without a word that the sound log's result does
-not have.
+Sound logs of a robot with two joints are simulated and calibrated once. Mutants of their bytes
+(flipped, cut, repeated), of their MCAP records (left out, doubled, exchanged, with other lengths),
+of their messages (stamps, values, order, payloads) and of the bytes of the same logs in other
+formats (database, ROS 1 bag, table, packed) then go through `info`, `explore` and `calibrate`, in a
+process that has a limit of time and memory. A mutant fails where a command is killed by a limit or
+a signal, prints a traceback or an internal error, ends with an unknown status, or writes a URDF
+that is wrong by more than twice what it states without a word that the sound log's result does not
+have. The process is a fork of this one, in which everything is loaded, and goes through all
+commands; where one fails, each gets a process of its own, and that is what counts.
 Mutants that fail are kept. Each mutant is a line of the output as soon as it is finished, and one
 that is there is not done again.
 
@@ -19,6 +20,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import gc
 import json
 import os
 import tempfile
@@ -31,22 +33,28 @@ from typing import Any, NamedTuple
 import numpy as np
 from fuzzing.judging import spoken, wrong_in_silence
 from fuzzing.mutations import PLAN
-from fuzzing.performing import GRACE, PATIENCE, Outcome, perform
-from fuzzing.sound import formats, sound_log
+from fuzzing.performing import GRACE, PATIENCE, Command, Outcome, perform, perform_in_turn
+from fuzzing.sound import MOTIONS, formats, sound_log
 
 from skin2urdf.cli.main import main as skin2urdf
 
 COMMANDS = ("info", "explore", "calibrate")
+# One mutant of so many is of the log in which all joints swing together: it takes twice the time.
+TOGETHER = 8
 
 
-class Usual(NamedTuple):
-    """What the commands make of the sound log.
+class Original(NamedTuple):
+    """A sound log, and what the commands make of it.
 
     Attributes:
-        seconds: processor time of each.
+        truth: the robot that it was recorded on.
+        formats: the log in every format, by the end of its name.
+        seconds: processor time of each command.
         said: all that its result says in words.
     """
 
+    truth: Path
+    formats: Mapping[str, bytes]
     seconds: Mapping[str, float]
     said: set[str]
 
@@ -56,12 +64,20 @@ def words_of(name: str, log: Path, urdf: Path) -> list[str]:
     return [name, str(log), *(["-o", str(urdf)] if name == "calibrate" else [])]
 
 
-def usual(commands: list[str], log: Path, urdf: Path, memory: int) -> Usual:
-    """See what the commands make of the sound log.
+def original(place: Path, excite: str, commands: list[str], memory: int) -> Original:
+    """Make a sound log, and see what the commands make of it.
+
+    Args:
+        place: a folder for it.
+        excite: how its joints swing, a key of `MOTIONS`.
+        commands: names of the commands.
+        memory: bytes that each may take.
 
     Raises:
         SystemExit: one does not succeed.
     """
+    log, truth = sound_log(place, excite)
+    urdf = place / "robot.urdf"
     # What a command loads, its mutants need not load again: they are forks of this process.
     for name in commands:
         skin2urdf([*words_of(name, log, urdf), "--quiet"])
@@ -73,7 +89,8 @@ def usual(commands: list[str], log: Path, urdf: Path, memory: int) -> Usual:
             raise SystemExit(f"{name} ends so for the sound log: {outcome.output.strip()}")
         seconds[name] = outcome.seconds
     beside = urdf.with_suffix(".json")
-    return Usual(seconds, spoken(json.loads(beside.read_text())) if beside.exists() else set())
+    said = spoken(json.loads(beside.read_text())) if beside.exists() else set()
+    return Original(truth, formats(log), seconds, said)
 
 
 def finished(output: Path) -> list[dict[str, Any]]:
@@ -129,10 +146,11 @@ def fuzz(place: Path, options: argparse.Namespace, end: float) -> None:
         end: time on the monotonic clock after which no mutant begins [s].
     """
     memory = options.memory << 20
-    log, truth = sound_log(place)
-    urdf = place / "robot.urdf"
-    normal = usual(options.commands, log, urdf, memory)
-    whole = formats(log)
+    originals = {
+        excite: original(place / excite, excite, options.commands, memory) for excite in MOTIONS
+    }
+    # What there is now is not looked through again in every fork, which would copy its memory.
+    gc.freeze()
     done = {record["key"] for record in finished(options.output)}
     with options.output.open("a") as output:
         for number in range(options.mutants):
@@ -141,50 +159,64 @@ def fuzz(place: Path, options: argparse.Namespace, end: float) -> None:
             if (key := f"{options.seed}_{number}") in done:
                 continue
             ending, mutation = PLAN[number % len(PLAN)]
+            excite = "one" if number // len(PLAN) % TOGETHER else "all"
+            sound = originals[excite]
             mutant = place / f"mutant{ending}"
             mutant.write_bytes(
-                mutation(whole[ending], np.random.default_rng([options.seed, number]))
+                mutation(sound.formats[ending], np.random.default_rng([options.seed, number]))
             )
-            statuses, seconds, faults = {}, 0.0, []
-            for name in options.commands:
-                urdf.unlink(missing_ok=True)
-                limit = PATIENCE * normal.seconds[name] + GRACE
-                outcome = perform(words_of(name, mutant, urdf), limit, memory)
-                fault = outcome.fault
-                if not fault and name == "calibrate" and urdf.exists():
-                    fault = wrong_in_silence(urdf, truth, normal.said)
-                statuses[name] = outcome.status
-                seconds += outcome.seconds
-                if fault:
-                    faults.append(f"{name}: {fault}")
-                    _keep(
-                        options.keep,
-                        f"{key}_{name}{ending}",
-                        mutant,
-                        mutation.__name__,
-                        fault,
-                        outcome,
-                    )
+            outcomes = outcomes_of(mutant, sound, options.commands, memory)
             record = {
                 "key": key,
                 "mutation": mutation.__name__,
                 "format": ending,
-                "statuses": statuses,
-                "seconds": round(seconds, 2),
-                "faults": faults,
+                "excite": excite,
+                "statuses": {name: outcome.status for name, outcome in outcomes.items()},
+                "seconds": round(sum(outcome.seconds for outcome in outcomes.values()), 2),
+                "faults": [f"{name}: {o.fault}" for name, o in outcomes.items() if o.fault],
             }
+            for name, outcome in outcomes.items():
+                if outcome.fault:
+                    kept = f"{key}_{name}{ending}"
+                    _keep(options.keep, kept, mutant, mutation.__name__, outcome)
             output.write(json.dumps(record) + "\n")
             output.flush()
             os.fsync(output.fileno())
 
 
-def _keep(folder: Path, name: str, mutant: Path, how: str, fault: str, outcome: Outcome) -> None:
+def outcomes_of(mutant: Path, sound: Original, names: list[str], memory: int) -> dict[str, Outcome]:
+    """How commands end for a mutant.
+
+    Args:
+        mutant: the log.
+        sound: what it was made of.
+        names: of the commands.
+        memory: bytes that they may take.
+    """
+    urdf = mutant.with_name("robot.urdf")
+    commands = [
+        Command(words_of(name, mutant, urdf), PATIENCE * sound.seconds[name] + GRACE)
+        for name in names
+    ]
+    urdf.unlink(missing_ok=True)
+    found = perform_in_turn(commands, memory)
+    if any(outcome.fault for outcome in found):
+        found = [perform(*command, memory) for command in commands]
+    outcomes = dict(zip(names, found, strict=True))
+    last = outcomes.get("calibrate")
+    if last is not None and not last.fault and urdf.exists():
+        silent = wrong_in_silence(urdf, sound.truth, sound.said)
+        outcomes["calibrate"] = last._replace(fault=silent)
+    return outcomes
+
+
+def _keep(folder: Path, name: str, mutant: Path, how: str, outcome: Outcome) -> None:
     """Keep a mutant that failed, and say why it did."""
     folder.mkdir(parents=True, exist_ok=True)
     kept = folder / name
     kept.write_bytes(mutant.read_bytes())
     last = outcome.output.strip().splitlines()[-3:]
-    print(f"{kept}: {how}: {fault}", *last, sep="\n    ", flush=True)
+    print(f"{kept}: {how}: {outcome.fault}", *last, sep="\n    ", flush=True)
 
 
 if __name__ == "__main__":

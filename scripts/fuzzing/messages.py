@@ -20,7 +20,7 @@ class Message(NamedTuple):
     payload: bytes
 
 
-@lru_cache(maxsize=1)
+@lru_cache(maxsize=4)
 def messages_of(log: bytes) -> tuple[Message, ...]:
     """All messages of a sound log, in the order of their log times."""
     return tuple(

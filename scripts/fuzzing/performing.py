@@ -1,7 +1,8 @@
-"""A command in a process of its own, with limits of time and memory."""
+"""Commands in a process of their own, with limits of time and memory."""
 
 from __future__ import annotations
 
+import json
 import os
 import resource
 import signal
@@ -22,6 +23,13 @@ PATIENCE, GRACE = 3.0, 10.0
 WAITING = 100.0
 
 
+class Command(NamedTuple):
+    """A command with its arguments, and the processor time after which it is ended [s]."""
+
+    words: list[str]
+    seconds: float
+
+
 class Outcome(NamedTuple):
     """How a command ended.
 
@@ -38,7 +46,7 @@ class Outcome(NamedTuple):
     seconds: float
 
 
-def perform(words: Sequence[str], seconds: float, memory: int) -> Outcome:
+def perform(words: list[str], seconds: float, memory: int) -> Outcome:
     """Run a command in a process of its own.
 
     Args:
@@ -50,13 +58,27 @@ def perform(words: Sequence[str], seconds: float, memory: int) -> Outcome:
     Returns:
         How it ended.
     """
+    return perform_in_turn([Command(words, seconds)], memory)[0]
+
+
+def perform_in_turn(commands: Sequence[Command], memory: int) -> list[Outcome]:
+    """Run commands one after the other in one process, which is not made anew for each.
+
+    Args:
+        commands: what to run; each has its own limit of time (see `perform`).
+        memory: bytes that they may take beyond those that this process has.
+
+    Returns:
+        How they ended, up to one that ended the process.
+    """
     begin = time.monotonic()
-    with tempfile.TemporaryFile("w+", errors="replace") as printed:
+    longest = WAITING * sum(command.seconds for command in commands)
+    with tempfile.TemporaryFile() as printed, tempfile.TemporaryFile() as told:
         child = os.fork()
         if child == 0:
-            _child(words, seconds, memory, printed.fileno())
+            _child(commands, memory, printed.fileno(), told.fileno())
         status, used = None, 0.0
-        while status is None and time.monotonic() - begin < WAITING * seconds:
+        while status is None and time.monotonic() - begin < longest:
             ended, code, usage = os.wait4(child, os.WNOHANG)
             if ended:
                 status = os.waitstatus_to_exitcode(code)
@@ -66,21 +88,39 @@ def perform(words: Sequence[str], seconds: float, memory: int) -> Outcome:
             os.kill(child, signal.SIGKILL)
             os.waitpid(child, 0)
         printed.seek(0)
+        told.seek(0)
         output = printed.read()
-    if status is None:
-        waited = time.monotonic() - begin
-        return Outcome(f"took more than {waited:.0f} s", -signal.SIGKILL, output, seconds)
-    if used > seconds:
-        return Outcome(f"took more than {seconds:.0f} s of work", status, output, used)
-    if "Traceback" in output or INTERNAL_ERROR in output:
-        return Outcome("an error that is not in words", status, output, used)
-    if status not in STATUSES:
-        return Outcome(f"ended with {status}", status, output, used)
-    return Outcome("", status, output, used)
+        finished = [json.loads(line) for line in told.read().splitlines()]
+    outcomes, at, spent = [], 0, 0.0
+    for command, (how, until, stop) in zip(commands, finished, strict=False):
+        outcomes.append(_judged(how, output[at:stop], until - spent, command.seconds))
+        at, spent = stop, until
+    if len(outcomes) < len(commands):
+        limit = commands[len(outcomes)].seconds
+        if status is None:
+            fault = f"took more than {time.monotonic() - begin:.0f} s"
+            text = output[at:].decode(errors="replace")
+            outcomes.append(Outcome(fault, -signal.SIGKILL, text, limit))
+        else:
+            outcomes.append(_judged(status, output[at:], used - spent, limit))
+    return outcomes
 
 
-def _child(words: Sequence[str], seconds: float, memory: int, output: int) -> None:
-    """Run a command and end this process."""
+def _judged(status: int, printed: bytes, used: float, limit: float) -> Outcome:
+    """How a command ended that took so much time where so much is allowed [s]."""
+    output = printed.decode(errors="replace")
+    fault = ""
+    if used > limit:
+        fault = f"took more than {limit:.0f} s of work"
+    elif "Traceback" in output or INTERNAL_ERROR in output:
+        fault = "an error that is not in words"
+    elif status not in STATUSES:
+        fault = f"ended with {status}"
+    return Outcome(fault, status, output, used)
+
+
+def _child(commands: Sequence[Command], memory: int, output: int, told: int) -> None:
+    """Run commands, write down how each ended, and end this process."""
     status = 120
     try:
         os.dup2(output, 1)
@@ -88,13 +128,22 @@ def _child(words: Sequence[str], seconds: float, memory: int, output: int) -> No
         pages = int(Path("/proc/self/statm").read_text().split()[0])
         limit = pages * resource.getpagesize() + memory
         resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
-        work = int(seconds) + 2
-        resource.setrlimit(resource.RLIMIT_CPU, (work, work))
-        status = skin2urdf(list(words))
-        sys.stdout.flush()
-        sys.stderr.flush()
-    except SystemExit as error:
-        status = int(error.code or 0)
+        _, hard = resource.getrlimit(resource.RLIMIT_CPU)
+        begin = time.process_time()
+        for command in commands:
+            # Time that the process has taken counts up from its beginning.
+            work = int(time.process_time() + command.seconds) + 2
+            resource.setrlimit(resource.RLIMIT_CPU, (work, hard))
+            status = 120
+            try:
+                status = skin2urdf(command.words)
+            except SystemExit as error:
+                status = int(error.code or 0)
+            sys.stdout.flush()
+            sys.stderr.flush()
+            used = time.process_time() - begin
+            line = json.dumps([status, used, os.lseek(output, 0, os.SEEK_CUR)])
+            os.write(told, line.encode() + b"\n")
     except BaseException as error:
         os.write(2, f"Traceback: {type(error).__name__}: {error}".encode())
     finally:

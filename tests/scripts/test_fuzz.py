@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from fuzzing.mutations import MUTATIONS, mutated_bytes, mutated_messages
-from fuzzing.performing import PATIENCE, STATUSES, perform
+from fuzzing.performing import PATIENCE, STATUSES, Command, perform, perform_in_turn
 from fuzzing.sound import formats
 
 from skin2urdf.cli.main import INTERNAL_ERROR, main
@@ -76,3 +76,27 @@ def test_mutants_can_be_made_again(sound: bytes) -> None:
         first, second = (mutation(sound, np.random.default_rng(3)) for _ in range(2))
         assert first == second
         assert first != sound
+
+
+def test_commands_that_share_a_process_end_as_they_do_alone(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    none = ["info", str(tmp_path / "none.mcap")]
+    quick = Command(["simulate", "--list"], 60.0)
+    with capfd.disabled():
+        outcomes = perform_in_turn([quick, Command(none, 60.0), quick], 1 << 30)
+        alone = perform(none, 60.0, 1 << 30)
+    assert [outcome.status for outcome in outcomes] == [0, 2, 0]
+    assert outcomes[0].output == outcomes[2].output
+    assert outcomes[1].output == alone.output
+    assert not any(outcome.fault for outcome in outcomes)
+
+
+def test_a_command_that_ends_its_process_is_the_last_one(tmp_path: Path) -> None:
+    quick = Command(["simulate", "--list"], 60.0)
+    long = ["simulate", "talos", "-o", str(tmp_path / "log.mcap"), "--imu-rate", "1000", "--quiet"]
+    outcomes = perform_in_turn([quick, Command(long, 0.1), quick], 1 << 32)
+    assert len(outcomes) == 2
+    assert not outcomes[0].fault
+    assert outcomes[1].fault
+    assert outcomes[1].status not in STATUSES

@@ -21,13 +21,29 @@ from skin2urdf.recording.naming import shortened, su_names, writable
 from skin2urdf.recording.records import JointStream, Recording, SuStream
 from skin2urdf.recording.shelf import Shelf, put_away
 from skin2urdf.recording.streams import Samples
-from skin2urdf.recording.timing import Chosen, sample_times
+from skin2urdf.recording.timing import Chosen, SampleTimes, Stamped, sample_times_of
 
 # Streams whose stamps differ from the log time this much more than others' were stamped by a
 # clock of their own (a device that counts from its start, say), not late [s].
 OTHER_CLOCK = 5.0
 # No joint reads more [rad or m]; such values are damage.
 LARGEST_VALUE = 1e6
+# Samples of SUs that are in memory while they are timed: some 30 MB.
+TIMED_TOGETHER = 1 << 18
+
+
+class Source(NamedTuple):
+    """What one SU, or joints that share times, sent.
+
+    Attributes:
+        name: of the SU.
+        topic: where it came from.
+        samples: the samples.
+    """
+
+    name: str
+    topic: str
+    samples: Samples
 
 
 class TimedStream(NamedTuple):
@@ -82,7 +98,7 @@ def timed_joints(
             )
             notes.append(ReadingNote("several publishers", words, (topic, *names)))
             continue
-        whole = _timed("", topic, samples)
+        (whole,) = _timed([Source("", topic, samples)])
         for name, values in zip(names, whole.values.T, strict=True):
             stream, note = _finite(whole._replace(name=name, values=values), f"joint {name}")
             notes.extend(note)
@@ -122,39 +138,64 @@ def timed_sus(
     names, notes = writable(su_names(list(gathered)), "SU")
     few: list[str] = []
     repeating: dict[str, float] = {}
+    waiting: list[Source] = []
     for name, (topic, frame) in zip(names, list(gathered), strict=True):
-        samples = gathered.pop((topic, frame))
-        what = f"SU {name} ({topic})"
-        # Without its bad samples first: they would spoil the comparison of timings.
-        bad = absurd(samples.values)
-        if bad.any():
-            n = int(np.count_nonzero(bad))
-            words = (
-                f"{what}: {n} samples are not finite or beyond what any accelerometer gives; "
-                "left out"
-            )
-            notes.append(ReadingNote("absurd values", words, (name, topic), n))
-            samples = samples.at(~bad)
-        if samples.stamp.size < 2:
-            few.append(what)
-            continue
-        if several_publishers(samples.values, FORCES_APART):
-            words = (
-                f"{what} was left out: several publishers send as {frame!r} on {topic}, and "
-                "nothing tells whose a message is; give each SU a frame_id or a topic of its own"
-            )
-            notes.append(ReadingNote("several publishers", words, (topic, frame)))
-            continue
-        held = measurements(samples.values)
-        if held.times > 1.0:
-            repeating[name] = held.times
-            samples = samples.at(held.kept)
-        stream = _timed(name, topic, samples)
+        samples, found = _sound(name, topic, frame, gathered.pop((topic, frame)))
+        notes += found
+        if samples is not None and samples.stamp.size < 2:
+            few.append(f"SU {name} ({topic})")
+        elif samples is not None:
+            held = measurements(samples.values)
+            if held.times > 1.0:
+                repeating[name] = held.times
+                samples = samples.at(held.kept)
+            waiting.append(Source(name, topic, samples))
+        # What is timed together leaves the memory together.
+        if sum(source.samples.stamp.size for source in waiting) >= TIMED_TOGETHER:
+            streams += _put(waiting, shelf, notes)
+    streams += _put(waiting, shelf, notes)
+    notes += held_notes(repeating)
+    if few:
+        words = f"left out, with fewer than two usable samples: {shortened(few)}"
+        notes.append(ReadingNote("too few", words, tuple(few)))
+    return sorted(streams, key=lambda stream: stream.name), notes
+
+
+def _sound(
+    name: str, topic: str, frame: str, samples: Samples
+) -> tuple[Samples | None, list[ReadingNote]]:
+    """The samples of an SU that can be readings, None where they are not one SU's, and notes."""
+    what, notes = f"SU {name} ({topic})", []
+    # Without its bad samples first: they would spoil the comparison of timings.
+    bad = absurd(samples.values)
+    if bad.any():
+        n = int(np.count_nonzero(bad))
+        words = (
+            f"{what}: {n} samples are not finite or beyond what any accelerometer gives; left out"
+        )
+        notes.append(ReadingNote("absurd values", words, (name, topic), n))
+        samples = samples.at(~bad)
+    if several_publishers(samples.values, FORCES_APART):
+        words = (
+            f"{what} was left out: several publishers send as {frame!r} on {topic}, and "
+            "nothing tells whose a message is; give each SU a frame_id or a topic of its own"
+        )
+        return None, [*notes, ReadingNote("several publishers", words, (topic, frame))]
+    return samples, notes
+
+
+def _put(waiting: list[Source], shelf: Shelf, notes: list[ReadingNote]) -> list[TimedStream]:
+    """Time the samples of some SUs, without spikes, and put them on the shelf; none waits then."""
+    streams = []
+    for stream in _timed(waiting):
         alone = spikes(stream.values)
         if alone.any():
             n = int(np.count_nonzero(alone))
-            words = f"{what}: {n} single samples depart far from all around them; left out"
-            notes.append(ReadingNote("spikes", words, (name, topic), n))
+            words = (
+                f"SU {stream.name} ({stream.topic}): {n} single samples depart far from all "
+                "around them; left out"
+            )
+            notes.append(ReadingNote("spikes", words, (stream.name, stream.topic), n))
             stream = stream._replace(
                 time=stream.time[~alone],
                 values=stream.values[~alone],
@@ -167,12 +208,9 @@ def timed_sus(
                 rates=None if stream.rates is None else shelf.put(stream.rates),
             )
         )
-        shelf.put_away()
-    notes += held_notes(repeating)
-    if few:
-        words = f"left out, with fewer than two usable samples: {shortened(few)}"
-        notes.append(ReadingNote("too few", words, tuple(few)))
-    return sorted(streams, key=lambda stream: stream.name), notes
+    waiting.clear()
+    shelf.put_away()
+    return streams
 
 
 def timing_notes(streams: Sequence[TimedStream]) -> list[ReadingNote]:
@@ -272,21 +310,29 @@ def recorded(
     )
 
 
-def _timed(name: str, topic: str, samples: Samples) -> TimedStream:
-    """Time the samples of one source."""
-    times = sample_times(samples.stamp, samples.log_time, samples.values)
-    whole = np.array_equal(times.kept, np.arange(samples.stamp.size))
+def _timed(sources: Sequence[Source]) -> list[TimedStream]:
+    """Time the samples of some sources."""
+    times = sample_times_of([Stamped(*source.samples[:3]) for source in sources])
+    return [_at_times(*pair) for pair in zip(sources, times, strict=True)]
+
+
+def _at_times(source: Source, times: SampleTimes) -> TimedStream:
+    """A source with the times of its samples."""
+    samples = source.samples
+    count = samples.stamp.size
+    whole = times.kept.size == count and bool((np.diff(times.kept) == 1).all())
+    kept = samples if whole else samples.at(times.kept)
     return TimedStream(
-        name=name,
-        topic=topic,
+        name=source.name,
+        topic=source.topic,
         time=times.time,
-        values=samples.values if whole else samples.values[times.kept],
+        values=kept.values,
         clock_offset=times.clock_offset,
         stamped=times.stamped,
         chosen=times.chosen,
-        contradicting=samples.stamp.size - times.kept.size,
+        contradicting=count - times.kept.size,
         stamp_noise=times.noise,
-        rates=samples.rates if whole or samples.rates is None else samples.rates[times.kept],
+        rates=kept.rates,
     )
 
 

@@ -33,15 +33,58 @@ def median_of(values: F64 | Int) -> float:
     # An odd stride does not fall in step with samples that come in bursts of 2, 4, 8 ...
     some = values[:: values.size // 2048 | 1]
     half = some.size // 2
-    if not half:
-        return float(np.median(some))
-    # `np.median` without its overhead, which is a third of the time of reading a thousand topics.
-    low, high = (half - 1, half) if some.size % 2 == 0 else (half, half)
-    ordered = some.copy()
-    ordered.partition([low, high, some.size - 1])
-    if np.isnan(ordered[-1]):
+    if not some.size:
         return float("nan")
-    return 0.5 * (float(ordered[low]) + float(ordered[high]))
+    # Dividing at a single place takes a sixth of the time that two take, as it needs no branches.
+    ordered = some.copy()
+    ordered.partition(half)
+    if np.isnan(np.maximum.reduce(ordered[half:])):
+        return float("nan")  # what is no number lies behind all others
+    if some.size % 2:
+        return float(ordered[half])
+    return 0.5 * (float(np.maximum.reduce(ordered[:half])) + float(ordered[half]))
+
+
+def medians_of(rows: F64 | Int) -> F64:
+    """Median of each row, as `median_of` has it.
+
+    Args:
+        rows: (S, N) values, at least one in each row.
+
+    Returns:
+        (S,) medians; NaN for rows that hold one.
+    """
+    count = rows.shape[1]
+    some = rows[:, :: count // 2048 | 1]
+    half = some.shape[1] // 2
+    ordered = np.partition(some, half, axis=1)
+    middle = ordered[:, half].astype(np.float64)
+    if some.shape[1] % 2 == 0:
+        middle = 0.5 * (middle + ordered[:, :half].max(axis=1))
+    return np.where(np.isnan(ordered[:, half:].max(axis=1)), np.nan, middle)
+
+
+def may_have_gaps(stamp: F64, period: F64, noise: F64) -> Bool:
+    """Streams in which `number_messages` may find something.
+
+    Args:
+        stamp: (S, N) stamps of S streams in the order of arrival [s].
+        period: (S,) sampling periods [s].
+        noise: (S,) scales of the noise of one stamp [s].
+
+    Returns:
+        (S,) False where no stamp jumps, and none stay ahead.
+    """
+    count = stamp.shape[1]
+    reach = _reach(period, noise)
+    jump = np.abs(np.diff(stamp, axis=1) - period[:, None]).max(axis=1, initial=0.0)
+    found: Bool = jump > MOVED * period
+    for r in np.unique(reach[~found]):
+        rows = np.flatnonzero(~found & (reach == r))
+        level = stamp[rows] - period[rows, None] * np.arange(count)
+        least = _least_jump(period[rows], noise[rows], np.array(r))
+        found[rows] = _moves(level, int(r), least)
+    return np.asarray(found & (count >= 4 * reach))
 
 
 def number_messages(stamp: F64, period: float, noise: float) -> Numbering | None:
@@ -55,7 +98,7 @@ def number_messages(stamp: F64, period: float, noise: float) -> Numbering | None
     Returns:
         The numbering, or None where no message is missing or stamps jump everywhere.
     """
-    reach = int(np.clip(np.ceil(150.0 * (noise / period) ** 2), 8, 64))
+    reach = int(_reach(np.array(period), np.array(noise)))
     if stamp.size < 4 * reach:
         return None
     lost = np.zeros(stamp.size, np.int64)
@@ -136,10 +179,8 @@ def _recount(stamp: F64, period: float, noise: float, reach: int, lost: Int, apa
     least = float(_least_jump(period, noise, np.array(reach)))
     number = np.cumsum(1 + lost) - 1
     level = stamp - period * number
-    total = np.concatenate([[0.0], np.cumsum(level - level[0])])
-    mean = (total[reach:] - total[:-reach]) / reach
     # Means first, as they are cheap; medians, which wrong stamps do not move, where these differ.
-    if not (np.abs(mean[reach:] - mean[:-reach]) > least).any():
+    if not _moves(level[None], reach, np.array([least]))[0]:
         return
     windows = np.lib.stride_tricks.sliding_window_view(level, reach)
     settled = np.median(windows, axis=1)
@@ -162,7 +203,22 @@ def _recount(stamp: F64, period: float, noise: float, reach: int, lost: Int, apa
             apart[span.start + int(np.argmin(step[start : span.stop - 1]))] = True
 
 
-def _least_jump(period: float, noise: float, seen: Int) -> F64:
+def _reach(period: F64, noise: F64) -> Int:
+    """How many samples make a level, by the noise of the stamps."""
+    reach = np.clip(np.ceil(150.0 * np.square(noise / period)), 8, 64)
+    return np.asarray(reach, dtype=np.int64)
+
+
+def _moves(level: F64, reach: int, least: F64) -> Bool:
+    """(S,) whether means of so many samples of the rows (S, N) differ by more than (S,)."""
+    total = np.cumsum(level - level[:, :1], axis=1)
+    total = np.concatenate([np.zeros((len(level), 1)), total], axis=1)
+    mean = (total[:, reach:] - total[:, :-reach]) / reach
+    most = np.abs(mean[:, reach:] - mean[:, :-reach]).max(axis=1, initial=0.0)
+    return np.asarray(most > least)
+
+
+def _least_jump(period: float | F64, noise: float | F64, seen: Int) -> F64:
     """Return what the difference of two medians must exceed to be more than noise.
 
     Four standard deviations: a median of n samples has 1.25 / sqrt(n), a difference of two

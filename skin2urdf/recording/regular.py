@@ -11,8 +11,14 @@ from itertools import pairwise
 import numpy as np
 from scipy.linalg.lapack import dptsv as ptsv
 
-from skin2urdf.arrays import F64, Int
-from skin2urdf.recording.numbering import Numbering, median_of, number_messages
+from skin2urdf.arrays import F64, Bool, Int
+from skin2urdf.recording.numbering import (
+    Numbering,
+    may_have_gaps,
+    median_of,
+    medians_of,
+    number_messages,
+)
 
 # The line may bend after every stretch of this many samples and seconds, whichever is longer: long
 # enough to average the noise of stamps, short enough to follow the drift of a clock.
@@ -40,43 +46,74 @@ def regular_times(stamp: F64) -> F64 | None:
         (N,) strictly increasing fitted times within each uninterrupted piece [s], or None where
         the stamps follow no rate.
     """
-    if stamp.size < MIN_SAMPLES:
-        return None
-    period, noise = _rate(stamp)
-    if not period > 0.0:
-        return None
-    plain = Numbering(np.arange(stamp.size), np.zeros(1, np.int64))
-    fits = [_fit(stamp, plain, period)]
-    numbering = number_messages(stamp, period, noise)
-    if numbering is not None:
-        fits.append(_fit(stamp, numbering, period))
-    sound = [fit for fit in fits if fit is not None and not _astray(stamp, fit, period, noise)]
-    return min(sound, key=lambda fit: _misfit(stamp, fit), default=None)
+    return regular_times_of(stamp[None])[0]
 
 
-def _rate(stamp: F64) -> tuple[float, float]:
-    """Estimate period and noise of stamps from how far they are apart some messages later.
+def regular_times_of(stamp: F64) -> list[F64 | None]:
+    """Fit regular sampling to the stamps of several streams, each by itself (see `regular_times`).
+
+    Args:
+        stamp: (S, N) stamps of S streams in the order of arrival [s].
+
+    Returns:
+        What `regular_times` returns for each.
+    """
+    found: list[F64 | None] = [None] * len(stamp)
+    if not len(stamp) or stamp.shape[1] < MIN_SAMPLES:
+        return found
+    period, noise = _rates(stamp)
+    rows = np.flatnonzero(period > 0.0)
+    if not rows.size:
+        return found
+    if rows.size < len(stamp):
+        stamp, period, noise = stamp[rows], period[rows], noise[rows]
+    plain = bent_lines(np.arange(stamp.shape[1], dtype=np.float64), stamp, period)
+    sound = ~_astray(stamp, plain, period, noise)
+    gaps = may_have_gaps(stamp, period, noise)
+    for k, row in enumerate(rows.tolist()):
+        fits = [plain[k]] if sound[k] else []
+        if gaps[k]:
+            fits += _fit_between_gaps(stamp[k], float(period[k]), float(noise[k]))
+        misfits = [_misfit(stamp[k], fit) for fit in fits] if len(fits) > 1 else [0.0]
+        found[row] = fits[int(np.argmin(misfits))] if fits else None
+    return found
+
+
+def _rates(stamp: F64) -> tuple[F64, F64]:
+    """Estimate periods and noise of stamps from how far they are apart some messages later.
 
     A long lag averages noise and bursts, a short one is rarely broken by a lost message: the one
     with the least spread counts, the longer one where they are much alike.
 
     Args:
-        stamp: (N,) stamps [s].
+        stamp: (S, N) stamps [s].
 
     Returns:
-        Sampling period [s] and scale of the noise of one stamp [s].
+        (S,) sampling periods [s] and scales of the noise of one stamp [s].
     """
-    period = noise = np.inf
+    streams, count = stamp.shape
+    period, noise = np.full(streams, np.inf), np.full(streams, np.inf)
     for lag in (64, 32, 16, 8):
-        if 2 * lag > stamp.size:
+        if 2 * lag > count:
             continue
-        some = np.arange(0, stamp.size - lag, stamp.size // 4096 | 1)
-        apart = stamp[some + lag] - stamp[some]
-        typical = median_of(apart)
-        spread = 1.4826 * median_of(np.abs(apart - typical)) / np.sqrt(2.0)
-        if spread < 0.7 * noise:
-            period, noise = typical / lag, spread
+        step = count // 4096 | 1
+        apart = stamp[:, lag::step] - stamp[:, : count - lag : step]
+        typical = medians_of(apart)
+        spread = 1.4826 * medians_of(np.abs(apart - typical[:, None])) / np.sqrt(2.0)
+        better = spread < 0.7 * noise
+        period = np.where(better, typical / lag, period)
+        noise = np.where(better, spread, noise)
     return period, noise
+
+
+def _fit_between_gaps(stamp: F64, period: float, noise: float) -> list[F64]:
+    """A fit (N,) to each piece of a stream that lost messages, if it lost any and there is one."""
+    numbering = number_messages(stamp, period, noise)
+    fitted = None if numbering is None else _fit(stamp, numbering, period)
+    if fitted is None:
+        return []
+    astray = _astray(stamp[None], fitted[None], np.array([period]), np.array([noise]))
+    return [] if astray[0] else [fitted]
 
 
 def _fit(stamp: F64, numbering: Numbering, period: float) -> F64 | None:
@@ -95,11 +132,7 @@ def _fit(stamp: F64, numbering: Numbering, period: float) -> F64 | None:
 
 
 def bent_line(number: F64, stamp: F64, period: float) -> F64 | None:
-    """Fit a line with a bend every so often by robust least squares, and no more bends than needed.
-
-    A bend that the clock did not make follows the noise of the stamps, by the same time for all
-    channels of a stream. So bends are taken out, every other one at a time, while the fit gets no
-    worse than by chance.
+    """Fit a line with a bend every so often to the stamps of one stream (see `bent_lines`).
 
     Args:
         number: (N,) message numbers.
@@ -109,81 +142,141 @@ def bent_line(number: F64, stamp: F64, period: float) -> F64 | None:
     Returns:
         (N,) fitted times [s], or None where the bent line does not rise throughout.
     """
-    stretch = max(STRETCH_SAMPLES, int(STRETCH_SECONDS / period))
-    edges = np.linspace(0, number.size, max(1, number.size // stretch) + 1).astype(np.int64)
+    line: F64 = bent_lines(number, stamp[None], np.array([period]))[0]
+    return None if np.isnan(line).any() else line
+
+
+def bent_lines(number: F64, stamp: F64, period: F64) -> F64:
+    """Fit lines with a bend every so often by robust least squares, and no more bends than needed.
+
+    A bend that the clock did not make follows the noise of the stamps, by the same time for all
+    channels of a stream. So bends are taken out, every other one at a time, while the fit gets no
+    worse than by chance.
+
+    Args:
+        number: (N,) message numbers, the same for all S streams.
+        stamp: (S, N) stamps [s].
+        period: (S,) sampling periods [s].
+
+    Returns:
+        (S, N) fitted times [s], NaN for streams whose bent line does not rise throughout.
+    """
+    stretch = np.maximum(STRETCH_SAMPLES, (STRETCH_SECONDS / period).astype(np.int64))
+    stretches = np.maximum(1, number.size // stretch)
+    fitted = np.empty(stamp.shape)
+    for count in np.unique(stretches):
+        rows: slice | Bool = slice(None) if len(fitted) == 1 else stretches == count
+        fitted[rows] = _bent(number, stamp[rows], period[rows], int(count))
+    return fitted
+
+
+def _bent(number: F64, stamp: F64, period: F64, stretches: int) -> F64:
+    """Lines of so many stretches at most (see :func:`bent_lines`)."""
+    edges = np.linspace(0, number.size, stretches + 1).astype(np.int64)
     starts = edges[:-1]
     knots = np.concatenate([number[starts], number[-1:]])
     # Numbers relative to the stretch's first and stamps to the nominal line: well conditioned.
     u = number - np.repeat(number[starts], np.diff(edges))
-    deviation = stamp - period * number
+    deviation = stamp - period[:, None] * number
     # What each sample weighs shows in some of them as well as in all.
-    some = np.arange(0, number.size, min(number.size // SOME | 1, STRETCH_SAMPLES // LEAST))
-    height = _reweighted(knots, number[some], u[some], deviation[some], some, starts)
-    weight = _weights(deviation - np.interp(number, knots, height))
+    step = min(number.size // SOME | 1, STRETCH_SAMPLES // LEAST)
+    first = -(-starts // step)
+    height = _reweighted(knots, u[::step], deviation[:, ::step], first)
+    weight = _weights(deviation - _along(knots, height, u, starts))
     moments = _moments(weight, u, deviation, starts)
     height, misfit = _joined(knots, moments)
-    noise = misfit / max(float(moments[0].sum()) - len(knots), 1.0)
-    best, kept = misfit + BEND_PRICE * noise * len(knots), knots
-    while len(knots) > 2:
+    noise = misfit / np.maximum(moments[0].sum(axis=1) - len(knots), 1.0)
+    best = misfit + BEND_PRICE * noise * len(knots)
+    lines = [(knots, each) for each in height]
+    rows = np.arange(len(stamp))
+    while len(knots) > 2 and rows.size:
         knots, moments = _with_half_the_bends(knots, moments)
-        fewer, misfit = _joined(knots, moments)
-        price = misfit + BEND_PRICE * noise * len(knots)
-        if price > best:
-            break
-        best, height, kept = price, fewer, knots
-    height += period * kept
-    if not (np.diff(height) > 0.0).all():
-        return None
-    return np.asarray(np.interp(number, kept, height), dtype=np.float64)
+        height, misfit = _joined(knots, moments)
+        price = misfit + BEND_PRICE * noise[rows] * len(knots)
+        good = np.flatnonzero(~(price > best[rows]))
+        rows, moments = rows[good], moments[:, good]
+        best[rows] = price[good]
+        for k, row in zip(good.tolist(), rows.tolist(), strict=True):
+            lines[row] = knots, height[k]
+    fitted = np.full(stamp.shape, np.nan)
+    for row, (kept, deviations) in enumerate(lines):
+        heights = deviations + period[row] * kept
+        if (np.diff(heights) > 0.0).all():
+            fitted[row] = np.interp(number, kept, heights)
+    return fitted
 
 
-def _reweighted(knots: F64, number: F64, u: F64, deviation: F64, rows: Int, starts: Int) -> F64:
-    """Heights at the knots from some rows, by robust least squares (see :func:`bent_line`)."""
-    first = np.searchsorted(rows, starts)
-    weight = np.ones(rows.size)
-    for _ in range(REWEIGHTINGS - 1):
-        height, _ = _joined(knots, _moments(weight, u, deviation, first))
-        weight = _weights(deviation - np.interp(number, knots, height))
+def _along(knots: F64, height: F64, u: F64, starts: Int) -> F64:
+    """Values (S, N) of bent lines.
+
+    Args:
+        knots: (K,) numbers at which they bend.
+        height: (S, K) their heights there.
+        u: (N,) how far behind the knot before them values are wanted.
+        starts: (K - 1,) the first of these behind each knot.
+    """
+    count = np.diff(starts, append=u.size)
+    slope = np.diff(height, axis=1) / np.diff(knots)
+    line = np.repeat(slope, count, axis=1)
+    line *= u
+    line += np.repeat(height[:, :-1], count, axis=1)
+    return line
+
+
+def _reweighted(knots: F64, u: F64, deviation: F64, starts: Int) -> F64:
+    """(S, K) heights at the knots from some rows, by robust least squares (see :func:`_bent`)."""
+    weight = np.ones(deviation.shape)
+    height = np.zeros((len(deviation), len(knots)))
+    for last in range(REWEIGHTINGS - 1):
+        height, _ = _joined(knots, _moments(weight, u, deviation, starts))
+        if last < REWEIGHTINGS - 2:
+            weight = _weights(deviation - _along(knots, height, u, starts))
     return height
 
 
 def _weights(residual: F64) -> F64:
-    """What each of (N,) residuals weighs: less, the further they are out."""
-    scale = 1.4826 * median_of(np.abs(residual))
-    return np.asarray(1.0 / (1.0 + np.square(residual / max(2.0 * scale, 1e-9))))
+    """What each of (S, N) residuals weighs: less, the further they are out."""
+    scale = 1.4826 * medians_of(np.abs(residual))
+    weight = residual / np.maximum(2.0 * scale, 1e-9)[:, None]
+    np.square(weight, out=weight)
+    weight += 1.0
+    return np.asarray(np.reciprocal(weight, out=weight))
 
 
 def _moments(weight: F64, u: F64, deviation: F64, starts: Int) -> F64:
-    """(6, K - 1) sums over each stretch (see :func:`_joined`)."""
+    """(6, S, K - 1) sums over each stretch (see :func:`_joined`)."""
     wu, wd = weight * u, weight * deviation
     products = (weight, wu, wu * u, wd, wd * u, wd * deviation)
-    return np.stack([np.add.reduceat(each, starts) for each in products])
+    if len(starts) == 1:
+        return np.stack([each.sum(axis=1, keepdims=True) for each in products])
+    return np.stack([np.add.reduceat(each, starts, axis=1) for each in products])
 
 
-def _joined(knots: F64, moments: F64) -> tuple[F64, float]:
-    """Weighted least-squares line with bends.
+def _joined(knots: F64, moments: F64) -> tuple[F64, F64]:
+    """Weighted least-squares lines with bends.
 
     Args:
-        knots: (K,) numbers at which it may bend, both ends included.
-        moments: (6, K - 1) sums over each stretch of ``w, w u, w u^2, w d, w d u, w d^2``, where
+        knots: (K,) numbers at which they may bend, both ends included.
+        moments: (6, S, K - 1) sums over each stretch of ``w, w u, w u^2, w d, w d u, w d^2``, where
             u counts from the knot before, and d is what to fit with weight w.
 
     Returns:
-        (K,) heights at the knots and the weighted sum of squares that is left.
+        (S, K) heights at the knots and (S,) weighted sums of squares that are left.
     """
     length = np.diff(knots)
     w, wu, wuu, d, du, dd = moments
     wt, wtt, dt = wu / length, wuu / length**2, du / length
-    diagonal, right = np.zeros(len(knots)), np.zeros(len(knots))
-    diagonal[:-1] += w - 2 * wt + wtt
-    diagonal[1:] += wtt
-    right[:-1] += d - dt
-    right[1:] += dt
-    # The matrix is tridiagonal, symmetric and positive: LAPACK's solver for these, unwrapped.
-    *_, height, failed = ptsv(diagonal, wt - wtt, right)
-    if failed:
-        return np.full(len(knots), np.nan), np.inf
-    return np.asarray(height), float(dd.sum() - height @ right)
+    diagonal, right = np.zeros((len(w), len(knots))), np.zeros((len(w), len(knots)))
+    diagonal[:, :-1] += w - 2 * wt + wtt
+    diagonal[:, 1:] += wtt
+    right[:, :-1] += d - dt
+    right[:, 1:] += dt
+    beside = wt - wtt
+    # The matrices are tridiagonal, symmetric and positive: LAPACK's solver for these, unwrapped.
+    solved = [ptsv(*row) for row in zip(diagonal, beside, right, strict=True)]
+    height = np.array([np.full(len(knots), np.nan) if bad else at for *_, at, bad in solved])
+    left = dd.sum(axis=1) - np.einsum("sk,sk->s", height, right)
+    return height.reshape(right.shape), np.where(np.isnan(left), np.inf, left)
 
 
 def _with_half_the_bends(knots: F64, moments: F64) -> tuple[F64, F64]:
@@ -192,7 +285,7 @@ def _with_half_the_bends(knots: F64, moments: F64) -> tuple[F64, F64]:
     ahead = knots[:-1] - np.repeat(knots[first], 2)[: len(knots) - 1]
     w, wu, wuu, d, du, dd = moments
     moved = np.stack([w, wu + ahead * w, wuu + ahead * (2 * wu + ahead * w), d, du + ahead * d, dd])
-    return np.append(knots[first], knots[-1]), np.add.reduceat(moved, first, axis=1)
+    return np.append(knots[first], knots[-1]), np.add.reduceat(moved, first, axis=2)
 
 
 def _misfit(stamp: F64, fitted: F64) -> float:
@@ -201,20 +294,30 @@ def _misfit(stamp: F64, fitted: F64) -> float:
     return float(np.mean(np.minimum(distance, 6.0 * median_of(distance) + 1e-9)))
 
 
-def _astray(stamp: F64, fitted: F64, period: float, noise: float) -> bool:
-    """Tell whether a fit is off by whole messages for a while.
+def _astray(stamp: F64, fitted: F64, period: F64, noise: F64) -> Bool:
+    """Tell which fits are off by whole messages for a while.
 
     Single stamps may be far off, so they are clipped. Averages over many may not, but for what
     the noise explains, except here and there where the clock stepped.
+
+    Args:
+        stamp: (S, N) stamps [s].
+        fitted: (S, N) fits [s]; one that holds no numbers is astray.
+        period: (S,) sampling periods [s].
+        noise: (S,) scales of the noise of one stamp [s].
     """
-    count = stamp.size // ASTRAY_SAMPLES
+    streams, samples = stamp.shape
+    lost: Bool = np.isnan(fitted[:, 0])
+    count = samples // ASTRAY_SAMPLES
     if count == 0:
-        return False
-    apart = (stamp - fitted)[: count * ASTRAY_SAMPLES].reshape(count, ASTRAY_SAMPLES)
-    apart = apart[:: count // 256 | 1]
-    middle = median_of(apart.reshape(-1))
-    reach = period + 4.0 * median_of(np.abs(apart - middle).reshape(-1))
-    level = np.clip(apart - middle, -reach, reach).mean(axis=1)
-    level = np.abs(level - np.median(level))
-    bound = max(ASTRAY * period, 8.0 * noise / np.sqrt(ASTRAY_SAMPLES))
-    return bool(np.mean(level > bound) > 0.02)
+        return lost
+    apart = (stamp - fitted)[:, : count * ASTRAY_SAMPLES]
+    apart = apart.reshape(streams, count, ASTRAY_SAMPLES)[:, :: count // 256 | 1]
+    flat = apart.reshape(streams, -1)
+    middle = medians_of(flat)[:, None]
+    reach = period + 4.0 * medians_of(np.abs(flat - middle))
+    away = apart - middle[:, None]
+    level = np.clip(away, -reach[:, None, None], reach[:, None, None]).mean(axis=2)
+    level = np.abs(level - np.median(level, axis=1, keepdims=True))
+    bound = np.maximum(ASTRAY * period, 8.0 * noise / np.sqrt(ASTRAY_SAMPLES))
+    return np.asarray(lost | (np.mean(level > bound[:, None], axis=1) > 0.02))

@@ -74,10 +74,7 @@ def on_one_clock(
     """
     origin = min((int(s.log_time[0]) for s in streams if s.log_time.size), default=0)
     clocks = [stamped_clock(s.stamp, s.log_time)[0] for s in streams]
-    jumps = [
-        _jumps((clock - origin) / NS_PER_S, (s.log_time - origin) / NS_PER_S)
-        for clock, s in zip(clocks, streams, strict=True)
-    ]
+    jumps = [_jumps(clock, s.log_time, origin) for clock, s in zip(clocks, streams, strict=True)]
     if not any(jumps):
         return list(streams), []
     common = _common(jumps, clocks, origin)
@@ -108,10 +105,21 @@ def on_one_clock(
     return out, notes
 
 
-def _jumps(clock: F64, log: F64) -> list[Jump]:
-    """Find the lasting jumps in times (N,) of the stamps and of the log [s]."""
-    if clock.size < 2 * LEVEL:
+def _jumps(clock_ns: Int, log_ns: Int, origin: int) -> list[Jump]:
+    """Find the lasting jumps in times (N,) of the stamps and of the log, told in s from the origin.
+
+    Args:
+        clock_ns: (N,) times by the stamps [ns].
+        log_ns: (N,) times of the log [ns].
+        origin: when the log begins [ns].
+    """
+    if clock_ns.size < 2 * LEVEL:
         return []
+    steps_ns = np.diff(clock_ns)
+    # Mostly all steps are alike, and so none departs from the usual one.
+    if int(steps_ns.max()) - int(steps_ns.min()) <= JUMP * NS_PER_S:
+        return []
+    clock, log = (clock_ns - origin) / NS_PER_S, (log_ns - origin) / NS_PER_S
     step = np.diff(clock)
     period = max(median_of(step), 0.0)
     least = max(JUMP, 20 * period)

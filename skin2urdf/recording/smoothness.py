@@ -9,13 +9,13 @@ comparison of the two leave-one-out residuals, written as its difference.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
-from skin2urdf.arrays import F64, Int
-from skin2urdf.recording.numbering import median_of
+from skin2urdf.arrays import F64, Bool, Int
+from skin2urdf.recording.numbering import median_of, medians_of
 
 # First derivative per sample of a cubic fitted to 9 samples (Savitzky and Golay, 1964).
 SLOPE = np.array([86.0, -142.0, -193.0, -126.0, 0.0, 126.0, 193.0, 142.0, -86.0]) / 1188.0
@@ -32,96 +32,127 @@ TOGETHER = 8
 
 
 class StampEvidence(NamedTuple):
-    """How far the signal sides with the stamps.
+    """How far the signals of S streams side with the stamps.
 
     Attributes:
-        share: near 1 where the stamps are true, near 0 where the regular times are.
-        uncertainty: standard deviation of `share`; infinite where nothing moves.
+        share: (S,) near 1 where the stamps are true, near 0 where the regular times are.
+        uncertainty: (S,) standard deviations of `share`; infinite where nothing moves.
     """
 
-    share: float
-    uncertainty: float
+    share: F64
+    uncertainty: F64
 
 
-def weigh_stamps(stamp: F64, regular: F64, signal: F64) -> StampEvidence:
-    """Compare stamps with regular times by the signal, where it moves most.
+def weigh_stamps(stamp: F64, regular: F64, signals: Sequence[F64]) -> StampEvidence:
+    """Compare stamps with regular times by the signals, where these move most.
 
     Args:
-        stamp: (N,) stamps [s].
-        regular: (N,) regular times of the same samples [s].
-        signal: (N, C) the samples; channels with gaps (NaN) count where they are whole.
+        stamp: (S, N) stamps of S streams [s].
+        regular: (S, N) regular times of the same samples [s].
+        signals: (N, C) samples of each stream; channels with gaps (NaN) count where they are whole.
 
     Returns:
-        The evidence.
+        The evidence of each stream.
     """
-    if stamp.size <= 2 * HALO:
-        return StampEvidence(0.0, np.inf)
-    if stamp.size < WINDOW + 2 * HALO:
-        return _weighed(stamp, regular, signal, np.arange(stamp.size)[None])
-    evidence = StampEvidence(0.0, np.inf)
+    streams, count = stamp.shape
+    share, uncertainty = np.zeros(streams), np.full(streams, np.inf)
+    if count <= 2 * HALO:
+        return StampEvidence(share, uncertainty)
+    if count < WINDOW + 2 * HALO:
+        index = np.broadcast_to(np.arange(count), (streams, 1, count))
+        return _weighed(stamp, regular, signals, index)
     length = np.arange(WINDOW + 2 * HALO)
-    for start in _moving_windows(signal):
-        evidence = _weighed(stamp, regular, signal, start[:, None] + length)
-        if abs(evidence.share - 0.5) > CLEAR * evidence.uncertainty:
+    order = np.stack([_by_movement(signal) for signal in signals])
+    doubtful = np.arange(streams)
+    for most in WINDOWS:
+        start = np.sort(order[doubtful, -most:], axis=1) * WINDOW
+        found = _weighed(
+            stamp[doubtful],
+            regular[doubtful],
+            [signals[k] for k in doubtful.tolist()],
+            start[:, :, None] + length,
+        )
+        share[doubtful], uncertainty[doubtful] = found
+        doubtful = doubtful[~(np.abs(found.share - 0.5) > CLEAR * found.uncertainty)]
+        if order.shape[1] <= most or not doubtful.size:
             break
-    return evidence
+    return StampEvidence(share, uncertainty)
 
 
-def _weighed(stamp: F64, regular: F64, signal: F64, index: Int) -> StampEvidence:
-    """The evidence of windows of samples with (W, L) numbers; see :func:`weigh_stamps`."""
-    time = regular[index]
-    span = time[:, 2 * HALO :] - time[:, : -2 * HALO]
+def _weighed(stamp: F64, regular: F64, signals: Sequence[F64], index: Int) -> StampEvidence:
+    """The evidence of windows of samples with (S, W, L) numbers; see :func:`weigh_stamps`."""
+    streams = len(index)
+    row = np.arange(streams)[:, None, None]
+    time = regular[row, index]
+    span = time[:, :, 2 * HALO :] - time[:, :, : -2 * HALO]
     # Not across lost messages and pauses: there the rules for regular samples do not hold.
-    period = median_of(span.reshape(-1)) / (2 * HALO)
+    period = (medians_of(span.reshape(streams, -1)) / (2 * HALO))[:, None, None]
     even = np.abs(span - 2 * HALO * period) < 0.5 * period
-    delta = _correlate(stamp[index] - time, MISSED)
-    believable = even & (np.abs(delta) < 3.0 * period) & (np.abs(delta) > 1e-4 * period)
-    share_sum = weight_sum = spread_sum = 0.0
-    terms = []
-    for first in range(0, signal.shape[1], TOGETHER):
-        values = np.moveaxis(signal[:, first : first + TOGETHER][index], -1, 0)
+    delta = _correlate(stamp[row, index] - time, MISSED)
+    even &= np.abs(delta) < 3.0 * period
+    believable = even & (np.abs(delta) > 1e-4 * period)
+    channels = signals[0].shape[1]
+    score_sum, weight_sum = np.zeros(streams), np.zeros(streams)
+    squares = np.zeros((3, streams))
+    for first in range(0, channels, TOGETHER):
+        values = np.stack([
+            signal[at, channel]
+            for signal, at in zip(signals, index, strict=True)
+            for channel in range(first, min(first + TOGETHER, channels))
+        ])  # fmt: skip
+        values = values.reshape(streams, -1, *index.shape[1:])
         finite = np.isfinite(values)
-        whole = np.broadcast_to(believable, (len(values), *believable.shape))
+        usable, whole = even[:, None], believable[:, None]
         if not finite.all():
-            whole = whole & finite.all(axis=2, keepdims=True)
+            sound = finite.all(axis=3, keepdims=True)
+            usable, whole = usable & sound, whole & sound
             values = np.where(finite, values, 0.0)
         missed = _correlate(values, MISSED)
-        slope = _correlate(values, SLOPE) / period
-        noise = np.full((len(values), 1, 1), np.inf)
-        for k in np.flatnonzero(whole.any(axis=(1, 2))):
-            noise[k] = max(1.4826 * median_of(np.abs(missed[k][whole[k]])), 1e-12)
+        slope = _correlate(values, SLOPE)
+        noise = _noise(missed, np.broadcast_to(usable, missed.shape))[:, :, None, None]
         # Noise of one sample is about noise / 1.4, that of the slope a third of it per period.
-        moving = whole & (np.abs(slope) > 0.75 * noise / period)
-        left = missed[moving]
-        predicted = (slope * delta)[moving]
+        moving = whole & (np.abs(slope) > 0.75 * noise)
+        predicted = slope
+        predicted *= (delta / period)[:, None]
         # Weights bound what a single wild stamp can say.
-        weight = 1.0 / (np.broadcast_to(noise, moving.shape)[moving] ** 2 + predicted**2)
-        terms.append((weight * predicted, left, predicted))
-        share_sum += float(np.sum(weight * predicted * left))
-        weight_sum += float(np.sum(weight * predicted**2))
-    if weight_sum == 0.0:
-        return StampEvidence(0.0, np.inf)
-    share = share_sum / weight_sum
-    for score, left, predicted in terms:
-        spread_sum += float(np.sum(np.square(score * (left - share * predicted))))
+        score = np.where(moving, predicted / (noise**2 + predicted**2), 0.0)
+        left = score * missed
+        expected = np.multiply(score, predicted, out=predicted)
+        score_sum += left.sum(axis=(1, 2, 3))
+        weight_sum += expected.sum(axis=(1, 2, 3))
+        # Of the sum of (left - share expected)^2, whose share is not known yet.
+        for k, (one, other) in enumerate([(left, left), (left, expected), (expected, expected)]):
+            squares[k] += np.einsum("scwl,scwl->s", one, other)
+    told = weight_sum > 0.0
+    weight = np.where(told, weight_sum, 1.0)
+    share = score_sum / weight
+    spread = np.maximum(squares[0] - 2 * share * squares[1] + share**2 * squares[2], 0.0)
     # Neighbouring residuals share samples; twice the naive deviation covers that.
-    return StampEvidence(share, 2.0 * float(np.sqrt(spread_sum)) / weight_sum)
+    return StampEvidence(share, np.where(told, 2.0 * np.sqrt(spread) / weight, np.inf))
 
 
-def _moving_windows(signal: F64) -> Iterator[Int]:
-    """Starts of the windows (halo included) in which the signal ranges widest: some, then more."""
+def _noise(missed: F64, usable: Bool) -> F64:
+    """(S, C) scale of what interpolation misses (S, C, W, L) where it is usable; else infinite."""
+    rows = np.abs(missed).reshape(-1, missed.shape[2] * missed.shape[3])
+    usable = usable.reshape(rows.shape)
+    noise = np.full(len(rows), np.inf)
+    everywhere = usable.all(axis=1)
+    if everywhere.any():
+        noise[everywhere] = medians_of(rows[everywhere])
+    for k in np.flatnonzero(~everywhere & usable.any(axis=1)):
+        noise[k] = median_of(rows[k][usable[k]])
+    return np.asarray(np.maximum(1.4826 * noise, 1e-12).reshape(missed.shape[:2]))
+
+
+def _by_movement(signal: F64) -> Int:
+    """Windows (halo included) of a signal (N, C), those last in which it ranges widest."""
     usable = (signal.shape[0] - 2 * HALO) // WINDOW
     # Every fourth sample is enough to see where a window moves.
     cut = signal[HALO : HALO + usable * WINDOW : 4].reshape(usable, WINDOW // 4, -1)
     extent = cut.max(axis=1) - cut.min(axis=1)
     extent = np.where(np.isfinite(extent), extent, 0.0)
     scale = extent.mean(axis=0)
-    relative = (extent / np.where(scale > 0.0, scale, 1.0)).sum(axis=1)
-    order = np.argsort(relative)
-    for most in WINDOWS:
-        yield np.sort(order[-most:]) * WINDOW
-        if order.size <= most:
-            return
+    return np.argsort((extent / np.where(scale > 0.0, scale, 1.0)).sum(axis=1))
 
 
 def _correlate(rows: F64, kernel: F64) -> F64:

@@ -1,13 +1,16 @@
 from __future__ import annotations
 
+import time
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from skin2urdf.recording.numbering import median_of, medians_of
 from skin2urdf.recording.regular import regular_times
-from skin2urdf.recording.timing import SampleTimes, sample_times
+from skin2urdf.recording.timing import SampleTimes, Stamped, sample_times, sample_times_of
 
 F64 = NDArray[np.float64]
 EPOCH = 1_700_000_000
@@ -252,3 +255,63 @@ def test_samples_that_arrive_in_bursts_lie_on_a_line(burst: int, lost: bool) -> 
     assert np.std(off) < 2e-4
     assert abs(off.mean() - 2.25e-3) < 2e-3
     assert found.noise < 1e-3
+
+
+def many_kinds_of_streams(samples: int) -> list[Stamped]:
+    """Streams of as many samples: jittering, exact, in bursts, with losses, without stamps."""
+    rng = np.random.default_rng(7)
+    out = []
+    for kind in range(18):
+        true = np.arange(samples) * PERIOD
+        if kind % 6 == 1:
+            true = true + 0.3 * PERIOD * rng.uniform(-1, 1, samples)
+        elif kind % 6 == 2:
+            true = true + 0.1 * (np.arange(samples) > samples // 3)
+        stamp = true if kind % 6 == 1 else true + 0.2 * PERIOD * rng.exponential(size=samples)
+        if kind % 6 == 3:
+            stamp = PERIOD * (np.arange(samples) // 8 * 8) + 1e-5 * np.arange(samples)
+        elif kind % 6 == 4:
+            stamp[5::97] += 20.0
+        signal = moving(true, 0.03, rng)
+        stamps = ns(stamp)
+        out.append(Stamped(np.zeros_like(stamps) if kind % 6 == 5 else stamps, ns(true), signal))
+    return out
+
+
+def test_streams_timed_together_get_the_times_that_they_get_alone() -> None:
+    for samples in (9, 130, 800, 2400):
+        streams = many_kinds_of_streams(samples) + many_kinds_of_streams(samples - 1)
+        for stream, found in zip(streams, sample_times_of(streams), strict=True):
+            alone = sample_times(*stream)
+            assert found.chosen == alone.chosen
+            assert found.stamped == alone.stamped
+            np.testing.assert_array_equal(found.kept, alone.kept)
+            assert np.abs(found.time - alone.time).max() <= 1
+            assert found.noise == pytest.approx(alone.noise, abs=1e-9)
+
+
+def test_many_short_streams_are_timed_in_less_time_together() -> None:
+    rng = np.random.default_rng(8)
+    true = np.arange(300) * PERIOD
+    jittered = true + 0.1 * PERIOD * rng.random((100, 300))
+    streams = [Stamped(ns(each), ns(true), moving(true, 0.01, rng)) for each in jittered]
+
+    def seconds(batches: list[list[Stamped]]) -> float:
+        begin = time.process_time()
+        for batch in batches:
+            sample_times_of(batch)
+        return time.process_time() - begin
+
+    seconds([streams])
+    together = min(seconds([streams]) for _ in range(3))
+    alone = min(seconds([[stream] for stream in streams]) for _ in range(3))
+    assert together < 0.5 * alone
+
+
+@pytest.mark.parametrize("count", [1, 2, 5, 64, 2047])
+def test_medians_of_rows_are_their_medians(count: int) -> None:
+    rows = np.random.default_rng(count).standard_normal((4, count))
+    rows[2, count // 2] = np.nan
+    expected = [*np.median(rows[:2], axis=1), np.nan, np.median(rows[3])]
+    np.testing.assert_allclose(medians_of(rows), expected)
+    np.testing.assert_allclose([median_of(row) for row in rows], expected)

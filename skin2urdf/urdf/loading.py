@@ -15,6 +15,10 @@ from skin2urdf.arrays import F64
 from skin2urdf.errors import Unreadable, UnreadableInputError
 from skin2urdf.structure.records import JointType
 
+# A robot with a thousand SUs has some more than a thousand links. What is made of each pair of
+# links takes seconds and a gigabyte at ten thousand.
+MOST_LINKS = 5000
+
 
 @dataclass(frozen=True, eq=False)
 class Robot:
@@ -220,17 +224,21 @@ def check_tree(root: ET.Element, source: str) -> tuple[frozenset[str], tuple[str
     links = [link.get("name") or "" for link in root.findall("link")]
     if not links:
         raise complain("no links", "has no links")
+    if len(links) > MOST_LINKS:
+        what = f"has {len(links)} links, and up to {MOST_LINKS} are read"
+        raise UnreadableInputError(source, what, "give the URDF of one robot", "too large")
     repeated = [name for name, n in Counter(links).items() if n > 1 or not name]
     if repeated:
         what = f"has several links, or one without a name, called {repeated[0]!r}"
         raise complain("same name", what)
     parents: dict[str, str] = {}
     fixed: set[str] = set()
+    known = set(links)
     for joint in root.findall("joint"):
         name = joint.get("name")
         parent, child = (_end(joint, end) for end in ("parent", "child"))
         for link in (parent, child):
-            if link not in links:
+            if link not in known:
                 what = f"joint {name!r} refers to a link {link!r} that does not exist"
                 raise complain("missing link", what)
         if child in parents:
@@ -242,12 +250,16 @@ def check_tree(root: ET.Element, source: str) -> tuple[frozenset[str], tuple[str
     if len(roots) != 1:
         what = f"is not one tree: {len(roots)} of its links have no parent joint"
         raise complain("several trees", what)
+    hanging = set(roots)  # what is known to end in the root
     for link in links:
-        ancestor, steps = link, 0
-        while ancestor in parents and steps <= len(links):
-            ancestor, steps = parents[ancestor], steps + 1
-        if steps > len(links):
-            raise complain("circle", f"is not a tree: link {link!r} is its own ancestor")
+        above: dict[str, None] = {}
+        ancestor = link
+        while ancestor not in hanging:
+            if ancestor in above:
+                raise complain("circle", f"is not a tree: link {ancestor!r} is its own ancestor")
+            above[ancestor] = None
+            ancestor = parents[ancestor]
+        hanging.update(above)
     inner = set(parents.values())
     leaves = tuple(link for link in links if link in fixed and link not in inner)
     return frozenset(links), leaves

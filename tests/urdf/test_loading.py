@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import time
 from importlib.metadata import distribution
 from pathlib import Path
 
@@ -11,7 +12,7 @@ import pytest
 
 from skin2urdf.errors import UnreadableInputError
 from skin2urdf.urdf.compare import compare
-from skin2urdf.urdf.loading import configuration, load_robot, neutral
+from skin2urdf.urdf.loading import check_tree, configuration, load_robot, neutral, parsed_urdf
 
 ROBOTS = Path(
     str(distribution("example-robot-data").locate_file("cmeel.prefix/share/example-robot-data"))
@@ -48,6 +49,37 @@ def test_what_is_no_urdf_is_named(tmp_path: Path, text: str, why: str) -> None:
     assert caught.value.exit_status == 2
     assert caught.value.path == str(path)
     assert caught.value.remedy
+
+
+def test_more_links_than_robots_have_are_refused_within_seconds(tmp_path: Path) -> None:
+    path = tmp_path / "robot.urdf"
+    count = 100_000
+    links = "".join(f"<link name='l{k}'/>" for k in range(count))
+    joints = "".join(
+        f"<joint name='j{k}' type='fixed'><parent link='l{k - 1}'/><child link='l{k}'/></joint>"
+        for k in range(1, count)
+    )
+    path.write_text(f"<robot name='r'>{links}{joints}</robot>")
+    begin = time.process_time()
+    with pytest.raises(UnreadableInputError) as caught:
+        load_robot(path)
+    assert caught.value.why == "too large"
+    assert time.process_time() - begin < 5.0
+
+
+def test_a_long_chain_is_looked_through_in_proportion() -> None:
+    def seconds(count: int) -> float:
+        links = "".join(f"<link name='l{k}'/>" for k in range(count))
+        joints = "".join(
+            f"<joint name='j{k}' type='fixed'><parent link='l{k - 1}'/><child link='l{k}'/></joint>"
+            for k in range(1, count)
+        )
+        root = parsed_urdf(f"<robot>{links}{joints}</robot>".encode(), "long")
+        begin = time.process_time()
+        check_tree(root, "long")
+        return time.process_time() - begin
+
+    assert min(seconds(4000) for _ in range(3)) < 10 * min(seconds(1000) for _ in range(3))
 
 
 def test_a_missing_file_is_named(tmp_path: Path) -> None:

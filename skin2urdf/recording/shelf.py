@@ -75,6 +75,28 @@ class Shelf:
         return place
 
 
+def room_for_streams(samples: int, streams: int, axes: int = 3) -> NDArray[Any]:
+    """An array (N, U, C) that is to be filled with the values of U streams at N common times.
+
+    What belongs to a stream lies in one piece, and in a file where there is much of it, so that
+    work on a stream asks for the memory of that stream.
+
+    Args:
+        samples: N.
+        streams: U.
+        axes: C.
+    """
+    return Shelf().empty((streams, samples, axes)).swapaxes(0, 1)
+
+
+def copy_of_streams(values: NDArray[Any]) -> NDArray[Any]:
+    """The same values (N, U, C) to be written to, as `room_for_streams` places them."""
+    copy = room_for_streams(*values.shape)
+    for u in range(values.shape[1]):
+        copy[:, u] = values[:, u]
+    return copy
+
+
 def put_away(*arrays: NDArray[Any] | None) -> None:
     """Tell the system that arrays, and those in the same files, are not needed soon."""
     for file in {_file_of(array) for array in arrays if array is not None}:

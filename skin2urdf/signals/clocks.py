@@ -15,7 +15,7 @@ pattern's period.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -36,9 +36,8 @@ from skin2urdf.signals.stretches import (
     Heard,
     Integral,
     Stretch,
-    best_line,
+    best_lines,
     binned,
-    means_of,
     stretches,
 )
 
@@ -63,6 +62,8 @@ _NEAR = 0.05
 """What is left of lags after the first pass, at most [s]."""
 _SETTLED = 2e-4
 """Change of lags from one pass to the next that is none [s]."""
+_TOGETHER = 1 << 21
+"""Samples of SUs that are looked at together, whose integrals take 64 MB."""
 _VAGUE = 0.01
 """Deviation of a latency [s] from which it is worth another look."""
 
@@ -96,7 +97,9 @@ def su_clocks(sus: Sequence[SuStream], motion: Motion) -> tuple[SuClock, ...]:
     grid = motion.grid
     middle = grid.start + (grid.size - 1) / (2 * grid.rate)
     sus_heard = [su for su in sus if len(su.time) >= SAMPLES]
-    clocks = _clocks(sus_heard, motion, found, middle)
+    clocks: list[SuClock] = []
+    for some in _in_parts(sus_heard):
+        clocks += _clocks(some, motion, found, middle)
     vague = [u for u, clock in enumerate(clocks) if clock.latency_sd > _VAGUE]
     rough = _by_commotion([sus_heard[u] for u in vague], motion, middle)
     for u, clock in zip(vague, rough, strict=True):
@@ -109,6 +112,18 @@ def su_clocks(sus: Sequence[SuStream], motion: Motion) -> tuple[SuClock, ...]:
     return tuple(sorted(off, key=lambda clock: clock.su))
 
 
+def _in_parts(sus: Sequence[SuStream]) -> Iterator[list[SuStream]]:
+    """SUs by as many as are looked at together."""
+    part: list[SuStream] = []
+    for su in sus:
+        part.append(su)
+        if sum(len(each.time) for each in part) >= _TOGETHER:
+            yield part
+            part = []
+    if part:
+        yield part
+
+
 def _clocks(
     sus: Sequence[SuStream], motion: Motion, stretches: Sequence[Stretch], middle: float
 ) -> list[SuClock]:
@@ -117,8 +132,12 @@ def _clocks(
     rate, span = motion.grid.rate / EVERY, motion.grid.size / motion.grid.rate
     reach, steep, open_ = LARGEST_OFFSET, LARGEST_DRIFT, list(range(len(sus)))
     looked_at = stretches[::2] if len(stretches) >= 4 * FEWEST else stretches
+    integrals = []
+    for su in sus:
+        integrals.append(Integral.of(su))
+        su.put_away()
     for _ in range(_PASSES):
-        means = [means_of(sus[u], clocks[u], motion) for u in open_]
+        means = [integrals[u].means(clocks[u], motion) for u in open_]
         readings = np.stack([values for values, _ in means], axis=1)
         valid = np.stack([whole for _, whole in means], axis=1)
         again = []
@@ -270,16 +289,13 @@ def _lines(
     time, scores, counted = np.array(times), -np.array(curves), np.array(counts)
     free = np.array(freedoms)
     lags = np.arange(-most, most + 1) / rate
-    out: list[_Line | None] = []
-    for u in range(U):
+    told = (counted.sum(axis=0) >= FEWEST) & ((free * counted).sum(axis=0) >= FEWEST)
+    best = best_lines(time, np.where(counted[:, None], scores, 0.0), lags, reach, steep, n / rate)
+    out: list[_Line | None] = [None] * U
+    for u in np.flatnonzero(told).tolist():
         use = counted[:, u]
-        if use.sum() < FEWEST or free[use, u].sum() < FEWEST:
-            out.append(None)
-            continue
-        score = scores[use, :, u]
-        offset, drift = best_line(time[use], score, lags, reach, steep, n / rate)
-        line = _refined(time[use], score, lags, offset, drift)
-        out.append(line if line is None else line.wider(_by_few(float(free[use, u].sum()))))
+        line = _refined(time[use], scores[use, :, u], lags, *best[u])
+        out[u] = line if line is None else line.wider(_by_few(float(free[use, u].sum())))
     return out
 
 
@@ -292,25 +308,26 @@ def _refined(time: F64, score: F64, lags: F64, offset: float, drift: float) -> _
     """
     step = lags[1] - lags[0]
     near = np.rint((offset + drift * time - lags[0]) / step).astype(int)
-    peaks, weights, rows = [], [], []
-    for w, k in enumerate(near):
-        a, b = max(k - 2, 1), min(k + 3, len(lags) - 1)
-        if b <= a:
-            continue
-        i = a + int(score[w, a:b].argmax())
-        # What motion leaves grows with the square of the error, its logarithm does not.
-        before, here, after = np.exp(-2 * score[w, i - 1 : i + 2])
-        bend = before + after - 2 * here
-        if i in (a, b - 1) or bend <= 0:
-            continue
-        rise = bend / (2 * step**2)
-        values = max(1.0, 6 * STRETCH * np.sqrt(rise) / (2 * np.pi))
-        peaks.append(lags[i] + 0.5 * step * (before - after) / bend)
-        weights.append(values * rise / (here - MODEL + _LEAST_LEFT))
-        rows.append(w)
+    first, last = np.maximum(near - 2, 1), np.minimum(near + 2, len(lags) - 2)
+    index = near[:, None] + np.arange(-2, 3)
+    inside = (index >= first[:, None]) & (index <= last[:, None])
+    rows = np.arange(len(time))
+    around = score[rows[:, None], np.clip(index, 0, len(lags) - 1)]
+    i = near - 2 + np.where(inside, around, -np.inf).argmax(axis=1)
+    rows = np.flatnonzero((first < i) & (i < last))
+    i = i[rows]
+    # What motion leaves grows with the square of the error, its logarithm does not.
+    before, here, after = (np.exp(-2 * score[rows, i + k]) for k in (-1, 0, 1))
+    bend = before + after - 2 * here
+    peaked = bend > 0
+    rows, i = rows[peaked], i[peaked]
+    before, here, after, bend = before[peaked], here[peaked], after[peaked], bend[peaked]
     if len(rows) < FEWEST:
         return None
-    x, y, certain = time[rows], np.array(peaks), np.array(weights)
+    rise = bend / (2 * step**2)
+    values = np.maximum(1.0, 6 * STRETCH * np.sqrt(rise) / (2 * np.pi))
+    x, y = time[rows], lags[i] + 0.5 * step * (before - after) / bend
+    certain = values * rise / (here - MODEL + _LEAST_LEFT)
     X = np.stack([np.ones_like(x), x], axis=1)
     solution = np.array([offset, drift])
     # Neighbouring stretches share half their samples.

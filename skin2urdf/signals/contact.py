@@ -18,7 +18,7 @@ from scipy.special import chdtri, ndtri
 from skin2urdf.arrays import F64, Bool
 from skin2urdf.geometry.units import GRAVITY
 from skin2urdf.signals.features import Curvature
-from skin2urdf.signals.filters import filtered, low_pass, noise_bandwidth, shifted
+from skin2urdf.signals.filters import aligned, filtered, low_pass, noise_bandwidth
 from skin2urdf.signals.mending import computed
 from skin2urdf.signals.poses import find_stops, stop_blur
 from skin2urdf.signals.records import Features
@@ -111,10 +111,7 @@ def disturbances(
     for log, s in enumerate(sampled):
         grid = s.motion.grid
         stops = find_stops(s.motion)
-        readings = np.stack(
-            [shifted(s.readings[:, u], grid.rate, v) for u, v in enumerate(features.latency)],
-            axis=1,
-        )
+        readings = aligned(s.readings, grid.rate, features.latency)
         for cutoff, allowance in _bands(s):
             variance = regressor_noise(s.motion, cutoff)[0][1 + features.n_dofs :]
             taps = low_pass(cutoff, grid.rate)

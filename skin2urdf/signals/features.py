@@ -12,7 +12,7 @@ from skin2urdf.arrays import F64, Bool
 from skin2urdf.errors import InsufficientDataError
 from skin2urdf.faults import distinct
 from skin2urdf.signals.encoder_noise import EncoderNoise
-from skin2urdf.signals.filters import eroded, filtered, shifted
+from skin2urdf.signals.filters import aligned, eroded, filtered
 from skin2urdf.signals.information import Information
 from skin2urdf.signals.pose_fit import PoseFit, Samples, pose_fit
 from skin2urdf.signals.poses import Neighbourhood
@@ -109,7 +109,7 @@ def _poses(
     """Regress around every pose of one log."""
     motion, rate, swings = s.motion, s.motion.grid.rate, s.swings
     half, every = len(swings.taps) // 2, swings.every
-    readings = _aligned(s.readings, rate, lag)
+    readings = aligned(s.readings, rate, lag)
     reach = int(np.ceil(np.max(np.abs(lag), initial=0.0) * rate))
     around = swings.with_nuisances if curvature is None else swings.linear
     out = []
@@ -203,16 +203,6 @@ def _measured(used: Bool, computed: Bool) -> F64:
     """
     n = np.maximum(used.sum(axis=0), 1)
     return np.asarray(np.maximum(1 - (used & computed).sum(axis=0) / n, 0.1))[:, None]
-
-
-def _aligned(readings: F64, rate: float, lag: F64) -> F64:
-    """Readings (N, U, 3) with every SU's lag (U,) [s] undone."""
-    if not lag.any():
-        return readings
-    out = readings.copy()
-    for u in np.flatnonzero(lag):
-        out[:, u] = shifted(readings[:, u], rate, lag[u])
-    return out
 
 
 def eroded_columns(valid: Bool, reach: int) -> Bool:

@@ -13,6 +13,7 @@ from scipy.fft import irfft, next_fast_len, rfft
 from scipy.ndimage import convolve1d, map_coordinates, minimum_filter1d, spline_filter1d
 
 from skin2urdf.arrays import F64, Bool, Int
+from skin2urdf.recording.shelf import Shelf, room_for_streams
 
 # Central differences of eighth order: at a tenth of the sampling rate still exact to 1e-5.
 _FIRST = np.array([1 / 280, -4 / 105, 1 / 5, -4 / 5, 0, 4 / 5, -1 / 5, 4 / 105, -1 / 280])
@@ -164,14 +165,16 @@ class Spline:
 
     Args:
         values: (M, C) samples.
+        shelf: where its coefficients, as many numbers, are kept; in memory if None.
     """
 
-    def __init__(self, values: F64) -> None:
+    def __init__(self, values: F64, shelf: Shelf | None = None) -> None:
         # Reflected in its end points a signal goes on smoothly; a spline feels no more than this.
         ends = ((_MARGIN, _MARGIN), (0, 0))
         padded = np.pad(values, ends, mode="reflect", reflect_type="odd")
         self._size = len(values)
-        self._coefficients = spline_filter1d(padded.T, order=5, axis=1, mode="mirror")
+        coefficients = spline_filter1d(padded.T, order=5, axis=1, mode="mirror")
+        self._coefficients = coefficients if shelf is None else shelf.put(coefficients)
 
     def at(self, index: F64) -> F64:
         """Values (K, C) at fractional positions (K,); NaN beyond the ends."""
@@ -292,3 +295,13 @@ def eroded(mask: Bool, reach: int) -> Bool:
 def shifted(values: F64, rate: float, delay: float) -> F64:
     """Values (N, C) of a stream taken ``delay`` [s] later, by quintic splines."""
     return values if delay == 0.0 else Spline(values).later(delay * rate)
+
+
+def aligned(readings: F64, rate: float, lag: F64) -> F64:
+    """Readings (N, U, 3) with every SU's lag (U,) [s] undone; themselves where there is none."""
+    if not lag.any():
+        return readings
+    out = room_for_streams(*readings.shape)
+    for u, late in enumerate(lag):
+        out[:, u] = shifted(readings[:, u], rate, float(late))
+    return out

@@ -14,6 +14,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from skin2urdf.arrays import F64, Bool
+from skin2urdf.recording.shelf import copy_of_streams
 from skin2urdf.signals.filters import (
     filtered,
     first_derivative,
@@ -57,7 +58,7 @@ def computed(
     torn = [(a, b, _torn(valid[a:b])) for a, b in windows]
     if not any(len(sus) for _, _, sus in torn):
         return new, done
-    new = np.array(readings)
+    new = copy_of_streams(readings)
     rate = motion.grid.rate
     q = filtered(motion.q, low_pass(cutoff, rate))
     qd, qdd = first_derivative(q, rate), second_derivative(q, rate)

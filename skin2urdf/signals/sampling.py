@@ -16,6 +16,7 @@ from skin2urdf.notes import Note, Noted
 from skin2urdf.recording.credibility import spikes
 from skin2urdf.recording.holding import as_measured
 from skin2urdf.recording.records import Recording, SuStream
+from skin2urdf.recording.shelf import put_away, room_for_streams
 from skin2urdf.signals.clocks import su_clocks
 from skin2urdf.signals.filters import sample, spread
 from skin2urdf.signals.health import checked, unusable
@@ -43,6 +44,8 @@ _LEAST_MOVE = 0.09
 _ASIDE = 0.25
 """What all other joints may move, by the root of the sum of squares, over the move: an SU that only
 they turn then shows less than `activity` asks of one beyond the DoF, 0.3 of the largest effect."""
+_IN_MEMORY = 64
+"""SUs whose readings on the grid are in memory while they are made."""
 _MEMORY = 200
 """Rests that a rest is compared with, some minutes: sensors drift, and so do skins."""
 
@@ -131,7 +134,7 @@ def sample_recording(
     clocks = {clock.su: clock for clock in su_clocks(measured, motion)}
     sus = [_on_time(su, clocks.get(su.name)) for su in measured]
     streams = {c.stream.name: c for c in checked(sus, at_rest, span, _pauses(motion))}
-    readings = np.zeros((grid.size, len(su_names), 3))
+    readings = room_for_streams(grid.size, len(su_names))
     valid = np.zeros((grid.size, len(su_names)), dtype=bool)
     period = np.zeros(len(su_names))
     notes: list[Noted] = [*recording.notes, *held]
@@ -142,6 +145,7 @@ def sample_recording(
     for u, name in enumerate(su_names):
         tell(_POSED + (1 - _POSED) * u / len(su_names))
         if name not in streams:
+            readings[:, u] = 0.0
             continue
         found = streams[name]
         stream = found.stream
@@ -149,6 +153,8 @@ def sample_recording(
         period[u] = np.median(np.diff(stream.time)) if len(stream.time) > 1 else 0.0
         valid[:, u] = ok & motion.valid & ~spread(stream.time, found.clipped, grid)
         stream.put_away()
+        if u % _IN_MEMORY == 0:
+            put_away(readings)
         factor = _unit(readings[still & valid[:, u], u])
         if factor != 1.0:
             readings[:, u] *= factor
@@ -159,6 +165,7 @@ def sample_recording(
             valid[:, u] = False
             if not found.faults:
                 faults.append(fault)
+    put_away(readings)
     turning, converted = sampled_turning(
         {name: found.stream for name, found in streams.items()}, su_names, motion, still
     )

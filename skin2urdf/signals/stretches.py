@@ -223,18 +223,27 @@ def best_line(
         steep: largest drift.
         span: length of the log [s].
     """
+    ((offset, drift),) = best_lines(time, score[..., None], lags, reach, steep, span)
+    return float(offset), float(drift)
+
+
+def best_lines(time: F64, scores: F64, lags: F64, reach: float, steep: float, span: float) -> F64:
+    """(U, 2) lines as `best_line` finds them, for scores (W, K, U) of U SUs."""
     step = lags[1] - lags[0]
     # Half a sample at the ends of the log from one drift to the next.
     count = int(np.ceil(steep * span / 2 / step))
-    best, found = -np.inf, (0.0, 0.0)
+    U = scores.shape[2]
+    best, found = np.full(U, -np.inf), np.zeros((U, 2))
     inner = np.flatnonzero(np.abs(lags) <= reach)
-    rows = np.arange(len(time))[:, None]
     for k in range(-count, count + 1):
         drift = steep * k / max(count, 1)
         shift = np.rint(drift * time / step).astype(int)
-        index = np.clip(inner[None] + shift[:, None], 0, len(lags) - 1)
-        total = score[rows, index].sum(axis=0)
-        i = int(total.argmax())
-        if total[i] > best:
-            best, found = float(total[i]), (float(lags[inner[i]]), drift)
+        total = np.zeros((len(inner), U))
+        for row, by in zip(scores, shift, strict=True):
+            total += row[np.clip(inner + by, 0, len(lags) - 1)]
+        i = total.argmax(axis=0)
+        most = total[i, np.arange(U)]
+        better = most > best
+        best[better] = most[better]
+        found[better, 0], found[better, 1] = lags[inner[i[better]]], drift
     return found

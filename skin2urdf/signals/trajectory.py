@@ -13,6 +13,7 @@ from functools import cached_property
 import numpy as np
 
 from skin2urdf.arrays import F64, Bool, Int, Record
+from skin2urdf.recording.shelf import Shelf, room_for_streams
 from skin2urdf.signals.filters import (
     Spline,
     eroded,
@@ -95,7 +96,8 @@ class Trajectory(Record):
     @cached_property
     def splines(self) -> tuple[Spline, ...]:
         """The readings of each of the U SUs, to be taken at fractional positions on the grid."""
-        return tuple(Spline(column) for column in self.readings.swapaxes(0, 1))
+        shelf = Shelf()
+        return tuple(Spline(column, shelf) for column in self.readings.swapaxes(0, 1))
 
     @cached_property
     def rate_splines(self) -> tuple[Spline, ...]:
@@ -175,7 +177,7 @@ def trajectory(
     q = filtered(positions, taps)
     every = max(1, int(rate / (_RATE_OVER_CUTOFF * sampled.cutoff)))
     kept = np.arange(half, motion.grid.size - half, every)
-    readings = np.empty((motion.grid.size, len(sus), 3))
+    readings = room_for_streams(motion.grid.size, len(sus))
     for u, column in enumerate(sus):
         readings[:, u] = filtered(filtered(sampled.readings[:, column], taps), taps)
     readings.flags.writeable = False  # of which the record then needs no copy

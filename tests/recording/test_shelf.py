@@ -11,7 +11,7 @@ import pytest
 
 from skin2urdf.recording import shelf, sorting
 from skin2urdf.recording.reading import read
-from skin2urdf.recording.shelf import Shelf, put_away
+from skin2urdf.recording.shelf import Shelf, copy_of_streams, put_away, room_for_streams
 from skin2urdf.recording.sorting import Part, SortedSamples
 
 
@@ -82,3 +82,25 @@ def test_a_log_reads_alike(ros_log: Any, monkeypatch: pytest.MonkeyPatch) -> Non
         np.testing.assert_array_equal(one.time, other.time)
         np.testing.assert_array_equal(one.specific_force, other.specific_force)
         assert not other.specific_force.flags.writeable
+
+
+@pytest.mark.parametrize("ordinary", [0, 1 << 28])
+def test_streams_at_common_times_lie_in_one_piece_each(
+    ordinary: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(shelf, "ORDINARY", ordinary)
+    room = room_for_streams(500, 7)
+    values = np.random.default_rng(1).standard_normal((500, 7, 3))
+    tracemalloc.start()
+    for u in range(7):
+        room[:, u] = values[:, u]
+        put_away(room)
+    copy = copy_of_streams(room)
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert (peak < values.nbytes) == (ordinary == 0)
+    assert all(room[:, u].flags.c_contiguous for u in range(7))
+    np.testing.assert_array_equal(room, values)
+    copy[3] = 0.0
+    np.testing.assert_array_equal(room, values)
+    assert not copy[3].any()

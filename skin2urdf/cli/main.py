@@ -34,7 +34,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = make_parser()
     if "_ARGCOMPLETE" in os.environ:
         answer_the_shell(parser)
-    options = parser.parse_args(arguments)
+    words = list(sys.argv[1:] if arguments is None else arguments)
+    if not words:
+        parser.print_help(sys.stderr)
+        return UsageError.exit_status
+    options = parser.parse_args(words)
     if not options.debug:
         # The quality of a result is told in words; stray warnings of libraries only puzzle.
         warnings.simplefilter("ignore")

@@ -22,7 +22,7 @@ from skin2urdf import survey
 from skin2urdf.cli import terminal
 from skin2urdf.cli.commands.calibrate import calibration_settings
 from skin2urdf.cli.main import INTERNAL_ERROR, main
-from skin2urdf.cli.parser import make_parser
+from skin2urdf.cli.parser import COMMANDS, make_parser
 from skin2urdf.errors import BadFitError, StructureError
 from skin2urdf.estimation.problem.cost import Priors
 from skin2urdf.files import write_atomically
@@ -438,6 +438,13 @@ def test_simulated_sus_have_gyroscopes_where_they_are_asked_for(run: Run, tmp_pa
         assert all((su.angular_velocity is not None) == bool(given) for su in read(log).sus)
     for wrong in ("none", -1):
         assert run("simulate", "so101", "-o", log, *words, "--gyro", wrong)[0] == 2
+
+
+def test_without_a_word_all_commands_are_told(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([]) == 2
+    told = capsys.readouterr()
+    assert not told.out
+    assert all(f" {name} " in told.err or f" {name}\n" in told.err for name in COMMANDS)
 
 
 @pytest.mark.parametrize("command", ["calibrate", "simulate", "compare", "explore", "info"])

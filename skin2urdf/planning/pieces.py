@@ -48,6 +48,14 @@ def rest(names: tuple[str, ...], pose: F64, duration: float) -> JointTrajectory:
     return JointTrajectory(names, np.array([0.0, duration]), np.tile(pose, (2, 1)), zero, zero)
 
 
+def slowed(piece: JointTrajectory, factor: float) -> JointTrajectory:
+    """The same way, in a time that is longer by a factor."""
+    return JointTrajectory(
+        piece.joint_names, factor * piece.time, piece.position,
+        piece.velocity / factor, piece.acceleration / factor**2,
+    )  # fmt: skip
+
+
 def transfer(start: F64, goal: F64, limits: Limits) -> JointTrajectory:
     """The fastest smooth move on a straight line through joint space that starts and ends at rest.
 

@@ -29,7 +29,7 @@ from skin2urdf.planning.patterns import (
     pattern,
     waveform,
 )
-from skin2urdf.planning.pieces import rest, strain, transfer
+from skin2urdf.planning.pieces import rest, slowed, strain, transfer
 from skin2urdf.planning.poses import free_poses, pose_range
 from skin2urdf.planning.records import Limits, Phase, PhaseKind, Plan, PlanSettings
 from skin2urdf.planning.roadmap import Roadmap
@@ -192,8 +192,20 @@ class _Planner:
                 goal[joint] += sign * share * size
                 piece = transfer(here, goal, self.limits)
                 if self._is_path_free(piece):
-                    return piece
+                    return self._gentle(piece)
         return None
+
+    def _gentle(self, piece: JointTrajectory) -> JointTrajectory:
+        """A move, as slow as readings need that stay within the range of the accelerometers."""
+        if self.model is None:
+            return piece
+        q, none = piece.position, np.zeros_like(piece.position)
+        up = np.array([0.0, 0.0, GRAVITY])
+        f = specific_forces(self.model, q, piece.velocity, piece.acceleration, up)
+        still = specific_forces(self.model, q, none, none, up)
+        # What moves k times as slowly accelerates by k^2 times less.
+        share = _within(f, still, _FULL * self.settings.full_scale)
+        return slowed(piece, share**-0.5) if share < 1 else piece
 
     def _share_out(self, candidates: F64, taken: float, least: float) -> tuple[int, float]:
         """Number of poses, and the length of each one's pattern [s]."""
@@ -374,7 +386,7 @@ class _Planner:
             way = roadmap.way(here, nearest) or self._through_start(roadmap, here, nearest)
             if way is not None:
                 chosen.append(nearest)
-                ways.append(way)
+                ways.append([self._gentle(piece) for piece in way])
                 here = nearest
         return ways
 
@@ -390,12 +402,12 @@ def _within(f: F64, still: F64, most: float) -> float:
 
     Args:
         f: (N, U, 3) readings of the motion [m/s^2].
-        still: (U, 3) readings at rest.
+        still: (U, 3) readings at rest, or (N, U, 3) where these change on the way.
         most: range [m/s^2].
     """
     change = f - still
     a = (change**2).sum(axis=2)
     b = (change * still).sum(axis=2)
-    c = (still**2).sum(axis=1) - most**2
+    c = (still**2).sum(axis=-1) - most**2
     root = (-b + np.sqrt(np.maximum(b**2 - a * c, 0.0))) / np.maximum(a, 1e-12)
     return float(min(1.0, root[a > 1e-9].min(initial=1.0)))

@@ -51,6 +51,22 @@ def test_the_plan_holds_its_limits_and_its_time(plan: Plan, limits: Limits) -> N
     assert any("acceleration" in note for note in plan.notes)
 
 
+def test_readings_stay_within_the_range_of_the_sensors(
+    plan: Plan, limits: Limits, model: KinematicModel
+) -> None:
+    """From pose to pose as well; the arm moves as fast as its limits let it where it may."""
+    most = 1.25 * 9.81
+    gentle = make_plan(limits, PlanSettings(minutes=1.0, candidates=40, full_scale=most), model)
+
+    def largest(motion: JointTrajectory) -> float:
+        q, qd, qdd, _ = motion.at(np.arange(0.0, motion.duration, 0.005))
+        f = specific_forces(model, q, qd, qdd, np.array([0.0, 0.0, 9.81]))
+        return float(np.linalg.norm(f, axis=2).max())
+
+    assert largest(plan.trajectory) > most
+    assert largest(gentle.trajectory) < most
+
+
 def test_nothing_touches_along_a_plan(plan: Plan, checker: CollisionChecker) -> None:
     assert checker.touches(FOLDED)
     assert not checker.is_free(FOLDED)

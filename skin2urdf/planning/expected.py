@@ -219,7 +219,7 @@ def _learnt(subject: Subject, information: MotionInformation, sensors: Sensors) 
     typical = np.sqrt(size**2 + noise)
     learnt = narrowed(subject.given, typical, noise, free.sus[:, N_PLACEMENT:])
     seen = replace(subject.state, shape=typical[:, 3:])
-    return replace(learnt, hidden=learnt_hidden(subject.given, seen, variance, free))
+    return replace(learnt, hidden=learnt_hidden(learnt, seen, variance, free))
 
 
 def _with(

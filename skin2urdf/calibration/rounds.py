@@ -312,13 +312,15 @@ def relinearise(
     if hopeless is not None and hopeless(found):
         return found, features
     for again in range(logs.settings.relinearisations):
-        previous = found
+        previous, before = found, features
         features = take_features(
             logs, clock, predicted_curvature(found, features), features.latency
         )
         # Features that no start explains will have none when they change a little.
         found = estimate_once(logs, tree, features, previous.state, clock, search=not again)
-        gain = previous.cost_per_dof / max(found.cost_per_dof, 1e-12)
+        # Where swings are wide, most of the first features' noise is what lies beyond first order.
+        fallen = _fall_of_noise(before, features)
+        gain = fallen * previous.cost_per_dof / max(found.cost_per_dof, 1e-12)
         settled = gain < 1.02 and found.cost_per_dof < GOOD_FIT
         # Robust weights may leave a few poses of an SU, which say little of all the others.
         led_astray = previous.misfit < 2.0 * found.misfit and is_hopeless(found)
@@ -326,6 +328,14 @@ def relinearise(
         if _moved(previous, found) < 1e-4 or settled or led_astray or useless:
             break
     return found, features
+
+
+def _fall_of_noise(before: Features, after: Features) -> float:
+    """Variances of samples in earlier features, over those in later ones of the same poses."""
+    if not np.array_equal(before.span, after.span):
+        return np.inf
+    known = np.isfinite(before.noise) & np.isfinite(after.noise)
+    return float(np.median((before.noise[known] / after.noise[known]) ** 2)) if known.any() else 1.0
 
 
 def _led_by_the_first_log(

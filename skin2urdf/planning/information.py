@@ -188,7 +188,7 @@ def pattern_information(
     worth = 2 * _BANDWIDTH * duration / _INSTANTS / _NOISE**2
     of_candidate = np.repeat(np.arange(C), len(here) // C)
     spans = problem.spans(
-        state, [predicted], [np.full(here.shape, worth)], [of_candidate[None]], 0,
+        state, [predicted], [np.full(here.shape, worth)], [of_candidate], 0,
         np.random.default_rng(0),
     )  # fmt: skip
     return Information(spans.joint, spans.su, spans.mixed, spans.columns)

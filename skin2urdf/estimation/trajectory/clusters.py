@@ -4,17 +4,20 @@ What a model lacks is the same whenever the robot does the same. In a motion tha
 far from each other in time then add up as one, and spans of time taken as independent would show
 too little of them by the number of repetitions. Covariances that allow for it are made of whole
 clusters (Liang and Zeger 1986), which are right as long as errors of different clusters are
-independent, whatever they are within one.
+independent, whatever they are within one. Where errors go together in either of two ways, what
+clusters of each way show is added, less what those show that are alike in both (Cameron, Gelbach
+and Miller 2011).
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.cluster.hierarchy import fcluster, ward
 
-from skin2urdf.arrays import F64, Int
+from skin2urdf.arrays import F64, Int, Record
 from skin2urdf.estimation.trajectory.slack import LEVER
 from skin2urdf.signals.trajectory import Trajectory
 from skin2urdf.structure.records import KinematicTree
@@ -29,16 +32,27 @@ _MOST = 1000
 """Moments in all logs at most; those of longer logs are longer, as time goes with their square."""
 
 
-def clusters(tree: KinematicTree, logs: Sequence[Trajectory]) -> tuple[Int, ...]:
-    """Clusters by place, and by time.
+@dataclass(frozen=True, eq=False)
+class Clusters(Record):
+    """S parts of the time, at one place in one stretch of time each.
+
+    Attributes:
+        members: per log (K,) the part that each sample is in.
+        place: (S,) number of each part's place, and
+        stretch: (S,) of its stretch of time.
+    """
+
+    members: tuple[Int, ...]
+    place: Int
+    stretch: Int
+
+
+def clusters(tree: KinematicTree, logs: Sequence[Trajectory]) -> Clusters:
+    """Clusters by place and by time.
 
     Args:
         tree: D joints.
         logs: G trajectories of K samples each.
-
-    Returns:
-        Per log (2, K) the cluster of each sample by place, and by time; these are numbered behind
-        those by place.
     """
     seconds = [float(log.time[-1] - log.time[0]) for log in logs]
     moment = max(_MOMENT, sum(seconds) / _MOST)
@@ -52,17 +66,19 @@ def clusters(tree: KinematicTree, logs: Sequence[Trajectory]) -> tuple[Int, ...]
         for log, at in zip(logs, first, strict=True)
     ]
     place = _alike(np.concatenate(means))
-    n_places, each = int(place.max()) + 1, max(1, CLUSTERS // len(logs))
+    each = max(1, CLUSTERS // len(logs))
     by_log = np.split(place, np.cumsum([len(at) for at in first])[:-1])
-    return tuple(
-        np.stack(
-            [
-                np.repeat(here, _lengths(log, at)),
-                n_places + g * each + np.arange(len(log.kept)) * each // len(log.kept),
-            ]
-        )
-        for g, (log, at, here) in enumerate(zip(logs, first, by_log, strict=True))
-    )
+    of_place = [
+        np.repeat(here, _lengths(log, at))
+        for log, at, here in zip(logs, first, by_log, strict=True)
+    ]
+    of_stretch = [
+        g * each + np.arange(len(log.kept)) * each // len(log.kept) for g, log in enumerate(logs)
+    ]
+    both = np.stack([np.concatenate(of_place), np.concatenate(of_stretch)])
+    parts, members = np.unique(both, axis=1, return_inverse=True)
+    ends = np.cumsum([len(log.kept) for log in logs])[:-1]
+    return Clusters(tuple(np.split(members.ravel(), ends)), *parts)
 
 
 def _alike(places: F64) -> Int:

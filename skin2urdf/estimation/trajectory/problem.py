@@ -289,8 +289,7 @@ class MotionProblem(Derivatives):
             state: where.
             predicted: residuals of each log there.
             weights: per log (K, U, 3) information of each sample [s^4/m^2].
-            members: per log (W, K) the parts that each sample is in; parts of one kind have each
-                sample once, and different numbers from those of the others.
+            members: per log (K,) the part that each sample is in.
             n_draws: versions of the gradients with independent noise.
             rng: source of that noise.
         """
@@ -313,18 +312,17 @@ class MotionProblem(Derivatives):
             place = np.searchsorted(columns[u][columns[u] >= 0], own)
             noise = rng.standard_normal((n_draws, 3, K))
             both = np.concatenate([r[None], noise])
-            for kind in members[g]:
-                order = np.argsort(kind, kind="stable")
-                parts, first = np.unique(kind[order], return_index=True)
-                for s, which in zip(parts, np.split(order, first[1:]), strict=True):
-                    part = A[:, :, which].reshape(len(A), -1)
-                    H = part @ part.T
-                    scores = both[:, :, which].reshape(len(both), -1) @ part.T
-                    joint[s][np.ix_(own, own)] += H[:nj, :nj]
-                    su[s, u] += H[nj:, nj:]
-                    mixed[s, u][:, place] += H[nj:, :nj]
-                    joint_scores[:, s, own] += scores[:, :nj]
-                    su_scores[:, s, u] += scores[:, nj:]
+            order = np.argsort(members[g], kind="stable")
+            parts, first = np.unique(members[g][order], return_index=True)
+            for s, which in zip(parts, np.split(order, first[1:]), strict=True):
+                part = A[:, :, which].reshape(len(A), -1)
+                H = part @ part.T
+                scores = both[:, :, which].reshape(len(both), -1) @ part.T
+                joint[s][np.ix_(own, own)] += H[:nj, :nj]
+                su[s, u] += H[nj:, nj:]
+                mixed[s, u][:, place] += H[nj:, :nj]
+                joint_scores[:, s, own] += scores[:, :nj]
+                su_scores[:, s, u] += scores[:, nj:]
         return Spans(joint, su, mixed, columns, joint_scores, su_scores)
 
     def pulls_of_joints(

@@ -7,8 +7,9 @@ after the other (:mod:`clusters`), contribute to the gradient, which the estimat
 sum of zero, shows how large such errors really are (the sandwich estimator: Huber 1967; Liang and
 Zeger 1986). What the estimate bent itself to is missing in it. So it is held against what
 independent noise leaves, drawn, fitted and added up alike: the ratio tells by how much errors are
-larger or smaller than the weights say, coordinate by coordinate. Where few clusters tell of a
-coordinate, that of all joints' or all SUs' coordinates speaks for it.
+larger or smaller than the weights say, coordinate by coordinate. That of clusters by place and that
+of clusters by time are added, less that of parts that are alike in both. Where few clusters tell of
+a coordinate, that of all joints' or all SUs' coordinates speaks for it.
 
 No error is smaller than what encoders round off makes alone, see :mod:`rounded`.
 
@@ -33,10 +34,11 @@ from skin2urdf.estimation.problem.cost import NormalEquations
 from skin2urdf.estimation.problem.residuals import columns_of
 from skin2urdf.estimation.problem.state import N_JOINT, N_SU
 from skin2urdf.estimation.trajectory.arrow import eliminated, joint_inverse, newton_step
-from skin2urdf.estimation.trajectory.clusters import clusters
+from skin2urdf.estimation.trajectory.clusters import Clusters, clusters
 from skin2urdf.estimation.trajectory.fit import Fitted
 from skin2urdf.estimation.trajectory.problem import MotionProblem
 from skin2urdf.estimation.trajectory.records import Equations, Spans
+from skin2urdf.estimation.trajectory.state import Layout
 from skin2urdf.estimation.uncertainty.covariance import ArrowCovariance
 from skin2urdf.model.prediction import Chains
 
@@ -67,9 +69,10 @@ class MotionInformation:
         draws: with independent noise.
         prior_xz: (U, Q, J + Z) pulls of what is known of each SU before, on x and z, and
         prior_y: (U, Q, 15) on y.
-        kinds: which of the errors are of clusters by place, and which by time.
-        shares: (S, J), (S, U, 15) and (S, Z) part of the information on each coordinate that a
-            cluster has of all of its kind.
+        clusters: which parts of the time the errors are of.
+        kinds: (J,), (U, 15) and (Z,) kind of each coordinate: offset, turn, bias, scale ..
+        shares: (S, J), (S, U, 15) and (S, Z) share of the information on each coordinate that a
+            part has.
         prior_joint: (J + Z,) information on x and z that is known before.
     """
 
@@ -83,7 +86,8 @@ class MotionInformation:
     draws: tuple[Pulls, ...]
     prior_xz: F64
     prior_y: F64
-    kinds: tuple[slice, slice]
+    clusters: Clusters
+    kinds: tuple[Int, Int, Int]
     shares: tuple[F64, F64, F64]
     prior_joint: F64
 
@@ -106,9 +110,13 @@ class Pulls:
         """Errors that are larger by a factor."""
         return Pulls(factor * self.x, factor * self.z, factor * self.y)
 
-    def of(self, which: slice) -> Pulls:
-        """Some of the errors."""
-        return Pulls(self.x[which], self.z[which], self.y[:, which])
+    def together(self, label: Int) -> Pulls:
+        """Sums of errors that go together, as they have the same label (E,)."""
+        return Pulls(
+            _summed(self.x, label),
+            _summed(self.z, label),
+            np.swapaxes(_summed(np.swapaxes(self.y, 0, 1), label), 0, 1),
+        )
 
 
 def motion_information(
@@ -151,17 +159,16 @@ def motion_information(
     held = N_JOINT * np.arange(tree.n_joints)[:, None] + np.arange(2)
     joint[held, held] -= weight
     su[:, range(3), range(3)] -= weight
-    members = clusters(tree, problem.logs)
-    n_places = 1 + max(int(each[0].max()) for each in members)
+    parts = clusters(tree, problem.logs)
     spans = problem.spans(
-        fitted.state, fitted.predicted, fitted.weights, members, _DRAWS, np.random.default_rng(0)
-    )
-    kinds = slice(0, n_places), slice(n_places, len(spans.joint))
+        fitted.state, fitted.predicted, fitted.weights, parts.members, _DRAWS,
+        np.random.default_rng(0),
+    )  # fmt: skip
     on_joint = np.einsum("sjj->sj", spans.joint)
     on_su = np.einsum("sunn->sun", spans.su)[..., :N_SU]
     pulls = [
         _pulls(joint_scores, su_scores, by_x, by_y, J)
-        for joint_scores, su_scores in _fitted_scores(spans, kinds[0], full, free_joint, free_su)
+        for joint_scores, su_scores in _fitted_scores(spans, full, free_joint, free_su)
     ]
     lacking = (
         np.array([joint for joint, _ in defects]).reshape(-1, layout.n_joint) * free_joint,
@@ -189,24 +196,20 @@ def motion_information(
         draws=tuple(pulls[1:]),
         prior_xz=-scores[..., N_SU:] @ by_x,
         prior_y=scores[..., :N_SU] - scores[..., N_SU:] @ by_y,
-        kinds=kinds,
-        shares=(
-            _shares(on_joint[:, :J], kinds),
-            _shares(on_su, kinds),
-            _shares(on_joint[:, J:], kinds),
-        ),
+        clusters=parts,
+        kinds=_kinds(layout, tree.n_sus),
+        shares=(_shares(on_joint[:, :J]), _shares(on_su), _shares(on_joint[:, J:])),
         prior_joint=np.where(free_joint, joint_prior, 0.0),
     )
 
 
 def _fitted_scores(
-    spans: Spans, once: slice, full: Equations, free_joint: Bool, free_su: Bool
+    spans: Spans, full: Equations, free_joint: Bool, free_su: Bool
 ) -> list[tuple[F64, F64]]:
     """Gradients (S, J) and (S, U, n) of every version, after a fit to it.
 
     Args:
-        spans: contributions of clusters.
-        once: clusters in which each sample is once.
+        spans: contributions of parts of the time.
         full: the normal equations of all samples.
         free_joint: (J,) and
         free_su: (U, n) coordinates that were fitted.
@@ -219,7 +222,7 @@ def _fitted_scores(
         # The estimate itself is off the optimum where the noise of encoders was taken off.
         gradient = full
         if version:
-            both = j[once].sum(axis=0), s[once].sum(axis=0)
+            both = j.sum(axis=0), s.sum(axis=0)
             gradient = Equations(full.joint, full.su, full.mixed, *both)
         dx, dy = newton_step(eliminated(gradient, free_joint, free_su), free_joint)
         followed = np.where(known, dx[spans.columns], 0.0)
@@ -248,12 +251,26 @@ def _roots(information: F64) -> F64:
     return np.swapaxes(V * np.sqrt(np.maximum(lam, 0.0))[:, None, :], 1, 2)
 
 
-def _shares(information: F64, kinds: Sequence[slice]) -> F64:
-    """Part (S, ...) of the sum over the clusters of its kind that each cluster has."""
-    out = np.zeros_like(information)
-    for kind in kinds:
-        total = information[kind].sum(axis=0)
-        np.divide(information[kind], total, out=out[kind], where=total > 0)
+def _kinds(layout: Layout, n_sus: int) -> tuple[Int, Int, Int]:
+    """Kinds of coordinates (J,), (U, 15) and (Z,): offsets, turns, biases, scales, cross axes."""
+    of_joints = np.ones(layout.gravity, dtype=np.int64)  # gravity turns in every log
+    of_joints[layout.joints] = np.arange(N_JOINT * layout.n_joints) % N_JOINT // 2
+    of_sus = np.tile(np.arange(N_SU) // 3, (n_sus, 1))
+    return of_joints, of_sus, np.zeros(layout.n_joint - layout.gravity, dtype=np.int64)
+
+
+def _shares(information: F64) -> F64:
+    """Share (S, ...) that each part has of the sum."""
+    total = information.sum(axis=0)
+    return np.asarray(
+        np.divide(information, total, out=np.zeros_like(information), where=total > 0)
+    )
+
+
+def _summed(values: F64, label: Int) -> F64:
+    """(n, ...) sums of values (E, ...) of the same label (E,)."""
+    out = np.zeros((int(label.max(initial=-1)) + 1, *values.shape[1:]))
+    np.add.at(out, label, values)
     return out
 
 
@@ -377,9 +394,8 @@ def _weights(problem: MotionProblem, info: MotionInformation) -> ArrowCovariance
 
 def _widening(response: _Response, info: MotionInformation) -> tuple[F64, F64, F64]:
     """By how much larger variances (J,), (U, 15) and (Z,) are than those of the weights."""
-    shown = [_ratios(response, info, kind) for kind in info.kinds]
-    alone = _by_rounding(response, info)
-    x, y, z = (np.max(each, axis=0) for each in zip(*shown, alone, strict=True))
+    shown, alone = _ratios(response, info), _by_rounding(response, info)
+    x, y, z = (np.maximum(*each) for each in zip(shown, alone, strict=True))
     return x, y, z
 
 
@@ -400,27 +416,46 @@ def _variances(response: _Response, pulls: Pulls) -> tuple[F64, F64, F64]:
     return (dx**2).sum(axis=0), (dy**2).sum(axis=1), (dz**2).sum(axis=0)
 
 
-def _ratios(response: _Response, info: MotionInformation, kind: slice) -> list[F64]:
+def _ratios(response: _Response, info: MotionInformation) -> list[F64]:
     """By how much variances under the errors of clusters exceed those under independent noise.
 
     Args:
         response: how coordinates answer to errors.
         info: the errors.
-        kind: which of them.
     """
-    seen = _variances(response, info.errors.of(kind))
-    drawn = [_variances(response, each.of(kind)) for each in info.draws]
+    parts = info.clusters
+    by_place, by_time, by_both = (
+        _excess(response, info, label)
+        for label in (parts.place, parts.stretch, np.arange(len(parts.place)))
+    )
     out = []
-    for i, share in enumerate(info.shares):
-        expected = np.mean([each[i] for each in drawn], axis=0)
-        known = expected > 1e-300
-        ratio = np.divide(seen[i], expected, out=np.ones_like(expected), where=known)
-        # Joints feel what all SUs beyond them share, each SU its own noise as well.
-        common = float(ratio[known].mean()) if known.any() else 1.0
-        count = 1 / np.maximum((share[kind] ** 2).sum(axis=0), 1e-12)
-        count = np.where(known & (share[kind].sum(axis=0) > 0), count, 0.0)
+    for i, (share, kinds) in enumerate(zip(info.shares, info.kinds, strict=True)):
+        ratio = np.maximum(by_place[i] + by_time[i] - by_both[i], 0.0)
+        fewest = [
+            (_summed(share, label) ** 2).sum(axis=0) for label in (parts.place, parts.stretch)
+        ]
+        known = share.sum(axis=0) > 0
+        # Joints feel what all SUs beyond them share, each SU its own noise as well; turns and
+        # biases are seen at rest, lengths while all moves.
+        common = np.ones_like(ratio)
+        for kind in np.unique(kinds):
+            alike = known & (kinds == kind)
+            if alike.any():
+                common[alike] = ratio[alike].mean()
+        count = np.where(known, 1 / np.maximum(np.max(fewest, axis=0), 1e-12), 0.0)
         out.append((_COMMON * common + count * ratio) / (_COMMON + count))
     return out
+
+
+def _excess(response: _Response, info: MotionInformation, label: Int) -> list[F64]:
+    """Variances of errors that go together by label (S,), over those of independent noise."""
+    seen = _variances(response, info.errors.together(label))
+    drawn = [_variances(response, each.together(label)) for each in info.draws]
+    expected = [np.mean(each, axis=0) for each in zip(*drawn, strict=True)]
+    return [
+        np.divide(one, other, out=np.ones_like(other), where=other > 1e-300)
+        for one, other in zip(seen, expected, strict=True)
+    ]
 
 
 def _scaled(covariance: F64, known: F64, ratio: F64) -> F64:

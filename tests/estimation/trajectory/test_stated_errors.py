@@ -187,14 +187,17 @@ def test_samples_at_one_place_and_neighbours_in_time_are_one_cluster() -> None:
     repeated = 9
     q = _positions(repeated)
     log = sampled_trajectory(q, np.zeros((len(q), 3, 3)))
-    (one, other) = clusters(_TREE, [log, log])
-    assert one.shape == other.shape == (2, len(log.kept))
-    assert len(np.unique([one[0], other[0]])) == CLUSTERS
-    assert len(np.unique([one[1], other[1]])) == CLUSTERS
-    assert not set(np.r_[one[0], other[0]]) & set(np.r_[one[1], other[1]])
+    parts = clusters(_TREE, [log, log])
+    (of_one, of_other), (one, other) = (
+        [label[members] for members in parts.members] for label in (parts.place, parts.stretch)
+    )
+    assert of_one.shape == of_other.shape == log.kept.shape
+    for label in (parts.place, parts.stretch):
+        assert len(np.unique(label)) == CLUSTERS
+    assert len(np.unique(np.stack([parts.place, parts.stretch]), axis=1).T) == len(parts.place)
     # Both logs are of the same motion, and each of them of the same one again and again.
-    assert (one[0] == other[0]).all()
+    assert (of_one == of_other).all()
     period = round(_PERIOD / float(np.median(np.diff(log.time))))
-    assert np.mean(one[0][period:] == one[0][:-period]) > 0.75
-    assert (np.diff(one[1]) >= 0).all()
-    assert one[1].max() < other[1].min()
+    assert np.mean(of_one[period:] == of_one[:-period]) > 0.75
+    assert (np.diff(one) >= 0).all()
+    assert one.max() < other.min()

@@ -54,6 +54,9 @@ def parser() -> argparse.ArgumentParser:
         "--minutes", type=float, default=default.minutes, help="length without patterns [min]"
     )
     what.add_argument(
+        "--imu-rate", type=float, default=default.imu_rate, help="samples per second of each SU"
+    )
+    what.add_argument(
         "--motion",
         default="all",
         choices=("all", "patterns"),
@@ -73,7 +76,7 @@ def cases_of(options: argparse.Namespace) -> list[Case]:
     return [
         Case(
             robot, row, seed, options.excite, options.poses, options.minutes, options.grade,
-            options.motion,
+            options.motion, options.imu_rate,
         )
         for seed in batch_options.seeds(options)
         for robot in options.robots

@@ -8,22 +8,25 @@ from collections import Counter
 from collections.abc import Sequence
 
 from batch import figures
+from montecarlo.normalised import summed
 
 from bench.rows import ROWS, SOUND
-from bench.trials import Trial
+from bench.trials import Figures, Trial
 
 LIMIT = 2.0
 """True error over the stated one that makes a result one that can not be believed."""
 
 _HEAD = (
     ("re-", "cordings"), ("true", "mm"), ("stated", "mm"), ("worst", "ratio"), ("true", "deg"),
-    ("stated", "deg"), ("worst", "ratio"), ("good/fair", "/none"), ("SUs not", "known"),
-    ("time", "s"), ("", "named or refused"),
+    ("stated", "deg"), ("worst", "ratio"), ("known", "deg"), ("NEES", "mm"), ("", "deg"),
+    ("good/fair", "/none"), ("SUs not", "known"), ("time", "s"), ("", "named or refused"),
 )  # fmt: skip
 _LEGEND = (
     "True and stated errors are root mean squares over recordings, SUs and configurations. Ratio: "
     f"true over stated, the\nlargest of the recordings; ! beyond {LIMIT:g}. None: refused, or bad. "
-    "SUs not known: stated to be not determined.\n"
+    "SUs not known: stated to be not determined.\nKnown: true error of the others' orientations. "
+    "NEES: squared errors over stated variances of the SUs' positions and\norientations, per "
+    "direction of all recordings of a row.\n"
 )
 
 
@@ -96,11 +99,20 @@ def _row(trials: Sequence[Trial]) -> tuple[str, ...]:
         figures.short(figures.rms(f.orientation_deg for f in done)),
         figures.short(figures.rms(f.orientation_stated_deg for f in done)),
         figures.short(_largest([f.orientation_ratio for f in done]), LIMIT),
+        figures.short(figures.rms(f.known_deg for f in done)),
+        figures.short(_nees(done, "SU position")),
+        figures.short(_nees(done, "SU orientation")),
         f"{verdicts['good']}/{verdicts['fair']}/{verdicts['none']}",
         str(sum(f.n_undetermined for f in done)),
         figures.short(figures.rms(f.seconds for f in done)),
         "; ".join(said),
     )
+
+
+def _nees(done: Sequence[Figures], name: str) -> float | None:
+    """Squared error over stated variance per direction; None where there is none."""
+    whole = summed(f.blocks[name] for f in done if name in f.blocks)
+    return whole.squared / whole.dimensions if whole.dimensions else None
 
 
 def _largest(values: Sequence[float | None]) -> float | None:

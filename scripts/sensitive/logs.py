@@ -12,9 +12,9 @@ import numpy as np
 from bench.rows import ROWS
 from faulty.trials import INJECTIONS
 
-from skin2urdf.arrays import frozen
 from skin2urdf.recording.records import Recording
 from skin2urdf.simulation import SimulationSettings, load_robot, simulate
+from skin2urdf.simulation.defects import SecondPublisher
 from skin2urdf.simulation.faults import Sound
 
 
@@ -41,16 +41,8 @@ def published_apart(
         late: lag of that clock in the middle of the log [s].
         drift: by how much it gains [s/s].
     """
-    time = plain.joints[0].time
-    since_middle = time[1::2] - (time[0] + time[-1]) / 2
-    others, stamps = frozen(time[::2]), frozen(time[1::2] + late + drift * since_middle)
-    joints = tuple(
-        replace(j, time=stamps, position=j.position[1::2])
-        if j.name in names
-        else replace(j, time=others, position=j.position[::2])
-        for j in plain.joints
-    )
-    return replace(plain, joints=joints)
+    publisher = SecondPublisher(late, drift, tuple(names))
+    return replace(plain, joints=publisher.publish(plain.joints, np.random.default_rng(0)))
 
 
 def _late_publisher(seed: int) -> Recording:

@@ -118,11 +118,14 @@ def simulate(
     gyros = tuple(draw_sensor(gyro_grade, rng) for _ in sus) if gyro_grade else ()
     lag = draw("lag").uniform(0.0, settings.lag, len(sus))
     joint_streams = record_joints(mechanism, motor, settings, draw, moved.torque)
+    for defect in settings.defects:
+        joint_streams = defect.publish(joint_streams, draw_for(draw, defect))
     su_streams = record_sus(
         moved.mechanism, moved.motion, moved.sus, sensors, lag, settings, draw, gyros,
         lambda share: tell(_MOVED + (1 - _MOVED) * share),
     )  # fmt: skip
-    start = min(float(time[0]) for time in [joint_streams[0].time, *(s.time for s in su_streams)])
+    times = [*(joint.time for joint in joint_streams), *(su.time for su in su_streams)]
+    start = min(float(time[0]) for time in times)
     recording = Recording(
         joints=shift_clock(joint_streams, -start),
         sus=shift_clock(su_streams, -start),

@@ -11,7 +11,7 @@ from batch.records import Record
 from batch.store import Store
 from bench.rows import ROWS, SOUND
 from bench.table import report, shortfalls
-from bench.trials import TWO_ARMS, Case, Figures, Trial, robot
+from bench.trials import NORMALISED, TWO_ARMS, Case, Figures, Trial, robot
 
 from skin2urdf.simulation.mechanism import load_mechanism
 
@@ -47,6 +47,10 @@ def test_a_recording_is_calibrated_compared_and_kept(
         assert true is not None
         assert stated is not None
         assert 0.0 < true < 100 * stated
+    assert set(kept.figures.blocks) == set(NORMALISED)
+    assert all(block.squared > 0.0 for block in kept.figures.blocks.values())
+    assert kept.figures.known_deg is not None
+    assert 0.0 < kept.figures.known_deg <= kept.figures.orientation_deg
     before = output.read_bytes()
     capsys.readouterr()
     defects.main([*words[:-4], "--jobs", "0", "--output", str(output), "--summary-only"])
@@ -85,6 +89,9 @@ def test_cases_have_keys_of_their_own() -> None:
     free = replace(cases[0], excite="none", minutes=2.0)
     assert free.settings.duration == 120.0
     assert free.key != cases[0].key
+    slow = replace(cases[0], imu_rate=100.0)
+    assert slow.settings.imu_rate == 100.0
+    assert slow.key != cases[0].key
 
 
 def test_impossible_options_are_refused_in_words(capsys: pytest.CaptureFixture[str]) -> None:

@@ -19,6 +19,7 @@ from skin2urdf.simulation.defects import (
     Lost,
     LowPass,
     Nonlinearity,
+    SecondPublisher,
     Spikes,
     SuClock,
     Vibration,
@@ -170,3 +171,19 @@ def test_one_defect_does_not_change_what_another_draws() -> None:
         np.testing.assert_array_equal(one.specific_force[kept], two.specific_force)
         np.testing.assert_array_equal(one.time, none.time)
     assert alone.truth.urdf == both.truth.urdf == plain.truth.urdf
+
+
+def test_a_second_publisher_stamps_its_joints_by_a_clock_of_its_own() -> None:
+    plain = recorded().recording
+    names = ("wrist_flex", "wrist_roll")
+    for chosen in (names, None):
+        # By default it has the second half of the names.
+        apart = recorded(SecondPublisher(0.1, 1e-3, chosen)).recording
+        assert [j.name for j in apart.joints] == [j.name for j in plain.joints]
+        for before, after in zip(plain.joints, apart.joints, strict=True):
+            own = after.name in names
+            first = before.time[own::2]
+            middle = (before.time[0] + before.time[-1]) / 2
+            late = 0.1 + 1e-3 * (first - middle) if own else 0.0
+            np.testing.assert_allclose(after.time, first + late, atol=1e-9)
+            np.testing.assert_array_equal(after.position, before.position[own::2])

@@ -2,7 +2,13 @@
 
 from skin2urdf.simulation.defects.front_end import LowPass
 from skin2urdf.simulation.defects.gears import Backlash, ElasticGears, GearHarmonics
-from skin2urdf.simulation.defects.messages import Held, Lost, Spikes, SuClock
+from skin2urdf.simulation.defects.messages import (
+    Held,
+    Lost,
+    SecondPublisher,
+    Spikes,
+    SuClock,
+)
 from skin2urdf.simulation.defects.readings import BiasWalk, Nonlinearity, WarmUp
 from skin2urdf.simulation.defects.records import Defect
 from skin2urdf.simulation.defects.structure import LinkFlex, YieldingBase
@@ -21,6 +27,7 @@ __all__ = [
     "Lost",
     "LowPass",
     "Nonlinearity",
+    "SecondPublisher",
     "Spikes",
     "SuClock",
     "Vibration",

@@ -6,9 +6,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from skin2urdf.arrays import F64
+from skin2urdf.arrays import F64, frozen
 from skin2urdf.geometry.units import GRAVITY
-from skin2urdf.recording.records import SuStream
+from skin2urdf.recording.records import JointStream, SuStream
 from skin2urdf.simulation.defects.records import Defect
 
 
@@ -83,3 +83,42 @@ class Lost(Defect):
         """What is left."""
         kept = rng.random(len(stream.time)) >= self.share
         return stream.at(kept)
+
+
+@dataclass(frozen=True)
+class SecondPublisher(Defect):
+    """Some joints come in messages of their own, stamped by another clock than the others'.
+
+    Each publisher sends every other of the messages, so that no two stamps are alike.
+
+    Attributes:
+        late: how much later than the others' its clock stamps in the middle of the log [s].
+        drift: by how much it gains [s/s].
+        names: joints that it publishes; None for the second half of them in the order of their
+            names.
+    """
+
+    late: float = 0.1
+    drift: float = 0.0
+    names: tuple[str, ...] | None = None
+
+    def publish(
+        self, joints: tuple[JointStream, ...], rng: np.random.Generator
+    ) -> tuple[JointStream, ...]:
+        """Two streams of messages, the second late."""
+        names = self.names
+        if names is None:
+            names = tuple(joint.name for joint in joints[(len(joints) + 1) // 2 :])
+        time = joints[0].time
+        since_middle = time[1::2] - (time[0] + time[-1]) / 2
+        stamps = frozen(time[1::2] + self.late + self.drift * since_middle)
+        others = frozen(time[::2])
+
+        def sent(joint: JointStream) -> JointStream:
+            part, own = (
+                (slice(1, None, 2), stamps) if joint.name in names else (slice(0, None, 2), others)
+            )
+            effort = None if joint.effort is None else joint.effort[part]
+            return replace(joint, time=own, position=joint.position[part], effort=effort)
+
+        return tuple(map(sent, joints))

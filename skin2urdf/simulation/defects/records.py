@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from skin2urdf.arrays import F64, Int, Record
-from skin2urdf.recording.records import SuStream
+from skin2urdf.recording.records import JointStream, SuStream
 from skin2urdf.simulation.mechanism import Mechanism
 from skin2urdf.simulation.skins import PlacedSu
 from skin2urdf.simulation.trajectory import JointMotion
@@ -181,3 +181,9 @@ class Defect:
     def send(self, stream: SuStream, rng: np.random.Generator) -> SuStream:
         """What arrives of an SU's stream."""
         return stream
+
+    def publish(
+        self, joints: tuple[JointStream, ...], rng: np.random.Generator
+    ) -> tuple[JointStream, ...]:
+        """What arrives of the joints' streams."""
+        return joints

@@ -31,6 +31,8 @@ from skin2urdf.signals.stillness import MOVING, without_toggling
 _RATE_OVER_CUTOFF = 2.4
 """Samples kept per second over the low-pass' cutoff [Hz]: readings that were low-passed twice hold
 1e-7 of their noise beyond 1.2 times the cutoff, and both sides of the comparison alias alike."""
+_NOTHING = 1e-6
+"""Power of noise, over the largest, below which a frequency has none: 4e-8 of all is left out."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,9 +53,8 @@ class Trajectory(Record):
         independence: independent measurements in one kept sample, at most 1.
         rates: (N, U, 3) what gyroscopes read, low-passed twice [rad/s]; None without any.
         turning: (K, U) where those are whole.
-        noise: (D, 2) variance of what encoders' noise makes of an acceleration, low-passed twice,
-            and of the derivative of that, while a joint moves [rad^2/s^4 and rad^2/s^6, or m]; None
-            where positions are exact.
+        noise: (D,) variance of what encoders' noise makes of an acceleration, low-passed twice,
+            while a joint moves [rad^2/s^4, or m]; None where positions are exact.
         leaps: what sampling leaves open where motion leaps; None where it does not.
         publisher: (D,) number of the publisher whose messages hold each joint, as in
             :class:`~skin2urdf.signals.motion.Motion`; (0,) where all have one.
@@ -108,6 +109,13 @@ class Trajectory(Record):
     def since_middle(self) -> F64:
         """(N,) times of all grid samples since the middle of those that are compared [s]."""
         return np.asarray(np.arange(len(self.q)) / self.rate - 0.5 * (self.time[0] + self.time[-1]))
+
+    def noise_spectrum(self) -> tuple[F64, F64]:
+        """Angular frequencies (F,) [rad/s] and the share (F,) of ``noise`` that each has."""
+        w, gain = _passed_twice(self.taps, self.rate)
+        power = gain * w**4
+        some = power > _NOTHING * power.max()
+        return w[some], power[some] / power[some].sum()
 
     def joints_taken(self, joints: Int, late: F64) -> Trajectory:
         """The same with the positions of some joints as they are so much later.
@@ -215,12 +223,16 @@ def trajectory(
 
 
 def _noise(motion: Motion, taps: F64) -> F64:
-    """(D, 2) variances of accelerations and of their derivatives, of white noise of positions."""
-    H = np.fft.rfft(taps, 2048)[:-1]
-    w = np.arange(len(H)) * 2 * np.pi * motion.grid.rate / 2048
+    """(D,) variances of accelerations, of white noise of positions."""
+    w, gain = _passed_twice(taps, motion.grid.rate)
     density = 2 * motion.noise**2 / motion.raw_rate / (2 * np.pi)
-    gain = np.abs(H) ** 4
-    return np.stack([density * float(np.trapezoid(gain * w**power, w)) for power in (4, 6)], axis=1)
+    return np.asarray(density * np.trapezoid(gain * w**4, w))
+
+
+def _passed_twice(taps: F64, rate: float) -> tuple[F64, F64]:
+    """Angular frequencies (F,) up to half a rate [rad/s], and what passes of noise there (F,)."""
+    H = np.fft.rfft(taps, 2048)[:-1]
+    return np.arange(len(H)) * 2 * np.pi * rate / 2048, np.abs(H) ** 4
 
 
 def in_order(log: Trajectory, dofs: Int, sus: Int) -> Trajectory:

@@ -17,7 +17,6 @@ import numpy as np
 from skin2urdf.arrays import F64
 from skin2urdf.estimation.trajectory.arrow import eliminated, newton_step
 from skin2urdf.estimation.trajectory.fit import Fitted, held
-from skin2urdf.estimation.trajectory.front_end import N_FRONT
 from skin2urdf.estimation.trajectory.problem import MotionProblem
 from skin2urdf.estimation.trajectory.records import Predicted
 from skin2urdf.estimation.trajectory.state import MotionState
@@ -56,10 +55,9 @@ def without_shortening(problem: MotionProblem, fitted: Fitted) -> Fitted:
     still = _posed(problem, None)
     at_rest = _predicted(still, state)
     shared = slice(0, layout.gravity + 1)
-    # What is steady shows nothing of clocks, and of front ends what is added below.
+    # What is steady shows nothing of clocks and front ends; of these the fit itself takes it off.
     own = slice(0, layout.front.start)
     joint, su = np.zeros(still.layout.n_joint), np.zeros((tree.n_sus, still.layout.n_su))
-    ends = np.zeros((tree.n_sus, N_FRONT))
     of_all = [np.zeros_like(p.residual) for p in at_rest]
     for d in range(tree.n_joints):
         pushed = _posed(problem, d)
@@ -74,15 +72,12 @@ def without_shortening(problem: MotionProblem, fitted: Fitted) -> Fitted:
             w[::_EVERY, :, :3] * (_EVERY * (log.moving[::_EVERY, d, None] & beyond)[..., None])
             for w, log in zip(fitted.weights, problem.logs, strict=True)
         ]
-        louder = [w * n[d, 0] for w, n in zip(weights, noise, strict=True)]
+        louder = [w * n[d] for w, n in zip(weights, noise, strict=True)]
         of_joint, of_su = _gradients(pushed, state, driven, tau, louder)
         joint += of_joint
         su += of_su
         for n, w, t, every in zip(noise, weights, tau, of_all, strict=True):
-            every += n[d, 0] * w * t
-            shaken = n[d, 1] * np.einsum("kuc,kuc->u", w, t**2)
-            # A front end's coordinates weigh the second derivative of a reading by 1/2 and -1.
-            ends += shaken[:, None] * np.array([-0.5, 1.0])
+            every += n[d] * w * t
     # What stands still has the same derivatives whichever joint is pushed.
     ones = [np.ones_like(each) for each in of_all]
     of_joint, of_su = _gradients(still, state, at_rest, of_all, ones)
@@ -90,7 +85,6 @@ def without_shortening(problem: MotionProblem, fitted: Fitted) -> Fitted:
     to_joint[shared] = (joint - of_joint)[shared]
     to_joint[layout.further] = (joint - of_joint)[still.layout.further]
     to_su[:, own] = (su - of_su)[:, own]
-    to_su[:, layout.front] = ends
     equations = replace(fitted.equations, joint_gradient=to_joint, su_gradient=to_su)
     system = eliminated(equations, problem.free_joint, problem.free_su)
     taken_off = held(problem, layout.moved(fitted.state, *newton_step(system, problem.free_joint)))

@@ -15,6 +15,7 @@ from skin2urdf.estimation.trajectory.gyro import rate_weights
 from skin2urdf.estimation.trajectory.kinematics import levers
 from skin2urdf.estimation.trajectory.problem import MotionProblem
 from skin2urdf.estimation.trajectory.records import Equations, Predicted
+from skin2urdf.estimation.trajectory.shaken import Shaken
 from skin2urdf.estimation.trajectory.state import MotionState
 
 _HUBER = 3.0
@@ -179,14 +180,16 @@ def _descend(
     state = start
     predicted = predicted or tuple(problem.predict(state, g) for g in range(len(problem.logs)))
     noise, weights = _noise(problem, state, predicted)
-    cost = _cost(problem, state, predicted, weights)
+    shaken = Shaken.of(problem.tree, problem.logs, state, weights)
+    cost = _cost(problem, state, predicted, weights, shaken)
     damping = _DAMPING
     longest = 0.0
     for _ in range(iterations):
         equations = problem.equations(state, predicted, weights)
         at_once, enough = True, _SHORT * tolerance
         while True:
-            system = eliminated(equations, free_joint, free_su, damping)
+            pulled = shaken.taken_off(equations, problem.layout, state.front)
+            system = eliminated(pulled, free_joint, free_su, damping)
             joint, sus = newton_step(system, free_joint)
             length = _length(equations, joint, sus, free_su)
             if not length >= enough:  # NaN is not
@@ -197,7 +200,7 @@ def _descend(
             about, trial = follow(problem, problem.layout.moved(state, joint, sus))
             ahead = tuple(about.predict(trial, g) for g in range(len(problem.logs)))
             trial, ahead = about.refit_sensors(trial, ahead, weights, free_su)
-            there = _cost(about, trial, ahead, weights)
+            there = _cost(about, trial, ahead, weights, shaken)
             if there <= cost:
                 break
             if not far:
@@ -212,7 +215,8 @@ def _descend(
         if at_once:
             damping = max(damping / _FALL, 1e-12)
         noise, weights = _noise(problem, state, predicted)
-        cost = _cost(problem, state, predicted, weights)
+        shaken = Shaken.of(problem.tree, problem.logs, state, weights)
+        cost = _cost(problem, state, predicted, weights, shaken)
         longest = max(longest, length) if length < np.inf else longest
         if tolerance < length < longest:
             # Steps become shorter by a factor each time: what counts is how many such are left.
@@ -232,7 +236,8 @@ def held(problem: MotionProblem, state: MotionState) -> Fitted:
     """
     predicted = tuple(problem.predict(state, g) for g in range(len(problem.logs)))
     noise, weights = _noise(problem, state, predicted)
-    cost = _cost(problem, state, predicted, weights)
+    shaken = Shaken.of(problem.tree, problem.logs, state, weights)
+    cost = _cost(problem, state, predicted, weights, shaken)
     return Fitted(problem, state, noise, weights, predicted, cost)
 
 
@@ -260,9 +265,10 @@ def _cost(
     state: MotionState,
     predicted: Sequence[Predicted],
     weights: Sequence[F64],
+    shaken: Shaken,
 ) -> float:
-    """Chi-squared with given weights."""
-    data = 0.0
+    """Chi-squared with given weights, without what front ends gain by cutting noise off."""
+    data = shaken.cut_off(state.front)
     for w, p in zip(weights, predicted, strict=True):
         square = np.einsum("kuc,kuc,kuc->ku", w[..., :3], p.residual, p.residual)
         data += float(square[p.measured].sum())

@@ -20,6 +20,10 @@ from skin2urdf.arrays import F64
 
 N_FRONT = 2
 """Coordinates of a front end: p, the square of b, and r, both in s^2."""
+_FAST = 1 / 64
+"""Front end to begin with, over what is common: a lag of 1 ms where 8 are. From 8 ms on, noise of
+encoders of 12 bits leads all SUs to low-passes of some 6 Hz that are not there, from 1 ms on one
+of seven; from half of that the way to real ones of 44 Hz ends before it is there."""
 _SMALL = 1e-12
 """Square of a lag below which it is none [s^2]: a microsecond."""
 
@@ -116,10 +120,10 @@ def common_front_end(cutoff: float, order: int) -> tuple[F64, F64]:
 
 
 def begin_front(front: F64) -> F64:
-    """Front end (2,) to begin with: that of a filter of second order within what is common.
+    """Front end (2,) to begin with: that of a fast filter of second order.
 
     Without any filter the slope towards one of second order is zero, and where data ask for it the
     way begins on either side.
     """
     mean, deviation = front
-    return np.asarray(mean if mean.any() else np.array([1.0, 0.5]) * deviation)
+    return np.asarray(mean if mean.any() else _FAST * np.array([1.0, 0.5]) * deviation)

@@ -311,3 +311,31 @@ def levers(tree: KinematicTree, places: State) -> F64:
             out[u, d] = 1.0 if tree.prismatic[d] else own
             arm += float(link[d])
     return out
+
+
+def felt_of_joints(tree: KinematicTree, places: State, q: F64) -> F64:
+    """(U, D, K) square of what SUs feel of accelerations of joints at positions (K, D).
+
+    Of a joint that turns that is the distance from its axis [m^2], of one that slides 1; 0 of one
+    that does not carry the SU.
+
+    Args:
+        tree: D joints and U SUs.
+        places: where they are.
+        q: positions [rad or m].
+    """
+    out = np.zeros((tree.n_sus, tree.n_joints, len(q)))
+    for u, joint in enumerate(tree.su_joint):
+        at = np.tile(places.T_joint_su[u, :3, 3], (len(q), 1))
+        for d in reversed(tree.chain(int(joint))):
+            slides = bool(tree.prismatic[d])
+            out[u, d] = 1.0 if slides else (at[:, :2] ** 2).sum(axis=1)
+            if slides:
+                at[:, 2] += q[:, d]
+            else:
+                c, s = np.cos(q[:, d]), np.sin(q[:, d])
+                x, y = at[:, 0].copy(), at[:, 1].copy()
+                at[:, 0], at[:, 1] = c * x - s * y, s * x + c * y
+            T = places.T_parent_joint[d]
+            at = at @ T[:3, :3].T + T[:3, 3]
+    return out

@@ -76,7 +76,7 @@ def on_one_clock(
     clocks = [stamped_clock(s.stamp, s.log_time)[0] for s in streams]
     jumps = [_jumps(clock, s.log_time, origin) for clock, s in zip(clocks, streams, strict=True)]
     if not any(jumps):
-        return list(streams), []
+        return _without_pauses(streams, clocks, origin)
     common = _common(jumps, clocks, origin)
     events = [[_of_stream(event, found) for event in common] for found in jumps]
     pause = _pause(clocks)
@@ -102,7 +102,61 @@ def on_one_clock(
             notes.append(ReadingNote("own clock jump", words, (name,), len(alone)))
             moved = moved.at(np.arange(begin, end))
         out.append(moved)
+    clocks = [stamped_clock(s.stamp, s.log_time)[0] for s in out]
+    out, closed = _without_pauses(out, clocks, origin)
+    return out, [*notes, *closed]
+
+
+def _without_pauses(
+    streams: Sequence[Samples], clocks: Sequence[Int], origin: int
+) -> tuple[list[Samples], list[ReadingNote]]:
+    """Shorten what is left of pauses in which no stream has a sample.
+
+    A stream whose clock jumps by itself may hide that all others jump at once. Whatever made such a
+    pause, nothing is known of it, and all that follows would carry its length along.
+
+    Args:
+        streams: samples of all joints and SUs.
+        clocks: (N,) times of each [ns].
+        origin: when the log begins [ns].
+    """
+    edges = [np.zeros((0, 2), np.int64)]
+    # A device may have a clock of its own; what all streams have in common is the log's.
+    places = [_on_log_clock(s.log_time, c) for s, c in zip(streams, clocks, strict=True)]
+    for place in places:
+        # A stretch of a stream goes on as long as no step is as long as a pause.
+        if place.size:
+            time = place if bool((np.diff(place) >= 0).all()) else np.sort(place)
+            cut = np.flatnonzero(np.diff(time) > LONG_PAUSE * NS_PER_S)
+            begin, end = time[np.r_[0, cut + 1]], time[np.r_[cut, time.size - 1]]
+            edges.append(np.stack([begin, end], axis=1))
+    there = np.concatenate(edges)
+    there = there[np.argsort(there[:, 0], kind="stable")]
+    reached = np.maximum.accumulate(there[:, 1])
+    pauses = np.flatnonzero(there[1:, 0] - reached[:-1] > LONG_PAUSE * NS_PER_S)
+    if not pauses.size:
+        return list(streams), []
+    left = _pause(clocks)
+    before, after = reached[pauses], there[pauses + 1, 0]
+    ahead = np.concatenate([[0], np.cumsum(after - before - round(left * NS_PER_S))])
+    out = []
+    for samples, place in zip(streams, places, strict=True):
+        shift = ahead[np.searchsorted(before, place)]
+        stamp = np.where(samples.stamp > 0, samples.stamp - shift, samples.stamp)
+        out.append(samples._replace(stamp=stamp, log_time=samples.log_time - shift))
+    notes = []
+    for one, other in zip(before, after, strict=True):
+        jump = Jump(0, (int(one) - origin) / NS_PER_S, (int(other) - origin) / NS_PER_S, True)
+        words = _words(jump, left)
+        notes.append(ReadingNote("clock jump", words))
     return out, notes
+
+
+def _on_log_clock(log_time: Int, clock: Int) -> Int:
+    """Times (N,) of a stream, less its clock's usual lead on the log where that runs [ns]."""
+    if not log_time.size or int(log_time.max()) == int(log_time.min()):
+        return clock
+    return clock - int(median_of(clock - log_time))
 
 
 def _jumps(clock_ns: Int, log_ns: Int, origin: int) -> list[Jump]:

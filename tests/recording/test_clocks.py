@@ -69,6 +69,23 @@ def test_an_su_whose_clock_jumps_by_itself_counts_up_to_there(ros_log: Any) -> N
     assert (note.sources, note.number) == (("/b (b)",), 1)
 
 
+@pytest.mark.parametrize("own", [0.0, 7.0])
+def test_a_pause_of_all_does_not_last_whatever_one_clock_does(own: float, ros_log: Any) -> None:
+    def late(source: str, k: int) -> int:
+        return at(source, k) + (3600 * 10**9 if k >= N // 2 else 0)
+
+    def stepped(source: str, k: int) -> int:
+        mine = source == "joints" and k >= N // 2 - 3
+        return late(source, k) + (round(own * 1e9) if mine else 0)
+
+    recording = recorded(ros_log, stepped, late)
+    assert recording.duration < 0.01 * N + 20.0
+    assert of_reading(recording.notes, "clock jump")
+    for su in recording.sus:
+        assert su.time.size == N
+        assert np.diff(su.time).max() < 20.0
+
+
 def test_stamps_that_scatter_by_minutes_give_way_to_log_times(ros_log: Any) -> None:
     scatter = np.random.default_rng(0).integers(-400 * 10**9, 400 * 10**9, N)
 

@@ -20,6 +20,8 @@ from numpy.typing import DTypeLike, NDArray
 ORDINARY = 1 << 28
 # Arrays that share a file [byte].
 FILE = 1 << 26
+# Streams whose values are in memory while many are gone through.
+STREAMS_IN_MEMORY = 64
 PAGE = mmap.PAGESIZE
 
 
@@ -94,6 +96,9 @@ def copy_of_streams(values: NDArray[Any]) -> NDArray[Any]:
     copy = room_for_streams(*values.shape)
     for u in range(values.shape[1]):
         copy[:, u] = values[:, u]
+        if u % STREAMS_IN_MEMORY == 0:
+            put_away(values, copy)
+    put_away(values, copy)
     return copy
 
 

@@ -13,7 +13,7 @@ from scipy.fft import irfft, next_fast_len, rfft
 from scipy.ndimage import convolve1d, map_coordinates, minimum_filter1d, spline_filter1d
 
 from skin2urdf.arrays import F64, Bool, Int
-from skin2urdf.recording.shelf import Shelf, room_for_streams
+from skin2urdf.recording.shelf import STREAMS_IN_MEMORY, Shelf, put_away, room_for_streams
 
 # Central differences of eighth order: at a tenth of the sampling rate still exact to 1e-5.
 _FIRST = np.array([1 / 280, -4 / 105, 1 / 5, -4 / 5, 0, 4 / 5, -1 / 5, 4 / 105, -1 / 280])
@@ -304,4 +304,6 @@ def aligned(readings: F64, rate: float, lag: F64) -> F64:
     out = room_for_streams(*readings.shape)
     for u, late in enumerate(lag):
         out[:, u] = shifted(readings[:, u], rate, float(late))
+        if u % STREAMS_IN_MEMORY == 0:
+            put_away(readings, out)
     return out

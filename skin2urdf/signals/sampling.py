@@ -16,7 +16,7 @@ from skin2urdf.notes import Note, Noted
 from skin2urdf.recording.credibility import spikes
 from skin2urdf.recording.holding import as_measured
 from skin2urdf.recording.records import Recording, SuStream
-from skin2urdf.recording.shelf import put_away, room_for_streams
+from skin2urdf.recording.shelf import STREAMS_IN_MEMORY, put_away, room_for_streams
 from skin2urdf.signals.clocks import su_clocks
 from skin2urdf.signals.filters import sample, spread
 from skin2urdf.signals.health import checked, unusable
@@ -44,8 +44,6 @@ _LEAST_MOVE = 0.09
 _ASIDE = 0.25
 """What all other joints may move, by the root of the sum of squares, over the move: an SU that only
 they turn then shows less than `activity` asks of one beyond the DoF, 0.3 of the largest effect."""
-_IN_MEMORY = 64
-"""SUs whose readings on the grid are in memory while they are made."""
 _MEMORY = 200
 """Rests that a rest is compared with, some minutes: sensors drift, and so do skins."""
 
@@ -153,7 +151,7 @@ def sample_recording(
         period[u] = np.median(np.diff(stream.time)) if len(stream.time) > 1 else 0.0
         valid[:, u] = ok & motion.valid & ~spread(stream.time, found.clipped, grid)
         stream.put_away()
-        if u % _IN_MEMORY == 0:
+        if u % STREAMS_IN_MEMORY == 0:
             put_away(readings)
         factor = _unit(readings[still & valid[:, u], u])
         if factor != 1.0:

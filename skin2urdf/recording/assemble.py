@@ -139,6 +139,7 @@ def timed_sus(
     few: list[str] = []
     repeating: dict[str, float] = {}
     waiting: list[Source] = []
+    count = 0
     for name, (topic, frame) in zip(names, list(gathered), strict=True):
         samples, found = _sound(name, topic, frame, gathered.pop((topic, frame)))
         notes += found
@@ -150,9 +151,11 @@ def timed_sus(
                 repeating[name] = held.times
                 samples = samples.at(held.kept)
             waiting.append(Source(name, topic, samples))
+            count += samples.stamp.size
         # What is timed together leaves the memory together.
-        if sum(source.samples.stamp.size for source in waiting) >= TIMED_TOGETHER:
+        if count >= TIMED_TOGETHER:
             streams += _put(waiting, shelf, notes)
+            count = 0
     streams += _put(waiting, shelf, notes)
     notes += held_notes(repeating)
     if few:

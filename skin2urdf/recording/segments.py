@@ -31,6 +31,7 @@ SHORT_PAUSE = 1.0
 PERIODS = 60
 # Samples whose median is the level of the clock before and after a jump.
 LEVEL = 8
+NONE = np.zeros(0, np.int64)
 # A stream whose stamps jump more often than this has no clock to follow.
 MOST_JUMPS = 64
 
@@ -126,10 +127,12 @@ def _without_pauses(
     for place in places:
         # A stretch of a stream goes on as long as no step is as long as a pause.
         if place.size:
-            time = place if bool((np.diff(place) >= 0).all()) else np.sort(place)
-            cut = np.flatnonzero(np.diff(time) > LONG_PAUSE * NS_PER_S)
-            begin, end = time[np.r_[0, cut + 1]], time[np.r_[cut, time.size - 1]]
-            edges.append(np.stack([begin, end], axis=1))
+            step = np.diff(place, append=place[-1])
+            whole = int(step.min()) >= 0 and int(step.max()) <= LONG_PAUSE * NS_PER_S
+            time = place if whole else np.sort(place)
+            cut = NONE if whole else np.flatnonzero(np.diff(time) > LONG_PAUSE * NS_PER_S)
+            begin, end = np.append(0, cut + 1), np.append(cut, time.size - 1)
+            edges.append(np.stack([time[begin], time[end]], axis=1))
     there = np.concatenate(edges)
     there = there[np.argsort(there[:, 0], kind="stable")]
     reached = np.maximum.accumulate(there[:, 1])

@@ -115,11 +115,13 @@ def su_clocks(sus: Sequence[SuStream], motion: Motion) -> tuple[SuClock, ...]:
 def _in_parts(sus: Sequence[SuStream]) -> Iterator[list[SuStream]]:
     """SUs by as many as are looked at together."""
     part: list[SuStream] = []
+    samples = 0
     for su in sus:
         part.append(su)
-        if sum(len(each.time) for each in part) >= _TOGETHER:
+        samples += len(su.time)
+        if samples >= _TOGETHER:
             yield part
-            part = []
+            part, samples = [], 0
     if part:
         yield part
 

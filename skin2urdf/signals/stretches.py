@@ -119,21 +119,22 @@ class Heard:
         flat = self.segment.reshape(len(segment), -1)
         self._size = next_fast_len(len(flat), real=True)
         self._flat = flat
-        self._spectrum = None if self._count <= _FEW else rfft(flat, self._size, axis=0)
+        # Time comes last: transforms go through the memory in order.
+        in_order = np.ascontiguousarray(flat.T)
+        self._spectrum = None if self._count <= _FEW else rfft(in_order, self._size)
 
     def inside(self, basis: F64) -> F64:
         """(K, U, r) squares of what lies along each of r orthonormal columns (L, r)."""
         count, length, flat = self._count, self._length, self._flat
         if self._spectrum is None:
             product = np.array([flat[k : k + length].T @ basis for k in range(count)])
-        else:
-            shape = np.conj(rfft(basis, self._size, axis=0))
-            product = np.empty((count, flat.shape[1], basis.shape[1]))
-            for k in range(flat.shape[1]):
-                product[:, k] = irfft(self._spectrum[:, k, None] * shape, self._size, axis=0)[
-                    :count
-                ]
-        return np.asarray((product**2).reshape(count, -1, 3, basis.shape[1]).sum(axis=2))
+            return np.asarray((product**2).reshape(count, -1, 3, basis.shape[1]).sum(axis=2))
+        shape = np.conj(rfft(np.ascontiguousarray(basis.T), self._size))
+        squares = np.empty((len(self._spectrum) // 3, basis.shape[1], count))
+        for su, axes in zip(squares, self._spectrum.reshape(len(squares), 3, 1, -1), strict=True):
+            product = irfft(axes * shape, self._size)[..., :count]
+            np.einsum("arc,arc->rc", product, product, out=su)
+        return squares.transpose(2, 0, 1)
 
     def free(self, dimensions: int) -> F64:
         """(U,) how many independent values there are beyond those that motion takes for itself.

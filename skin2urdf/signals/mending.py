@@ -14,7 +14,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from skin2urdf.arrays import F64, Bool
-from skin2urdf.recording.shelf import copy_of_streams
+from skin2urdf.recording.shelf import copy_of_streams, put_away
 from skin2urdf.signals.filters import (
     filtered,
     first_derivative,
@@ -75,6 +75,7 @@ def computed(
             here = a + np.flatnonzero(~ok)[leverage < _LEVERAGE]
             new[np.ix_(here, alike)] = prediction[leverage < _LEVERAGE]
             done[np.ix_(here, alike)] = True
+        put_away(readings, new)
     return new, done
 
 

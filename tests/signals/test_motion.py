@@ -145,6 +145,21 @@ def test_a_gap_in_one_joint_invalidates_all() -> None:
     assert motion.valid[(t > 1.0) & (t < 9.8)].all()
 
 
+@pytest.mark.parametrize("seconds", [0.5, 20.0])
+def test_positions_in_a_gap_stay_between_those_around_it(seconds: float) -> None:
+    """A joint that moves fast where its messages stop, as a curve through its samples would."""
+    time = np.arange(6000) / 100.0
+    joint = JointStream("a", time, np.sin(3.0 * time))
+    keep = (time < 10.0) | (time > 10.0 + seconds)
+    torn = JointStream("a", time[keep], joint.position[keep])
+    motion = joint_motion(Recording((torn,), ()))
+    gap = (motion.grid.time > 10.0) & (motion.grid.time < 10.0 + seconds)
+    ends = joint.position[keep][[999, 1000]]
+    assert motion.q[gap].min() >= ends.min() - 1e-3
+    assert motion.q[gap].max() <= ends.max() + 1e-3
+    assert not motion.valid[gap].any()
+
+
 @pytest.mark.parametrize("n", [0, 5])
 def test_no_samples_are_an_error_in_words(n: int) -> None:
     short = JointStream("a", np.arange(n) / 100.0, np.zeros(n))

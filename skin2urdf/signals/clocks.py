@@ -175,6 +175,7 @@ def _of_one(su: SuStream, motion: Motion, regressors: F64, middle: float) -> SuC
     """The clock of one SU by its commotion."""
     nothing = SuClock(su.name, 0.0, np.inf, 0.0, np.inf, middle)
     integral, rate = Integral.of(su), motion.grid.rate / EVERY
+    su.put_away()
     size = change(*integral.means(nothing, motion), rate)
     if size is None:
         return nothing

@@ -86,6 +86,16 @@ def test_a_pause_of_all_does_not_last_whatever_one_clock_does(own: float, ros_lo
         assert np.diff(su.time).max() < 20.0
 
 
+def test_times_that_scatter_by_years_are_no_pauses(ros_log: Any) -> None:
+    scatter = np.random.default_rng(1).integers(0, 10**17, N)
+
+    def scattered(source: str, k: int) -> int:
+        return at(source, k) + (int(scatter[k]) if k >= N // 2 else 0)
+
+    recording = recorded(ros_log, scattered, scattered)
+    assert not of_reading(recording.notes, "clock jump")
+
+
 def test_stamps_that_scatter_by_minutes_give_way_to_log_times(ros_log: Any) -> None:
     scatter = np.random.default_rng(0).integers(-400 * 10**9, 400 * 10**9, N)
 

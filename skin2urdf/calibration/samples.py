@@ -213,7 +213,8 @@ def _anything_stands_out(along: MotionEstimate) -> bool:
     """
     problem, fitted = along.problem, along.fitted
     unseen = problem.unseen
-    stiff = replace(fitted.state, unseen=unseen.origin) if unseen else fitted.state
+    stiff = problem.stiff() if unseen else problem
+    at = replace(fitted.state, unseen=np.zeros(stiff.layout.n_unseen))
     for g, (log, p) in enumerate(zip(problem.logs, fitted.predicted, strict=True)):
         size = max(1, round(_MOMENT * len(log.kept) / float(log.time[-1] - log.time[0])))
         first = np.arange(0, len(log.kept), size)
@@ -222,7 +223,7 @@ def _anything_stands_out(along: MotionEstimate) -> bool:
         noise = _usual(along, g)
         left = _mean_squares(p.residual / noise, p.measured, first, count)
         if unseen:
-            by_spring = (problem.predict(stiff, g).residual - p.residual) / noise
+            by_spring = (stiff.predict(at, g).residual - p.residual) / noise
             bent = _mean_squares(by_spring, p.measured, first, count)
             before = np.concatenate([bent[:1], bent[:-1]])
             left /= 1 + np.maximum(bent, before)
@@ -261,8 +262,9 @@ def without_false_hits(
     if everything is None:
         return solution, along
     # An SU that did leaves so much that every cause would be tried in vain. So would they be where
-    # the logs without the hits leave only noise: what yields or is slow shows there as well.
-    most = 0.0 if loose or leaves_only_noise(along) else np.inf
+    # the logs without the hits leave only noise to a stiff robot: what yields shows there as well.
+    stiff = not along.causes and (loose or leaves_only_noise(along))
+    most = 0.0 if stiff else np.inf
     again = fit_samples(everything, tell, without=rejected(along), most=most)
     if again is None or (loose and not leaves_only_noise(again)):
         return solution, along

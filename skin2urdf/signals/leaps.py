@@ -71,9 +71,9 @@ class Leaps(Record):
         """The same with other columns."""
         return Leaps(self.joints[:, dofs], self.readings[:, sus], self.period[sus])
 
-    def thinned(self, by: int) -> Leaps:
-        """The same at one in so many samples."""
-        return Leaps(self.joints[::by], self.readings[::by], self.period)
+    def only(self, which: slice) -> Leaps:
+        """The same at some samples."""
+        return Leaps(self.joints[which], self.readings[which], self.period)
 
     def variance(self, levers: F64) -> F64:
         """(K, U) variance per axis of what sampling leaves open, as the joints tell [m^2/s^4].

@@ -152,16 +152,56 @@ class Trajectory(Record):
 
     def thinned(self, by: int) -> Trajectory:
         """The same with one in so many of the kept samples."""
+        few = self._only(slice(None, None, by))
+        return replace(few, independence=min(1.0, by * self.independence), thin=by * self.thin)
+
+    def without_first(self, seconds: float) -> Trajectory:
+        """The same with nothing compared in the first seconds of the log."""
+        first = np.searchsorted(self.kept, seconds * self.rate)
+        return self._only(slice(int(first), None))
+
+    def _only(self, which: slice) -> Trajectory:
+        """The same with some of the kept samples."""
         return replace(
             self,
-            kept=self.kept[::by],
-            valid=self.valid[::by],
-            moving=self.moving[::by],
-            turning=None if self.turning is None else self.turning[::by],
-            leaps=None if self.leaps is None else self.leaps.thinned(by),
-            beyond=None if self.beyond is None else self.beyond[::by],
-            independence=min(1.0, by * self.independence),
-            thin=by * self.thin,
+            kept=self.kept[which],
+            valid=self.valid[which],
+            moving=self.moving[which],
+            turning=None if self.turning is None else self.turning[which],
+            leaps=None if self.leaps is None else self.leaps.only(which),
+            beyond=None if self.beyond is None else self.beyond[which],
+        )
+
+    def slower(self, by: int) -> Trajectory:
+        """The same motion and readings through a low-pass of so many times lower cutoff.
+
+        What readings hold beyond those of the low-passed motion is left out.
+        """
+        more = low_pass(noise_bandwidth(self.taps, self.rate) / by, self.rate)
+        taps, reach = np.convolve(self.taps, more), len(more) - 1
+        margin = len(taps) // 2
+        inside = (self.kept >= margin) & (self.kept < len(self.q) - margin)
+        few = np.flatnonzero(inside)[::by]
+        every = int(self.kept[1] - self.kept[0]) if len(self.kept) > 1 else 1
+        whole = np.stack([eroded(each, -(-reach // every)) for each in self.valid.T], axis=1)
+        q = filtered(self.q, more)
+        twice = np.convolve(taps, taps)
+        return replace(
+            self,
+            taps=taps,
+            q=q,
+            qd=first_derivative(q, self.rate),
+            qdd=second_derivative(q, self.rate),
+            readings=filtered(filtered(self.readings, more), more),
+            kept=self.kept[few],
+            valid=whole[few],
+            moving=self.moving[few],
+            independence=min(1.0, 2 * noise_bandwidth(twice, self.rate) * every * by / self.rate),
+            rates=None,
+            turning=None,
+            noise=None,
+            leaps=None,
+            beyond=None,
         )
 
 

@@ -20,17 +20,17 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import NamedTuple
 
 import numpy as np
 
 from skin2urdf.arrays import F64, Int
 from skin2urdf.estimation.problem.state import State
 from skin2urdf.estimation.trajectory.skeleton import N_HINGES, shift, turn
+from skin2urdf.estimation.trajectory.springs import Springs, dampers, roots
 from skin2urdf.estimation.trajectory.torques import N_INERTIAL, inertial_sizes, regressors
 from skin2urdf.estimation.trajectory.unseen import Unseen
 from skin2urdf.geometry.so3 import skew
-from skin2urdf.signals.filters import filtered, first_derivative, second_derivative
+from skin2urdf.signals.filters import filtered, first_derivative, noise_bandwidth, second_derivative
 from skin2urdf.signals.trajectory import Trajectory
 from skin2urdf.structure.records import KinematicTree
 
@@ -39,8 +39,18 @@ _SHOWS = 1e-3
 milliradians, microradians, less than encoders and sensors tell."""
 _MOST = 100
 """Loads at most, the largest: time goes with their square, and memory with their number."""
-_NOTHING = 1e-9
-"""Share of a load's largest parameter below which others are zero but for rounding."""
+_NEWTON = 8
+"""Steps at most to the deflections; each leaves a tenth or less of the error."""
+_EXACT = 3e-4
+"""Length of a step, over the largest deflection, from which the next would change nothing that
+shows."""
+_PER_CUTOFF = 7.0
+"""Samples per second over the cutoff that deflections are worked out at: there differences of
+eighth order are exact to 1e-4."""
+_SLOWLY = 2
+"""Samples from one at which inertias are worked out to the next: some 30 ms."""
+_REACH, _WINDOW = 9, 10.0
+"""Samples on either side that tell what is between two, and the shape of their window."""
 YIELD = 2e-2
 """Standard deviation of deflections [rad]; robots whose gears twist by more than a degree are not
 built to be calibrated."""
@@ -51,9 +61,11 @@ _UNLIKE = 1.0
 _CROSS = 0.3
 """Standard deviation of a base's turn about one axis by a moment about another, over that by one
 about its own."""
-LATE = 1e-2
-"""Standard deviation of the time by which deflections lag behind torques [s]: that of a resonance
-at 8 Hz, damped to a quarter of the critical."""
+_LATE, _ALIKE = 2e-3, 1.5
+"""Time by which dampers make deflections late [s], and the standard deviation of its logarithm: a
+twentieth of the critical damping at 8 Hz, up to a quarter of it at 3 Hz."""
+_FAR = 3.0
+"""Logarithm that it does not reach: nothing is late by more than a sixth of a swing at 4 Hz."""
 _SWING = (2 * np.pi * 25.0) ** -2
 """Standard deviation of the base's own inertia over its stiffness [s^2]: that of a resonance at
 25 Hz without the robot."""
@@ -70,7 +82,7 @@ class Bending(Unseen):
 
     Its numbers are, in this order, the loads; the logarithms of what each part yields above
     ``compliance``; three shares of the base's turns by moments about other axes, if the base
-    yields; R times by which deflections are late [s]; if the base yields, its own moments and
+    yields; R times how late deflections are, as logarithms; if the base yields, its own moments and
     products of inertia over its stiffness [s^2], and how far its frame is from the point about
     which it turns, along its axes [m].
 
@@ -97,7 +109,7 @@ class Bending(Unseen):
         known = [np.full(P, YIELD), np.full(R, _UNLIKE)]
         if self.base:
             known += [np.full(3, _CROSS)]
-        known += [np.full(R, LATE)]
+        known += [np.full(R, _ALIKE)]
         if self.base:
             known += [np.full(len(_TENSOR), _SWING), np.full(3, _DEPTH)]
         return np.concatenate(known)
@@ -134,7 +146,7 @@ def bending(
         base: whether the base does.
 
     Returns:
-        Deflections of parts that all yield alike.
+        Deflections of parts that all yield alike, by loads of none.
     """
     D = tree.n_joints
     turns = [turn(tree, axis) for axis in range(3)]
@@ -165,6 +177,13 @@ def bending(
     return followed(still, tree, logs, state, gravity, np.zeros(still.n_numbers))[0]
 
 
+def unsettled(found: Bending, logs: Sequence[Trajectory]) -> Bending:
+    """The same deflections by the same loads of other logs, of which nothing is known yet."""
+    none = np.zeros(0, dtype=np.int64)
+    motions = tuple(np.zeros((len(log.q), 0)) for log in logs)
+    return replace(found, joint=none, number=none, motions=motions, settled=())
+
+
 def followed(
     found: Bending,
     tree: KinematicTree,
@@ -175,8 +194,12 @@ def followed(
 ) -> tuple[Bending, F64]:
     """The same deflections along the motion of the links, which is what torques go with.
 
+    Loads go with the motion of the links, of which deflections are a part. They are solved for by
+    Newton's method, with :class:`~skin2urdf.estimation.trajectory.springs.Springs` as its
+    derivative, and so is what each number does to them.
+
     Args:
-        found: deflections along some motion, by which the links' is known.
+        found: deflections along some motion, by which the links' is nearly known.
         tree: the structure.
         logs: trajectories as the encoders have them.
         state: placements, and gravity's direction per log.
@@ -184,39 +207,45 @@ def followed(
         x: (S,) its numbers.
 
     Returns:
-        The deflections, and their numbers: what the parts were found to yield is in
-        ``compliance``.
+        The deflections about these numbers, and the numbers: what the parts were found to yield is
+        in ``compliance``.
     """
     P, R = len(found.basis), len(found.parts)
-    C = _compliance(found, x)
-    links = [found.moved(log, g, x) if len(found.joint) else log for g, log in enumerate(logs)]
-    deflections = [
-        _beyond(tree, log, moved)[:, found.parts] for log, moved in zip(logs, links, strict=True)
-    ]
-    most = int(np.argmax(np.max([np.ptp(e, axis=0) for e in deflections], axis=0)))
-    x, origin = np.array(x), np.zeros(found.n_numbers)
+    before = [_beyond(tree, log, found.moved(log, g, x)) for g, log in enumerate(logs)]
+    about = replace(found, compliance=_compliance(found, x))
+    x = np.array(x)
     x[P : P + R + 3 * found.base] = 0.0
-    if found.base:
-        origin[-3:] = x[-3:]
-    along = replace(found, compliance=C, origin=origin)
-    entries = _entries(tree, along, most)
-    motions = []
-    for g, (log, moved, deflection) in enumerate(zip(logs, links, deflections, strict=True)):
-        loads, effects = _under_loads(tree, state, g, gravity, log, moved, along, entries, x[:P])
-        effects["deflection"] = deflection
-        effects["rate"] = first_derivative(deflection, log.rate)
-        if found.base:
-            acceleration = second_derivative(deflection, log.rate)
-            effects["acceleration"] = _smooth(acceleration, log.taps)
-        others = [e.factor * effects[e.of][:, e.part] for e in entries[loads.shape[1] :]]
-        motions.append(np.column_stack([loads, *others]))
-    along = replace(
-        along,
-        joint=np.array([e.joint for e in entries]),
-        motions=tuple(motions),
-        number=np.array([e.number for e in entries]),
+    about = replace(about, origin=x)
+    numbers = np.arange(about.n_numbers)
+    moved = [*found.parts.tolist(), *((shift(tree, i) for i in range(3)) if found.base else ())]
+    settled, motions = [], []
+    for g, (log, beyond) in enumerate(zip(logs, before, strict=True)):
+        step = max(1, int(log.rate / (_PER_CUTOFF * noise_bandwidth(log.taps, log.rate))))
+        of_log = _OfLog(tree, state, g, gravity, _every(log, step), about)
+        beyond = beyond[::step]
+        springs = None if found.base else of_log.springs(beyond)
+        for _ in range(_NEWTON if springs else 1):
+            beyond, change = of_log.nearer(beyond, springs)
+            if change < _EXACT:
+                break
+        size = len(log.q)
+        settled.append(_between(beyond, step, size))
+        of_numbers = of_log.motions(beyond, springs)
+        motions.append(_between(of_numbers.reshape(len(beyond), -1), step, size))
+    most = int(np.argmax(np.max([np.ptp(e[:, found.parts], axis=0) for e in settled], axis=0)))
+    held = np.ones((len(moved), len(numbers)), dtype=bool)
+    held[:, P + most] = False  # what one part yields is the scale of all
+    shows = held & (np.max([np.abs(m).max(axis=0) for m in motions], axis=0) > 0).reshape(
+        held.shape
     )
-    return along, x
+    joint, number = np.broadcast_arrays(np.array(moved)[:, None], numbers)
+    return replace(
+        about,
+        joint=joint[shows],
+        motions=tuple(m[:, shows.ravel()] for m in motions),
+        number=number[shows],
+        settled=tuple(settled),
+    ), x
 
 
 def _beyond(tree: KinematicTree, log: Trajectory, moved: Trajectory) -> F64:
@@ -227,133 +256,223 @@ def _beyond(tree: KinematicTree, log: Trajectory, moved: Trajectory) -> F64:
     return beyond
 
 
-class _Entry(NamedTuple):
-    """What makes one motion: a load (its number) on a part, or what was found of a part.
+@dataclass(frozen=True, eq=False)
+class _OfLog:
+    """What loads do along a log, and what these deflections do to the loads.
 
-    Of loads, the parts R and on are the shifts of the base's frame.
-    """
-
-    joint: int
-    number: int
-    of: str
-    part: int
-    factor: float
-
-
-def _entries(tree: KinematicTree, found: Bending, most: int) -> list[_Entry]:
-    """All motions of a bending robot, those by loads first.
-
-    What one part yields is the scale of all: that of the part which yields ``most``.
-    """
-    D, P, R = tree.n_joints, len(found.basis), len(found.parts)
-    parts, C = found.parts.tolist(), found.compliance
-    moments = np.abs(found.basis).reshape(P, D, N_INERTIAL).max(axis=2, initial=0.0)
-    out = []
-    for r, k in enumerate(parts):
-        carried = [j for j in range(D) if k >= D or k in tree.chain(j)]
-        does = moments[:, carried].max(axis=1, initial=0.0) > _NOTHING * moments.max(axis=1)
-        out += [_Entry(k, int(p), "load", r, 1.0) for p in np.flatnonzero(does)]
-    if found.lever.any():
-        out += [_Entry(shift(tree, i), p, "load", R + i, 1.0) for i in range(3) for p in range(P)]
-    number = P
-    others = [
-        _Entry(k, number + r, "torque", r, -C[r, r] * (r != most)) for r, k in enumerate(parts)
-    ]
-    number += R + 3 * found.base
-    others += [_Entry(k, number + r, "rate", r, -1.0) for r, k in enumerate(parts)]
-    if found.base:
-        others += _of_base(tree, found, P + R, number + R)
-        others += _shifts(tree, found, others)
-    return out + others
-
-
-def _shifts(tree: KinematicTree, found: Bending, others: Sequence[_Entry]) -> list[_Entry]:
-    """Shifts of the base's frame by all that turns it."""
-    by_turn = skew(found.lever).T
-    return [
-        each._replace(
-            joint=shift(tree, i), factor=each.factor * by_turn[i, each.joint - turn(tree, 0)]
-        )
-        for each in others
-        if each.joint >= turn(tree, 0)
-        for i in range(3)
-    ]
-
-
-def _of_base(tree: KinematicTree, found: Bending, cross: int, tensor: int) -> list[_Entry]:
-    """Motions of the base by what is its own.
-
-    Args:
+    Attributes:
         tree: the structure.
-        found: what yields.
-        cross: the first number of turns by moments about other axes.
-        tensor: the first one of the base's inertia.
+        state: placements, and gravity's direction per log.
+        g: number of the log.
+        gravity: its magnitude [m/s^2].
+        log: as the encoders have it.
+        found: what yields, about its numbers.
     """
-    R = len(found.parts)
-    parts, C, turns = found.parts.tolist(), found.compliance, range(R - 3, R)
-    root = np.sqrt(np.diag(C))
-    out = []
-    for n, (i, j) in enumerate(_PAIRS):
-        for one, other in ((turns[i], turns[j]), (turns[j], turns[i])):
-            factor = -float(root[one] * root[other])
-            out.append(_Entry(parts[one], cross + n, "torque", other, factor))
-    for n, (i, j) in enumerate(_TENSOR):
-        for one, other in {(turns[i], turns[j]), (turns[j], turns[i])}:
-            size = float(root[one] * root[other])
-            out += [
-                _Entry(parts[r], tensor + n, "acceleration", other, -C[r, one] / size)
-                for r in turns
-            ]
-    for h in range(3):
-        # h x f turns, and e x h shifts, along the two other axes.
-        i, j, number = (h + 1) % 3, (h + 2) % 3, tensor + len(_TENSOR) + h
-        for r in turns:
-            out.append(_Entry(parts[r], number, "force", j, C[r, turns[i]]))
-            out.append(_Entry(parts[r], number, "force", i, -C[r, turns[j]]))
-        out.append(_Entry(shift(tree, i), number, "deflection", turns[j], 1.0))
-        out.append(_Entry(shift(tree, j), number, "deflection", turns[i], -1.0))
-    return out
 
+    tree: KinematicTree
+    state: State
+    g: int
+    gravity: float
+    log: Trajectory
+    found: Bending
 
-def _under_loads(
-    tree: KinematicTree,
-    state: State,
-    g: int,
-    gravity: float,
-    log: Trajectory,
-    moved: Trajectory,
-    found: Bending,
-    entries: Sequence[_Entry],
-    loads: F64,
-) -> tuple[F64, dict[str, F64]]:
-    """What loads do along the motion of the links.
+    def nearer(self, beyond: F64, springs: Springs | None) -> tuple[F64, float]:
+        """(N, D + 6) deflections after a step of Newton's method, and the length of the step.
 
-    Returns:
-        Deflections (N, entries) per unit of each load, and torques (N, R) and forces (N, 3) on the
-        base's frame of all together.
-    """
-    of_loads = [e for e in entries if e.of == "load"]
-    part, number = [e.part for e in of_loads], [e.number for e in of_loads]
-    C, about = found.compliance, skew(found.lever)
-    per_unit = np.empty((len(log.q), len(of_loads)))
-    torques = np.empty((len(log.q), len(found.parts)))
-    forces = np.zeros((len(log.q), 3))
-    for Y, at in regressors(tree, state, g, gravity, moved, base=found.base):
-        tau = Y[:, found.parts] @ found.basis.T
+        Args:
+            beyond: (N, D + 6) where it begins [rad or m].
+            springs: how deflections follow their loads there; at once where None.
+        """
+        found, parts = self.found, self.found.parts
+        all_loads = found.origin[: len(found.basis)] @ found.basis
+        tau, _ = self._under(beyond, all_loads[None])
+        bent = self._bent(beyond, tau[..., 0])
+        lacking = _smooth(bent - beyond[:, parts], self.log.taps)
+        step = springs.bent(lacking[..., None])[..., 0] if springs else lacking
+        nearer = np.zeros_like(beyond)
+        nearer[:, parts] = beyond[:, parts] + step
         if found.base:
-            force = Y[:, shift(tree, 0) : shift(tree, 3)] @ found.basis.T
-            tau[:, -3:] += np.einsum("ij,njp->nip", about, force)
-            forces[at] = force @ loads
-        torques[at] = tau @ loads
-        bent = -np.einsum("rs,nsp->nrp", C, tau, optimize=True)
+            h = skew(found.lever)
+            nearer[:, shift(self.tree, 0) : turn(self.tree, 0)] = (
+                nearer[:, turn(self.tree, 0) :] @ h
+            )
+        largest = float(np.abs(nearer[:, parts]).max(initial=1e-300))
+        return nearer, float(np.abs(step).max(initial=0.0)) / largest
+
+    def motions(self, beyond: F64, springs: Springs | None) -> F64:
+        """(N, R or R + 3, S) what parts do, and the base's shifts, per unit of each number.
+
+        Args:
+            beyond: (N, D + 6) deflections about which that is [rad or m].
+            springs: how deflections follow their loads there; at once where None.
+        """
+        found, C = self.found, self.found.compliance
+        P, R, S = len(found.basis), len(found.parts), found.n_numbers
+        tau, force = self._under(beyond, found.basis)
+        out = np.zeros((len(beyond), R, S))
+        out[..., :P] = -np.einsum("rs,nsp->nrp", C, tau, optimize=True)
+        tau, force = (each @ found.origin[:P] for each in (tau, force))
+        r = np.arange(R)
+        out[:, r, P + r] = -tau * np.diag(C)
+        first = P + R + 3 * found.base
+        rates = first_derivative(beyond[:, found.parts], self.log.rate)
+        sooner = 1 - np.tanh(found.origin[self._of_damping] / _FAR) ** 2
+        root, inverse = roots(C)
+        by_late = np.einsum("rk,nk->nrk", root, rates @ inverse.T)
+        out[:, :, first + r] = -by_late * (self._late * sooner)
         if found.base:
-            bent = np.concatenate([bent, np.einsum("ji,njp->nip", about, bent[:, -3:])], axis=1)
-        per_unit[at] = bent[:, part, number]
-    # Above the low-pass, accelerations are noise, and more so with every differentiation.
-    return _smooth(per_unit, log.taps), {
-        "torque": _smooth(torques, log.taps),
-        "force": _smooth(forces, log.taps),
-    }
+            self._of_base(out, tau, force, beyond)
+        out = _smooth(out, self.log.taps)
+        bent = springs.bent(out) if springs else out
+        if not found.base:
+            return bent
+        h = skew(found.lever)
+        shifts = np.einsum("ji,njs->nis", h, bent[:, -3:])
+        for i in range(3):
+            shifts[:, :, S - 3 + i] += beyond[:, turn(self.tree, 0) :] @ skew(np.eye(3)[i])
+        return np.concatenate([bent, shifts], axis=1)
+
+    def springs(self, beyond: F64) -> Springs:
+        """How deflections follow their loads along a motion.
+
+        Args:
+            beyond: (N, D + 6) of the links beyond the encoders [rad or m].
+        """
+        found, parts = self.found, self.found.parts
+        all_loads = found.origin[: len(found.basis)] @ found.basis
+        thin = slice(None, None, _SLOWLY)
+        moved = self._moved(beyond)
+        q, still = moved.q[thin], np.zeros_like(moved.q[thin])
+        at_rest = replace(moved, q=q, qd=still, qdd=still)
+        inertia = np.empty((len(q), len(parts), len(parts)))
+        steady = self._loads(at_rest, all_loads[None])[0][..., 0]
+        for k, part in enumerate(parts.tolist()):
+            pushed = np.zeros_like(still)
+            pushed[:, part] = 1.0
+            tau, _ = self._loads(replace(at_rest, qdd=pushed), all_loads[None])
+            inertia[:, :, k] = tau[..., 0] - steady
+        inertia += self._own_inertia()
+        at = np.minimum(np.arange(len(beyond)) / _SLOWLY, len(q) - 1)
+        low = at.astype(np.int64)
+        high, part = np.minimum(low + 1, len(q) - 1), (at - low)[:, None, None]
+        inertia = (1 - part) * inertia[low] + part * inertia[high]
+        return Springs(found.compliance, inertia, self._late, self.log.rate)
+
+    @property
+    def _of_damping(self) -> slice:
+        """Numbers by which parts are late."""
+        P, R = len(self.found.basis), len(self.found.parts)
+        first = P + R + 3 * self.found.base
+        return slice(first, first + R)
+
+    @property
+    def _late(self) -> F64:
+        """(R,) times by which dampers make parts late [s]."""
+        found = self.found.origin[self._of_damping] / _FAR
+        return np.asarray(_LATE * np.exp(_FAR * np.tanh(found)))
+
+    def _moved(self, beyond: F64) -> Trajectory:
+        """The log with the motion of the links."""
+        log, n = self.log, self.tree.n_joints + N_HINGES * self.found.base
+        e = beyond[:, :n]
+        still = np.zeros((len(e), n - log.q.shape[1]))
+        return replace(
+            log,
+            q=np.hstack([log.q, still]) + e,
+            qd=np.hstack([log.qd, still]) + first_derivative(e, log.rate),
+            qdd=np.hstack([log.qdd, still]) + second_derivative(e, log.rate),
+        )
+
+    def _under(self, beyond: F64, basis: F64) -> tuple[F64, F64]:
+        """Torques of parts (N, R, P) and forces on the base (N, 3, P) per unit of each load."""
+        return self._loads(self._moved(beyond), basis)
+
+    def _loads(self, moved: Trajectory, basis: F64) -> tuple[F64, F64]:
+        """The same along a motion of the links."""
+        tree, found = self.tree, self.found
+        torques = np.empty((len(moved.q), len(found.parts), len(basis)))
+        forces = np.zeros((len(moved.q), 3, len(basis)))
+        about = skew(found.lever)
+        for Y, at in regressors(tree, self.state, self.g, self.gravity, moved, base=found.base):
+            torques[at] = Y[:, found.parts] @ basis.T
+            if found.base:
+                forces[at] = Y[:, shift(tree, 0) : turn(tree, 0)] @ basis.T
+                torques[at, -3:] += np.einsum("ij,njp->nip", about, forces[at])
+        return torques, forces
+
+    def _bent(self, beyond: F64, tau: F64) -> F64:
+        """(N, R) deflections by loads, where they are late by others.
+
+        Args:
+            beyond: (N, D + 6) deflections that the loads go with [rad or m].
+            tau: (N, R) torques.
+        """
+        found, parts, rate = self.found, self.found.parts, self.log.rate
+        out = -tau @ found.compliance.T
+        rates = first_derivative(beyond[:, parts], rate)
+        out -= rates @ dampers(found.compliance, self._late).T
+        if found.base:
+            own = self._own_inertia()
+            out -= second_derivative(beyond[:, parts], rate) @ (found.compliance @ own).T
+        return np.asarray(out)
+
+    def _own_inertia(self) -> F64:
+        """(R, R) inertia of the base itself, of which the numbers are over its stiffness."""
+        found, R = self.found, len(self.found.parts)
+        out = np.zeros((R, R))
+        if found.base:
+            J = np.zeros((3, 3))
+            tensor = self._of_damping.stop + np.arange(len(_TENSOR))
+            for n, (i, j) in zip(tensor, _TENSOR, strict=True):
+                J[i, j] = J[j, i] = found.origin[n]
+            root = np.sqrt(np.diag(found.compliance)[-3:])
+            out[-3:, -3:] = J / root / root[:, None]
+        return out
+
+    def _of_base(self, out: F64, tau: F64, force: F64, beyond: F64) -> None:
+        """Write what numbers of the base do into loads (N, R, S)."""
+        found, C = self.found, self.found.compliance
+        P, R = len(found.basis), len(found.parts)
+        root = np.sqrt(np.diag(C)[-3:])
+        for n, (i, j) in enumerate(_PAIRS):
+            for one, other in ((i, j), (j, i)):
+                out[:, R - 3 + one, P + R + n] = -root[one] * root[other] * tau[:, R - 3 + other]
+        a = second_derivative(beyond[:, turn(self.tree, 0) :], self.log.rate)
+        first = self._of_damping.stop
+        for n, (i, j) in enumerate(_TENSOR):
+            for one, other in {(i, j), (j, i)}:
+                per = C[:, R - 3 + one] / (root[one] * root[other])
+                out[:, :, first + n] -= a[:, other, None] * per
+        for i in range(3):
+            moment = force @ skew(np.eye(3)[i]).T
+            out[:, :, first + len(_TENSOR) + i] = -moment @ C[:, -3:].T
+
+
+def _every(log: Trajectory, step: int) -> Trajectory:
+    """The motion of a log at the times of each so many-th sample of its grid."""
+    if step == 1:
+        return log
+    half = len(log.taps) // 2
+    taps = log.taps[half % step :: step]
+    thin = slice(None, None, step)
+    q, qd, qdd = log.q[thin], log.qd[thin], log.qdd[thin]
+    return replace(log, rate=log.rate / step, taps=taps / taps.sum(), q=q, qd=qd, qdd=qdd)
+
+
+def _between(x: F64, step: int, size: int) -> F64:
+    """(size, C) values on a grid of which each so many-th is known, by a windowed sinc."""
+    if step == 1:
+        return x
+    reach = np.arange(-_REACH, _REACH + 2)
+    padded = np.pad(x, ((_REACH, _REACH + 1), (0, 0)), mode="edge")
+    out = np.zeros((len(x), step, x.shape[1]))
+    out[:, 0] = x
+    for part in range(1, step):
+        far = part / step - reach
+        weights = np.sinc(far) * np.i0(_WINDOW * np.sqrt((1 - (far / (_REACH + 1)) ** 2).clip(0)))
+        for k, weight in enumerate(weights / weights.sum()):
+            out[:, part] += weight * padded[k : k + len(x)]
+    return out.reshape(-1, x.shape[1])[:size]
 
 
 def _smooth(x: F64, taps: F64) -> F64:
@@ -361,8 +480,8 @@ def _smooth(x: F64, taps: F64) -> F64:
 
     A gain of H becomes one of ``1 - (1 - H)^2`` (twicing: Tukey 1977).
     """
-    once = filtered(x, taps)
-    return 2 * once - filtered(once, taps)
+    twice = 2 * np.pad(taps, len(taps) // 2) - np.convolve(taps, taps)
+    return filtered(x, twice)
 
 
 def _compliance(found: Bending, x: F64) -> F64:

@@ -18,7 +18,14 @@ import numpy as np
 
 from skin2urdf.arrays import F64
 from skin2urdf.estimation.trajectory.arrow import eliminated, joint_inverse
-from skin2urdf.estimation.trajectory.bending import LATE, SPINDLE, YIELD, Bending, bending, followed
+from skin2urdf.estimation.trajectory.bending import (
+    SPINDLE,
+    YIELD,
+    Bending,
+    bending,
+    followed,
+    unsettled,
+)
 from skin2urdf.estimation.trajectory.elastic import Elasticity
 from skin2urdf.estimation.trajectory.elastic import followed as followed_by_known
 from skin2urdf.estimation.trajectory.fit import Fitted, fit, fit_following, held
@@ -38,6 +45,7 @@ from skin2urdf.estimation.trajectory.slack import (
 )
 from skin2urdf.estimation.trajectory.state import MotionState
 from skin2urdf.estimation.trajectory.unseen import Unseen
+from skin2urdf.signals.trajectory import Trajectory
 
 SPAN = 2.0
 """Length of the spans of time whose errors count as independent [s]: far longer than the low-pass,
@@ -57,15 +65,29 @@ so that causes are held against each other before one is taken."""
 _TURNS = 6
 """Turns of deflections by known torques and of motion, at most; each leaves a fifth to a tenth of
 the error."""
-_PROMISING_STEPS, _STEPS, _LAST_STEPS = 12, 24, 4
-"""Steps at most until it shows whether there is anything to a cause, until it is fitted, and once
-the size of loads is learnt."""
+_PROMISING_STEPS, _STEPS, _LAST_STEPS = 12, 24, 8
+"""Steps at most until it shows whether there is anything to a cause, until a base is fitted, and
+once the size of loads is learnt."""
+_LATE = 1e-2
+"""Standard deviation of the time by which deflections under known torques are late [s]: that of a
+resonance at 8 Hz, damped to a quarter of the critical."""
 _SETTLED = 1e-2
 """Change of deflections in a turn, over the largest, at which the next one is the last: that one
 leaves some 0.001 of deflections, which is micrometres."""
 _NEARLY = 0.3
 """Length of the last step of a turn in standard deviations: what is followed from where a fit has
 not arrived leads to another place."""
+_MEMORY = 4.0
+"""Time in which what yields forgets how it swung before [s]: a gear at 5 Hz with 5 % of the
+critical damping then swings by a hundredth, of which half a second is the low-pass's."""
+_ON_ITS_WAY = 1e-2
+"""Speed of a joint, over its highest, from which a log begins in motion: what swings is a part of
+that, and a hundredth of that part is less than is followed."""
+_ROUGHLY = 3.0
+"""The same of what only leads near."""
+_SLOWER = 3
+"""By how many times slower the motion is that deflections are first looked for in: patterns of 2 to
+3 Hz are left of those up to 5 Hz, beside gears that resonate at 4.4 Hz and more."""
 _CERTAIN = 10.0
 """Logarithm of the likelihood that unseen motion has to gain, which chance does once in 100,000;
 sound recordings gain nothing (panda and five of ur5), a strain wave of 0.1 mrad 121."""
@@ -364,27 +386,35 @@ def _yielding(
     Torques go with the motion of the links, which is known once the deflections are, and with the
     masses, which are known once the stiffness is: every step follows what it has found.
     """
-    tree, logs, state = problem.tree, problem.logs, fitted.state
-    bends = bending(tree, logs, state.placements, state.gravity, joints=elastic, base=base)
-    state = replace(state, unseen=np.zeros(bends.n_numbers))
-    priors = replace(problem.priors, unseen=bends.spread)
+    tree, state = problem.tree, fitted.state
+    logs = [_at_rest_before(log) for log in problem.logs]
     n_knots = problem.layout.n_knots
     promised = 1 + _MOST_OF_IT * (misfit_of(problem, fitted, SPAN) - 1)
 
     def follow(before: MotionProblem, at: MotionState) -> tuple[MotionProblem, MotionState]:
         about = cast(Bending, before.unseen)
-        about, x = followed(about, tree, logs, at.placements, at.gravity, at.unseen)
+        about, x = followed(about, tree, before.logs, at.placements, at.gravity, at.unseen)
         after = MotionProblem(tree, before.logs, before.priors, n_knots, about)
         return after, replace(at, unseen=x)
 
     # How SUs on the base are turned is known when its motion is.
     moved = [replace(log, valid=log.valid & ((tree.su_joint >= 0) | (not base))) for log in logs]
-    yielding = MotionProblem(tree, moved, priors, n_knots, bends)
+    first = moved if base else [log.slower(_SLOWER) for log in moved]
+    bends = bending(tree, first, state.placements, state.gravity, joints=elastic, base=base)
+    state = replace(state, unseen=np.zeros(bends.n_numbers))
+    priors = replace(problem.priors, unseen=bends.spread)
+    yielding = MotionProblem(tree, first, priors, n_knots, bends)
     if not base:
-        # Deflections by the motion that encoders have are close, and cost no following.
+        # Far below resonances links deflect by the motion that encoders have, or nearly so.
         state = fit(yielding, state, tolerance=_NEARLY, iterations=_PROMISING_STEPS).state
         yielding, state = follow(yielding, state)
-    for steps in (_PROMISING_STEPS, _STEPS):
+        yielding, near = fit_following(
+            yielding, state, follow, iterations=_PROMISING_STEPS, tolerance=_ROUGHLY
+        )
+        bends = unsettled(cast(Bending, yielding.unseen), moved)
+        yielding = MotionProblem(tree, moved, priors, n_knots, bends)
+        yielding, state = follow(yielding, near.state)
+    for steps in (_PROMISING_STEPS, _STEPS) if base else (_PROMISING_STEPS,):
         yielding, fitted = fit_following(
             yielding, state, follow, iterations=steps, tolerance=_NEARLY
         )
@@ -400,6 +430,13 @@ def _yielding(
     return fit_following(yielding, state, follow, iterations=_LAST_STEPS, tolerance=_NEARLY)
 
 
+def _at_rest_before(log: Trajectory) -> Trajectory:
+    """A log in which nothing swings that has begun to before it, as a robot on its way may."""
+    speed, first = np.abs(log.qd), len(log.taps) // 2
+    moves = (speed[first] > _ON_ITS_WAY * speed.max(axis=0)).any()
+    return log.without_first(_MEMORY) if moves else log
+
+
 def _with_elastic_joints(
     problem: MotionProblem, fitted: Fitted, elastic: Elasticity
 ) -> tuple[MotionProblem, Fitted]:
@@ -410,7 +447,7 @@ def _with_elastic_joints(
     """
     tree, logs, state = problem.tree, problem.logs, fitted.state
     spread = YIELD * np.where(tree.prismatic, SPINDLE, 1.0)[elastic.joint]
-    spread[elastic.damping] = LATE
+    spread[elastic.damping] = _LATE
     priors = replace(problem.priors, unseen=spread)
     state = replace(state, unseen=np.zeros(len(spread)))
     n_knots = problem.layout.n_knots

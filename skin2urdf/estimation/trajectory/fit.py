@@ -203,7 +203,7 @@ def _descend(
             there = _cost(about, trial, ahead, weights, shaken)
             if there <= cost:
                 break
-            if not far:
+            if not far or length < tolerance:
                 # There is nothing to gain any more: it is as near as it was to come.
                 enough = tolerance
             damping = max(_FALL * damping, _FELT)

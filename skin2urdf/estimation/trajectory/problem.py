@@ -68,6 +68,11 @@ class MotionProblem(Derivatives):
             self.unseen,
         )
 
+    def stiff(self) -> MotionProblem:
+        """The same problem of a robot of which encoders see all."""
+        priors = replace(self.priors, unseen=np.zeros(0))
+        return MotionProblem(self.tree, self.logs, priors, self.layout.n_knots)
+
     def coarse(self, *, unseen: bool = False) -> tuple[Bool, Bool]:
         """Coordinates (J,) and (U, n) to begin with: placements, biases and lags.
 

@@ -1,9 +1,9 @@
 """Motion of joints that their encoders do not see, as few numbers that make it.
 
 Gears that twist, teeth that are not even, play: all leave a link by some e(t) beyond what its
-encoder says, ``q = theta + sum_s (x_s - o_s) d_s(t)``, with motions d_s that are known and numbers
-x_s that are found along with the placements. One number may move several joints, as a mass does.
-The o_s are 0, but where other motions are known about some number already.
+encoder says, ``q = theta + e_o(t) + sum_s (x_s - o_s) d_s(t)``, with motions d_s that are known and
+numbers x_s that are found along with the placements. One number may move several joints, as a mass
+does. The o_s are 0, and so is e_o, but where motions are known about some numbers only.
 """
 
 from __future__ import annotations
@@ -29,13 +29,17 @@ class Unseen(Record):
         motions: per log (N, E) by how much its link is beyond its encoder [rad or m per unit],
             low-passed as the positions.
         number: (E,) the number that makes the motion; by default each entry has its own.
-        origin: (S,) numbers that make no motion; by default 0.
+        origin: (S,) numbers about which the motions are those that more of them makes; by default
+            0.
+        settled: per log (N, D + 6) motion of joints and hinges that numbers at the origin make;
+            none of them where they make none.
     """
 
     joint: Int
     motions: tuple[F64, ...]
     number: Int = field(default_factory=lambda: np.zeros(0, dtype=np.int64), kw_only=True)
     origin: F64 = field(default_factory=lambda: np.zeros(0), kw_only=True)
+    settled: tuple[F64, ...] = field(default=(), kw_only=True)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -78,6 +82,8 @@ class Unseen(Record):
         of_joint = np.zeros((len(self.joint), n_joints + hinges.shape[1]))
         of_joint[np.arange(len(self.joint)), self.joint] = (x - self.origin)[self.number]
         e = self.motions[g] @ of_joint
+        if self.settled:
+            e += self.settled[g][:, : e.shape[1]]
         return replace(
             log,
             q=np.hstack([log.q, hinges]) + e,
@@ -101,4 +107,10 @@ def together(several: Sequence[Unseen]) -> Unseen:
         ),
         number=np.concatenate([e.number + n for e, n in zip(several, first[:-1], strict=True)]),
         origin=np.concatenate([each.origin for each in several]),
+        settled=_sums([each.settled for each in several if each.settled]),
     )
+
+
+def _sums(several: Sequence[tuple[F64, ...]]) -> tuple[F64, ...]:
+    """Per log, the sum of what several have."""
+    return tuple(sum(each[1:], each[0]) for each in zip(*several, strict=True))

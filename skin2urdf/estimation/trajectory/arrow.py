@@ -9,7 +9,7 @@ import numpy as np
 from skin2urdf.arrays import F64, Bool
 from skin2urdf.estimation.trajectory.records import Equations
 
-_NOTHING = 1e-9
+NOTHING = 1e-9
 """Relative weight that holds directions without any information where they are."""
 
 
@@ -49,7 +49,7 @@ def eliminated(
     size = np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
     unit = su / size[:, :, None] / size[:, None, :]
     index = np.arange(su.shape[1])
-    unit[:, index, index] = np.where(free_su, 1 + damping + _NOTHING, 1.0)
+    unit[:, index, index] = np.where(free_su, 1 + damping + NOTHING, 1.0)
     inverse = _inverse(unit) / size[:, :, None] / size[:, None, :]
     inverse = np.where(both, 0.5 * (inverse + np.swapaxes(inverse, 1, 2)), 0.0)
     mixed = np.where(free_su[:, :, None] & free_joint, equations.mixed, 0.0)
@@ -71,7 +71,7 @@ def _inverse(unit: F64) -> F64:
     except np.linalg.LinAlgError:
         # Rounding has taken more from what hardly shows than what holds it.
         lam, V = np.linalg.eigh(unit)
-        return np.asarray((V / np.maximum(lam, _NOTHING)[..., None, :]) @ np.swapaxes(V, -1, -2))
+        return np.asarray((V / np.maximum(lam, NOTHING)[..., None, :]) @ np.swapaxes(V, -1, -2))
 
 
 def joint_inverse(schur: F64, free: Bool) -> F64:
@@ -80,7 +80,7 @@ def joint_inverse(schur: F64, free: Bool) -> F64:
     size = np.sqrt(np.where(free & (diagonal > 0), diagonal, 1.0))
     unit = schur / size[:, None] / size
     index = np.arange(len(unit))
-    unit[index, index] = np.where(free, np.maximum(np.diag(unit), 0.0) + _NOTHING, 1.0)
+    unit[index, index] = np.where(free, np.maximum(np.diag(unit), 0.0) + NOTHING, 1.0)
     inverse = _inverse(unit) / size[:, None] / size
     return np.asarray(np.where(free[:, None] & free, 0.5 * (inverse + inverse.T), 0.0))
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from skin2urdf.arrays import F64, Bool
 from skin2urdf.estimation.solve.spread import BEYOND_NOISE, DETERMINED, ENOUGH, spread
-from skin2urdf.estimation.trajectory.arrow import eliminated, joint_inverse
+from skin2urdf.estimation.trajectory.arrow import NOTHING, eliminated, joint_inverse
 from skin2urdf.estimation.trajectory.fit import Fitted, fit
 from skin2urdf.estimation.trajectory.gyro import contradicting, without_gyros
 from skin2urdf.estimation.trajectory.problem import MotionProblem
@@ -58,12 +58,13 @@ def _learnt(problem: MotionProblem, fitted: Fitted) -> F64:
         before = given[which[0]]
         if not before > 0:
             continue
-        share = variance[:, which] / before**2
+        # What is known better than elimination can tell is known as well as that.
+        share = np.maximum(variance[:, which] / before**2, NOTHING)
         use = problem.gyros[:, None] & (share < DETERMINED)
         if use.sum() < ENOUGH:
             continue
         data = 1 / (1 - share[use])
-        noise = variance[:, which][use] * data
+        noise = share[use] * before**2 * data
         size = spread(error[:, which][use] * data, noise)
         widest = max(size, BEYOND_NOISE * float(np.sqrt(np.median(noise))))
         out[which] = min(before, widest)

@@ -40,7 +40,7 @@ def test_coarse_encoders_make_no_clock_late(tmp_path: Path) -> None:
 
 
 def test_noise_is_as_large_as_what_is_left_without_any_other(tmp_path: Path) -> None:
-    along = along_of(tmp_path, excite="all", grade="ideal", jitter=0.0)
+    along = along_of(tmp_path, excite="all", grade="ideal", jitter=0.0, n_poses=8)
     problem, fitted = along.problem, along.fitted
     (log,), (predicted,) = problem.logs, fitted.predicted
     even = np.broadcast_to(log.moving.any(axis=1)[:, None, None] * 1.0, predicted.residual.shape)

@@ -94,7 +94,7 @@ sound recordings gain nothing (panda and five of ur5), a strain wave of 0.1 mrad
 _NEGATIVE = 10.0
 """Deviations below zero at which a compliance is none: what torques lack in truth, as those of
 cables and tools that a model leaves out, makes small ones wrong by several."""
-_BENDS, _DRIFT = ("elastic", "base"), "drift"
+BENDS, _DRIFT = ("elastic", "base"), "drift"
 """Causes of deflections, and that of biases."""
 _KNOTS = 15.0
 """Time between the moments that a drifting bias is given at [s]; sensors warm up in minutes."""
@@ -176,7 +176,7 @@ def _of_any_cause(rigid: _Attempt, without: Collection[str]) -> tuple[_Attempt, 
 
 def _with_physics(rigid: _Attempt, without: Collection[str]) -> tuple[_Attempt, list[_Attempt]]:
     """The best of what drifts and bends, one cause after the other, and all that was tried."""
-    left = [cause for cause in (_DRIFT, *_BENDS) if cause not in without]
+    left = [cause for cause in (_DRIFT, *BENDS) if cause not in without]
     if _DRIFT in left and (rigid.misfit <= _EXPLAINED or rigid.problem.priors.sensors.bias == 0):
         left.remove(_DRIFT)
     best, tried = rigid, []
@@ -297,7 +297,7 @@ class _Attempt:
         if cause == _DRIFT:
             problem, fitted = _with_drifting_biases(self.problem, self.fitted)
         else:
-            bends = {name: name in causes for name in _BENDS}
+            bends = {name: name in causes for name in BENDS}
             problem, fitted = _yielding(self.problem, self.fitted, **bends)
         return replace(self, problem=problem, fitted=fitted, causes=causes)
 

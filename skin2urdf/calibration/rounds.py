@@ -250,7 +250,7 @@ def settle(
 def _with_an_su_elsewhere(
     logs: Logs, found: Estimate, refined: Features, features: Features, clock: Clock
 ) -> tuple[Estimate, Features]:
-    """With an SU that does not fit one joint further out or in, where all fits then.
+    """With an SU that does not fit moved by one joint more or less, where all fits then.
 
     Gaps may leave so little of an SU that the activity of its last joint is missed.
     """
@@ -393,11 +393,18 @@ def alike(a: KinematicTree, b: KinematicTree) -> bool:
 
 
 def _next_to(tree: KinematicTree, sus: Sequence[int]) -> Iterator[tuple[str, str, bool]]:
-    """SUs, and the joints next to theirs: those beyond, which would move them, and their own."""
+    """SUs, and joints near theirs: those that may move them as well, the nearest first, and theirs.
+
+    Those are beyond their own joint, or beside a joint of their chain: one whose patterns fell into
+    gaps seems to be of another branch.
+    """
     for u in sus:
         own = int(tree.su_joint[u])
-        for j in np.flatnonzero(tree.parent == own):
-            yield tree.su_names[u], tree.joint_names[j], True
+        chain = [-1, *tree.chain(own)]
+        for before in reversed(chain):
+            for j in np.flatnonzero(tree.parent == before):
+                if j not in chain:
+                    yield tree.su_names[u], tree.joint_names[j], True
         if own >= 0:
             yield tree.su_names[u], tree.joint_names[own], False
 

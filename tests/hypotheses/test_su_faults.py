@@ -154,6 +154,21 @@ def joint_of(tree: KinematicTree, su: str) -> str:
     return tree.joint_names[tree.su_joint[tree.su_names.index(su)]]
 
 
+def test_a_joint_that_gaps_have_hidden_is_no_other_branch() -> None:
+    """An SU at the tip seems not to be moved by the joint before its own."""
+    injected, recordings = of_six_poses("gaps", 210004)
+    (name,), clock = injected.subjects, Clock()
+    logs = sample_logs(recordings, PATTERNS, clock)
+    features = take_features(logs, clock)
+    missed = find_structure(logs, features, clock).certain_tree
+    chain = {missed.joint_names[j] for j in missed.chain(missed.joint_names.index("panda_joint7"))}
+    assert "panda_joint6" not in chain
+    found, _ = settle(logs, *relinearise(logs, missed, features, clock), clock)
+    assert joint_of(found.tree, name) == "panda_joint7"
+    assert found.tree.parent.tolist() == [-1, 0, 1, 2, 3, 4, 5]
+    assert found.cost_per_dof < 1.2
+
+
 def test_a_slip_explains_the_pose_in_which_it_happened() -> None:
     """Readings of both placements together fit neither, and need not."""
     rng, clock = np.random.default_rng([3, *b"loose"]), Clock()

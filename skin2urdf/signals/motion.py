@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from math import comb
 
 import numpy as np
 
@@ -23,6 +24,9 @@ STILL = 1e-3
 _CREEP = 6.0
 """Travel in steps of the encoder that is none: held joints creep by up to 4 steps and round to the
 next on either side (an iCub's leg)."""
+_ORDERS = (3, 6, 12, 24)
+"""Differences by which noise is told from motion: with the third alone a pattern of 4 Hz in a
+stream of 25 Hz is taken for twenty times the noise, with the twelfth for none."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -187,8 +191,10 @@ def _bridged(values: F64, ok: Bool) -> F64:
 def encoder_noise(stream: JointStream) -> tuple[float, float]:
     """Smallest step of an encoder and the standard deviation of its error.
 
-    The error is that of rounding to the step, or the scatter about a local line where that is
-    larger (an analogue sensor).
+    The error is that of rounding to the step, or the scatter about what is smooth where that is
+    larger (an analogue sensor). Differences of every order show the same white noise once they are
+    divided by the root of the sum of their squared weights; what they hold of the motion beside it
+    is less the higher the order, so that the least is nearest.
     """
     x = stream.position
     changes = np.abs(np.diff(x))
@@ -199,6 +205,9 @@ def encoder_noise(stream: JointStream) -> tuple[float, float]:
     multiples = moves / step
     regular = np.median(np.abs(multiples - np.round(multiples))) < 0.02
     rounding = step / np.sqrt(12) if regular else 0.0
-    bend = np.abs(x[:-3] - 3 * x[1:-2] + 3 * x[2:-1] - x[3:])
-    scatter = float(np.median(bend)) / 0.6745 / np.sqrt(20.0)
+    scatter = min(
+        float(np.median(np.abs(np.diff(x, order)))) / 0.6745 / np.sqrt(comb(2 * order, order))
+        for order in _ORDERS
+        if order < len(x)
+    )
     return (step if regular else 0.0), max(rounding, scatter)

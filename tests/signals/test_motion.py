@@ -69,6 +69,13 @@ def test_a_joint_that_never_moves_has_neither() -> None:
     assert encoder_noise(JointStream("a", time, np.full(500, 0.7))) == (0.0, 0.0)
 
 
+@pytest.mark.parametrize("rate", [20.0, 25.0, 50.0])
+def test_motion_between_the_samples_of_a_slow_stream_is_no_noise(rate: float) -> None:
+    step, resolution, noise = encoder(17, rate, 0.0)
+    assert resolution == pytest.approx(step, rel=1e-3)
+    assert noise == pytest.approx(step / np.sqrt(12), rel=0.1)
+
+
 @given(sd=st.floats(1e-5, 3e-3), seed=st.integers(0, 99))
 @settings(max_examples=25, deadline=None)
 def test_the_noise_of_an_analogue_sensor_is_measured(sd: float, seed: int) -> None:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from skin2urdf.arrays import F64, Int
 from skin2urdf.recording.bursts import burst_ends, times_of_bursts
-from skin2urdf.recording.numbering import median_of, medians_of
+from skin2urdf.recording.numbering import median_of
 from skin2urdf.recording.regular import regular_times_of
 from skin2urdf.recording.smoothness import weigh_stamps
 
@@ -28,8 +28,6 @@ WILD_STAMP = 10.0
 SWEEPS = 5
 # Stamps that scatter less than this about regular times [periods] leave nothing to choose.
 NEGLIGIBLE = 1e-3
-# Scatter of stamps [periods] up to which a stream counts as nearly regular.
-NEARLY_REGULAR = 0.25
 # In its true order a signal that moves is smoother than in another by this factor.
 SMOOTHER = 0.7
 # Wrong stamps come to lie close to another as often as they run backwards; true ones hardly do.
@@ -319,10 +317,9 @@ def _choices(
         return chosen
     signals = [streams[rows[k]].signal for k in noisy.tolist()]
     share, uncertainty = weigh_stamps(stamps[noisy], fitted[noisy], signals)
-    margin = 2.0 * uncertainty
-    nearly = 1.4826 * medians_of(apart[noisy]) < NEARLY_REGULAR * period[noisy]
-    for k, side, doubt, near in zip(noisy, share, margin, nearly, strict=True):
-        stands = side - doubt > 0.5 or (not side + doubt < 0.5 and not near)
+    # Where the signal hardly moves, either would do; between stamps that all but coincide, noise
+    # would be interpolated with slopes that it never had.
+    for k, stands in zip(noisy, share - 2.0 * uncertainty > 0.5, strict=True):
         chosen[k] = "stamps" if stands else "regular"
     return chosen
 

@@ -71,11 +71,13 @@ def test_samples_at_random_times_keep_their_stamps() -> None:
     np.testing.assert_allclose(got, true, rtol=0, atol=1e-9)
 
 
-def test_at_rest_a_nearly_regular_stream_counts_as_regular() -> None:
+@pytest.mark.parametrize("jitter", [0.03, 0.8])
+def test_at_rest_a_stream_that_has_a_rate_counts_as_regular(jitter: float) -> None:
     rng = np.random.default_rng(4)
     true = np.arange(N) * PERIOD
     still = 0.01 * rng.standard_normal((N, 3))
-    times, _ = timed(true + 0.1 * PERIOD * rng.random(N), still)
+    stamp = np.maximum.accumulate(true + jitter * PERIOD * rng.standard_normal(N))
+    times, _ = timed(stamp + 1e-6 * true, still)
     assert times.chosen == "regular"
 
 

@@ -12,6 +12,7 @@ import numpy as np
 from scipy.linalg.lapack import dptsv as ptsv
 
 from skin2urdf.arrays import F64, Bool, Int
+from skin2urdf.recording.lattice import number_on_lattice
 from skin2urdf.recording.numbering import (
     Numbering,
     may_have_gaps,
@@ -27,6 +28,8 @@ STRETCH_SECONDS = 2.0
 # By how many squares of the stamps' noise a bend has to improve the fit (one, by chance alone).
 BEND_PRICE = 6.0
 MIN_SAMPLES = 16
+# Noise of stamps [periods] up to which no jump of a stamp is taken for a loss: one in a million.
+JITTERS = 0.08
 # Samples from which weights are found, and how many of a stretch there are among them at least.
 SOME = 1024
 LEAST = 34
@@ -73,7 +76,7 @@ def regular_times_of(stamp: F64) -> list[F64 | None]:
     for k, row in enumerate(rows.tolist()):
         fits = [plain[k]] if sound[k] else []
         if gaps[k]:
-            fits += _fit_between_gaps(stamp[k], float(period[k]), float(noise[k]))
+            fits += _fits_between_gaps(stamp[k], float(period[k]), float(noise[k]))
         misfits = [_misfit(stamp[k], fit) for fit in fits] if len(fits) > 1 else [0.0]
         found[row] = fits[int(np.argmin(misfits))] if fits else None
     return found
@@ -106,14 +109,19 @@ def _rates(stamp: F64) -> tuple[F64, F64]:
     return period, noise
 
 
-def _fit_between_gaps(stamp: F64, period: float, noise: float) -> list[F64]:
-    """A fit (N,) to each piece of a stream that lost messages, if it lost any and there is one."""
-    numbering = number_messages(stamp, period, noise)
-    fitted = None if numbering is None else _fit(stamp, numbering, period)
-    if fitted is None:
-        return []
-    astray = _astray(stamp[None], fitted[None], np.array([period]), np.array([noise]))
-    return [] if astray[0] else [fitted]
+def _fits_between_gaps(stamp: F64, period: float, noise: float) -> list[F64]:
+    """Fits (N,) to each piece of a stream that lost messages, if it lost any and there is one.
+
+    Jumps of single stamps place losses exactly where stamps are good; where they are not, the phase
+    of the clock still tells how many there are.
+    """
+    numberings = [number_messages(stamp, period, noise)]
+    if noise > JITTERS * period:
+        numberings.append(number_on_lattice(stamp, period))
+    fits = (_fit(stamp, numbering, period) for numbering in numberings if numbering is not None)
+    whole = [fitted for fitted in fits if fitted is not None]
+    scale = np.array([period]), np.array([noise])
+    return [fitted for fitted in whole if not _astray(stamp[None], fitted[None], *scale)[0]]
 
 
 def _fit(stamp: F64, numbering: Numbering, period: float) -> F64 | None:

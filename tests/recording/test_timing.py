@@ -101,6 +101,20 @@ def test_lost_messages_and_pauses_stay() -> None:
     assert error(got, true).max() < 0.1 * PERIOD
 
 
+@pytest.mark.parametrize("share", [0.005, 0.05])
+@pytest.mark.parametrize("jitter", [0.1, 0.2, 0.3])
+def test_lost_messages_are_counted_between_stamps_that_jitter(jitter: float, share: float) -> None:
+    """The clock's phase shows how many, and all but a few of the places."""
+    rng = np.random.default_rng(16)
+    true = (np.arange(N) * PERIOD * (1 + 50e-6))[rng.random(N) > share]
+    true = np.where(np.arange(true.size) < 0.6 * N, true, true + 0.5013)
+    stamp = np.maximum.accumulate(true + jitter * PERIOD * rng.standard_normal(true.size))
+    times, got = timed(stamp + 1e-6 * true, moving(true, 0.01, rng))
+    assert times.chosen == "regular"
+    assert np.quantile(error(got, true), 0.95) < 0.25 * jitter * PERIOD
+    assert error(got, true).max() < 1.2 * PERIOD
+
+
 def test_a_clock_without_drift_gets_no_bends() -> None:
     """Noise of 100 us over 90 s: a line through all of it is off by 2 us at most, bends by 20."""
     worst = []

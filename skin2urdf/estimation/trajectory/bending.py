@@ -358,8 +358,7 @@ class _OfLog:
         out[:, :, first + r] = -by_late * (self._late * sooner)
         if found.base:
             self._of_base(out, tau, force, beyond)
-        out = self._smooth(out)
-        bent = springs.bent(out) if springs else out
+        bent = self._smooth(springs.bent(out) if springs else out)
         if not found.base:
             return bent
         h = skew(found.lever)

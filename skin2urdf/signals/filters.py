@@ -16,8 +16,12 @@ from skin2urdf.arrays import F64, Bool, Int
 from skin2urdf.recording.shelf import STREAMS_IN_MEMORY, Shelf, put_away, room_for_streams
 
 # Central differences of eighth order: at a tenth of the sampling rate still exact to 1e-5.
-_FIRST = np.array([1 / 280, -4 / 105, 1 / 5, -4 / 5, 0, 4 / 5, -1 / 5, 4 / 105, -1 / 280])
-_SECOND = np.array([-1 / 560, 8 / 315, -1 / 5, 8 / 5, -205 / 72, 8 / 5, -1 / 5, 8 / 315, -1 / 560])
+FIRST_DIFFERENCES = np.array(
+    [1 / 280, -4 / 105, 1 / 5, -4 / 5, 0, 4 / 5, -1 / 5, 4 / 105, -1 / 280]
+)
+SECOND_DIFFERENCES = np.array(
+    [-1 / 560, 8 / 315, -1 / 5, 8 / 5, -205 / 72, 8 / 5, -1 / 5, 8 / 315, -1 / 560]
+)
 _LINEAR_RATE = 1300.0
 """Uneven streams faster than this [Hz] are interpolated linearly; slower ones by cubic splines."""
 _UNEVEN = 1e-4
@@ -262,12 +266,12 @@ def _convolved(values: F64, taps: F64) -> F64:
 
 def first_derivative(values: F64, rate: float, at: Int | None = None) -> F64:
     """First derivative along the first axis, of all samples or where it is wanted."""
-    return _differentiated(values, _FIRST * rate, at)
+    return _differentiated(values, FIRST_DIFFERENCES * rate, at)
 
 
 def second_derivative(values: F64, rate: float, at: Int | None = None) -> F64:
     """Second derivative along the first axis, of all samples or where it is wanted."""
-    return _differentiated(values, _SECOND * rate**2, at)
+    return _differentiated(values, SECOND_DIFFERENCES * rate**2, at)
 
 
 def _differentiated(values: F64, weights: F64, at: Int | None) -> F64:

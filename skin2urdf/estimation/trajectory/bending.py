@@ -20,19 +20,37 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from skin2urdf.arrays import F64, Int
 from skin2urdf.estimation.problem.state import State
+from skin2urdf.estimation.trajectory.coarser import coarser, on_grid
 from skin2urdf.estimation.trajectory.skeleton import N_HINGES, shift, turn
 from skin2urdf.estimation.trajectory.springs import Springs, dampers, roots
-from skin2urdf.estimation.trajectory.torques import N_INERTIAL, inertial_sizes, regressors
+from skin2urdf.estimation.trajectory.torques import (
+    N_INERTIAL,
+    bodies,
+    inertial_sizes,
+    joint_inertias,
+    loads_of,
+    regressors,
+)
 from skin2urdf.estimation.trajectory.unseen import Unseen
 from skin2urdf.geometry.so3 import skew
-from skin2urdf.signals.filters import filtered, first_derivative, noise_bandwidth, second_derivative
+from skin2urdf.signals.filters import (
+    filtered,
+    first_derivative,
+    low_pass,
+    noise_bandwidth,
+    second_derivative,
+)
 from skin2urdf.signals.trajectory import Trajectory
 from skin2urdf.structure.records import KinematicTree
+
+if TYPE_CHECKING:
+    import pinocchio as pin
 
 _SHOWS = 1e-3
 """Least share of the largest deflection that a direction of the parameters is kept for: of
@@ -44,13 +62,17 @@ _NEWTON = 8
 _EXACT = 3e-4
 """Length of a step, over the largest deflection, from which the next would change nothing that
 shows."""
+_BALANCE = 1e-2
+"""Length of a step, over the largest deflection, up to which loads and deflections are in balance
+where no further step becomes shorter."""
 _PER_CUTOFF = 7.0
 """Samples per second over the cutoff that deflections are worked out at: there differences of
 eighth order are exact to 1e-4."""
+_WIDER = 1.5
+"""Cutoff of the low-pass in which deflections are solved for, over that of the log: of what passes
+this, it leaves all."""
 _SLOWLY = 2
 """Samples from one at which inertias are worked out to the next: some 30 ms."""
-_REACH, _WINDOW = 9, 10.0
-"""Samples on either side that tell what is between two, and the shape of their window."""
 YIELD = 2e-2
 """Standard deviation of deflections [rad]; robots whose gears twist by more than a degree are not
 built to be calibrated."""
@@ -91,11 +113,14 @@ class Bending(Unseen):
         compliance: (R, R) deflections per torque, of a scale of its own.
         basis: (P, 10 D) the inertial parameters of each load, in the order of Pinocchio's
             regressors.
+        holds: whether loads and what they bend were found in balance: numbers far from any robot's
+            bend it to where there is none.
     """
 
     parts: Int = field(kw_only=True)
     compliance: F64 = field(kw_only=True)
     basis: F64 = field(kw_only=True)
+    holds: bool = field(default=True, kw_only=True)
 
     @property
     def n_numbers(self) -> int:
@@ -181,7 +206,7 @@ def unsettled(found: Bending, logs: Sequence[Trajectory]) -> Bending:
     """The same deflections by the same loads of other logs, of which nothing is known yet."""
     none = np.zeros(0, dtype=np.int64)
     motions = tuple(np.zeros((len(log.q), 0)) for log in logs)
-    return replace(found, joint=none, number=none, motions=motions, settled=())
+    return replace(found, joint=none, number=none, motions=motions, settled=(), every=())
 
 
 def followed(
@@ -218,20 +243,26 @@ def followed(
     about = replace(about, origin=x)
     numbers = np.arange(about.n_numbers)
     moved = [*found.parts.tolist(), *((shift(tree, i) for i in range(3)) if found.base else ())]
-    settled, motions = [], []
+    settled, motions, every, holds = [], [], [], True
     for g, (log, beyond) in enumerate(zip(logs, before, strict=True)):
         step = max(1, int(log.rate / (_PER_CUTOFF * noise_bandwidth(log.taps, log.rate))))
-        of_log = _OfLog(tree, state, g, gravity, _every(log, step), about)
+        within = slice(int(log.kept[0]) // step, int(log.kept[-1]) // step + 1)
+        of_log = _OfLog(tree, state, g, gravity, coarser(log, step), about, within)
         beyond = beyond[::step]
         springs = None if found.base else of_log.springs(beyond)
+        last = np.inf
         for _ in range(_NEWTON if springs else 1):
-            beyond, change = of_log.nearer(beyond, springs)
+            nearer, change = of_log.nearer(beyond, springs)
+            if not change < last:
+                holds = holds and last < _BALANCE
+                break
+            beyond, last = nearer, change
             if change < _EXACT:
                 break
-        size = len(log.q)
-        settled.append(_between(beyond, step, size))
+        settled.append(on_grid(beyond, step, len(log.q)))
         of_numbers = of_log.motions(beyond, springs)
-        motions.append(_between(of_numbers.reshape(len(beyond), -1), step, size))
+        motions.append(of_numbers.reshape(len(beyond), -1))
+        every.append(step)
     most = int(np.argmax(np.max([np.ptp(e[:, found.parts], axis=0) for e in settled], axis=0)))
     held = np.ones((len(moved), len(numbers)), dtype=bool)
     held[:, P + most] = False  # what one part yields is the scale of all
@@ -245,6 +276,8 @@ def followed(
         motions=tuple(m[:, shows.ravel()] for m in motions),
         number=number[shows],
         settled=tuple(settled),
+        every=tuple(every),
+        holds=holds,
     ), x
 
 
@@ -267,6 +300,7 @@ class _OfLog:
         gravity: its magnitude [m/s^2].
         log: as the encoders have it.
         found: what yields, about its numbers.
+        within: samples that are compared; what a log begins and ends with swings as nobody knows.
     """
 
     tree: KinematicTree
@@ -275,6 +309,7 @@ class _OfLog:
     gravity: float
     log: Trajectory
     found: Bending
+    within: slice
 
     def nearer(self, beyond: F64, springs: Springs | None) -> tuple[F64, float]:
         """(N, D + 6) deflections after a step of Newton's method, and the length of the step.
@@ -284,11 +319,12 @@ class _OfLog:
             springs: how deflections follow their loads there; at once where None.
         """
         found, parts = self.found, self.found.parts
-        all_loads = found.origin[: len(found.basis)] @ found.basis
-        tau, _ = self._under(beyond, all_loads[None])
-        bent = self._bent(beyond, tau[..., 0])
-        lacking = _smooth(bent - beyond[:, parts], self.log.taps)
-        step = springs.bent(lacking[..., None])[..., 0] if springs else lacking
+        bent = self._bent(beyond, self._torques(beyond))
+        lacking = self._smooth(bent - beyond[:, parts])
+        step = lacking
+        if springs:
+            # What springs ring with beyond the low-pass, none would take away again.
+            step = self._smooth(springs.bent(lacking[..., None])[..., 0])
         nearer = np.zeros_like(beyond)
         nearer[:, parts] = beyond[:, parts] + step
         if found.base:
@@ -296,8 +332,8 @@ class _OfLog:
             nearer[:, shift(self.tree, 0) : turn(self.tree, 0)] = (
                 nearer[:, turn(self.tree, 0) :] @ h
             )
-        largest = float(np.abs(nearer[:, parts]).max(initial=1e-300))
-        return nearer, float(np.abs(step).max(initial=0.0)) / largest
+        largest = float(np.abs(nearer[self.within, parts]).max(initial=1e-300))
+        return nearer, float(np.abs(step[self.within]).max(initial=0.0)) / largest
 
     def motions(self, beyond: F64, springs: Springs | None) -> F64:
         """(N, R or R + 3, S) what parts do, and the base's shifts, per unit of each number.
@@ -322,8 +358,7 @@ class _OfLog:
         out[:, :, first + r] = -by_late * (self._late * sooner)
         if found.base:
             self._of_base(out, tau, force, beyond)
-        out = _smooth(out, self.log.taps)
-        bent = springs.bent(out) if springs else out
+        bent = self._smooth(springs.bent(out) if springs else out)
         if not found.base:
             return bent
         h = skew(found.lever)
@@ -338,25 +373,32 @@ class _OfLog:
         Args:
             beyond: (N, D + 6) of the links beyond the encoders [rad or m].
         """
-        found, parts = self.found, self.found.parts
-        all_loads = found.origin[: len(found.basis)] @ found.basis
+        found = self.found
         thin = slice(None, None, _SLOWLY)
         moved = self._moved(beyond)
-        q, still = moved.q[thin], np.zeros_like(moved.q[thin])
-        at_rest = replace(moved, q=q, qd=still, qdd=still)
-        inertia = np.empty((len(q), len(parts), len(parts)))
-        steady = self._loads(at_rest, all_loads[None])[0][..., 0]
-        for k, part in enumerate(parts.tolist()):
-            pushed = np.zeros_like(still)
-            pushed[:, part] = 1.0
-            tau, _ = self._loads(replace(at_rest, qdd=pushed), all_loads[None])
-            inertia[:, :, k] = tau[..., 0] - steady
-        inertia += self._own_inertia()
+        moved = replace(moved, q=moved.q[thin], qd=moved.qd[thin], qdd=moved.qdd[thin])
+        q = moved.q
+        of_joints = joint_inertias(self.tree, self.state, moved, self._parameters)
+        inertia = of_joints[:, found.parts[:, None], found.parts]
         at = np.minimum(np.arange(len(beyond)) / _SLOWLY, len(q) - 1)
         low = at.astype(np.int64)
         high, part = np.minimum(low + 1, len(q) - 1), (at - low)[:, None, None]
         inertia = (1 - part) * inertia[low] + part * inertia[high]
         return Springs(found.compliance, inertia, self._late, self.log.rate)
+
+    def _smooth(self, x: F64) -> F64:
+        """Low-pass (N, ...) by what loses nothing that passes the log's own low-pass.
+
+        Springs answer anything at once, so that a wide one will do, which leaves no part of what
+        passes behind: what is left behind comes after in every further step. What is inserted into
+        its own second derivative grows where it swings faster than it resonates, and has to be
+        kept to the band; a gain of H then becomes one of ``1 - (1 - H)^2`` (twicing: Tukey 1977).
+        """
+        taps, rate = self.log.taps, self.log.rate
+        if not self.found.base:
+            taps = low_pass(_WIDER * noise_bandwidth(taps, rate), rate)
+        twice = 2 * np.pad(taps, len(taps) // 2) - np.convolve(taps, taps)
+        return filtered(x, twice)
 
     @property
     def _of_damping(self) -> slice:
@@ -383,13 +425,30 @@ class _OfLog:
             qdd=np.hstack([log.qdd, still]) + second_derivative(e, log.rate),
         )
 
+    @property
+    def _parameters(self) -> F64:
+        """(10 D,) inertial parameters of what joints carry, as far as deflections tell."""
+        found = self.found
+        return np.asarray(found.origin[: len(found.basis)] @ found.basis)
+
+    @cached_property
+    def _bodies(self) -> list[pin.Inertia]:
+        """(D,) what joints carry."""
+        return bodies(self._parameters)
+
+    def _torques(self, beyond: F64) -> F64:
+        """(N, R) torques of parts by these."""
+        tree, found = self.tree, self.found
+        moved, base = self._moved(beyond), found.base
+        tau = loads_of(tree, self.state, self.g, self.gravity, moved, self._bodies, base=base)
+        torques = tau[:, found.parts]
+        if base:
+            torques[:, -3:] += tau[:, shift(tree, 0) : turn(tree, 0)] @ skew(found.lever).T
+        return torques
+
     def _under(self, beyond: F64, basis: F64) -> tuple[F64, F64]:
         """Torques of parts (N, R, P) and forces on the base (N, 3, P) per unit of each load."""
-        return self._loads(self._moved(beyond), basis)
-
-    def _loads(self, moved: Trajectory, basis: F64) -> tuple[F64, F64]:
-        """The same along a motion of the links."""
-        tree, found = self.tree, self.found
+        tree, found, moved = self.tree, self.found, self._moved(beyond)
         torques = np.empty((len(moved.q), len(found.parts), len(basis)))
         forces = np.zeros((len(moved.q), 3, len(basis)))
         about = skew(found.lever)
@@ -446,42 +505,6 @@ class _OfLog:
         for i in range(3):
             moment = force @ skew(np.eye(3)[i]).T
             out[:, :, first + len(_TENSOR) + i] = -moment @ C[:, -3:].T
-
-
-def _every(log: Trajectory, step: int) -> Trajectory:
-    """The motion of a log at the times of each so many-th sample of its grid."""
-    if step == 1:
-        return log
-    half = len(log.taps) // 2
-    taps = log.taps[half % step :: step]
-    thin = slice(None, None, step)
-    q, qd, qdd = log.q[thin], log.qd[thin], log.qdd[thin]
-    return replace(log, rate=log.rate / step, taps=taps / taps.sum(), q=q, qd=qd, qdd=qdd)
-
-
-def _between(x: F64, step: int, size: int) -> F64:
-    """(size, C) values on a grid of which each so many-th is known, by a windowed sinc."""
-    if step == 1:
-        return x
-    reach = np.arange(-_REACH, _REACH + 2)
-    padded = np.pad(x, ((_REACH, _REACH + 1), (0, 0)), mode="edge")
-    out = np.zeros((len(x), step, x.shape[1]))
-    out[:, 0] = x
-    for part in range(1, step):
-        far = part / step - reach
-        weights = np.sinc(far) * np.i0(_WINDOW * np.sqrt((1 - (far / (_REACH + 1)) ** 2).clip(0)))
-        for k, weight in enumerate(weights / weights.sum()):
-            out[:, part] += weight * padded[k : k + len(x)]
-    return out.reshape(-1, x.shape[1])[:size]
-
-
-def _smooth(x: F64, taps: F64) -> F64:
-    """Low-pass (N, ...) and add back what the residual holds, so that little is lost that passes.
-
-    A gain of H becomes one of ``1 - (1 - H)^2`` (twicing: Tukey 1977).
-    """
-    twice = 2 * np.pad(taps, len(taps) // 2) - np.convolve(taps, taps)
-    return filtered(x, twice)
 
 
 def _compliance(found: Bending, x: F64) -> F64:

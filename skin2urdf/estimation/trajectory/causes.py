@@ -397,6 +397,12 @@ def _yielding(
         after = MotionProblem(tree, before.logs, before.priors, n_knots, about)
         return after, replace(at, unseen=x)
 
+    def follow_where_it_holds(
+        before: MotionProblem, at: MotionState
+    ) -> tuple[MotionProblem, MotionState] | None:
+        after, there = follow(before, at)
+        return (after, there) if cast(Bending, after.unseen).holds else None
+
     # How SUs on the base are turned is known when its motion is.
     moved = [replace(log, valid=log.valid & ((tree.su_joint >= 0) | (not base))) for log in logs]
     first = moved if base else [log.slower(_SLOWER) for log in moved]
@@ -409,14 +415,18 @@ def _yielding(
         state = fit(yielding, state, tolerance=_NEARLY, iterations=_PROMISING_STEPS).state
         yielding, state = follow(yielding, state)
         yielding, near = fit_following(
-            yielding, state, follow, iterations=_PROMISING_STEPS, tolerance=_ROUGHLY
+            yielding,
+            state,
+            follow_where_it_holds,
+            iterations=_PROMISING_STEPS,
+            tolerance=_ROUGHLY,
         )
         bends = unsettled(cast(Bending, yielding.unseen), moved)
         yielding = MotionProblem(tree, moved, priors, n_knots, bends)
         yielding, state = follow(yielding, near.state)
     for steps in (_PROMISING_STEPS, _STEPS) if base else (_PROMISING_STEPS,):
         yielding, fitted = fit_following(
-            yielding, state, follow, iterations=steps, tolerance=_NEARLY
+            yielding, state, follow_where_it_holds, iterations=steps, tolerance=_NEARLY
         )
         keeps = misfit_of(yielding, fitted, SPAN) <= promised
         yielding = yielding.again(logs=logs)
@@ -427,7 +437,9 @@ def _yielding(
     spread = np.array(bends.spread)
     spread[loads] = learnt_size(yielding, fitted, loads).size
     yielding = yielding.again(priors=replace(priors, unseen=spread))
-    return fit_following(yielding, state, follow, iterations=_LAST_STEPS, tolerance=_NEARLY)
+    return fit_following(
+        yielding, state, follow_where_it_holds, iterations=_LAST_STEPS, tolerance=_NEARLY
+    )
 
 
 def _at_rest_before(log: Trajectory) -> Trajectory:

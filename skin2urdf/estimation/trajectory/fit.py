@@ -132,9 +132,9 @@ def _near(
     return found
 
 
-Follow = Callable[[MotionProblem, MotionState], tuple[MotionProblem, MotionState]]
+Follow = Callable[[MotionProblem, MotionState], tuple[MotionProblem, MotionState] | None]
 """What makes a problem that is linear about a state from one that is so about another: the problem,
-and the state in its numbers."""
+and the state in its numbers; None where there is none."""
 
 
 def fit_following(
@@ -197,12 +197,14 @@ def _descend(
                 here = Fitted(problem, state, noise, weights, predicted, cost)
                 here.keep(equations)
                 return problem, here
-            about, trial = follow(problem, problem.layout.moved(state, joint, sus))
-            ahead = tuple(about.predict(trial, g) for g in range(len(problem.logs)))
-            trial, ahead = about.refit_sensors(trial, ahead, weights, free_su)
-            there = _cost(about, trial, ahead, weights, shaken)
-            if there <= cost:
-                break
+            led = follow(problem, problem.layout.moved(state, joint, sus))
+            if led is not None:
+                about, trial = led
+                ahead = tuple(about.predict(trial, g) for g in range(len(problem.logs)))
+                trial, ahead = about.refit_sensors(trial, ahead, weights, free_su)
+                there = _cost(about, trial, ahead, weights, shaken)
+                if there <= cost:
+                    break
             if not far or length < tolerance:
                 # There is nothing to gain any more: it is as near as it was to come.
                 enough = tolerance

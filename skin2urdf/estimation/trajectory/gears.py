@@ -27,6 +27,8 @@ _RIPPLES = np.arange(20, 642)
 to 320; below 20 there is no such gear."""
 _AT_ONCE = 32
 """Ripples that are looked at together; it decides about memory alone."""
+_BETWEEN = 8
+"""Ripples from one whose information is summed up to the next; it decides about time alone."""
 _STANDS_OUT = 30.0
 """Pull of a ripple, over the median of all of its joint's, from which it is one.
 
@@ -72,21 +74,60 @@ def find_ripples(problem: MotionProblem, fitted: Fitted) -> list[tuple[int, int]
     """
     parts = problem.pulls_of_joints(fitted.state, fitted.predicted, fitted.weights)
     found = []
-    for k in np.flatnonzero(~problem.tree.prismatic):
-        pulls = np.concatenate(
-            [
-                _pulls(problem.logs, [(G[k], H[k]) for G, H in parts], int(k), n)
-                for n in np.array_split(_RIPPLES, len(_RIPPLES) // _AT_ONCE)
-            ]
-        )
-        best, usual = int(np.argmax(pulls)), float(np.median(pulls))
-        if usual > 0 and pulls[best] > _STANDS_OUT * usual:
-            found.append((int(k), int(_RIPPLES[best])))
+    for k in np.flatnonzero(~problem.tree.prismatic).tolist():
+        of_joint = [(G[k], H[k]) for G, H in parts]
+        about = _about(problem.logs, of_joint, k)
+        usual = float(np.median(about))
+        likely = _RIPPLES[about > 0.5 * _STANDS_OUT * usual]
+        if not usual > 0 or not len(likely):
+            continue
+        split = np.array_split(likely, -(-len(likely) // _AT_ONCE))
+        pulls = np.concatenate([_pulls(problem.logs, of_joint, k, n) for n in split])
+        best = int(np.argmax(pulls))
+        if pulls[best] > _STANDS_OUT * usual:
+            found.append((k, int(likely[best])))
     return found
+
+
+def _about(logs: Sequence[Trajectory], parts: Sequence[tuple[F64, F64]], joint: int) -> F64:
+    """(n,) nearly the chi-squared that every ripple would take.
+
+    Gradients are exact, by sums over samples of what residuals pull at; information is that of some
+    ripples between which it changes little, the same on sines and cosines.
+    """
+    gradient = np.zeros(len(_RIPPLES), dtype=np.complex128)
+    for log, (G, _) in zip(logs, parts, strict=True):
+        pull = np.zeros((3, len(log.q)))
+        pull[:, log.kept] = G
+        position, speed, push = pull
+        position = position - first_derivative(speed, log.rate)  # which is antisymmetric
+        pull_of_wave = filtered(position + second_derivative(push, log.rate), log.taps)
+        turned = np.exp(1j * log.q[:, joint])
+        near = turned[:, None] ** np.arange(_AT_ONCE)
+        for begin in range(0, len(_RIPPLES), _AT_ONCE):
+            far = pull_of_wave * turned ** _RIPPLES[begin]
+            some = gradient[begin : begin + _AT_ONCE]
+            some += (far @ near)[: len(some)]
+    at = np.unique(np.append(_RIPPLES[::_BETWEEN], _RIPPLES[-1]))
+    information = np.concatenate(
+        [
+            np.trace(_sums(logs, parts, joint, n)[1], axis1=1, axis2=2)
+            for n in np.array_split(at, -(-len(at) // _AT_ONCE))
+        ]
+    )
+    return np.asarray(2 * np.abs(gradient) ** 2 / np.interp(_RIPPLES, at, information))
 
 
 def _pulls(logs: Sequence[Trajectory], parts: Sequence[tuple[F64, F64]], joint: int, n: Int) -> F64:
     """(n,) chi-squared that a ripple would take, all else as it is."""
+    g, h = _sums(logs, parts, joint, n)
+    return np.asarray(np.einsum("na,na->n", g, np.linalg.solve(h, g[..., None])[..., 0]))
+
+
+def _sums(
+    logs: Sequence[Trajectory], parts: Sequence[tuple[F64, F64]], joint: int, n: Int
+) -> tuple[F64, F64]:
+    """(n, 2) gradient in sines and cosines of ripples, and (n, 2, 2) information on them."""
     g, h = np.zeros((len(n), 2)), np.zeros((len(n), 2, 2))
     for log, (G, H) in zip(logs, parts, strict=True):
         e = _waves(log, np.full(len(n), joint, dtype=np.int64), n)
@@ -101,4 +142,4 @@ def _pulls(logs: Sequence[Trajectory], parts: Sequence[tuple[F64, F64]], joint: 
         HE = np.einsum("mlk,lkna->mkna", H, E, optimize=True)
         h += np.einsum("mkna,mknb->nab", E, HE, optimize=True)
     h += 1e-9 * np.trace(h, axis1=1, axis2=2)[:, None, None] * np.eye(2) + 1e-300 * np.eye(2)
-    return np.asarray(np.einsum("na,na->n", g, np.linalg.solve(h, g[..., None])[..., 0]))
+    return g, h

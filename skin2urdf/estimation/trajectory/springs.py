@@ -16,21 +16,21 @@ import numpy as np
 from skin2urdf.arrays import F64
 
 _STABLE = 2.2
-"""Steps of Fox and Goodwin are stable for angular frequencies up to the root of 6, 2.45, per
-step."""
+"""Steps of Fox and Goodwin (Newmark's with beta = 1/12) are stable for angular frequencies up to
+the root of 6, 2.45, per step; with beta = 1/4 they are for all."""
 
 _TINY = 1e-6
 """Least compliance over the largest that makes a difference: of milliradians, nanoradians."""
 
 
 class Springs:
-    """Steps of Fox and Goodwin (Newmark's with beta = 1/12) along a motion, of fourth order.
+    """Newmark's steps along a motion, fourth order where they can follow (Fox and Goodwin).
 
     Args:
         compliance: (R, R) symmetric.
         inertia: (N, R, R) that goes with it: their product is in s^2. What resonates too fast for
-            the steps, or not at all as masses that are not found yet may be negative, is taken to
-            resonate as fast as they can follow.
+            steps of fourth order has such of second order, which are stable for any; inertia below
+            none, as of masses that are not found yet, counts as none.
         late: (R,) damping times compliance [s].
         rate: samples per second [Hz].
     """
@@ -40,21 +40,25 @@ class Springs:
         self._late = dampers(compliance, late)
         root, inverse = roots(compliance)
         lam, V = np.linalg.eigh(0.5 * root @ (inertia + inertia.swapaxes(1, 2)) @ root)
-        lam = lam.clip(min=(h / _STABLE) ** 2)
-        A = root @ (V * lam[:, None]) @ V.swapaxes(1, 2) @ inverse
-        self._inverse = np.linalg.inv(A + 0.5 * h * self._late + h**2 / 12 * np.eye(len(late)))
+        share = np.where(lam < (h / _STABLE) ** 2, 1 / 4, 1 / 12)
+        A, later = (
+            root @ (V * each[:, None]) @ V.swapaxes(1, 2) @ inverse
+            for each in (lam.clip(min=0.0), h**2 * share)
+        )
+        self._inverse = np.linalg.inv(A + 0.5 * h * self._late + later)
+        self._later = later
 
     def bent(self, loads: F64) -> F64:
         """(N, R, S) deflections by loads (N, R, S), from rest in balance with the first."""
-        h, inverse, late = self._h, self._inverse, self._late
+        h, inverse, later, late = self._h, self._inverse, self._later, self._late
         out = np.empty_like(loads)
         e = out[0] = loads[0]
         v, a = np.zeros_like(e), np.zeros_like(e)
         for n in range(1, len(loads)):
             v = v + 0.5 * h * a
-            e = e + h * v - h**2 / 12 * a
+            e = e + h * v - later[n] @ a
             a = inverse[n] @ (loads[n] - e - late @ v)
-            e = e + h**2 / 12 * a
+            e = e + later[n] @ a
             v = v + 0.5 * h * a
             out[n] = e
         return out

@@ -23,6 +23,11 @@ if TYPE_CHECKING:
 
 N_INERTIAL = 10
 """Inertial parameters of a link."""
+_MASSLESS = 1e-6
+"""Mass of a body at least, over that of others and over its moments at 1 m: torques are then as
+exact as regressors make them, to 1e-14."""
+_HEAVY = 2.0
+"""Mass of each body, over the largest mass and moment at 1 m, beside which no mass is negative."""
 _AT_ONCE = 2000
 """Samples whose regressors are held at a time."""
 
@@ -73,6 +78,8 @@ def loads_of(
     gravity: float,
     log: Trajectory,
     inertias: Sequence[pin.Inertia],
+    *,
+    base: bool = True,
 ) -> F64:
     """(N, D + 6) torques of joints, and loads of the base's hinges, by known bodies [N m or N].
 
@@ -83,17 +90,61 @@ def loads_of(
         gravity: its magnitude [m/s^2].
         log: the motion of the links.
         inertias: (D,) of what each joint carries, in its frame.
+        base: whether those of the base are wanted; else (N, D).
     """
     import pinocchio as pin
 
-    model, skeleton, motion = _dynamics(tree, state, g, gravity, log, base=True)
-    for j, inertia in enumerate(inertias):
-        model.inertias[len(skeleton.hinges) + j + 1] = inertia
+    model, skeleton, motion = _dynamics(tree, state, g, gravity, log, base=base)
+    _load(model, inertias)
     data = model.createData()
     out = np.empty_like(motion[0])
     for n, at in enumerate(zip(*motion, strict=True)):
         out[n, skeleton.numbers] = pin.rnea(model, data, *at)
     return out
+
+
+def joint_inertias(tree: KinematicTree, state: State, log: Trajectory, parameters: F64) -> F64:
+    """(N, D, D) inertia that bodies have in the joints, along a log [kg m^2, kg m or kg].
+
+    Args:
+        tree: D joints.
+        state: placements.
+        log: the motion of the links.
+        parameters: (10 D,) of the bodies, in the order of Pinocchio's regressors.
+    """
+    import pinocchio as pin
+
+    model, _, (q, _, _) = _dynamics(tree, state, 0, 0.0, log, base=False)
+    # Pinocchio adds up bodies, of which none may weigh nothing: what is added is taken off again.
+    heavy = np.zeros((tree.n_joints, N_INERTIAL))
+    heavy[:, 0] = _HEAVY * np.abs(parameters.reshape(-1, N_INERTIAL)[:, :4]).max(initial=1e-300)
+    upper = np.zeros((len(q), tree.n_joints, tree.n_joints))
+    for sign, added in ((1, heavy.ravel() + parameters), (-1, heavy.ravel())):
+        _load(model, bodies(added))
+        data = model.createData()
+        upper += sign * np.array([np.triu(pin.crba(model, data, x)) for x in q])
+    return np.asarray(upper + np.triu(upper, 1).swapaxes(1, 2))
+
+
+def bodies(parameters: F64) -> list[pin.Inertia]:
+    """The bodies of inertial parameters (10 D,), in the order of Pinocchio's regressors.
+
+    Pinocchio divides by masses; one that shows in no motion may be found to be none beside moments
+    that show. It is then as small a part of these, and of other masses, as changes nothing.
+    """
+    import pinocchio as pin
+
+    out = np.array(parameters.reshape(-1, N_INERTIAL))
+    mass, moments = out[:, 0], np.linalg.norm(out[:, 1:4], axis=1)
+    least = _MASSLESS * np.maximum(moments, np.abs(mass).max(initial=0.0)).clip(min=1e-300)
+    out[:, 0] = np.where(np.abs(mass) < least, np.copysign(least, mass), mass)
+    return [pin.Inertia.FromDynamicParameters(each) for each in out]
+
+
+def _load(model: pin.Model, inertias: Sequence[pin.Inertia]) -> None:
+    """Give the last joints of a model their bodies."""
+    for joint, inertia in enumerate(inertias, model.njoints - len(inertias)):
+        model.inertias[joint] = inertia
 
 
 def _dynamics(

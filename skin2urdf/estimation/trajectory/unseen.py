@@ -14,6 +14,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from skin2urdf.arrays import F64, Int, Record, frozen
+from skin2urdf.estimation.trajectory.coarser import on_grid, passed_at_kept
 from skin2urdf.estimation.trajectory.skeleton import N_HINGES
 from skin2urdf.signals.filters import first_derivative, second_derivative
 from skin2urdf.signals.trajectory import Trajectory
@@ -33,6 +34,7 @@ class Unseen(Record):
             0.
         settled: per log (N, D + 6) motion of joints and hinges that numbers at the origin make;
             none of them where they make none.
+        every: per log, grid samples from one of its motions' to the next; () where they have all.
     """
 
     joint: Int
@@ -40,6 +42,7 @@ class Unseen(Record):
     number: Int = field(default_factory=lambda: np.zeros(0, dtype=np.int64), kw_only=True)
     origin: F64 = field(default_factory=lambda: np.zeros(0), kw_only=True)
     settled: tuple[F64, ...] = field(default=(), kw_only=True)
+    every: tuple[int, ...] = field(default=(), kw_only=True)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -54,16 +57,14 @@ class Unseen(Record):
         return int(self.number.max(initial=-1)) + 1
 
     def at_kept(self, logs: Sequence[Trajectory]) -> tuple[F64, ...]:
-        """Per log (3, E, K): motions and their derivatives at the samples compared."""
+        """Per log (3, E, K): motions and their derivatives at the samples compared.
+
+        They are low-passed as predictions are: readings feel what is left then.
+        """
+        steps = self.every or (1,) * len(logs)
         return tuple(
-            np.stack(
-                [
-                    d[log.kept].T,
-                    first_derivative(d, log.rate, log.kept).T,
-                    second_derivative(d, log.rate, log.kept).T,
-                ]
-            )
-            for d, log in zip(self.motions, logs, strict=True)
+            np.ascontiguousarray(passed_at_kept(d, step, log).swapaxes(1, 2))
+            for d, step, log in zip(self.motions, steps, logs, strict=True)
         )
 
     def moved(self, log: Trajectory, g: int, x: F64) -> Trajectory:
@@ -81,7 +82,7 @@ class Unseen(Record):
         hinges = np.zeros((len(log.q), N_HINGES if self.moves_base(n_joints) else 0))
         of_joint = np.zeros((len(self.joint), n_joints + hinges.shape[1]))
         of_joint[np.arange(len(self.joint)), self.joint] = (x - self.origin)[self.number]
-        e = self.motions[g] @ of_joint
+        e = on_grid(self.motions[g] @ of_joint, self.every[g] if self.every else 1, len(log.q))
         if self.settled:
             e += self.settled[g][:, : e.shape[1]]
         return replace(
@@ -90,6 +91,14 @@ class Unseen(Record):
             qd=np.hstack([log.qd, hinges]) + first_derivative(e, log.rate),
             qdd=np.hstack([log.qdd, hinges]) + second_derivative(e, log.rate),
         )
+
+    @property
+    def on_grid(self) -> tuple[F64, ...]:
+        """Per log (N, E) the motions at all samples of its grid."""
+        if not self.every:
+            return self.motions
+        sizes = map(len, self.settled)
+        return tuple(map(on_grid, self.motions, self.every, sizes))
 
     def moves_base(self, n_joints: int) -> bool:
         """Whether a base that carries so many joints moves."""
@@ -103,7 +112,7 @@ def together(several: Sequence[Unseen]) -> Unseen:
         np.concatenate([each.joint for each in several]),
         tuple(
             np.concatenate(parts, axis=1)
-            for parts in zip(*(e.motions for e in several), strict=True)
+            for parts in zip(*(e.on_grid for e in several), strict=True)
         ),
         number=np.concatenate([e.number + n for e, n in zip(several, first[:-1], strict=True)]),
         origin=np.concatenate([each.origin for each in several]),

@@ -163,6 +163,6 @@ def test_equations_hold_the_gradient_in_what_yields(*, base: bool) -> None:
         slope = (
             chi2(layout.moved(state, joint, still)) - chi2(layout.moved(state, -joint, still))
         ) / 2e-6
-        # Columns are not low-passed once more, residuals are: what that changes is small.
+        # What low-passes do to the product of a deflection and of slow geometry is small.
         scale = np.sqrt(equations.joint[i, i] * chi2(state))
-        assert slope == pytest.approx(-2 * equations.joint_gradient[i], rel=2e-2, abs=3e-3 * scale)
+        assert slope == pytest.approx(-2 * equations.joint_gradient[i], rel=2e-2, abs=5e-4 * scale)

@@ -5,6 +5,8 @@ Motion is that of Pinocchio's forward dynamics, integrated by the simulation's m
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -12,6 +14,8 @@ from synthetic import RATE, random_state, sampled_trajectory, serial_tree
 
 from skin2urdf.estimation.trajectory.bending import Bending, followed
 from skin2urdf.estimation.trajectory.springs import Springs
+from skin2urdf.estimation.trajectory.torques import bodies, joint_inertias, loads_of, regressors
+from skin2urdf.estimation.trajectory.unseen import Unseen
 from skin2urdf.model.kinematics import to_pinocchio
 from skin2urdf.signals.filters import filtered
 from skin2urdf.simulation.defects.two_masses import STEP, swing
@@ -68,3 +72,52 @@ def test_soft_gears_are_followed_through_their_resonance() -> None:
     true = filtered(link - drive, log.taps)[log.kept]
     off = (found.moved(log, 0, x).q - log.q)[log.kept] - true
     np.testing.assert_array_less(off.std(axis=0), 0.03 * true.std(axis=0))
+    # They are in balance with their loads: what follows them again finds them where they are.
+    again, x = followed(found, tree, [log], truth, 9.81, x)
+    moved = (again.moved(log, 0, x).q - found.moved(log, 0, x).q)[log.kept]
+    np.testing.assert_array_less(np.abs(moved).max(axis=0), 1e-3 * true.std(axis=0))
+
+
+@pytest.mark.parametrize("inertia", [-1e-3, 0.0, 1e-6])
+def test_what_resonates_too_fast_or_not_at_all_bends_with_its_loads(inertia: float) -> None:
+    late, w = 2e-2, 2 * np.pi * 3.0
+    t = np.arange(1500) / RATE
+    springs = Springs(np.eye(1), np.full((len(t), 1, 1), inertia), np.array([late]), RATE)
+    found = springs.bent(np.sin(w * t)[:, None, None])[:, 0, 0]
+    true = (np.exp(1j * w * t) / (1 + 1j * w * late)).imag
+    assert np.abs(found - true)[-300:].max() < 0.01
+
+
+def test_motion_on_a_coarser_grid_is_that_of_all_samples() -> None:
+    log = sampled_trajectory(np.zeros((1400, 1)), np.zeros((1400, 1, 3)))
+    w = 2 * np.pi * np.array([0.5, 2.0, 4.0])
+    motion = np.sin(w * np.arange(1400)[:, None] / RATE)
+    joint = np.zeros(3, dtype=np.int64)
+    still = (np.zeros((1400, 7)),)
+    whole = Unseen(joint, (motion,))
+    coarse = Unseen(joint, (motion[::3],), settled=still, every=(3,))
+    for a, b in zip(whole.at_kept([log])[0], coarse.at_kept([log])[0], strict=True):
+        np.testing.assert_allclose(b, a, atol=2e-3 * np.abs(a).max(axis=1).min())
+    x = np.array([1.0, -0.5, 0.2])
+    p, q = (each.moved(log, 0, x).q[log.kept] for each in (whole, coarse))
+    np.testing.assert_allclose(q, p, atol=1e-4)
+    np.testing.assert_allclose(coarse.on_grid[0][log.kept], motion[log.kept], atol=1e-4)
+
+
+def test_bodies_without_mass_have_torques_and_inertias() -> None:
+    """Masses that show in no motion may be found to be none, or less, beside moments that show."""
+    tree = serial_tree(3)
+    rng = np.random.default_rng(5)
+    state = random_state(rng, tree, 1, 0.3)
+    q, qd, qdd = (rng.standard_normal((20, 3)) for _ in range(3))
+    log = replace(sampled_trajectory(q, np.zeros((20, 1, 3))), q=q, qd=qd, qdd=qdd)
+    found = rng.standard_normal((3, 10))
+    found[0, 0], found[1, 0] = 0.0, -found[2, 0]
+    ((Y, _),) = regressors(tree, state, 0, 9.81, log)
+    tau = loads_of(tree, state, 0, 9.81, log, bodies(found.ravel()), base=False)
+    np.testing.assert_allclose(tau, Y @ found.ravel(), rtol=1e-5, atol=1e-5)
+    inertia = joint_inertias(tree, state, log, found.ravel())
+    for d in range(3):
+        pushed = replace(log, qdd=qdd + np.eye(3)[d])
+        ((Z, _),) = regressors(tree, state, 0, 9.81, pushed)
+        np.testing.assert_allclose(inertia[:, :, d], (Z - Y) @ found.ravel(), rtol=1e-6, atol=1e-6)

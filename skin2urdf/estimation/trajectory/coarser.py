@@ -1,0 +1,100 @@
+"""What is worked out on a coarser grid than a log's, brought to the samples of the log.
+
+Motions that were low-passed hold nothing beyond it: each so many-th sample tells all others.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from skin2urdf.arrays import F64, Int
+from skin2urdf.signals.filters import (
+    FIRST_DIFFERENCES,
+    SECOND_DIFFERENCES,
+    filtered,
+    first_derivative,
+    second_derivative,
+)
+from skin2urdf.signals.trajectory import Trajectory
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
+
+_REACH, _WINDOW = 9, 10.0
+"""Samples on either side that tell what is between two, and the shape of their window."""
+_NOTHING = 1e-12
+"""Part of the largest value below which there is none, but what transforms leave of zeros."""
+
+
+def coarser(log: Trajectory, step: int) -> Trajectory:
+    """The motion of a log at the times of each so many-th sample of its grid.
+
+    Args:
+        log: of which nothing but its motion is taken.
+        step: grid samples from one to the next.
+    """
+    if step == 1:
+        return log
+    half = len(log.taps) // 2
+    taps = log.taps[half % step :: step]
+    thin = slice(None, None, step)
+    q, qd, qdd = log.q[thin], log.qd[thin], log.qdd[thin]
+    return replace(log, rate=log.rate / step, taps=taps / taps.sum(), q=q, qd=qd, qdd=qdd)
+
+
+def on_grid(x: F64, step: int, size: int) -> F64:
+    """(size, C) values at all samples of a grid of which each so many-th is known.
+
+    Args:
+        x: (M, C) what is known.
+        step: grid samples from one to the next.
+        size: of the grid.
+    """
+    return x if step == 1 else np.asarray(_between(np.arange(size), step, len(x)) @ x)
+
+
+def passed_at_kept(x: F64, step: int, log: Trajectory) -> F64:
+    """(3, K, C) values and their first two derivatives, low-passed, where a log is compared.
+
+    Args:
+        x: (M, C) at each so many-th sample of the log's grid.
+        step: grid samples from one to the next.
+        log: the log.
+    """
+    coarse = coarser(log, step)
+    largest = np.abs(x).max(initial=0.0)
+    x = filtered(x, coarse.taps)
+    x[np.abs(x) < _NOTHING * largest] = 0.0
+    at, rate = log.kept, coarse.rate
+    if step == 1:
+        return np.stack([x[at], first_derivative(x, rate, at), second_derivative(x, rate, at)])
+    between = _between(at, step, len(x))
+    of_first = between @ _differences(FIRST_DIFFERENCES * rate, len(x))
+    of_second = between @ _differences(SECOND_DIFFERENCES * rate**2, len(x))
+    return np.stack([matrix @ x for matrix in (between, of_first, of_second)])
+
+
+def _between(at: Int, step: int, size: int) -> csr_array:
+    """(K, size) weights that make values at samples of a grid of each so many-th, by a sinc."""
+    from scipy.sparse import csr_array
+
+    reach = np.arange(-_REACH, _REACH + 2)
+    far = np.arange(step)[:, None] / step - reach
+    weights = np.sinc(far) * np.i0(_WINDOW * np.sqrt((1 - (far / (_REACH + 1)) ** 2).clip(0)))
+    weights /= weights.sum(axis=1, keepdims=True)
+    rows = np.repeat(np.arange(len(at)), len(reach))
+    columns = np.clip((at // step)[:, None] + reach, 0, size - 1).ravel()
+    return csr_array((weights[at % step].ravel(), (rows, columns)), shape=(len(at), size))
+
+
+def _differences(weights: F64, size: int) -> csr_array:
+    """(size, size) differences of neighbours; ends repeat the outermost samples."""
+    from scipy.sparse import csr_array
+
+    reach = np.arange(len(weights)) - len(weights) // 2
+    rows = np.repeat(np.arange(size), len(reach))
+    columns = np.clip(np.arange(size)[:, None] + reach, 0, size - 1).ravel()
+    return csr_array((np.tile(weights, size), (rows, columns)), shape=(size, size))

@@ -195,6 +195,9 @@ def sharpened(now: Attempt, errors: Sequence[EncoderError], clock: Clock) -> lis
         now: the attempt in which they were seen.
         errors: of different encoders, with their sizes at first order.
         clock: runs the stages.
+
+    Returns:
+        The errors with better sizes; none where the features fit no better without them.
     """
     solution = now.solution
     features, found = solution.features, solution.found
@@ -208,6 +211,9 @@ def sharpened(now: Attempt, errors: Sequence[EncoderError], clock: Clock) -> lis
         found = estimate_once(
             solution.logs, found.tree, features, found.state, clock, search=not again
         )
+        if not again and found.misfit >= solution.found.misfit:
+            # The features themselves contradict it: the logs need not be explained with it.
+            return []
         left = [_left_of(error, found, features) for error in errors]
         best = [
             known if rest is None else with_another((known,), rest, features)

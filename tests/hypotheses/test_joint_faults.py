@@ -43,6 +43,7 @@ from skin2urdf.hypotheses.changes import turns_within
 from skin2urdf.hypotheses.encoder import (
     Corrected,
     errors_of,
+    sharpened,
     sized_by_the_fit,
     with_another,
 )
@@ -206,6 +207,28 @@ def test_a_wrong_encoder_is_corrected_by_as_much_as_the_fit_says() -> None:
     score = {s.error.begin: s.gain for s in suspicions(mended.found, mended.features)
              if (s.error.kind, s.error.dof) == ("offset", joint)}  # fmt: skip
     assert score[min(score, key=lambda t: abs(t - begin))] < 0.01
+
+
+def test_an_error_that_the_features_contradict_needs_no_attempt() -> None:
+    solution, joint, clock = solved_panda(), "panda_joint4", Clock()
+    now = Attempt((), solution, solution.logs)
+    assert sharpened(now, [EncoderError("scale", joint, 1.05)], clock) == []
+    features = corrected_features(solution.features, EncoderError("scale", joint, 1 / 1.05))
+    start = solution.found
+    found = estimate_once(solution.logs, start.tree, features, start.state, clock)
+    wrong = replace(now, solution=replace(solution, found=found, features=features))
+    (known,) = sharpened(wrong, [EncoderError("scale", joint, 1.04)], clock)
+    assert known.error.size == pytest.approx(1.05, abs=1e-4)
+
+
+def test_features_of_a_log_that_nothing_explains_are_not_taken_again() -> None:
+    """What they would be corrected by is predicted by an estimate that is wrong."""
+    logs = sample_logs([misreported(recording(), lambda _, x: 2 * x)], PATTERNS, Clock())
+    first = take_features(logs, Clock())
+    solution = estimate_robot(logs, first, find_structure(logs, first, Clock()), Clock())
+    assert solution is not None
+    assert solution.found.misfit > 1e3
+    assert solution.features is first
 
 
 @pytest.mark.parametrize("factor", [1.02])

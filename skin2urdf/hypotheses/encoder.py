@@ -248,14 +248,16 @@ def sized_by_the_fit(last: Attempt, clock: Clock) -> Attempt:
         clock: runs the stages.
     """
     found, features, amendments = last.solution.found, last.solution.features, last.amendments
-    for error in _together(errors_of(amendments), features):
-        # A joint that is hit leaps, and leaps back.
-        if error.kind == "sign" or _small(error, last.solution.logs):
+    for known in _together(errors_of(amendments), features):
+        error = _with_a_size(known, last.solution.logs)
+        if error is None:
             continue
         alike = [s.error for s in suspicions(found, features) if _same(s.error, error, features)]
         left = min(alike, key=lambda e: e.deviation, default=None)
         if left is None or not np.isfinite(left.deviation):
             continue
+        if known.kind == "sign":
+            left = replace(left, begin=error.begin, spread=0.0)
         new = with_another(amendments, left, features)
         amendments = tuple({a.key: a for a in (*amendments, new)}.values())
         features = corrected_features(features, left)
@@ -267,6 +269,18 @@ def sized_by_the_fit(last: Attempt, clock: Clock) -> Attempt:
         amendments=amendments,
         solution=replace(last.solution, found=found, features=features),
     )
+
+
+def _with_a_size(error: EncoderError, logs: Logs) -> EncoderError | None:
+    """What of an error the fit may size; None for joints that are hit: they leap, and leap back.
+
+    The value about which a track is mirrored is seen to a step of it, as if its zero had changed;
+    a whole log is mirrored about zero.
+    """
+    if error.kind == "sign":
+        within = np.isfinite(error.begin)
+        return EncoderError("offset", error.dof, 0.0, error.log, error.begin) if within else None
+    return None if _small(error, logs) else error
 
 
 def timed_by_the_moves(last: Attempt) -> Attempt:

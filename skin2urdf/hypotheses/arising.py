@@ -75,7 +75,7 @@ def turning_between(
     Args:
         dof: the joint.
         between: times between which it did [s].
-        about: sum of its positions with either sense [rad].
+        about: sum of its positions with either sense [rad]; NaN where that is not known.
         late: whether it is the earlier ones that differ from what is known.
         known: an estimate from poses of this log with one sense, and features that tell the SUs'
             latencies.
@@ -88,7 +88,7 @@ def turning_between(
     motion, taps = s.motion, _taps(s)
     joint = found.tree.joint_names.index(dof)
     near = np.flatnonzero((motion.grid.time >= between[0]) & (motion.grid.time <= between[1]))
-    if len(near) < len(taps):
+    if len(near) < len(taps) or not np.isfinite(about):
         return between
     part = _around(near, s)
     plain = filtered(motion.q[part, places_of(found.tree.joint_names, motion.dof_names)], taps)

@@ -195,9 +195,9 @@ def _turned(search: Search, known: tuple[Estimate, Features], log: int, turn: Tu
         if sharp is not None:
             at = sharp
         else:
-            s, about = search.plain.sampled[log], turn.about
-            between = turning_between(dof, turn.between, about, turn.late, known, s)
-            at = standstill(track, between, about)
+            s = search.plain.sampled[log]
+            between = turning_between(dof, turn.between, turn.about, turn.late, known, s)
+            at = standstill(track, between)
     return Corrected(EncoderError("sign", dof, -1.0, log, at))
 
 

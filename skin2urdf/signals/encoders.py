@@ -101,14 +101,12 @@ def reversal(joint: JointStream, between: tuple[float, float]) -> float | None:
     return float(joint.time[low + best : low + best + 2].mean())
 
 
-def standstill(joint: JointStream, between: tuple[float, float], about: float = np.nan) -> float:
+def standstill(joint: JointStream, between: tuple[float, float]) -> float:
     """Middle of the longest standstill of a joint, in which its track may turn round unseen.
 
     Args:
         joint: the track, without leaps.
         between: times between which it is [s].
-        about: sum of the positions before and after a turn [rad], of which the joint is half; NaN
-            where that is not known.
 
     Returns:
         The time [s]; where it does not stand still, that of the slowest motion.
@@ -121,9 +119,6 @@ def standstill(joint: JointStream, between: tuple[float, float], about: float = 
     small = np.sqrt(_least_sharp(step, _sharpness(step)[0]))
     speed = np.abs(step[low:high])
     slow = speed <= max(small / 2, speed.min())
-    if np.isfinite(about):
-        off = np.abs(np.angle(np.exp(1j * (2 * joint.position[low:high] - about)))) / 2
-        slow &= off <= off[slow].min() + small
     begin, end = _longest(slow)
     return float(joint.time[low + begin : low + end + 1].mean())
 

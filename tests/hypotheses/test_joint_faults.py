@@ -446,14 +446,13 @@ def test_a_track_that_shows_nothing_turned_round_while_it_kept_still() -> None:
     assert standstill(joint, (4.0, 16.0)) == pytest.approx(7.0, abs=0.02)
 
 
-def test_of_several_standstills_that_where_both_senses_agree_counts() -> None:
+def test_of_several_standstills_the_longest_counts() -> None:
     t = np.arange(0.0, 20.0, 0.004)
     # It stands at 0 for a second, and at 0.8 for four.
     smooth = np.clip((t - 6.0) / 2, 0.0, 1.0)
     joint = JointStream("j", t, 0.8 * smooth**2 * (3 - 2 * smooth))
     assert standstill(joint, (5.0, 12.0)) == pytest.approx(10.0, abs=0.1)
-    assert standstill(joint, (5.0, 12.0), 0.01) == pytest.approx(5.5, abs=0.1)
-    assert standstill(joint, (5.0, 12.0), 1.6 - 2 * np.pi) == pytest.approx(10.0, abs=0.1)
+    assert standstill(joint, (5.0, 7.0)) == pytest.approx(5.5, abs=0.1)
 
 
 def test_what_an_encoder_reports_while_it_slips_is_left_out() -> None:

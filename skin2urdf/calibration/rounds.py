@@ -177,7 +177,7 @@ def estimate_robot(
     if structure.tree is None:
         return None
     first = _first_estimate(logs, structure.tree, features, clock)
-    found, refined = _refined(logs, first, features, clock, hopeless=leads_nowhere)
+    found, refined = _refined(logs, first, features, clock)
     if is_hopeless(found):
         led = _led_by_motion(logs, first, features, clock)
         found, refined = led or (found, refined)

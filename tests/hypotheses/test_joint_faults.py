@@ -235,16 +235,6 @@ def test_an_error_that_the_features_contradict_needs_no_attempt() -> None:
     assert known.error.size == pytest.approx(1.05, abs=1e-4)
 
 
-def test_features_of_a_log_that_nothing_explains_are_not_taken_again() -> None:
-    """What they would be corrected by is predicted by an estimate that is wrong."""
-    logs = sample_logs([misreported(recording(), lambda _, x: 2 * x)], PATTERNS, Clock())
-    first = take_features(logs, Clock())
-    solution = estimate_robot(logs, first, find_structure(logs, first, Clock()), Clock())
-    assert solution is not None
-    assert solution.found.misfit > 1e3
-    assert solution.features is first
-
-
 @pytest.mark.parametrize("factor", [1.02])
 def test_a_wrong_scale_is_named_with_its_size(factor: float, tmp_path: Path) -> None:
     r = recording()

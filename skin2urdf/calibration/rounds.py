@@ -176,15 +176,17 @@ def estimate_robot(
     """
     if structure.tree is None:
         return None
-    found, refined = relinearise(logs, structure.tree, features, clock)
+    first = _first_estimate(logs, structure.tree, features, clock)
+    found, refined = _refined(logs, first, features, clock)
     if is_hopeless(found):
-        found, refined = _led_by_motion(logs, found, refined, features, clock)
+        led = _led_by_motion(logs, first, features, clock)
+        found, refined = led or (found, refined)
     return Solution(logs, structure.seen, found, refined)
 
 
 def _led_by_motion(
-    logs: Logs, found: Estimate, refined: Features, features: Features, clock: Clock
-) -> tuple[Estimate, Features]:
+    logs: Logs, first: Estimate, features: Features, clock: Clock
+) -> tuple[Estimate, Features] | None:
     """The estimate that starts from directions by rests and moves, where that explains more.
 
     Starts from patterns find one joint after the other, each by those before it: few patterns, a
@@ -192,25 +194,24 @@ def _led_by_motion(
 
     Args:
         logs: the logs.
-        found: an estimate of the right tree that explains nothing.
-        refined: its features.
-        features: the first features.
+        first: an estimate of the right tree, from the first features, that explains nothing.
+        features: these.
         clock: runs the stages.
     """
     try:
         best, *_ = clock.run(
             "structure",
-            lambda tell: trees_from_motion(logs.sampled, logs.su_names, found.tree, tell=tell),
+            lambda tell: trees_from_motion(logs.sampled, logs.su_names, first.tree, tell=tell),
         )
     except (StructureError, InsufficientDataError):
-        return found, refined
-    if not alike(best.tree, found.tree):
-        return found, refined
-    tree = replace(best.tree, notes=found.tree.notes)
+        return None
+    if not alike(best.tree, first.tree):
+        return None
+    tree = replace(best.tree, notes=first.tree.notes)
     led = estimate_once(logs, tree, features, state_of(best), clock, search=False)
-    if led.misfit >= found.misfit:
-        return found, refined
-    return relinearise(logs, tree, features, clock, start=led.state)
+    if led.misfit >= _CLEARLY_BETTER * first.misfit:
+        return None
+    return relinearise(logs, tree, features, clock, start=led.state, hopeless=leads_nowhere)
 
 
 def settle(
@@ -306,9 +307,28 @@ def relinearise(
         start: a state of the tree to begin from, beside those that the features show.
         hopeless: where only an explanation is of use, tells of an estimate that leads to none.
     """
+    first = _first_estimate(logs, tree, features, clock, start)
+    return _refined(logs, first, features, clock, hopeless)
+
+
+def _first_estimate(
+    logs: Logs, tree: KinematicTree, features: Features, clock: Clock, start: State | None = None
+) -> Estimate:
+    """An estimate from features as they are, led by the first log where all together mislead."""
     found = estimate_once(logs, tree, features, start, clock)
     if len(logs.sampled) > 1 and is_hopeless(found):
-        found = _led_by_the_first_log(logs, found, features, clock)
+        return _led_by_the_first_log(logs, found, features, clock)
+    return found
+
+
+def _refined(
+    logs: Logs,
+    found: Estimate,
+    features: Features,
+    clock: Clock,
+    hopeless: Callable[[Estimate], bool] | None = None,
+) -> tuple[Estimate, Features]:
+    """An estimate from features that are taken again with what it predicts, until it settles."""
     if hopeless is not None and hopeless(found):
         return found, features
     for again in range(logs.settings.relinearisations):
@@ -317,7 +337,7 @@ def relinearise(
             logs, clock, predicted_curvature(found, features), features.latency
         )
         # Features that no start explains will have none when they change a little.
-        found = estimate_once(logs, tree, features, previous.state, clock, search=not again)
+        found = estimate_once(logs, found.tree, features, previous.state, clock, search=not again)
         # Where swings are wide, most of the first features' noise is what lies beyond first order.
         fallen = _fall_of_noise(before, features)
         gain = fallen * previous.cost_per_dof / max(found.cost_per_dof, 1e-12)
@@ -377,7 +397,7 @@ def estimate_once(
 
 
 _CLEARLY_BETTER = 0.8
-"""Cost of another structure, over the first one's, from which it is preferred."""
+"""Cost of another structure or start, over the first one's, from which it is preferred."""
 
 
 def alike(a: KinematicTree, b: KinematicTree) -> bool:

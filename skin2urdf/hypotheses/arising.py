@@ -1,7 +1,9 @@
-"""When an encoder's zero changed, while the robot moved from one pose to the next.
+"""When an encoder's zero or sense changed, beside what poses and its track tell.
 
 Poses tell between which of them a zero changed. In the move between them, readings follow from what
-the encoder reports until it begins to slip, and from that less the slip once it has ended.
+the encoder reports until it begins to slip, and from that less the slip once it has ended. A track
+may turn round in several places in which a change of sense would hide; readings follow from one
+sense before it, and from the other one after it.
 """
 
 from __future__ import annotations
@@ -10,7 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from skin2urdf.arrays import F64
+from skin2urdf.arrays import F64, Int
 from skin2urdf.estimation.solve.estimate import Estimate
 from skin2urdf.model.specific_force import specific_forces
 from skin2urdf.signals.filters import (
@@ -60,6 +62,54 @@ def narrowed(
     return replace(error, begin=middle, spread=float(time[end] - time[begin]) / 2)
 
 
+def turning_between(
+    dof: str,
+    between: tuple[float, float],
+    about: float,
+    late: bool,
+    known: tuple[Estimate, Features],
+    s: Sampled,
+) -> tuple[float, float]:
+    """Times between which the readings say that a joint began to count the other way.
+
+    Args:
+        dof: the joint.
+        between: times between which it did [s].
+        about: sum of its positions with either sense [rad]; NaN where that is not known.
+        late: whether it is the earlier ones that differ from what is known.
+        known: an estimate from poses of this log with one sense, and features that tell the SUs'
+            latencies.
+        s: the log.
+
+    Returns:
+        Nearer times [s]; as they are where readings do not tell.
+    """
+    found, features = known
+    motion, taps = s.motion, _taps(s)
+    joint = found.tree.joint_names.index(dof)
+    near = np.flatnonzero((motion.grid.time >= between[0]) & (motion.grid.time <= between[1]))
+    if len(near) < len(taps) or not np.isfinite(about):
+        return between
+    part = _around(near, s)
+    plain = filtered(motion.q[part, places_of(found.tree.joint_names, motion.dof_names)], taps)
+    turned = np.array(plain)
+    turned[:, joint] = about - plain[:, joint]
+    before, after = (
+        _left_by(found, features, s, part, (q, joint), found.state.up[0])[near - part.start]
+        for q in ((turned, plain) if late else (plain, turned))
+    )
+    noise = np.nanmedian(np.minimum(before, after))
+    if not np.isfinite(noise):
+        return between
+    # Up to a time the one sense holds, from there on the other. Samples that a filter joins are one
+    # reading, and a change is blurred by a period of its cutoff.
+    more = np.nancumsum(before - after)
+    likely = near[more <= more.min() + _STANDS_OUT**2 * noise * len(taps)]
+    reach = 1 / s.cutoff
+    first, last = motion.grid.time[likely[0]] - reach, motion.grid.time[likely[-1]] + reach
+    return float(max(first, between[0])), float(min(last, between[1]))
+
+
 def _left(
     error: EncoderError, found: Estimate, features: Features, s: Sampled, offset: float
 ) -> F64:
@@ -75,31 +125,66 @@ def _left(
     Returns:
         Squares [m^2/s^4]; NaN where all of those SUs lack readings, or near the move's ends.
     """
-    tree, motion, state = found.tree, s.motion, found.state
-    rate, taps = motion.grid.rate, low_pass(s.cutoff, motion.grid.rate)
-    joint = tree.joint_names.index(error.dof)
-    beyond = np.flatnonzero(tree.activity()[:, joint])
+    motion = s.motion
+    joint = found.tree.joint_names.index(error.dof)
     near = np.flatnonzero(np.abs(motion.grid.time - error.begin) <= error.spread)
     out = np.full(motion.grid.size, np.nan)
-    if not len(near) or not len(beyond):
+    if not len(near):
         return out
-    # The filters reach that far.
-    part = slice(max(0, near[0] - 2 * len(taps)), near[-1] + 2 * len(taps))
-    q = np.array(motion.q[part, places_of(tree.joint_names, motion.dof_names)])
+    part = _around(near, s)
+    q = np.array(motion.q[part, places_of(found.tree.joint_names, motion.dof_names)])
     q[:, joint] += error.size * (motion.grid.time[part] >= error.begin)
-    q = filtered(q, taps)
-    qd, qdd = first_derivative(q, rate), second_derivative(q, rate)
+    q = filtered(q, _taps(s))
     q[:, joint] -= offset
-    up = state.up[error.log] * found.cost.priors.gravity
-    ideal = filtered(specific_forces(state.model(tree), q, qd, qdd, up), taps)
+    left = _left_by(found, features, s, part, (q, joint), found.state.up[error.log])
+    out[near] = left[near - part.start]
+    return out
+
+
+def _taps(s: Sampled) -> F64:
+    """The filter that positions and readings of a log pass."""
+    return low_pass(s.cutoff, s.motion.grid.rate)
+
+
+def _around(near: Int, s: Sampled) -> slice:
+    """The samples that those of a stretch depend on: the filters reach that far."""
+    reach = 2 * len(_taps(s))
+    return slice(max(0, int(near[0]) - reach), min(s.motion.grid.size, int(near[-1]) + reach + 1))
+
+
+def _left_by(
+    found: Estimate,
+    features: Features,
+    s: Sampled,
+    part: slice,
+    motion: tuple[F64, int],
+    up: F64,
+) -> F64:
+    """(n,) mean square of what SUs beyond a joint read beside what follows from a motion.
+
+    Args:
+        found: an estimate.
+        features: tell the SUs' latencies.
+        s: the log.
+        part: n samples of it.
+        motion: (n, J) positions in it, low-passed, and the joint.
+        up: (3,) direction opposite to gravity in the log.
+
+    Returns:
+        Squares [m^2/s^4]; NaN where all of those SUs lack readings.
+    """
+    tree, state, rate, taps = found.tree, found.state, s.motion.grid.rate, _taps(s)
+    q, joint = motion
+    qd, qdd = first_derivative(q, rate), second_derivative(q, rate)
+    gravity = up * found.cost.priors.gravity
+    ideal = filtered(specific_forces(state.model(tree), q, qd, qdd, gravity), taps)
     expected = np.einsum("uij,nuj->nui", state.sensor_matrix(), ideal) + state.bias
     square, count = np.zeros(len(q)), np.zeros(len(q))
-    for u in beyond:
+    for u in np.flatnonzero(tree.activity()[:, joint]):
         column = features.su_names.index(tree.su_names[u])
         reading = shifted(s.readings[part, column], rate, float(features.latency[column]))
         left = filtered(filtered(reading, taps), taps) - expected[:, u]
         there = s.valid[part, column]
         square += np.where(there, (left**2).mean(axis=1), 0.0)
         count += there
-    out[near] = (square / np.where(count > 0, count, np.nan))[near - part.start]
-    return out
+    return np.asarray(square / np.where(count > 0, count, np.nan))

@@ -17,13 +17,14 @@ from skin2urdf.arrays import F64, Bool, Int
 from skin2urdf.calibration.rounds import Logs
 from skin2urdf.estimation.solve.estimate import Estimate
 from skin2urdf.faults import Fault
+from skin2urdf.hypotheses.arising import turning_between
 from skin2urdf.hypotheses.encoder import Corrected, errors_of
 from skin2urdf.hypotheses.names import columns_of, names_in
 from skin2urdf.hypotheses.parts import sound_part
 from skin2urdf.hypotheses.records import Amendment, Attempt, Candidate
 from skin2urdf.hypotheses.search import Search, excess, explains, imitations, of_logs
 from skin2urdf.hypotheses.sense import FOLLOWED, TURNED, felt_at_rest, felt_in_patterns
-from skin2urdf.signals.encoders import reversal
+from skin2urdf.signals.encoders import reversal, standstill
 from skin2urdf.signals.mending import computed
 from skin2urdf.signals.motion import Motion
 from skin2urdf.signals.records import EncoderError, Features
@@ -108,7 +109,7 @@ def _changes(
             continue
         known, poses = sound
         turns += [
-            _turned(search, known.tree.joint_names[turn.joint], log, turn)
+            _turned(search, (known, poses), log, turn)
             for turn in turns_within(known, poses, s.motion)
         ]
         exchange = _exchange(known, poses)
@@ -132,11 +133,13 @@ class Turn:
         joint: its number in the tree.
         between: times between which it begins to [s].
         about: sum of its positions with either sense [rad]; NaN where that is not known.
+        late: whether it is the earlier poses that differ from what is known.
     """
 
     joint: int
     between: tuple[float, float]
     about: float
+    late: bool
 
 
 def turns_within(known: Estimate, poses: Features, motion: Motion) -> Iterator[Turn]:
@@ -166,14 +169,16 @@ def turns_within(known: Estimate, poses: Features, motion: Motion) -> Iterator[T
         later = poses.span.mean(axis=1) > sum(turn.between) / 2
         left = np.where(later != turn.late, both.turned[:, d], both.same[:, d])
         if left[pure].sum() < TURNED * both.same[pure, d].sum():
-            yield Turn(d, turn.between, float(both.about[d]))
+            yield Turn(d, turn.between, float(both.about[d]), turn.late)
 
 
-def _turned(search: Search, dof: str, log: int, turn: Turn) -> Corrected:
+def _turned(search: Search, known: tuple[Estimate, Features], log: int, turn: Turn) -> Corrected:
     """An encoder mirrored from where its sense changes in a log.
 
     A leap of the track tells when that was; else the track itself, where it turns round at once.
+    Of standstills that would hide it, the readings tell which.
     """
+    dof = known[0].tree.joint_names[turn.joint]
     begin, end = turn.between
     leaps = [
         e for e in errors_of(search.evident)
@@ -186,7 +191,13 @@ def _turned(search: Search, dof: str, log: int, turn: Turn) -> Corrected:
         for each in search.evident:
             recordings = each.of_recordings(recordings)
         (track,) = (j for j in recordings[log].joints if j.name == dof)
-        at = reversal(track, turn.between, turn.about)
+        sharp = reversal(track, turn.between)
+        if sharp is not None:
+            at = sharp
+        else:
+            s = search.plain.sampled[log]
+            between = turning_between(dof, turn.between, turn.about, turn.late, known, s)
+            at = standstill(track, between)
     return Corrected(EncoderError("sign", dof, -1.0, log, at))
 
 

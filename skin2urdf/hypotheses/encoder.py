@@ -195,6 +195,9 @@ def sharpened(now: Attempt, errors: Sequence[EncoderError], clock: Clock) -> lis
         now: the attempt in which they were seen.
         errors: of different encoders, with their sizes at first order.
         clock: runs the stages.
+
+    Returns:
+        The errors with better sizes; none where the features fit no better without them.
     """
     solution = now.solution
     features, found = solution.features, solution.found
@@ -208,6 +211,9 @@ def sharpened(now: Attempt, errors: Sequence[EncoderError], clock: Clock) -> lis
         found = estimate_once(
             solution.logs, found.tree, features, found.state, clock, search=not again
         )
+        if not again and found.misfit >= solution.found.misfit:
+            # The features themselves contradict it: the logs need not be explained with it.
+            return []
         left = [_left_of(error, found, features) for error in errors]
         best = [
             known if rest is None else with_another((known,), rest, features)
@@ -242,14 +248,16 @@ def sized_by_the_fit(last: Attempt, clock: Clock) -> Attempt:
         clock: runs the stages.
     """
     found, features, amendments = last.solution.found, last.solution.features, last.amendments
-    for error in _together(errors_of(amendments), features):
-        # A joint that is hit leaps, and leaps back.
-        if error.kind == "sign" or _small(error, last.solution.logs):
+    for known in _together(errors_of(amendments), features):
+        error = _with_a_size(known, last.solution.logs)
+        if error is None:
             continue
         alike = [s.error for s in suspicions(found, features) if _same(s.error, error, features)]
         left = min(alike, key=lambda e: e.deviation, default=None)
         if left is None or not np.isfinite(left.deviation):
             continue
+        if known.kind == "sign":
+            left = replace(left, begin=error.begin, spread=0.0)
         new = with_another(amendments, left, features)
         amendments = tuple({a.key: a for a in (*amendments, new)}.values())
         features = corrected_features(features, left)
@@ -261,6 +269,18 @@ def sized_by_the_fit(last: Attempt, clock: Clock) -> Attempt:
         amendments=amendments,
         solution=replace(last.solution, found=found, features=features),
     )
+
+
+def _with_a_size(error: EncoderError, logs: Logs) -> EncoderError | None:
+    """What of an error the fit may size; None for joints that are hit: they leap, and leap back.
+
+    The value about which a track is mirrored is seen to a step of it, as if its zero had changed;
+    a whole log is mirrored about zero.
+    """
+    if error.kind == "sign":
+        within = np.isfinite(error.begin)
+        return EncoderError("offset", error.dof, 0.0, error.log, error.begin) if within else None
+    return None if _small(error, logs) else error
 
 
 def timed_by_the_moves(last: Attempt) -> Attempt:

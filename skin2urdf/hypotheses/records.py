@@ -103,11 +103,6 @@ class Candidate:
     sharpen: Callable[[Attempt], Sequence[Amendment]] | None = None
 
     @property
-    def parameters(self) -> int:
-        """Number of parameters that it adds."""
-        return sum(a.parameters for a in self.amendments)
-
-    @property
     def apart(self) -> float:
         """Drop of chi-squared in samples that no feature counts, which no estimate has to show."""
         return sum(a.apart for a in self.amendments)

@@ -435,7 +435,7 @@ def promise(now: Attempt | None, candidate: Candidate, tried: int) -> float:
     left = max(chi2 - candidate.drop, _TINY * chi2) / _count(found)
     expected = _gain(found.misfit, left, _count(found), _looks(found))
     looks = _count(found) if left <= GOOD_FIT else _looks(found)
-    return expected + candidate.apart - _price(looks, candidate.parameters, tried)
+    return expected + candidate.apart - _price(looks, added(now, candidate), tried)
 
 
 def _worth(now: Attempt | None, after: Attempt, candidate: Candidate, tried: int) -> float:
@@ -443,7 +443,13 @@ def _worth(now: Attempt | None, after: Attempt, candidate: Candidate, tried: int
     if now is None:
         return 1 / after.solution.found.misfit
     before, found = now.solution.found, after.solution.found
-    return gain(before, found) + candidate.apart - price(found, candidate.parameters, tried)
+    return gain(before, found) + candidate.apart - price(found, added(now, candidate), tried)
+
+
+def added(now: Attempt, candidate: Candidate) -> int:
+    """Parameters that a candidate adds: none where it takes the place of what has as many."""
+    known = {a.key for a in now.amendments}
+    return sum(a.parameters for a in candidate.amendments if a.key not in known)
 
 
 def gain(before: Estimate, after: Estimate, *, of_poses: bool = False) -> float:

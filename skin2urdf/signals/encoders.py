@@ -75,44 +75,72 @@ def _middle(values: F64) -> F64:
     return np.asarray(median_filter(values, 2 * _NEARBY + 1, mode="nearest"))
 
 
-def reversal(joint: JointStream, between: tuple[float, float], about: float = np.nan) -> float:
+def reversal(joint: JointStream, between: tuple[float, float]) -> float | None:
     """Time at which a joint's track turns round at once, as no joint can.
 
     Motion is smooth: a second difference is the mean of those around it, but for noise. Mirrored
     from one sample on, a track has one second difference that is not, and all are once the steps
-    after it have the other sign. Where no sample stands out, the joint kept still, or nearly so.
+    after it have the other sign.
 
     Args:
         joint: the track, without leaps.
         between: times between which it is [s].
-        about: sum of the positions before and after [rad]; NaN where that is not known.
 
     Returns:
-        The time [s]: of the sample that stands out, else the middle of the longest standstill,
-        where the joint is half of what the positions add up to.
+        The time [s] of the sample that stands out; None where the joint kept still, or nearly so.
+    """
+    n, step = _NEARBY, np.diff(joint.position)
+    low, high = _inside(joint, between)
+    if high - low < 3:
+        return None
+    plain, mirrored = _sharpness(step)
+    gain = (plain - mirrored)[low - n - 1 : high - n - 1]
+    best = int(np.argmax(gain))
+    if gain[best] <= _least_sharp(step, plain):
+        return None
+    return float(joint.time[low + best : low + best + 2].mean())
+
+
+def standstill(joint: JointStream, between: tuple[float, float]) -> float:
+    """Middle of the longest standstill of a joint, in which its track may turn round unseen.
+
+    Args:
+        joint: the track, without leaps.
+        between: times between which it is [s].
+
+    Returns:
+        The time [s]; where it does not stand still, that of the slowest motion.
     """
     step = np.diff(joint.position)
-    first, last = np.searchsorted(joint.time, between)
-    n = _NEARBY
-    low, high = max(n + 1, int(first)), min(len(step) - n, int(last) - 1)
+    low, high = _inside(joint, between)
     if high - low < 3:
         return sum(between) / 2
+    # A change of sense hides where the steps on either side of it are as small as that.
+    small = np.sqrt(_least_sharp(step, _sharpness(step)[0]))
+    speed = np.abs(step[low:high])
+    slow = speed <= max(small / 2, speed.min())
+    begin, end = _longest(slow)
+    return float(joint.time[low + begin : low + end + 1].mean())
+
+
+def _inside(joint: JointStream, between: tuple[float, float]) -> tuple[int, int]:
+    """First step of a track between two times, and one past the last, that has neighbours."""
+    first, last = np.searchsorted(joint.time, between)
+    return max(_NEARBY + 1, int(first)), min(len(joint.time) - 1 - _NEARBY, int(last) - 1)
+
+
+def _sharpness(step: F64) -> tuple[F64, F64]:
+    """Squares of second differences beside their neighbours', as they are and if mirrored there."""
+    n = _NEARBY
     i = np.arange(n + 1, len(step) - n)
     before, after = (step[i - 1] - step[i - 1 - n]) / n, (step[i + n] - step[i]) / n
     plain = (step[i] - step[i - 1] - (before + after) / 2) ** 2
-    mirrored = (-step[i] - step[i - 1] - (before - after) / 2) ** 2
-    limit = max((_SHARP**2) * float(np.quantile(plain, 0.999)), _finest(step) ** 2)
-    here = slice(low - n - 1, high - n - 1)
-    best = low + int(np.argmax((plain - mirrored)[here]))
-    if (plain - mirrored)[best - n - 1] > limit:
-        return float(joint.time[best : best + 2].mean())
-    # A change of sense hides where the steps on either side of it are as small as that.
-    slow = np.abs(step[low:high]) < np.sqrt(limit) / 2
-    if slow.any() and np.isfinite(about):
-        off = np.abs(np.angle(np.exp(1j * (2 * joint.position[low:high] - about)))) / 2
-        slow &= off <= off[slow].min() + np.sqrt(limit)
-    begin, end = _longest(slow)
-    return float(joint.time[low + begin : low + end + 1].mean()) if slow.any() else sum(between) / 2
+    return plain, (-step[i] - step[i - 1] - (before - after) / 2) ** 2
+
+
+def _least_sharp(step: F64, plain: F64) -> float:
+    """Square of a second difference that stands out from a track's noise."""
+    return max((_SHARP**2) * float(np.quantile(plain, 0.999)), _finest(step) ** 2)
 
 
 def _longest(there: Bool) -> tuple[int, int]:

@@ -24,7 +24,7 @@ from skin2urdf.signals.sampling import Sampled
 from skin2urdf.structure.accelerations import Along, ChainJoint, along
 from skin2urdf.structure.draft import QUIET, Draft, in_best_order, with_unseen_joints
 from skin2urdf.structure.gravity import GravityWindows, gravity_windows, moments
-from skin2urdf.structure.growth import Growth
+from skin2urdf.structure.growth import Growth, Known
 from skin2urdf.structure.records import KinematicTree
 
 
@@ -77,7 +77,7 @@ def trees_from_motion(
     Args:
         sampled: the logs on their grids, with the same joints and SUs.
         su_names: U SU names.
-        known: a tree whose order of joints is right, where there is one: none other is then tried.
+        known: a tree that is right, where there is one: none other is then tried.
         seed: of the random axes from which chains are searched where segments carry no SU.
         tell: told the share of the work that is done.
 
@@ -120,8 +120,8 @@ def _grown_from(
         StructureError: they show none.
     """
     moved = moved_joints(sampled)
-    before = None if known is None else _joints_before(known, windows.dof_names)
-    growth = Growth(windows, tuple(np.flatnonzero(moved)), np.random.default_rng(seed), before)
+    tree = None if known is None else _known(known, windows)
+    growth = Growth(windows, tuple(np.flatnonzero(moved)), np.random.default_rng(seed), tree)
     growth.grow(tell)
     if (growth.n > 0).any() and not (growth.explained() & (growth.n > 0)).any():
         raise StructureError(
@@ -146,10 +146,16 @@ def _grown_from(
     return replace(best, tree=replace(best.tree, notes=notes)), *others
 
 
-def _joints_before(tree: KinematicTree, names: Sequence[str]) -> dict[int, int]:
-    """The joint before each one of a tree, -1 for the RS, by their places among some names."""
-    place = [names.index(name) for name in tree.joint_names]
-    return {place[j]: -1 if before < 0 else place[before] for j, before in enumerate(tree.parent)}
+def _known(tree: KinematicTree, windows: GravityWindows) -> Known:
+    """A tree by the places of its joints and SUs among those of some windows."""
+    place = [windows.dof_names.index(name) for name in tree.joint_names] + [-1]
+    return Known(
+        {place[j]: place[before] for j, before in enumerate(tree.parent)},
+        {
+            windows.su_names.index(n): place[j]
+            for n, j in zip(tree.su_names, tree.su_joint, strict=True)
+        },
+    )
 
 
 def _unexplained(tree: MotionTree, samples: Along, su_names: Sequence[str]) -> float:

@@ -112,6 +112,19 @@ class _Extension:
     gain: float
 
 
+@dataclass(frozen=True, eq=False)
+class Known:
+    """A tree that is known already, of which axes alone are sought.
+
+    Attributes:
+        before: the joint before each one, -1 for the RS.
+        joint: the joint on which each SU of the tree sits, -1 for the RS.
+    """
+
+    before: Mapping[int, int]
+    joint: Mapping[int, int]
+
+
 class Growth:
     """A tree that grows, joint by joint.
 
@@ -124,7 +137,8 @@ class Growth:
         windows: the measurements.
         moved: the joints that moved.
         rng: draws axes from which chains of several joints are searched.
-        before: the joint before each one, -1 for the RS, where the structure is known already.
+        known: the tree, where it is known already: it grows no further where nothing explains what
+            an SU feels, since rotations beyond are not to be had.
     """
 
     def __init__(
@@ -132,12 +146,12 @@ class Growth:
         windows: GravityWindows,
         moved: Sequence[int],
         rng: np.random.Generator,
-        before: Mapping[int, int] | None = None,
+        known: Known | None = None,
     ):
         self.windows = windows
         self._moved = tuple(moved)
         self._rng = rng
-        self._before = before
+        self._known = known
         self._grid = fibonacci_sphere(_GRID)
         logs = int(windows.log.max(initial=0)) + 1
         # The log that holds most of the motion shows the first joints.
@@ -183,7 +197,7 @@ class Growth:
         while True:
             tell(1.0 - len(self.unplaced) / max(len(self._moved), 1))
             found = self._next()
-            if found is None:
+            if found is None or (self._known is not None and not self._explained(found)):
                 return
             at = found.segment
             for dof, axis in zip(found.dofs, found.axes, strict=True):
@@ -300,9 +314,10 @@ class Growth:
             for d in free:
                 if (s, d) not in self._losses and self._may_follow(segment.dof, d):
                     losses = np.full((len(now), len(self._grid)), np.inf)
-                    losses[open_] = axis_losses(
-                        self.windows.q[:, d], gravity, self.windows.reading[:, open_],
-                        self._rough[:, open_], self._grid,
+                    there = [u for u in open_ if self._may_carry(d, int(u))]
+                    losses[there] = axis_losses(
+                        self.windows.q[:, d], gravity, self.windows.reading[:, there],
+                        self._rough[:, there], self._grid,
                     )  # fmt: skip
                     self._losses[s, d] = losses
         self._fit_most_promising(free)
@@ -321,7 +336,11 @@ class Growth:
 
     def _may_follow(self, dof: int, other: int) -> bool:
         """Whether a joint (-1: the RS) may carry the segment that another one moves."""
-        return self._before is None or self._before.get(other) == dof
+        return self._known is None or self._known.before.get(other) == dof
+
+    def _may_carry(self, dof: int, su: int) -> bool:
+        """Whether an SU may sit on the segment that a joint moves."""
+        return self._known is None or self._known.joint.get(su) == dof
 
     def _fit_most_promising(self, free: Sequence[int]) -> None:
         """Fit the extensions of one joint that promise most, until the best are fitted."""
@@ -427,7 +446,7 @@ class Growth:
         """The best extension by several joints of one SU: from random axes, in two rounds."""
         segments = np.argsort([s.misfit[su] for s in self.segments], kind="stable")[:_NEAR]
         likely = list(free)
-        if self._before is None:
+        if self._known is None:
             # Each joint of a chain explains something by itself, wherever it is put.
             alone = [min(float(self._losses[s, d][su].min()) for s in segments) for d in free]
             likely = [free[i] for i in np.argsort(alone, kind="stable")[: _LIKELY[length]]]
@@ -435,7 +454,8 @@ class Growth:
             (su, int(s), dofs)
             for s in segments
             for dofs in permutations(likely, length)
-            if all(self._may_follow(a, b) for a, b in pairwise((self.segments[s].dof, *dofs)))
+            if self._may_carry(dofs[-1], su)
+            and all(self._may_follow(a, b) for a, b in pairwise((self.segments[s].dof, *dofs)))
             for _ in range(_RANDOM_STARTS[length])
         ]
         if not problems:

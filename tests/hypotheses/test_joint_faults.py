@@ -38,11 +38,12 @@ from skin2urdf.calibration.rounds import (
 from skin2urdf.calibration.samples import fit_samples, without_false_hits
 from skin2urdf.calibration.settings import CalibrationSettings
 from skin2urdf.faults import Fault
-from skin2urdf.hypotheses.arising import narrowed
+from skin2urdf.hypotheses.arising import narrowed, turning_between
 from skin2urdf.hypotheses.changes import turns_within
 from skin2urdf.hypotheses.encoder import (
     Corrected,
     errors_of,
+    sharpened,
     sized_by_the_fit,
     with_another,
 )
@@ -52,7 +53,7 @@ from skin2urdf.hypotheses.suspicions import suspicions
 from skin2urdf.recording.records import JointStream, Recording
 from skin2urdf.recording.retiming import retimed
 from skin2urdf.signals.contact import disturbances
-from skin2urdf.signals.encoders import corrected, corrected_features, leaps, reversal
+from skin2urdf.signals.encoders import corrected, corrected_features, leaps, reversal, standstill
 from skin2urdf.signals.records import EncoderError
 from skin2urdf.simulation import Simulation, SimulationSettings
 from skin2urdf.simulation.faults import Sound
@@ -185,8 +186,12 @@ def test_the_moves_tell_when_an_encoder_slipped(share: float) -> None:
     assert narrowed(nothing, solution.found, features, sampled) == nothing
 
 
-def test_a_wrong_encoder_is_corrected_by_as_much_as_the_fit_says() -> None:
-    """Also by what chance could have brought about, once it is known to be wrong."""
+@pytest.mark.parametrize(("kind", "known"), [("offset", 0.1), ("sign", 0.0)])
+def test_a_wrong_encoder_is_corrected_by_as_much_as_the_fit_says(kind: str, known: float) -> None:
+    """Also by what chance could have brought about, once it is known to be wrong.
+
+    Where its sense changes, by what the value about which it is mirrored is off.
+    """
     solution, joint, clock = solved_panda(), "panda_joint4", Clock()
     logs = solution.logs
     begin, size = 0.6 * logs.sampled[0].motion.grid.time[-1], 8e-5
@@ -196,16 +201,38 @@ def test_a_wrong_encoder_is_corrected_by_as_much_as_the_fit_says() -> None:
     features = replace(solution.features, q=q)
     tree, state = solution.found.tree, solution.found.state
     found = estimate_once(logs, tree, features, state, clock)
-    known = Corrected(EncoderError("offset", joint, 0.1, 0, begin))
-    disturbed = Attempt((known,), replace(solution, found=found, features=features), logs)
+    error = EncoderError(kind, joint, known or -1.0, 0, begin)
+    disturbed = Attempt(
+        (Corrected(error),), replace(solution, found=found, features=features), logs
+    )
     after = sized_by_the_fit(disturbed, clock)
-    (error,) = errors_of(after.amendments)
-    assert error.size == pytest.approx(0.1 + size, abs=size / 2)
+    *before, error = errors_of(after.amendments)
+    assert [e.kind for e in before] == ["sign"] * (kind == "sign")
+    assert (error.kind, error.begin) == ("offset", begin)
+    assert error.size == pytest.approx(known + size, abs=size / 2)
     mended = after.solution
     np.testing.assert_allclose(mended.features.q, solution.features.q, atol=size / 2)
     score = {s.error.begin: s.gain for s in suspicions(mended.found, mended.features)
              if (s.error.kind, s.error.dof) == ("offset", joint)}  # fmt: skip
     assert score[min(score, key=lambda t: abs(t - begin))] < 0.01
+
+
+def test_a_log_that_counts_the_other_way_does_so_about_zero() -> None:
+    whole = Corrected(EncoderError("sign", "panda_joint4", -1.0, 0))
+    now = Attempt((whole,), solved_panda(), solved_panda().logs)
+    assert sized_by_the_fit(now, Clock()).amendments == (whole,)
+
+
+def test_an_error_that_the_features_contradict_needs_no_attempt() -> None:
+    solution, joint, clock = solved_panda(), "panda_joint4", Clock()
+    now = Attempt((), solution, solution.logs)
+    assert sharpened(now, [EncoderError("scale", joint, 1.05)], clock) == []
+    features = corrected_features(solution.features, EncoderError("scale", joint, 1 / 1.05))
+    start = solution.found
+    found = estimate_once(solution.logs, start.tree, features, start.state, clock)
+    wrong = replace(now, solution=replace(solution, found=found, features=features))
+    (known,) = sharpened(wrong, [EncoderError("scale", joint, 1.04)], clock)
+    assert known.error.size == pytest.approx(1.05, abs=1e-4)
 
 
 @pytest.mark.parametrize("factor", [1.02])
@@ -334,13 +361,13 @@ def test_errors_are_taken_off_their_log_and_joint() -> None:
     assert first.joints[j - 1] is r.joints[j - 1]
 
 
-@pytest.mark.parametrize("goes_on", [False, True])
+@pytest.mark.parametrize(("goes_on", "part"), [(False, 0.66), (True, 0.71283)])
 def test_a_sense_that_changes_in_a_log_is_named_with_its_time(
-    goes_on: bool, tmp_path: Path
+    goes_on: bool, part: float, tmp_path: Path
 ) -> None:
-    """The position takes the other sign, or is counted backwards from where it is."""
+    """The position takes the other sign while it moves, or is counted backwards where it turns."""
     r = recording()
-    t = 0.66 * r.duration  # while it moves
+    t = part * r.duration
 
     def wrong(time: F64, x: F64) -> F64:
         about = x[np.searchsorted(time, t) - 1] if goes_on else 0.0
@@ -355,12 +382,36 @@ def test_a_sense_that_changes_in_a_log_is_named_with_its_time(
     assert position_error(found, tmp_path) < 1.1 * position_error(sound(PATTERNS), tmp_path)
 
 
+@pytest.mark.parametrize("part", [0.3, 0.6])
+def test_a_sense_that_changes_at_a_turning_point_shows_in_the_readings(part: float) -> None:
+    """Its track looks as it would at other turning points near half of what positions add up to."""
+    solution = solved(recording())
+    (s,), found, features = solution.logs.sampled, solution.found, solution.features
+    motion, j = s.motion, s.motion.dof_names.index(JOINT)
+    time, x = motion.grid.time, motion.q[:, j]
+    # Where it turns in its patterns, not where it rests.
+    fast = np.abs(motion.qdd[1:, j]) > 1.0
+    turning = np.flatnonzero((np.diff(np.sign(motion.qd[:, j])) != 0) & fast)
+    at = int(turning[np.argmin(np.abs(turning - part * len(x)))])
+    about = 2 * x[at]
+    for late in (False, True):
+        q = np.array(motion.q)
+        other = slice(None, at) if late else slice(at, None)
+        q[other, j] = about - q[other, j]
+        misread = replace(s, motion=replace(motion, q=q))
+        between = (float(time[at] - 8.0), float(time[at] + 5.0))
+        begin, end = turning_between(JOINT, between, about, late, (found, features), misread)
+        assert begin < time[at] < end
+        assert end - begin < 1.0
+
+
 def test_a_track_is_mirrored_where_it_turns_round() -> None:
     t = np.arange(0.0, 20.0, 0.008)
     x = 0.3 * np.sin(2.0 * t)
     n = 1300
     joint = JointStream("j", t, np.concatenate([x[:n], 2 * x[n - 1] - x[n:]]))
     at = reversal(joint, (4.0, 16.0))
+    assert at is not None
     assert at == pytest.approx(t[n], abs=0.01)
     mended = corrected([Recording((joint,), ())], [EncoderError("sign", "j", -1.0, 0, at)])
     assert mended[0].joints[0].position == pytest.approx(x, abs=1e-3)
@@ -380,17 +431,18 @@ def test_a_slow_track_shows_where_it_turns_round() -> None:
 def test_a_track_that_shows_nothing_turned_round_while_it_kept_still() -> None:
     t = np.arange(0.0, 20.0, 0.004)
     still = np.clip(t, 6.0, 8.0) - 6.0
-    assert reversal(JointStream("j", t, t - still), (4.0, 16.0)) == pytest.approx(7.0, abs=0.02)
+    joint = JointStream("j", t, t - still)
+    assert reversal(joint, (4.0, 16.0)) is None
+    assert standstill(joint, (4.0, 16.0)) == pytest.approx(7.0, abs=0.02)
 
 
-def test_of_several_standstills_that_where_both_senses_agree_counts() -> None:
+def test_of_several_standstills_the_longest_counts() -> None:
     t = np.arange(0.0, 20.0, 0.004)
     # It stands at 0 for a second, and at 0.8 for four.
     smooth = np.clip((t - 6.0) / 2, 0.0, 1.0)
     joint = JointStream("j", t, 0.8 * smooth**2 * (3 - 2 * smooth))
-    assert reversal(joint, (5.0, 12.0)) == pytest.approx(10.0, abs=0.1)
-    assert reversal(joint, (5.0, 12.0), 0.01) == pytest.approx(5.5, abs=0.1)
-    assert reversal(joint, (5.0, 12.0), 1.6 - 2 * np.pi) == pytest.approx(10.0, abs=0.1)
+    assert standstill(joint, (5.0, 12.0)) == pytest.approx(10.0, abs=0.1)
+    assert standstill(joint, (5.0, 7.0)) == pytest.approx(5.5, abs=0.1)
 
 
 def test_what_an_encoder_reports_while_it_slips_is_left_out() -> None:

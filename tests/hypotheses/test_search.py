@@ -29,7 +29,8 @@ from skin2urdf.hypotheses.encoder import Corrected
 from skin2urdf.hypotheses.kinds import KINDS
 from skin2urdf.hypotheses.mirrored import Mirrored, Negated
 from skin2urdf.hypotheses.records import Amendment, Attempt, Candidate
-from skin2urdf.hypotheses.search import Kind, Search, explain, gain, price
+from skin2urdf.hypotheses.search import Kind, Search, added, explain, gain, price
+from skin2urdf.hypotheses.slip import Moment, Slipped
 from skin2urdf.hypotheses.structure import Known
 from skin2urdf.recording.records import Recording
 from skin2urdf.signals.records import EncoderError
@@ -167,6 +168,17 @@ def test_what_pays(before: float, after: float, pays: bool) -> None:
 def test_more_parameters_and_more_candidates_cost_more() -> None:
     found = estimate(1.0)
     assert price(found, 6, 20) > price(found, 1, 20) > price(found, 1, 2) > 0
+
+
+def test_what_takes_the_place_of_something_adds_no_parameters() -> None:
+    """A slip whose moment is known better has one placement more than none, as it had before."""
+    early, late = (
+        Slipped("su", "su_before", Moment((0, begin), (0, begin + 1))) for begin in (1.0, 5.0)
+    )
+    other = Slipped("su_before", "su_before_before", Moment((0, 0.5), (0, 0.7)))
+    now = Attempt((early,), None, None)  # type: ignore[arg-type]
+    assert added(now, Candidate("slip in a pose", ("su",), (late,), 1.0)) == 0
+    assert added(now, Candidate("slip", ("su_before",), (other,), 1.0)) == other.parameters > 0
 
 
 def test_what_changes_takes_the_place_of_what_imitates_it(

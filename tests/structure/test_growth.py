@@ -11,7 +11,7 @@ from skin2urdf.arrays import F64
 from skin2urdf.geometry.so3 import axis_rotation, rotation_exp, wahba
 from skin2urdf.geometry.units import GRAVITY
 from skin2urdf.structure.gravity import GravityWindows
-from skin2urdf.structure.growth import Growth
+from skin2urdf.structure.growth import Growth, Known
 
 PARENT = (-1, 0, 1, 0, 3)
 """Two limbs of two joints on one joint."""
@@ -51,8 +51,8 @@ class Robot:
         )  # fmt: skip
 
 
-def grown(windows: GravityWindows) -> Growth:
-    growth = Growth(windows, range(windows.q.shape[1]), np.random.default_rng(0))
+def grown(windows: GravityWindows, known: Known | None = None) -> Growth:
+    growth = Growth(windows, range(windows.q.shape[1]), np.random.default_rng(0), known)
     growth.grow()
     return growth
 
@@ -117,3 +117,23 @@ def test_the_base_may_stand_otherwise_in_another_log() -> None:
     assert chains(growth) == TRUE
     tilt = np.degrees(np.arccos(growth.up[1] @ growth.up[0]))
     assert tilt == pytest.approx(np.degrees(np.arctan2(np.hypot(0.3, 0.2), 0.9)), abs=0.5)
+
+
+KNOWN = Known(dict(enumerate(PARENT)), {u + 1: u for u in range(len(PARENT))} | {0: -1})
+
+
+@pytest.mark.parametrize("bare", [(), (2,), (1, 2)])
+def test_a_known_tree_is_found_with_some_segments_bare(bare: tuple[int, ...]) -> None:
+    windows = Robot(5).windows()
+    weight = np.where(np.isin(np.arange(len(PARENT) + 1), bare), np.inf, windows.sd)
+    found = chains(grown(replace(windows, sd=weight), KNOWN))
+    assert {k: v for k, v in found.items() if int(k[2:]) not in bare} == {
+        k: v for k, v in TRUE.items() if int(k[2:]) not in bare
+    }
+
+
+def test_a_known_tree_ends_at_a_joint_whose_encoder_is_wrong() -> None:
+    """No rotation beyond it can be told; the other branch is as good as ever."""
+    windows = Robot(5).windows()
+    growth = grown(replace(windows, q=windows.q * np.array([1.0, 1.5, 1.0, 1.0, 1.0])), KNOWN)
+    assert growth.unplaced == (1, 2)

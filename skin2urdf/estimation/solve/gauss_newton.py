@@ -47,8 +47,12 @@ def gauss_newton(
         while True:
             step = factor(equations, free, damping, _STIFFNESS).newton_step(gradient)
             trial_state, trial = sensors_refitted(cost, screwed(state, step), free)
-            if trial.chi2 <= here.chi2 and _is_sensor(trial_state, state):
+            sensible = _is_sensor(trial_state, state)
+            if trial.chi2 <= here.chi2 and sensible:
                 break
+            if not sensible and not _is_sensor(sensors_refitted(cost, state, free)[0], state):
+                # Shorter steps end where the sensors would be refitted without any.
+                return state, here.chi2
             damping = max(damping * 10, 1e-8)
             if damping > 1e8:
                 return state, here.chi2

@@ -65,7 +65,7 @@ def minimise(
     shape = cost.zero_step()
     for _ in range(rounds):
         begin = best
-        enough = max(tolerance, _BARELY * best) if _is_unexplained(cost, best) else tolerance
+        enough = max(tolerance, smallest_fall(cost, best) * best)
         arrow = factor(here.normal_equations(), free, _DAMPING)
         base, best_z, promise = state, np.zeros(shape.flat().size), np.inf
 
@@ -99,8 +99,9 @@ def minimise(
     return state, best
 
 
-def _is_unexplained(cost: Cost, chi2: float) -> bool:
-    return chi2 > _UNEXPLAINED * cost.n_data
+def smallest_fall(cost: Cost, chi2: float) -> float:
+    """Relative fall of chi-squared from which it says something; any, near an explanation."""
+    return _BARELY if chi2 > _UNEXPLAINED * cost.n_data else 0.0
 
 
 def progressive(cost: Cost, state: State, free: Free) -> State:

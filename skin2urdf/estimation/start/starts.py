@@ -13,7 +13,7 @@ from skin2urdf.estimation.problem.cost import Cost
 from skin2urdf.estimation.problem.state import N_PLACEMENT, N_SU, Free, State, moved
 from skin2urdf.estimation.solve.arrow import factor
 from skin2urdf.estimation.solve.gauss_newton import gauss_newton
-from skin2urdf.estimation.solve.progressive import progressive
+from skin2urdf.estimation.solve.progressive import progressive, smallest_fall
 from skin2urdf.estimation.start.inward import inward_starts
 from skin2urdf.estimation.start.orientation import Orientations
 from skin2urdf.estimation.start.outward import outward_starts
@@ -127,7 +127,8 @@ def _follow(cost: Cost, free: Free, starts: Iterator[Orientations]) -> list[Foll
             break
         nearly = refined(begin.state, 6, placements)
         nearly = refined(nearly.state, 20, unshaped)
-        followed.append(Followed(*gauss_newton(cost, nearly.state, free, 8)))
+        enough = max(1e-6, smallest_fall(cost, nearly.chi2))
+        followed.append(Followed(*gauss_newton(cost, nearly.state, free, 8, enough)))
     return followed
 
 

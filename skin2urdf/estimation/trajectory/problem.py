@@ -287,6 +287,9 @@ class MotionProblem(Derivatives):
         members: Sequence[Int],
         n_draws: int,
         rng: np.random.Generator,
+        *,
+        moments: Sequence[Int] = (),
+        lean: F64 | None = None,
     ) -> Spans:
         """Contributions of parts of the time to the normal equations without priors.
 
@@ -297,6 +300,8 @@ class MotionProblem(Derivatives):
             members: per log (K,) the part that each sample is in.
             n_draws: versions of the gradients with independent noise.
             rng: source of that noise.
+            moments: per log (K,) the moment that each sample is in, in their order; with
+            lean: (U, n, X) how each SU follows the first X coordinates of the joint part.
         """
         layout, U, G = self.layout, self.tree.n_sus, len(self.logs)
         J, n, S = layout.n_joint, layout.n_su, 1 + max(int(each.max()) for each in members)
@@ -307,6 +312,9 @@ class MotionProblem(Derivatives):
         mixed = np.zeros((S, U, n, width))
         joint_scores = np.zeros((1 + n_draws, S, J))
         su_scores = np.zeros((1 + n_draws, S, U, n))
+        lean = np.zeros((U, n, 0)) if lean is None else lean
+        last = max((int(each.max()) for each in moments), default=-1)
+        of_moments = np.zeros((lean.shape[2], 1 + last))
         for u in range(U):
             columns[u, : len(of_all[u])] = of_all[u]
         beyond = self.beyond()
@@ -314,6 +322,13 @@ class MotionProblem(Derivatives):
             g, u, r = rows.log, rows.su, rows.residual
             own, A = rows.whole(beyond[g] if beyond else None)
             nj, K = len(own), r.shape[1]
+            if moments:
+                begin = np.flatnonzero(np.diff(moments[g], prepend=-1))
+                pull = np.add.reduceat(np.einsum("cik,ik->ck", A, r), begin, axis=1)
+                here = np.array(own) < len(of_moments)
+                which = moments[g][begin]
+                of_moments[np.ix_(np.array(own)[here], which)] += pull[:nj][here]
+                of_moments[:, which] += lean[u].T @ pull[nj:]
             place = np.searchsorted(columns[u][columns[u] >= 0], own)
             noise = rng.standard_normal((n_draws, 3, K))
             both = np.concatenate([r[None], noise])
@@ -328,7 +343,7 @@ class MotionProblem(Derivatives):
                 mixed[s, u][:, place] += H[nj:, :nj]
                 joint_scores[:, s, own] += scores[:, :nj]
                 su_scores[:, s, u] += scores[:, nj:]
-        return Spans(joint, su, mixed, columns, joint_scores, su_scores)
+        return Spans(joint, su, mixed, columns, joint_scores, su_scores, of_moments.T)
 
     def pulls_of_joints(
         self, state: MotionState, predicted: Sequence[Predicted], weights: Sequence[F64]

@@ -90,6 +90,8 @@ class Spans:
         columns: per SU (C,) these columns, padded with -1.
         joint_scores: (V, S, J) gradients of V versions, the first that of the residuals.
         su_scores: (V, S, U, n).
+        moments: (M, X) gradients of far shorter parts of the time, of the residuals, in the first
+            coordinates of the joint part, whatever the SUs are.
     """
 
     joint: F64
@@ -98,6 +100,7 @@ class Spans:
     columns: Int
     joint_scores: F64
     su_scores: F64
+    moments: F64
 
 
 @dataclass(frozen=True, eq=False)

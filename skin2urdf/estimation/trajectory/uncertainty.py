@@ -13,6 +13,11 @@ a coordinate, that of all joints' or all SUs' coordinates speaks for it.
 
 No error is smaller than what encoders round off makes alone, see :mod:`rounded`.
 
+Noise of encoders is felt by all SUs on a link alike, so that with many SUs it is nearly all of the
+error, and by how much variances exceed those of the weights grows with their number. It is new at
+every moment all the same. Whether errors come back is therefore told by what clusters show beyond
+what moments do.
+
 Where a fit leaves more than noise, errors of its clusters have a part in common that its estimate
 has bent to, of unknown size. That is taken to be as much larger than what is seen of it as all that
 is left is larger than noise (Birge 1932).
@@ -70,6 +75,7 @@ class MotionInformation:
         prior_xz: (U, Q, J + Z) pulls of what is known of each SU before, on x and z, and
         prior_y: (U, Q, 15) on y.
         clusters: which parts of the time the errors are of.
+        moments: (M, J) pulls of moments on x for known z, whatever the SUs are.
         kinds: (J,), (U, 15) and (Z,) kind of each coordinate: offset, turn, bias, scale ..
         shares: (S, J), (S, U, 15) and (S, Z) share of the information on each coordinate that a
             part has.
@@ -87,6 +93,7 @@ class MotionInformation:
     prior_xz: F64
     prior_y: F64
     clusters: Clusters
+    moments: F64
     kinds: tuple[Int, Int, Int]
     shares: tuple[F64, F64, F64]
     prior_joint: F64
@@ -160,9 +167,10 @@ def motion_information(
     joint[held, held] -= weight
     su[:, range(3), range(3)] -= weight
     parts = clusters(tree, problem.logs)
+    placed = eliminated(full.of_joint(np.arange(J)), free_joint[:J], free_su)
     spans = problem.spans(
         fitted.state, fitted.predicted, fitted.weights, parts.members, _DRAWS,
-        np.random.default_rng(0),
+        np.random.default_rng(0), moments=parts.moments, lean=placed.lean,
     )  # fmt: skip
     on_joint = np.einsum("sjj->sj", spans.joint)
     on_su = np.einsum("sunn->sun", spans.su)[..., :N_SU]
@@ -197,6 +205,7 @@ def motion_information(
         prior_xz=-scores[..., N_SU:] @ by_x,
         prior_y=scores[..., :N_SU] - scores[..., N_SU:] @ by_y,
         clusters=parts,
+        moments=spans.moments * free_joint[:J],
         kinds=_kinds(layout, tree.n_sus),
         shares=(_shares(on_joint[:, :J]), _shares(on_su), _shares(on_joint[:, J:])),
         prior_joint=np.where(free_joint, joint_prior, 0.0),
@@ -334,8 +343,8 @@ def disturbed(weights: ArrowCovariance, info: MotionInformation) -> tuple[ArrowC
         info: the information and the errors.
 
     Returns:
-        The covariance, and the variances that clusters show, over those that independent noise
-        would make, in the mean over the joints' coordinates.
+        The covariance, and the variances that clusters show, over those of errors that are new at
+        every moment, in the mean over the joints' coordinates.
     """
     response = _Response.of(weights, info)
     known = _of_priors(response, info)
@@ -351,7 +360,8 @@ def disturbed(weights: ArrowCovariance, info: MotionInformation) -> tuple[ArrowC
     lean = np.concatenate([weights.lean, -response.own_z], axis=2)
     own = _scaled(weights.own, known[1], by_su) + np.einsum("uei,uej->uij", dy, dy)
     told = np.diag(weights.joint) > 0
-    widening = float(by_joint[told].mean()) if told.any() else 1.0
+    noise = _of_noise(response, info)
+    widening = float(by_joint[told].mean() / noise[told].mean()) if told.any() else 1.0
     return ArrowCovariance(joint, columns, lean, own), widening
 
 
@@ -397,6 +407,18 @@ def _widening(response: _Response, info: MotionInformation) -> tuple[F64, F64, F
     shown, alone = _ratios(response, info), _by_rounding(response, info)
     x, y, z = (np.maximum(*each) for each in zip(shown, alone, strict=True))
     return x, y, z
+
+
+def _of_noise(response: _Response, info: MotionInformation) -> F64:
+    """Variances (J,) that noise of encoders and SUs makes, over those of independent noise.
+
+    What is new at every moment is noise, as is what encoders round off; at least the independent
+    noise of SUs is.
+    """
+    moments = ((info.moments @ response.weights.joint) ** 2).sum(axis=0)
+    drawn = np.mean([_variances(response, each)[0] for each in info.draws], axis=0)
+    over = np.divide(moments, drawn, out=np.ones_like(drawn), where=drawn > 1e-300)
+    return np.asarray(np.maximum(np.maximum(over, _by_rounding(response, info)[0]), 1.0))
 
 
 def _by_rounding(response: _Response, info: MotionInformation) -> list[F64]:

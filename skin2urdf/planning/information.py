@@ -187,10 +187,7 @@ def pattern_information(
     # The drift of a clock is told by the log as a whole, whose middle this is.
     worth = 2 * _BANDWIDTH * duration / _INSTANTS / _NOISE**2
     of_candidate = np.repeat(np.arange(C), len(here) // C)
-    spans = problem.spans(
-        state, [predicted], [np.full(here.shape, worth)], [of_candidate], 0,
-        np.random.default_rng(0),
-    )  # fmt: skip
+    spans = problem.spans(state, [predicted], [np.full(here.shape, worth)], [of_candidate])
     return Information(spans.joint, spans.su, spans.mixed, spans.columns)
 
 

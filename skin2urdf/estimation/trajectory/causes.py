@@ -272,10 +272,11 @@ class _Attempt:
 
     @property
     def may_round(self) -> bool:
-        """Whether it lacks slack that is no larger than what encoders round off."""
+        """Whether it lacks slack, and all of it may be what encoders round off."""
         if self.slack_size is None or self.slack_size.gain <= _CERTAIN:
             return False
-        return self.slack_size.size <= rounded_off(self.problem.tree, self.problem.logs)
+        rounding = rounded_off(self.problem.tree, self.problem.logs)
+        return self.slack_size.gain_beyond(rounding) <= _CERTAIN
 
     def with_slack(self) -> _Attempt:
         """With slack of the size that the readings show."""

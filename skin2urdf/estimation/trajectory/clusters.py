@@ -40,11 +40,14 @@ class Clusters(Record):
         members: per log (K,) the part that each sample is in.
         place: (S,) number of each part's place, and
         stretch: (S,) of its stretch of time.
+        moments: per log (K,) the moment that each sample is in, of which places are made: noise of
+            one has nothing to do with that of another.
     """
 
     members: tuple[Int, ...]
     place: Int
     stretch: Int
+    moments: tuple[Int, ...]
 
 
 def clusters(tree: KinematicTree, logs: Sequence[Trajectory]) -> Clusters:
@@ -76,9 +79,14 @@ def clusters(tree: KinematicTree, logs: Sequence[Trajectory]) -> Clusters:
         g * each + np.arange(len(log.kept)) * each // len(log.kept) for g, log in enumerate(logs)
     ]
     both = np.stack([np.concatenate(of_place), np.concatenate(of_stretch)])
-    parts, members = np.unique(both, axis=1, return_inverse=True)
+    (places, stretches), members = np.unique(both, axis=1, return_inverse=True)
     ends = np.cumsum([len(log.kept) for log in logs])[:-1]
-    return Clusters(tuple(np.split(members.ravel(), ends)), *parts)
+    before = np.cumsum([0, *(len(at) for at in first)])
+    moments = tuple(
+        start + np.repeat(np.arange(len(at)), _lengths(log, at))
+        for log, at, start in zip(logs, first, before.tolist(), strict=False)
+    )
+    return Clusters(tuple(np.split(members.ravel(), ends)), places, stretches, moments)
 
 
 def _alike(places: F64) -> Int:

@@ -34,7 +34,7 @@ from skin2urdf.estimation.trajectory.priors import (
     sense,
     with_priors,
 )
-from skin2urdf.estimation.trajectory.records import Equations, Predicted, Spans
+from skin2urdf.estimation.trajectory.records import Equations, Predicted, Spans, Versions
 from skin2urdf.estimation.trajectory.skeleton import N_HINGES
 from skin2urdf.estimation.trajectory.state import N_GYRO, MotionState
 from skin2urdf.model.records import KinematicModel
@@ -285,8 +285,6 @@ class MotionProblem(Derivatives):
         predicted: Sequence[Predicted],
         weights: Sequence[F64],
         members: Sequence[Int],
-        n_draws: int,
-        rng: np.random.Generator,
     ) -> Spans:
         """Contributions of parts of the time to the normal equations without priors.
 
@@ -295,8 +293,6 @@ class MotionProblem(Derivatives):
             predicted: residuals of each log there.
             weights: per log (K, U, 3) information of each sample [s^4/m^2].
             members: per log (K,) the part that each sample is in.
-            n_draws: versions of the gradients with independent noise.
-            rng: source of that noise.
         """
         layout, U, G = self.layout, self.tree.n_sus, len(self.logs)
         J, n, S = layout.n_joint, layout.n_su, 1 + max(int(each.max()) for each in members)
@@ -305,30 +301,41 @@ class MotionProblem(Derivatives):
         columns = np.full((U, width), -1)
         joint, su = np.zeros((S, J, J)), np.zeros((S, U, n, n))
         mixed = np.zeros((S, U, n, width))
-        joint_scores = np.zeros((1 + n_draws, S, J))
-        su_scores = np.zeros((1 + n_draws, S, U, n))
         for u in range(U):
             columns[u, : len(of_all[u])] = of_all[u]
-        beyond = self.beyond()
-        for rows in self._rows(state, predicted, weights):
-            g, u, r = rows.log, rows.su, rows.residual
-            own, A = rows.whole(beyond[g] if beyond else None)
-            nj, K = len(own), r.shape[1]
+        for rows in self.versions(state, predicted, weights, 0):
+            u, own, nj = rows.su, rows.columns, len(rows.columns)
             place = np.searchsorted(columns[u][columns[u] >= 0], own)
-            noise = rng.standard_normal((n_draws, 3, K))
-            both = np.concatenate([r[None], noise])
-            order = np.argsort(members[g], kind="stable")
-            parts, first = np.unique(members[g][order], return_index=True)
-            for s, which in zip(parts, np.split(order, first[1:]), strict=True):
-                part = A[:, :, which].reshape(len(A), -1)
+            for s, which in parts_of(members[rows.log]):
+                part = rows.derivatives[:, :, which].reshape(len(rows.derivatives), -1)
                 H = part @ part.T
-                scores = both[:, :, which].reshape(len(both), -1) @ part.T
                 joint[s][np.ix_(own, own)] += H[:nj, :nj]
                 su[s, u] += H[nj:, nj:]
                 mixed[s, u][:, place] += H[nj:, :nj]
-                joint_scores[:, s, own] += scores[:, :nj]
-                su_scores[:, s, u] += scores[:, nj:]
-        return Spans(joint, su, mixed, columns, joint_scores, su_scores)
+        return Spans(joint, su, mixed, columns)
+
+    def versions(
+        self,
+        state: MotionState,
+        predicted: Sequence[Predicted],
+        weights: Sequence[F64],
+        n_draws: int,
+    ) -> Iterator[Versions]:
+        """Whitened residuals of every log and SU, and independent noise in their place.
+
+        The noise is the same whenever this is asked for, so that it need not be kept.
+
+        Args:
+            state: where.
+            predicted: residuals of each log there.
+            weights: per log (K, U, 3) information of each sample [s^4/m^2].
+            n_draws: versions with noise.
+        """
+        rng, beyond = np.random.default_rng(0), self.beyond()
+        for rows in self._rows(state, predicted, weights):
+            own, A = rows.whole(beyond[rows.log] if beyond else None)
+            noise = rng.standard_normal((n_draws, *rows.residual.shape))
+            yield Versions(rows.log, rows.su, own, A, np.concatenate([rows.residual[None], noise]))
 
     def pulls_of_joints(
         self, state: MotionState, predicted: Sequence[Predicted], weights: Sequence[F64]
@@ -374,3 +381,14 @@ class MotionProblem(Derivatives):
     def prior_chi2(self, state: MotionState) -> float:
         """Chi-squared of the priors at a state."""
         return prior_chi2(self.priors, self.layout, self._seconds, state)
+
+
+def parts_of(members: Int) -> list[tuple[int, Int]]:
+    """The parts of the time that there are, and which samples each has.
+
+    Args:
+        members: (K,) the part that each sample is in.
+    """
+    order = np.argsort(members, kind="stable")
+    parts, first = np.unique(members[order], return_index=True)
+    return list(zip(parts.tolist(), np.split(order, first[1:]), strict=True))

@@ -78,26 +78,38 @@ class Equations:
 
 @dataclass(frozen=True, eq=False)
 class Spans:
-    """Contributions of S spans of time to the normal equations and to their gradients.
-
-    Gradients come in several versions: with the residuals as they are, and with independent noise
-    of unit size in place of the whitened residuals, drawn anew in each version.
+    """Contributions of S spans of time to the normal equations.
 
     Attributes:
         joint: (S, J, J), and
         su: (S, U, n, n), and
         mixed: (S, U, n, C) information, in the joint columns that an SU depends on.
         columns: per SU (C,) these columns, padded with -1.
-        joint_scores: (V, S, J) gradients of V versions, the first that of the residuals.
-        su_scores: (V, S, U, n).
     """
 
     joint: F64
     su: F64
     mixed: F64
     columns: Int
-    joint_scores: F64
-    su_scores: F64
+
+
+@dataclass(frozen=True, eq=False)
+class Versions:
+    """What an SU leaves in a log, as it is and as independent noise of unit size would be.
+
+    Attributes:
+        log: number of the log.
+        su: number of the SU.
+        columns: C columns of the joint part that the readings depend on.
+        derivatives: (C + n, 3, K) whitened, in these and in the SU's own coordinates.
+        residuals: (V, 3, K) whitened residuals of V versions, the first as they are.
+    """
+
+    log: int
+    su: int
+    columns: list[int]
+    derivatives: F64
+    residuals: F64
 
 
 @dataclass(frozen=True, eq=False)

@@ -49,11 +49,18 @@ class Size:
         size: standard deviation of its numbers.
         gain: logarithm of the likelihood of the readings, over that without the group.
         numbers: (S,) the likeliest numbers of that size.
+        gains: the same logarithms of all sizes that were compared, from the smallest on.
     """
 
     size: float
     gain: float
     numbers: F64
+    gains: F64
+
+    def gain_beyond(self, size: float) -> float:
+        """How much likelier the readings are than with any size up to a given one (logarithm)."""
+        up_to = self.gains[size >= _SIZES]
+        return self.gain - max(0.0, float(up_to.max(initial=0.0)))
 
 
 def slack(
@@ -252,7 +259,7 @@ def _likeliest(equations: Equations, free: tuple[Bool, Bool], at: Int, spread: F
     gain = 0.5 * (v * pull**2 / (1 + v * lam) - np.log1p(v * lam)).sum(axis=1)
     best = int(np.argmax(gain))
     numbers = V @ (pull / (lam + 1 / v[best]))
-    return Size(float(_SIZES[best]), float(gain[best]), numbers)
+    return Size(float(_SIZES[best]), float(gain[best]), numbers, gain)
 
 
 def with_unseen(problem: MotionProblem, more: Unseen, size: float) -> MotionProblem:

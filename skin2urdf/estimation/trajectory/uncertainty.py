@@ -13,6 +13,11 @@ a coordinate, that of all joints' or all SUs' coordinates speaks for it.
 
 No error is smaller than what encoders round off makes alone, see :mod:`rounded`.
 
+Noise of encoders is felt by all SUs on a link alike, so that with many SUs it is nearly all of the
+error, and by how much variances exceed those of the weights grows with their number. It is new at
+every moment all the same. Whether errors come back is therefore told by what clusters show beyond
+what moments do.
+
 Where a fit leaves more than noise, errors of its clusters have a part in common that its estimate
 has bent to, of unknown size. That is taken to be as much larger than what is seen of it as all that
 is left is larger than noise (Birge 1932).
@@ -25,19 +30,18 @@ difference of two estimates of which neither can be ruled out (Hausman 1978), se
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from skin2urdf.arrays import F64, Bool, Int
+from skin2urdf.arrays import F64, Int
 from skin2urdf.estimation.problem.cost import NormalEquations
 from skin2urdf.estimation.problem.residuals import columns_of
 from skin2urdf.estimation.problem.state import N_JOINT, N_SU
 from skin2urdf.estimation.trajectory.arrow import eliminated, joint_inverse, newton_step
 from skin2urdf.estimation.trajectory.clusters import Clusters, clusters
 from skin2urdf.estimation.trajectory.fit import Fitted
-from skin2urdf.estimation.trajectory.problem import MotionProblem
-from skin2urdf.estimation.trajectory.records import Equations, Spans
+from skin2urdf.estimation.trajectory.problem import MotionProblem, parts_of
 from skin2urdf.estimation.trajectory.state import Layout
 from skin2urdf.estimation.uncertainty.covariance import ArrowCovariance
 from skin2urdf.model.prediction import Chains
@@ -70,6 +74,7 @@ class MotionInformation:
         prior_xz: (U, Q, J + Z) pulls of what is known of each SU before, on x and z, and
         prior_y: (U, Q, 15) on y.
         clusters: which parts of the time the errors are of.
+        moments: (M, J) pulls of moments on x for known z, whatever the SUs are.
         kinds: (J,), (U, 15) and (Z,) kind of each coordinate: offset, turn, bias, scale ..
         shares: (S, J), (S, U, 15) and (S, Z) share of the information on each coordinate that a
             part has.
@@ -87,6 +92,7 @@ class MotionInformation:
     prior_xz: F64
     prior_y: F64
     clusters: Clusters
+    moments: F64
     kinds: tuple[Int, Int, Int]
     shares: tuple[F64, F64, F64]
     prior_joint: F64
@@ -160,16 +166,7 @@ def motion_information(
     joint[held, held] -= weight
     su[:, range(3), range(3)] -= weight
     parts = clusters(tree, problem.logs)
-    spans = problem.spans(
-        fitted.state, fitted.predicted, fitted.weights, parts.members, _DRAWS,
-        np.random.default_rng(0),
-    )  # fmt: skip
-    on_joint = np.einsum("sjj->sj", spans.joint)
-    on_su = np.einsum("sunn->sun", spans.su)[..., :N_SU]
-    pulls = [
-        _pulls(joint_scores, su_scores, by_x, by_y, J)
-        for joint_scores, su_scores in _fitted_scores(spans, full, free_joint, free_su)
-    ]
+    pulls, shares, moments = _errors(problem, fitted, parts, by_x, by_y)
     lacking = (
         np.array([joint for joint, _ in defects]).reshape(-1, layout.n_joint) * free_joint,
         np.array([own for _, own in defects]).reshape(-1, tree.n_sus, layout.n_su) * free_su,
@@ -197,44 +194,93 @@ def motion_information(
         prior_xz=-scores[..., N_SU:] @ by_x,
         prior_y=scores[..., :N_SU] - scores[..., N_SU:] @ by_y,
         clusters=parts,
+        moments=moments,
         kinds=_kinds(layout, tree.n_sus),
-        shares=(_shares(on_joint[:, :J]), _shares(on_su), _shares(on_joint[:, J:])),
+        shares=shares,
         prior_joint=np.where(free_joint, joint_prior, 0.0),
     )
 
 
-def _fitted_scores(
-    spans: Spans, full: Equations, free_joint: Bool, free_su: Bool
-) -> list[tuple[F64, F64]]:
-    """Gradients (S, J) and (S, U, n) of every version, after a fit to it.
+def _errors(
+    problem: MotionProblem, fitted: Fitted, parts: Clusters, by_x: F64, by_y: F64
+) -> tuple[list[Pulls], tuple[F64, F64, F64], F64]:
+    """Pulls of parts of the time in every version, after a fit to it.
 
     Args:
-        spans: contributions of parts of the time.
-        full: the normal equations of all samples.
-        free_joint: (J,) and
-        free_su: (U, n) coordinates that were fitted.
+        problem: what was fitted.
+        fitted: the fit.
+        parts: of the time.
+        by_x: (U, m, J + Z) and
+        by_y: (U, m, 15) how an SU's clock and front end follow the rest.
+
+    Returns:
+        Pulls of each version; shares (S, J), (S, U, 15) and (S, Z) of the information that each
+        part has; (M, J) pulls of moments on x, whatever the SUs are.
     """
-    joint_scores = np.where(free_joint, spans.joint_scores, 0.0)
-    su_scores = np.where(free_su, spans.su_scores, 0.0)
-    out = []
-    known = spans.columns >= 0
-    for version, (j, s) in enumerate(zip(joint_scores, su_scores, strict=True)):
-        # The estimate itself is off the optimum where the noise of encoders was taken off.
-        gradient = full
-        if version:
-            both = j.sum(axis=0), s.sum(axis=0)
-            gradient = Equations(full.joint, full.su, full.mixed, *both)
-        dx, dy = newton_step(eliminated(gradient, free_joint, free_su), free_joint)
-        followed = np.where(known, dx[spans.columns], 0.0)
-        to_su = np.einsum("sunm,um->sun", spans.su, dy)
-        to_su += np.einsum("sunc,uc->sun", spans.mixed, followed)
-        to_joint = spans.joint @ dx
-        back = np.einsum("sunc,un->suc", spans.mixed, dy)
-        for u, (columns, has) in enumerate(zip(spans.columns, known, strict=True)):
-            to_joint[:, columns[has]] += back[:, u, has]
-        left = np.where(free_joint, j - to_joint, 0.0), np.where(free_su, s - to_su, 0.0)
-        out.append(left)
-    return out
+    layout, U, full = problem.layout, problem.tree.n_sus, fitted.equations
+    free_joint, free_su, J = problem.free_joint, problem.free_su, layout.gravity
+    dx, dy = _steps(problem, fitted)
+    S, V = len(parts.place), len(dx)
+    x, y = np.zeros((V, S, layout.n_joint)), np.zeros((U, V, S, N_SU))
+    on_joint, on_su = np.zeros((S, layout.n_joint)), np.zeros((S, U, N_SU))
+    moments = np.zeros((J, 1 + max(int(each.max()) for each in parts.moments)))
+    lean = eliminated(full.of_joint(np.arange(J)), free_joint[:J], free_su).lean
+    samples = [parts_of(members) for members in parts.members]
+    for rows in problem.versions(fitted.state, fitted.predicted, fitted.weights, V - 1):
+        u, own, A = rows.su, np.array(rows.columns), rows.derivatives
+        step, nj = np.concatenate([dx[:, own], dy[:, u]], axis=1), len(own)
+        left = rows.residuals - np.tensordot(step, A, 1)
+        which = np.array([s for s, _ in samples[rows.log]])
+        scores, square = np.empty((V, len(which), len(A))), np.empty((len(which), len(A)))
+        for i, (_, at) in enumerate(samples[rows.log]):
+            part = A[:, :, at].reshape(len(A), -1)
+            np.matmul(left[:, :, at].reshape(V, -1), part.T, out=scores[:, i])
+            np.einsum("ck,ck->c", part, part, out=square[i])
+        of_su = np.where(free_su[u], scores[..., nj:], 0.0)
+        x[:, which[:, None], own] += scores[..., :nj]
+        x[:, which] -= of_su[..., N_SU:] @ by_x[u]
+        y[u][:, which] += of_su[..., :N_SU] - of_su[..., N_SU:] @ by_y[u]
+        on_joint[which[:, None], own] += square[:, :nj]
+        on_su[which, u] += square[:, nj : nj + N_SU]
+        moment = parts.moments[rows.log]
+        first = np.flatnonzero(np.diff(moment, prepend=-1))
+        pull = np.einsum("cik,ik->ck", A, rows.residuals[0])
+        pull, here = np.add.reduceat(pull, first, axis=1), own < J
+        moments[np.ix_(own[here], moment[first])] += pull[:nj][here]
+        moments[:, moment[first]] += lean[u].T @ pull[nj:]
+    x = np.where(free_joint, x, 0.0)
+    pulls = [Pulls(x[v, :, :J], x[v, :, J:], y[:, v]) for v in range(V)]
+    shares = _shares(on_joint[:, :J]), _shares(on_su), _shares(on_joint[:, J:])
+    return pulls, shares, moments.T * free_joint[:J]
+
+
+def _steps(problem: MotionProblem, fitted: Fitted) -> tuple[F64, F64]:
+    """Steps (V, J + Z) and (V, U, n) from a fit to that of every version."""
+    full, free_joint = fitted.equations, problem.free_joint
+    # The estimate itself is off the optimum where the noise of encoders was taken off.
+    joint = np.tile(full.joint_gradient, (1 + _DRAWS, 1))
+    su = np.tile(full.su_gradient, (1 + _DRAWS, 1, 1))
+    joint[1:], su[1:] = 0.0, 0.0
+    for rows in problem.versions(fitted.state, fitted.predicted, fitted.weights, _DRAWS):
+        drawn, nj = (
+            np.tensordot(rows.residuals[1:], rows.derivatives, ((1, 2), (1, 2))),
+            len(rows.columns),
+        )
+        joint[1:, rows.columns] += drawn[:, :nj]
+        su[1:, rows.su] += drawn[:, nj:]
+    system = eliminated(full, free_joint, problem.free_su)
+    steps = [
+        newton_step(
+            replace(
+                system,
+                gradient=np.where(free_joint, g, 0.0) + np.einsum("unj,un->j", system.lean, own),
+                own=np.einsum("unm,um->un", system.su_inverse, own),
+            ),
+            free_joint,
+        )
+        for g, own in zip(joint, su, strict=True)
+    ]
+    return np.array([x for x, _ in steps]), np.array([y for _, y in steps])
 
 
 def _pulls(joint_scores: F64, su_scores: F64, by_x: F64, by_y: F64, J: int) -> Pulls:
@@ -334,8 +380,8 @@ def disturbed(weights: ArrowCovariance, info: MotionInformation) -> tuple[ArrowC
         info: the information and the errors.
 
     Returns:
-        The covariance, and the variances that clusters show, over those that independent noise
-        would make, in the mean over the joints' coordinates.
+        The covariance, and the variances that clusters show, over those of errors that are new at
+        every moment, in the mean over the joints' coordinates.
     """
     response = _Response.of(weights, info)
     known = _of_priors(response, info)
@@ -351,7 +397,8 @@ def disturbed(weights: ArrowCovariance, info: MotionInformation) -> tuple[ArrowC
     lean = np.concatenate([weights.lean, -response.own_z], axis=2)
     own = _scaled(weights.own, known[1], by_su) + np.einsum("uei,uej->uij", dy, dy)
     told = np.diag(weights.joint) > 0
-    widening = float(by_joint[told].mean()) if told.any() else 1.0
+    noise = _of_noise(response, info)
+    widening = float(by_joint[told].mean() / noise[told].mean()) if told.any() else 1.0
     return ArrowCovariance(joint, columns, lean, own), widening
 
 
@@ -397,6 +444,18 @@ def _widening(response: _Response, info: MotionInformation) -> tuple[F64, F64, F
     shown, alone = _ratios(response, info), _by_rounding(response, info)
     x, y, z = (np.maximum(*each) for each in zip(shown, alone, strict=True))
     return x, y, z
+
+
+def _of_noise(response: _Response, info: MotionInformation) -> F64:
+    """Variances (J,) that noise of encoders and SUs makes, over those of independent noise.
+
+    What is new at every moment is noise, as is what encoders round off; at least the independent
+    noise of SUs is.
+    """
+    moments = ((info.moments @ response.weights.joint) ** 2).sum(axis=0)
+    drawn = np.mean([_variances(response, each)[0] for each in info.draws], axis=0)
+    over = np.divide(moments, drawn, out=np.ones_like(drawn), where=drawn > 1e-300)
+    return np.asarray(np.maximum(np.maximum(over, _by_rounding(response, info)[0]), 1.0))
 
 
 def _by_rounding(response: _Response, info: MotionInformation) -> list[F64]:

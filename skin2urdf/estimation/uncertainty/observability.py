@@ -58,8 +58,8 @@ class Observability(Record):
         hidden_rotation: standard deviation per axis of the rotation of an SU's frame that
             cross-axis errors hide [rad]; part of ``su_covariance`` and ``covariance``.
         covariance: covariance of all coordinates.
-        widening: by how much variances exceed those that independent noise would make, in the mean
-            over the joints.
+        widening: by how much variances exceed those that noise of SUs and encoders would make, in
+            the mean over the joints.
     """
 
     su_covariance: F64

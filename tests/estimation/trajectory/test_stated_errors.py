@@ -28,6 +28,8 @@ from skin2urdf.estimation.uncertainty.observability import (
     observability_along,
 )
 from skin2urdf.model.kinematics import to_pinocchio
+from skin2urdf.model.specific_force import specific_forces
+from skin2urdf.signals.filters import first_derivative, second_derivative
 
 _TREE = serial_tree(3)
 _PERIOD = 10.0
@@ -181,6 +183,44 @@ def test_errors_that_come_back_with_the_motion_do_not_average_out() -> None:
     np.testing.assert_allclose(by_noise[1] / by_noise[0], 3**-0.5, rtol=0.25)
     assert by_place[1] / by_place[0] > 0.85
     assert _found(excess=1e-2)[1].widening > 2
+
+
+def _widening_of_many(slack: float = 0.0) -> tuple[float, float]:
+    """By how much errors come back, of many SUs on links whose encoders' noise all of them feel.
+
+    Args:
+        slack: by how much links are off their encoders as well, by where the robot is [rad].
+
+    Returns:
+        As it is stated, and over noise that each SU has alone.
+    """
+    rng = np.random.default_rng(7)
+    names = tuple(f"su_{u:02}" for u in range(60))
+    tree = replace(_TREE, su_names=names, su_joint=np.repeat(np.arange(3), 20))
+    truth = replace(random_state(rng, tree, 1, 0.3), up=UP[None])
+    q = _positions(3)
+    moved = q + slack * np.sin(2.0 * q @ rng.standard_normal((3, 3)))
+    speed, push = first_derivative(moved, RATE), second_derivative(moved, RATE)
+    ideal = specific_forces(truth.model(tree), moved, speed, push, 9.81 * UP)
+    read = np.einsum("uij,kuj->kui", truth.sensor_matrix(), ideal) + truth.bias
+    read += 1e-2 * rng.standard_normal(read.shape)
+    log = sampled_trajectory(q + 2e-4 * rng.standard_normal(q.shape), read)
+    priors = motion_priors(Priors(), gravity=0.0, front=(np.zeros(2), np.zeros(2)))
+    found = estimate_along([log], tree, truth, priors, np.zeros(len(names)), look_further=False)
+    sensors = Priors(cross=0.0)
+    subject = Subject(tree, found.state, identifiable(tree, 1, True), log.q, sensors, sensors)
+    moments = found.information.moments
+    stated, alone = (
+        observability_along(subject, replace(found.information, moments=share * moments)).widening
+        for share in (1.0, 0.0)
+    )
+    return stated, alone
+
+
+def test_noise_that_many_sus_share_does_not_come_back() -> None:
+    stated, alone = _widening_of_many()
+    assert stated < 2 < alone
+    assert _widening_of_many(slack=2e-3)[0] > 2
 
 
 def test_samples_at_one_place_and_neighbours_in_time_are_one_cluster() -> None:

@@ -13,6 +13,7 @@ from skin2urdf.arrays import F64
 from skin2urdf.estimation.problem.cost import Priors
 from skin2urdf.estimation.problem.state import State
 from skin2urdf.estimation.trajectory.estimate import MotionEstimate, estimate_along, motion_priors
+from skin2urdf.estimation.trajectory.fit import fit
 from skin2urdf.estimation.trajectory.gears import find_ripples, harmonics, ripples
 from skin2urdf.estimation.trajectory.problem import MotionProblem
 from skin2urdf.estimation.trajectory.slack import lacking, size_of, slack
@@ -114,6 +115,24 @@ def test_what_a_fit_lacks_is_seen_together_as_it_is_alone() -> None:
         # Columns are not low-passed once more, residuals are: what that changes is small.
         scale = 2 * np.sqrt(both.equations.joint[i, i] * chi2(state))
         assert slope == pytest.approx(-2 * both.equations.joint_gradient[i], abs=2e-2 * scale)
+
+
+def test_slack_that_rounding_may_have_made_is_asked_for_no_cause() -> None:
+    sound, loose = _fit("nothing"), _log("slack")
+    problem = sound.problem.again(logs=[loose])
+    places = slack(_TREE, [loose])
+    assert places is not None
+    shown = size_of(problem, fit(problem, sound.fitted.state), places)
+    assert shown.gain_beyond(0.0) == shown.gain > 10
+    assert shown.gain_beyond(shown.size) == 0.0
+    assert shown.gain_beyond(1e-2 * shown.size) > 10
+    # Encoders that round off a little less than what is likeliest.
+    assert 0.0 < shown.gain_beyond(0.8 * shown.size) < 10
+    rounded = _fit("slack", 2 * 0.8 * shown.size)
+    assert rounded.causes == ()
+    assert not rounded.tried
+    assert rounded.problem.unseen is not None
+    assert "slack" in _fit("slack", 0.02 * shown.size).causes
 
 
 @pytest.mark.parametrize("unseen", ["harmonics", "ripples"])

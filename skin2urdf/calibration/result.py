@@ -23,7 +23,7 @@ from skin2urdf.estimation.uncertainty.outliers import (
 from skin2urdf.faults import Fault
 from skin2urdf.geometry.se3 import inverse
 from skin2urdf.model.records import KinematicModel, OpenDirection
-from skin2urdf.notes import Noted
+from skin2urdf.notes import Noted, of_kind
 from skin2urdf.signals.records import Features, JointClock, SuClock
 from skin2urdf.structure.activity import Activity
 
@@ -168,12 +168,13 @@ class Calibration(Record):
 
         It is good only if poses are predicted as well as stated, errors do not come back where the
         robot does the same, nothing is wrong with an SU, a pose or an encoder, no sensor would need
-        an error that none has, no joint is weak, half of the joints are determined, and the base
-        stands still, since lengths along the first axis may else be off by more than is stated. It
-        is bad where the readings are not explained, or only in part while all SUs beyond the first
-        joint are weak, or where most SUs are not determined and would need errors that no sensor
-        has: then it is the model that is wrong. What no recording can tell must not spoil it, such
-        as where branches that meet in one joint sit along its axis.
+        an error that none has, every SU with readings has a place, no joint is weak, half of the
+        joints are determined, and the base stands still, since lengths along the first axis may
+        else be off by more than is stated. It is bad where the readings are not explained, or only
+        in part while all SUs beyond the first joint are weak, or where most SUs are not determined
+        and would need errors that no sensor has: then it is the model that is wrong. What no
+        recording can tell must not spoil it, such as where branches that meet in one joint sit
+        along its axis.
         """
         if not self.misfit <= self.largest_misfit:
             return "bad"
@@ -187,9 +188,15 @@ class Calibration(Record):
         verdicts = seen.joint_verdict
         known = "weak" not in verdicts and 2 * verdicts.count("determined") >= len(verdicts)
         known &= not self.mostly_open
-        sound = not self.faults and not self.base_gives_way
+        sound = not self.faults and not self.base_gives_way and not self.without_a_place
         sound &= bool(are_plausible(self.estimate.state).all())
         return "good" if explained and alike and known and sound else "fair"
+
+    @property
+    def without_a_place(self) -> tuple[str, ...]:
+        """SUs that were left out because no place in the tree explains their readings."""
+        left_out = of_kind(self.notes, "su left out")
+        return tuple(su for note in left_out if note.detail == "no chain" for su in note.sus)
 
     @property
     def base_gives_way(self) -> bool:

@@ -20,14 +20,15 @@ _NAMED = 3
 
 
 DoubtKind = Literal[
-    "faults", "soft base", "SUs misfit", "poses misfit", "prediction", "errors come back",
-    "sensors", "no such sensors", "weak joints", "open limbs", "joints open", "SUs open",
+    "faults", "SUs unplaced", "soft base", "SUs misfit", "poses misfit", "prediction",
+    "errors come back", "sensors", "no such sensors", "weak joints", "open limbs", "joints open",
+    "SUs open",
 ]  # fmt: skip
-"""What speaks against a result: things found wrong, a base that gives way, SUs and poses that fit
-worse than the rest, poses that are predicted worse than stated, what is left of the readings and
-comes back with the motion, sensors that are worse than the options say, or than any, axes that are
-known weakly, limbs whose places are open, and what of the joints and SUs the log does not
-determine."""
+"""What speaks against a result: things found wrong, SUs whose readings fit no place, a base that
+gives way, SUs and poses that fit worse than the rest, poses that are predicted worse than stated,
+what is left of the readings and comes back with the motion, sensors that are worse than the options
+say, or than any, axes that are known weakly, limbs whose places are open, and what of the joints
+and SUs the log does not determine."""
 
 
 @dataclass(frozen=True)
@@ -112,6 +113,13 @@ def _doubts(calibration: Calibration) -> list[Doubt]:
         kinds = dict.fromkeys(f"{fault.subject} {fault.kind}" for fault in calibration.faults)
         words = f"{count(len(kinds), 'fault')}: {shortened(list(kinds), _NAMED)}"
         found.append(Doubt("faults", words, tuple(f.subject for f in calibration.faults)))
+    lost = calibration.without_a_place
+    if lost:
+        words = (
+            f"the readings of {shortened(list(lost), _NAMED)} fit no place in the tree: something "
+            "may be wrong with them, or with names or joints (see the notes)"
+        )
+        found.append(Doubt("SUs unplaced", words, lost))
     if calibration.base_gives_way:
         words = (
             "the base gives way: lengths along the first axis may be off by more than is stated "

@@ -31,7 +31,9 @@ Noise of variance C beside motion of S shortens by C / (S + C), which is at most
 (S = C) in what is predicted, and so at most a quarter of what noise leaves."""
 
 
-def without_shortening(problem: MotionProblem, fitted: Fitted) -> Fitted:
+def without_shortening(
+    problem: MotionProblem, fitted: Fitted
+) -> tuple[Fitted, tuple[F64, F64] | None]:
     """A fit without what the noise of encoders does to it.
 
     Args:
@@ -39,12 +41,13 @@ def without_shortening(problem: MotionProblem, fitted: Fitted) -> Fitted:
         fitted: its optimum.
 
     Returns:
-        The fit, some standard deviations away; the same where one step would not take it off, as in
-        a log of motion so slow that it is lost in the noise.
+        The fit, some standard deviations away, and the parts (J,) and (U, n) of the gradient that
+        led there; the same fit and None where one step would not take it off, as in a log of motion
+        so slow that it is lost in the noise.
     """
     noise = [log.noise for log in problem.logs if log.noise is not None]
     if len(noise) < len(problem.logs):
-        return fitted
+        return fitted, None
     layout, tree = problem.layout, problem.tree
     state = replace(
         fitted.state,
@@ -90,7 +93,7 @@ def without_shortening(problem: MotionProblem, fitted: Fitted) -> Fitted:
     taken_off = held(problem, layout.moved(fitted.state, *newton_step(system, problem.free_joint)))
     left = _left(fitted, fitted)
     small = bool((_left(taken_off, fitted) <= _MOST * left).all())
-    return taken_off if small else fitted
+    return (taken_off, (to_joint, to_su)) if small else (fitted, None)
 
 
 def _left(found: Fitted, weighed: Fitted) -> F64:

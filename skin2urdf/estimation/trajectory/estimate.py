@@ -31,6 +31,7 @@ from skin2urdf.estimation.trajectory.products import NEAR, fit_with_products
 from skin2urdf.estimation.trajectory.publishers import Late, with_deviations, with_publishers
 from skin2urdf.estimation.trajectory.records import Gyros
 from skin2urdf.estimation.trajectory.rounded import rounded_off_again
+from skin2urdf.estimation.trajectory.shaken import Shaken
 from skin2urdf.estimation.trajectory.slack import lacking
 from skin2urdf.estimation.trajectory.state import MotionState
 from skin2urdf.estimation.trajectory.swaying import swaying
@@ -60,6 +61,8 @@ class MotionEstimate:
         under_known: what joints yield under torques that are known, the first of what encoders do
             not see; None where none do, or torques are not known.
         late: clocks of publishers of joint states; None where none is off.
+        corrected: parts (J,) and (U, n) of the gradient, each of something that the noise of
+            encoders does to a fit and that was taken off.
     """
 
     problem: MotionProblem
@@ -70,6 +73,7 @@ class MotionEstimate:
     tried: Mapping[str, float] = field(default_factory=dict)
     under_known: Elasticity | None = None
     late: Late | None = None
+    corrected: tuple[tuple[F64, F64], ...] = ()
 
     @property
     def state(self) -> State:
@@ -82,10 +86,11 @@ class MotionEstimate:
         sways = swaying(self.problem, self.fitted.state)
         again = rounded_off_again(self.problem.logs)
         groups = [each for each in (sways, again) if each is not None]
-        defects, rounding = [], None
+        # Rounding is white noise in the mean of many motions; of one it may be twice that or none.
+        defects, rounding = [*self.corrected], None
         if groups:
             seen = lacking(self.problem, self.fitted, groups)
-            defects = [seen.pull(0)] if sways is not None else []
+            defects += [seen.pull(0)] if sways is not None else []
             rounding = seen.pulls(len(groups) - 1) if again is not None else None
         return motion_information(self.problem, self.fitted, defects, rounding, misfit=self.misfit)
 
@@ -211,15 +216,24 @@ def estimate_along(
             without = {*without, "elastic", "base"}
         found = explained(problem, fitted, most, only_known=only_known, without=without)
         problem, fitted = found.problem, found.fitted
+    corrected = []
     if lengths:
-        fitted = without_shortening(problem, fitted)
+        fitted, shortening = without_shortening(problem, fitted)
+        corrected = [] if shortening is None else [shortening, _shaking(problem, fitted)]
     left = misfit_of(problem, fitted, SPAN)
     if late is not None:
         late = with_deviations(late, problem, fitted, left)
     tell(1.0)
     gyros = found_gyros(problem, fitted, contradict)
     what = found.causes, found.tried, found.under_known
-    return MotionEstimate(problem, fitted, left, gyros, *what, late)
+    return MotionEstimate(problem, fitted, left, gyros, *what, late, tuple(corrected))
+
+
+def _shaking(problem: MotionProblem, fitted: Fitted) -> tuple[F64, F64]:
+    """Parts (J,) and (U, n) of the gradient by what front ends would cut off of encoders' noise."""
+    layout, state = problem.layout, fitted.state
+    shaken = Shaken.of(problem.tree, problem.logs, state, fitted.weights)
+    return np.zeros(layout.n_joint), shaken.pull(layout, state.front)
 
 
 def _links_may_explain(problem: MotionProblem, fitted: Fitted) -> bool:

@@ -82,7 +82,12 @@ class Shaken(Record):
             layout: where coordinates stand.
             front: front ends (U, 2) where they are.
         """
+        pull = self.pull(layout, front)
+        return replace(equations, su_gradient=equations.su_gradient + pull)
+
+    def pull(self, layout: Layout, front: F64) -> F64:
+        """(U, n) that part of the gradient, at front ends (U, 2)."""
         H, slopes = transfer(self.w, front)
-        gradient = np.array(equations.su_gradient)
-        gradient[:, layout.front] += np.einsum("fu,nfu->un", self.chi2, (H.conj() * slopes).real)
-        return replace(equations, su_gradient=gradient)
+        out = np.zeros((len(front), layout.n_su))
+        out[:, layout.front] = np.einsum("fu,nfu->un", self.chi2, (H.conj() * slopes).real)
+        return out

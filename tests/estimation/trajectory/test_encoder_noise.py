@@ -29,18 +29,17 @@ def test_noise_in_which_motion_is_lost_is_left_alone(tmp_path: Path) -> None:
     along = calibrate(simulation.recording).along
     assert along is not None
     known = along.problem
-    assert without_shortening(known, along.fitted) is not along.fitted
+    assert without_shortening(known, along.fitted)[0] is not along.fitted
     logs = [
         replace(log, noise=None if log.noise is None else 1e5 * log.noise) for log in known.logs
     ]
-    assert without_shortening(known.again(logs=logs), along.fitted) is along.fitted
+    assert without_shortening(known.again(logs=logs), along.fitted) == (along.fitted, None)
 
 
 def test_what_coarse_encoders_do_to_lengths_is_taken_off(tmp_path: Path) -> None:
     layout = SkinLayout(sus_per_segment=2, sus_on_base=1)
     settings = SimulationSettings(
-        n_poses=5, seed=3, excite="all", encoder_bits=14,
-        imu_rate=250.0, joint_rate=125.0,
+        seed=3, excite="none", minutes=1.0, encoder_bits=12, imu_rate=250.0, joint_rate=125.0
     )  # fmt: skip
     simulation = simulate(robot_of(ARM, tmp_path, layout), settings)
     found = calibrate(simulation.recording, CalibrationSettings(gravity_deviation=0.0))
@@ -53,4 +52,4 @@ def test_what_coarse_encoders_do_to_lengths_is_taken_off(tmp_path: Path) -> None
         held_against(each, simulation.truth.urdf, tmp_path).position.rms
         for each in (found, shortened)
     )
-    assert right < wrong
+    assert right < 0.7 * wrong

@@ -51,7 +51,7 @@ SETTINGS = SimulationSettings(n_poses=4, excite="all", seed=1, imu_rate=250.0, j
 
 
 FIVE_JOINTS = ("loose", "renamed")
-"""Three joints leave the size of a slip open; of two halves of their log, one may explain nothing."""
+"""Three joints leave the size of a slip open, and half of their log may explain nothing."""
 
 
 @cache

@@ -26,7 +26,7 @@ import numpy as np
 from skin2urdf.arrays import F64, Int
 from skin2urdf.estimation.problem.state import State
 from skin2urdf.estimation.trajectory.skeleton import N_HINGES, shift, turn
-from skin2urdf.estimation.trajectory.springs import Springs, dampers, roots
+from skin2urdf.estimation.trajectory.springs import TINY, Springs
 from skin2urdf.estimation.trajectory.torques import N_INERTIAL, inertial_sizes, regressors
 from skin2urdf.estimation.trajectory.unseen import Unseen
 from skin2urdf.geometry.so3 import skew
@@ -223,8 +223,8 @@ def followed(
         step = max(1, int(log.rate / (_PER_CUTOFF * noise_bandwidth(log.taps, log.rate))))
         of_log = _OfLog(tree, state, g, gravity, _every(log, step), about)
         beyond = beyond[::step]
-        springs = None if found.base else of_log.springs(beyond)
-        for _ in range(_NEWTON if springs else 1):
+        springs = of_log.springs(beyond)
+        for _ in range(_NEWTON):
             beyond, change = of_log.nearer(beyond, springs)
             if change < _EXACT:
                 break
@@ -276,60 +276,68 @@ class _OfLog:
     log: Trajectory
     found: Bending
 
-    def nearer(self, beyond: F64, springs: Springs | None) -> tuple[F64, float]:
+    def nearer(self, beyond: F64, springs: Springs) -> tuple[F64, float]:
         """(N, D + 6) deflections after a step of Newton's method, and the length of the step.
 
         Args:
             beyond: (N, D + 6) where it begins [rad or m].
-            springs: how deflections follow their loads there; at once where None.
+            springs: how deflections follow their loads there.
         """
         found, parts = self.found, self.found.parts
         all_loads = found.origin[: len(found.basis)] @ found.basis
         tau, _ = self._under(beyond, all_loads[None])
         bent = self._bent(beyond, tau[..., 0])
         lacking = _smooth(bent - beyond[:, parts], self.log.taps)
-        step = springs.bent(lacking[..., None])[..., 0] if springs else lacking
+        step = springs.bent(lacking[..., None])[..., 0]
         nearer = np.zeros_like(beyond)
         nearer[:, parts] = beyond[:, parts] + step
         if found.base:
-            h = skew(found.lever)
-            nearer[:, shift(self.tree, 0) : turn(self.tree, 0)] = (
-                nearer[:, turn(self.tree, 0) :] @ h
-            )
+            # Where differences lack samples, at the ends, steps of a base that resonates grow.
+            last = len(beyond) - 1
+            inside = np.clip(np.arange(last + 1), min(_REACH, last), max(last - _REACH, 0))
+            nearer = nearer[inside]
+            nearer[:, self._shifts] = nearer[:, self._turns] @ skew(found.lever)
         largest = float(np.abs(nearer[:, parts]).max(initial=1e-300))
-        return nearer, float(np.abs(step).max(initial=0.0)) / largest
+        change = float(np.abs(nearer - beyond)[:, parts].max(initial=0.0))
+        return nearer, change / largest
 
-    def motions(self, beyond: F64, springs: Springs | None) -> F64:
+    def motions(self, beyond: F64, springs: Springs) -> F64:
         """(N, R or R + 3, S) what parts do, and the base's shifts, per unit of each number.
 
         Args:
             beyond: (N, D + 6) deflections about which that is [rad or m].
-            springs: how deflections follow their loads there; at once where None.
+            springs: how deflections follow their loads there.
         """
         found, C = self.found, self.found.compliance
         P, R, S = len(found.basis), len(found.parts), found.n_numbers
         tau, force = self._under(beyond, found.basis)
         out = np.zeros((len(beyond), R, S))
         out[..., :P] = -np.einsum("rs,nsp->nrp", C, tau, optimize=True)
-        tau, force = (each @ found.origin[:P] for each in (tau, force))
-        r = np.arange(R)
-        out[:, r, P + r] = -tau * np.diag(C)
-        first = P + R + 3 * found.base
+        robot, force = (each @ found.origin[:P] for each in (tau, force))
         rates = first_derivative(beyond[:, found.parts], self.log.rate)
+        # The base's dampers and its own inertia load its springs as the robot does.
+        late, a = self._late, second_derivative(beyond[:, found.parts], self.log.rate)
+        tau = robot + a @ self._own_inertia()
+        tau[:, self._of_base] += rates[:, self._of_base] * late[self._of_base]
+        bent = -tau @ C
+        r = np.arange(R)
+        out[:, r, P + r] = 0.5 * bent
+        out[:, :, P : P + R] -= 0.5 * np.einsum("ri,ni->nri", C, tau)
+        first = self._of_damping.start
         sooner = 1 - np.tanh(found.origin[self._of_damping] / _FAR) ** 2
-        root, inverse = roots(C)
-        by_late = np.einsum("rk,nk->nrk", root, rates @ inverse.T)
-        out[:, :, first + r] = -by_late * (self._late * sooner)
+        out[:, :, first : first + R] = -np.einsum(
+            "ri,ni->nri", self._damped, rates * (late * sooner)
+        )
         if found.base:
-            self._of_base(out, tau, force, beyond)
-        out = _smooth(out, self.log.taps)
-        bent = springs.bent(out) if springs else out
+            self._write_base(out, tau, a)
+            for i in range(3):
+                out[:, :, S - 3 + i] = -self._deeper(i, robot, force, beyond) @ C
+        bent = springs.bent(_smooth(out, self.log.taps))
         if not found.base:
             return bent
-        h = skew(found.lever)
-        shifts = np.einsum("ji,njs->nis", h, bent[:, -3:])
+        shifts = np.einsum("ji,njs->nis", skew(found.lever), bent[:, -3:])
         for i in range(3):
-            shifts[:, :, S - 3 + i] += beyond[:, turn(self.tree, 0) :] @ skew(np.eye(3)[i])
+            shifts[:, :, S - 3 + i] += beyond[:, self._turns] @ skew(np.eye(3)[i])
         return np.concatenate([bent, shifts], axis=1)
 
     def springs(self, beyond: F64) -> Springs:
@@ -349,6 +357,8 @@ class _OfLog:
         for k, part in enumerate(parts.tolist()):
             pushed = np.zeros_like(still)
             pushed[:, part] = 1.0
+            if part >= turn(self.tree, 0):
+                pushed[:, self._shifts] = skew(found.lever)[part - turn(self.tree, 0)]
             tau, _ = self._loads(replace(at_rest, qdd=pushed), all_loads[None])
             inertia[:, :, k] = tau[..., 0] - steady
         inertia += self._own_inertia()
@@ -356,7 +366,7 @@ class _OfLog:
         low = at.astype(np.int64)
         high, part = np.minimum(low + 1, len(q) - 1), (at - low)[:, None, None]
         inertia = (1 - part) * inertia[low] + part * inertia[high]
-        return Springs(found.compliance, inertia, self._late, self.log.rate)
+        return Springs(found.compliance, inertia, self._damped * self._late, self.log.rate)
 
     @property
     def _of_damping(self) -> slice:
@@ -370,6 +380,29 @@ class _OfLog:
         """(R,) times by which dampers make parts late [s]."""
         found = self.found.origin[self._of_damping] / _FAR
         return np.asarray(_LATE * np.exp(_FAR * np.tanh(found)))
+
+    @property
+    def _damped(self) -> F64:
+        """(R, R) by how much each damper, of a spring of unit stiffness, makes all parts late."""
+        C, of_base = np.eye(len(self.found.parts)), self._of_base
+        C[of_base, of_base] = self.found.compliance[of_base, of_base]
+        return C
+
+    @property
+    def _of_base(self) -> slice:
+        """The parts that are the base's turns."""
+        R = len(self.found.parts)
+        return slice(R - 3 * self.found.base, R)
+
+    @property
+    def _shifts(self) -> slice:
+        """Columns of the base's shifts."""
+        return slice(shift(self.tree, 0), turn(self.tree, 0))
+
+    @property
+    def _turns(self) -> slice:
+        """Columns of the base's turns."""
+        return slice(turn(self.tree, 0), turn(self.tree, 0) + 3)
 
     def _moved(self, beyond: F64) -> Trajectory:
         """The log with the motion of the links."""
@@ -410,7 +443,7 @@ class _OfLog:
         found, parts, rate = self.found, self.found.parts, self.log.rate
         out = -tau @ found.compliance.T
         rates = first_derivative(beyond[:, parts], rate)
-        out -= rates @ dampers(found.compliance, self._late).T
+        out -= rates * self._late @ self._damped.T
         if found.base:
             own = self._own_inertia()
             out -= second_derivative(beyond[:, parts], rate) @ (found.compliance @ own).T
@@ -421,31 +454,49 @@ class _OfLog:
         found, R = self.found, len(self.found.parts)
         out = np.zeros((R, R))
         if found.base:
-            J = np.zeros((3, 3))
             tensor = self._of_damping.stop + np.arange(len(_TENSOR))
             for n, (i, j) in zip(tensor, _TENSOR, strict=True):
-                J[i, j] = J[j, i] = found.origin[n]
-            root = np.sqrt(np.diag(found.compliance)[-3:])
-            out[-3:, -3:] = J / root / root[:, None]
+                i, j = R - 3 + i, R - 3 + j
+                out[i, j] = out[j, i] = found.origin[n]
         return out
 
-    def _of_base(self, out: F64, tau: F64, force: F64, beyond: F64) -> None:
-        """Write what numbers of the base do into loads (N, R, S)."""
+    def _write_base(self, out: F64, tau: F64, a: F64) -> None:
+        """Write what the base's cross compliances and its own inertia do into loads.
+
+        Args:
+            out: (N, R, S) the loads.
+            tau: (N, R) what loads the springs.
+            a: (N, R) the parts' accelerations.
+        """
         found, C = self.found, self.found.compliance
         P, R = len(found.basis), len(found.parts)
         root = np.sqrt(np.diag(C)[-3:])
         for n, (i, j) in enumerate(_PAIRS):
             for one, other in ((i, j), (j, i)):
                 out[:, R - 3 + one, P + R + n] = -root[one] * root[other] * tau[:, R - 3 + other]
-        a = second_derivative(beyond[:, turn(self.tree, 0) :], self.log.rate)
         first = self._of_damping.stop
         for n, (i, j) in enumerate(_TENSOR):
             for one, other in {(i, j), (j, i)}:
-                per = C[:, R - 3 + one] / (root[one] * root[other])
-                out[:, :, first + n] -= a[:, other, None] * per
-        for i in range(3):
-            moment = force @ skew(np.eye(3)[i]).T
-            out[:, :, first + len(_TENSOR) + i] = -moment @ C[:, -3:].T
+                out[:, :, first + n] -= a[:, R - 3 + other, None] * C[:, R - 3 + one]
+
+    def _deeper(self, axis: int, robot: F64, force: F64, beyond: F64) -> F64:
+        """(N, R) loads per metre that the base turns about a point further off along an axis.
+
+        The lever of the forces is longer, and the frame shifts more, which moves all links.
+
+        Args:
+            axis: x, y or z.
+            robot: (N, R) what the robot loads the springs with.
+            force: (N, 3) what it pushes the frame with.
+            beyond: (N, D + 6) of the links beyond the encoders.
+        """
+        found, unit = self.found, skew(np.eye(3)[axis])
+        shifted = np.array(beyond)
+        shifted[:, self._shifts] += beyond[:, self._turns] @ unit
+        all_loads = found.origin[: len(found.basis)] @ found.basis
+        loads = self._under(shifted, all_loads[None])[0][..., 0] - robot
+        loads[:, -3:] += force @ unit.T
+        return np.asarray(loads)
 
 
 def _every(log: Trajectory, step: int) -> Trajectory:
@@ -485,7 +536,7 @@ def _smooth(x: F64, taps: F64) -> F64:
 
 
 def _compliance(found: Bending, x: F64) -> F64:
-    """(R, R) what parts yield by the numbers that were found."""
+    """(R, R) what parts yield by the numbers that were found; none yields against its load."""
     P, R = len(found.basis), len(found.parts)
     C = np.array(found.compliance)
     root = np.sqrt(np.diag(C))
@@ -495,4 +546,8 @@ def _compliance(found: Bending, x: F64) -> F64:
             C[a, b] += root[a] * root[b] * x[P + R + n]
             C[b, a] = C[a, b]
     grown = np.exp(0.5 * np.clip(x[P : P + R], -_UNLIKE, _UNLIKE))
-    return np.asarray(C * grown[:, None] * grown)
+    C *= grown[:, None] * grown
+    if found.base:
+        lam, V = np.linalg.eigh(C[-3:, -3:])
+        C[-3:, -3:] = V * lam.clip(min=TINY * lam.max()) @ V.T
+    return C

@@ -19,7 +19,7 @@ _STABLE = 2.2
 """Steps of Fox and Goodwin are stable for angular frequencies up to the root of 6, 2.45, per
 step."""
 
-_TINY = 1e-6
+TINY = 1e-6
 """Least compliance over the largest that makes a difference: of milliradians, nanoradians."""
 
 
@@ -31,13 +31,13 @@ class Springs:
         inertia: (N, R, R) that goes with it: their product is in s^2. What resonates too fast for
             the steps, or not at all as masses that are not found yet may be negative, is taken to
             resonate as fast as they can follow.
-        late: (R,) damping times compliance [s].
+        late: (R, R) compliance times damping [s].
         rate: samples per second [Hz].
     """
 
     def __init__(self, compliance: F64, inertia: F64, late: F64, rate: float) -> None:
         self._h = h = 1 / rate
-        self._late = dampers(compliance, late)
+        self._late = late
         root, inverse = roots(compliance)
         lam, V = np.linalg.eigh(0.5 * root @ (inertia + inertia.swapaxes(1, 2)) @ root)
         lam = lam.clip(min=(h / _STABLE) ** 2)
@@ -60,19 +60,8 @@ class Springs:
         return out
 
 
-def dampers(compliance: F64, late: F64) -> F64:
-    """(R, R) times by which dampers make deflections late [s], such that none drives any.
-
-    Args:
-        compliance: (R, R) symmetric.
-        late: (R,) of each part by itself [s].
-    """
-    root, inverse = roots(compliance)
-    return np.asarray(root * late @ inverse)
-
-
 def roots(compliance: F64) -> tuple[F64, F64]:
     """(R, R) root of a symmetric matrix, and its inverse; negative ones count as tiny."""
     lam, V = np.linalg.eigh(compliance)
-    root = np.sqrt(lam.clip(min=_TINY * lam.max(initial=0.0)))
+    root = np.sqrt(lam.clip(min=TINY * lam.max(initial=0.0)))
     return np.asarray(V * root @ V.T), np.asarray(V / root @ V.T)

@@ -24,7 +24,7 @@ def test_a_damped_spring_answers_as_its_transfer_function_says(frequency: float)
     resonance, late = 2 * np.pi * 5.0, 3e-3
     t = np.arange(1500) / RATE
     w = 2 * np.pi * frequency
-    springs = Springs(np.eye(1), np.full((len(t), 1, 1), resonance**-2), np.array([late]), RATE)
+    springs = Springs(np.eye(1), np.full((len(t), 1, 1), resonance**-2), np.array([[late]]), RATE)
     found = springs.bent(np.sin(w * t)[:, None, None])[:, 0, 0]
     answer = 1 / (1 - (w / resonance) ** 2 + 1j * w * late)
     true = (answer * np.exp(1j * w * t)).imag

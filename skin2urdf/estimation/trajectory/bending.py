@@ -12,7 +12,7 @@ becomes the next one's known half (:func:`followed`). More goes with the deflect
 found: a damped spring is late, ``K e + d e' = -tau``; a base has inertia of its own, which makes
 this ``K e + d e' + J e'' = -tau``; and where the base turns about a point from which its frame is
 off by h, this shifts by ``e x h``, and what the robot's forces f on the frame add to the moment is
-``h x f``.
+``h x f``. Nothing of the base is divided by its compliance, which may be 0 about some axis.
 """
 
 from __future__ import annotations
@@ -82,9 +82,9 @@ class Bending(Unseen):
 
     Its numbers are, in this order, the loads; the logarithms of what each part yields above
     ``compliance``; three shares of the base's turns by moments about other axes, if the base
-    yields; R times how late deflections are, as logarithms; if the base yields, its own moments and
-    products of inertia over its stiffness [s^2], and how far its frame is from the point about
-    which it turns, along its axes [m].
+    yields; R times how late deflections are where compliances are 1, as logarithms; if the base
+    yields, its own moments and products of inertia, of the same scale [s^2], and how far its frame
+    is from the point about which it turns, along its axes [m].
 
     Attributes:
         parts: (R,) joints and turns of the base that yield.

@@ -63,10 +63,11 @@ class MotionProblem(Derivatives):
     def height(self, state: MotionState) -> F64:
         """(J,) unit vector along which the robot rises, see :mod:`heights`.
 
-        It is 0 where the base stands still, or the robot is known.
+        It is 0 where no motion of the base is followed by its loads, or the robot is known.
         """
-        out = np.zeros(self.layout.n_joint)
-        if self.skeleton.tree is not self.tree and self.priors.blueprint is None:
+        out, unseen = np.zeros(self.layout.n_joint), self.unseen
+        follows = unseen is not None and unseen.settled and unseen.moves_base(self.tree.n_joints)
+        if follows and self.priors.blueprint is None:
             out[self.layout.joints] = rise(self.tree, state.placements)[0].ravel()
         return out
 

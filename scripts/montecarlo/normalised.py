@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import replace
 
 import numpy as np
 
@@ -10,8 +11,9 @@ from montecarlo.chart import displacement, true_robot
 from montecarlo.records import BLOCKS, Block
 from skin2urdf.arrays import F64
 from skin2urdf.calibration.result import Calibration
-from skin2urdf.estimation.problem.state import N_JOINT
+from skin2urdf.estimation.problem.state import N_JOINT, Step
 from skin2urdf.estimation.solve.spread import DETERMINED
+from skin2urdf.estimation.trajectory.heights import rise
 from skin2urdf.estimation.uncertainty.observability import ARM
 from skin2urdf.geometry.units import MILLI_G
 from skin2urdf.simulation import Truth
@@ -40,7 +42,7 @@ def blocks_of(found: Calibration, truth: Truth) -> dict[str, Block]:
     """
     estimate, seen = found.estimate, found.observability
     tree = estimate.tree
-    off = displacement(estimate.state, tree, true_robot(truth, tree))
+    off = _at_its_height(displacement(estimate.state, tree, true_robot(truth, tree)), found)
     parts: dict[str, list[Block]] = {name: [] for name in BLOCKS}
 
     free = estimate.free.joints.ravel()
@@ -82,6 +84,15 @@ def blocks_of(found: Calibration, truth: Truth) -> dict[str, Block]:
                 normalised(np.array([e]), np.array([[sd**2]]), _OBSERVABLE["latency"])
             )
     return {name: summed(blocks) for name, blocks in parts.items()}
+
+
+def _at_its_height(off: Step, found: Calibration) -> Step:
+    """Displacements to the truth, at the height on its first axis that the estimate took."""
+    joints, sus = rise(found.estimate.tree, found.estimate.state)
+    far = float((joints * off.joints).sum())
+    placed = np.array(off.sus)
+    placed[:, :3] -= far * sus
+    return replace(off, joints=off.joints - far * joints, sus=placed)
 
 
 def normalised(error: F64, covariance: F64, observable: float = 0.0) -> Block:

@@ -12,7 +12,7 @@ becomes the next one's known half (:func:`followed`). More goes with the deflect
 found: a damped spring is late, ``K e + d e' = -tau``; a base has inertia of its own, which makes
 this ``K e + d e' + J e'' = -tau``; and where the base turns about a point from which its frame is
 off by h, this shifts by ``e x h``, and what the robot's forces f on the frame add to the moment is
-``h x f``.
+``h x f``. Nothing of the base is divided by its compliance, which may be 0 about some axis.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from skin2urdf.arrays import F64, Int
 from skin2urdf.estimation.problem.state import State
 from skin2urdf.estimation.trajectory.coarser import coarser, on_grid
 from skin2urdf.estimation.trajectory.skeleton import N_HINGES, shift, turn
-from skin2urdf.estimation.trajectory.springs import Springs, dampers, roots
+from skin2urdf.estimation.trajectory.springs import Springs, roots
 from skin2urdf.estimation.trajectory.torques import (
     N_INERTIAL,
     bodies,
@@ -104,9 +104,9 @@ class Bending(Unseen):
 
     Its numbers are, in this order, the loads; the logarithms of what each part yields above
     ``compliance``; three shares of the base's turns by moments about other axes, if the base
-    yields; R times how late deflections are, as logarithms; if the base yields, its own moments and
-    products of inertia over its stiffness [s^2], and how far its frame is from the point about
-    which it turns, along its axes [m].
+    yields; R times how late deflections are where compliances are 1, as logarithms; if the base
+    yields, its own moments and products of inertia, of the same scale [s^2], and how far its frame
+    is from the point about which it turns, along its axes [m].
 
     Attributes:
         parts: (R,) joints and turns of the base that yield.
@@ -249,9 +249,9 @@ def followed(
         within = slice(int(log.kept[0]) // step, int(log.kept[-1]) // step + 1)
         of_log = _OfLog(tree, state, g, gravity, coarser(log, step), about, within)
         beyond = beyond[::step]
-        springs = None if found.base else of_log.springs(beyond)
+        springs = of_log.springs(beyond)
         last = np.inf
-        for _ in range(_NEWTON if springs else 1):
+        for _ in range(_NEWTON):
             nearer, change = of_log.nearer(beyond, springs)
             if not change < last:
                 holds = holds and last < _BALANCE
@@ -311,60 +311,60 @@ class _OfLog:
     found: Bending
     within: slice
 
-    def nearer(self, beyond: F64, springs: Springs | None) -> tuple[F64, float]:
+    def nearer(self, beyond: F64, springs: Springs) -> tuple[F64, float]:
         """(N, D + 6) deflections after a step of Newton's method, and the length of the step.
 
         Args:
             beyond: (N, D + 6) where it begins [rad or m].
-            springs: how deflections follow their loads there; at once where None.
+            springs: how deflections follow their loads there.
         """
-        found, parts = self.found, self.found.parts
-        bent = self._bent(beyond, self._torques(beyond))
+        parts = self.found.parts
+        bent = self._bent(beyond, self._torques(beyond)) - self._absent
         lacking = self._smooth(bent - beyond[:, parts])
-        step = lacking
-        if springs:
-            # What springs ring with beyond the low-pass, none would take away again.
-            step = self._smooth(springs.bent(lacking[..., None])[..., 0])
-        nearer = np.zeros_like(beyond)
-        nearer[:, parts] = beyond[:, parts] + step
-        if found.base:
-            h = skew(found.lever)
-            nearer[:, shift(self.tree, 0) : turn(self.tree, 0)] = (
-                nearer[:, turn(self.tree, 0) :] @ h
-            )
+        # What springs ring with beyond the low-pass, none would take away again.
+        step = self._smooth(springs.bent(lacking[..., None])[..., 0])
+        nearer = (beyond[:, parts] + step) @ self._moves.T
         largest = float(np.abs(nearer[self.within, parts]).max(initial=1e-300))
         return nearer, float(np.abs(step[self.within]).max(initial=0.0)) / largest
 
-    def motions(self, beyond: F64, springs: Springs | None) -> F64:
+    def motions(self, beyond: F64, springs: Springs) -> F64:
         """(N, R or R + 3, S) what parts do, and the base's shifts, per unit of each number.
 
         Args:
             beyond: (N, D + 6) deflections about which that is [rad or m].
-            springs: how deflections follow their loads there; at once where None.
+            springs: how deflections follow their loads there.
         """
         found, C = self.found, self.found.compliance
         P, R, S = len(found.basis), len(found.parts), found.n_numbers
         tau, force = self._under(beyond, found.basis)
         out = np.zeros((len(beyond), R, S))
         out[..., :P] = -np.einsum("rs,nsp->nrp", C, tau, optimize=True)
-        tau, force = (each @ found.origin[:P] for each in (tau, force))
-        r = np.arange(R)
-        out[:, r, P + r] = -tau * np.diag(C)
-        first = P + R + 3 * found.base
+        robot, force = (each @ found.origin[:P] for each in (tau, force))
         rates = first_derivative(beyond[:, found.parts], self.log.rate)
+        # The base's dampers and its own inertia load its springs as the robot does.
+        late, a = self._late, second_derivative(beyond[:, found.parts], self.log.rate)
+        tau = robot + a @ self._own_inertia()
+        tau[:, self._of_base] += rates[:, self._of_base] * late[self._of_base]
+        bent = -tau @ C
+        r = np.arange(R)
+        out[:, r, P + r] = 0.5 * bent
+        out[:, :, P : P + R] -= 0.5 * np.einsum("ri,ni->nri", C, tau)
+        first = self._of_damping.start
         sooner = 1 - np.tanh(found.origin[self._of_damping] / _FAR) ** 2
-        root, inverse = roots(C)
-        by_late = np.einsum("rk,nk->nrk", root, rates @ inverse.T)
-        out[:, :, first + r] = -by_late * (self._late * sooner)
+        out[:, :, first : first + R] = -np.einsum(
+            "ri,ni->nri", self._damped, rates * (late * sooner)
+        )
         if found.base:
-            self._of_base(out, tau, force, beyond)
-        bent = self._smooth(springs.bent(out) if springs else out)
+            self._write_base(out, tau, a)
+            for i in range(3):
+                out[:, :, S - 3 + i] = -self._deeper(i, robot, force, beyond) @ C
+        out *= self._there[:, None, None]
+        bent = self._smooth(springs.bent(out))
         if not found.base:
             return bent
-        h = skew(found.lever)
-        shifts = np.einsum("ji,njs->nis", h, bent[:, -3:])
+        shifts = np.einsum("ji,njs->nis", skew(found.lever), bent[:, -3:])
         for i in range(3):
-            shifts[:, :, S - 3 + i] += beyond[:, turn(self.tree, 0) :] @ skew(np.eye(3)[i])
+            shifts[:, :, S - 3 + i] += beyond[:, self._turns] @ skew(np.eye(3)[i])
         return np.concatenate([bent, shifts], axis=1)
 
     def springs(self, beyond: F64) -> Springs:
@@ -378,27 +378,42 @@ class _OfLog:
         moved = self._moved(beyond)
         moved = replace(moved, q=moved.q[thin], qd=moved.qd[thin], qdd=moved.qdd[thin])
         q = moved.q
-        of_joints = joint_inertias(self.tree, self.state, moved, self._parameters)
-        inertia = of_joints[:, found.parts[:, None], found.parts]
+        of_all = joint_inertias(self.tree, self.state, moved, self._parameters, base=found.base)
+        moves = self._moves[: of_all.shape[1]]
+        inertia = moves.T @ of_all @ moves + self._own_inertia()
         at = np.minimum(np.arange(len(beyond)) / _SLOWLY, len(q) - 1)
         low = at.astype(np.int64)
         high, part = np.minimum(low + 1, len(q) - 1), (at - low)[:, None, None]
         inertia = (1 - part) * inertia[low] + part * inertia[high]
-        return Springs(found.compliance, inertia, self._late, self.log.rate)
+        return Springs(found.compliance, inertia, self._damped * self._late, self.log.rate)
 
     def _smooth(self, x: F64) -> F64:
         """Low-pass (N, ...) by what loses nothing that passes the log's own low-pass.
 
         Springs answer anything at once, so that a wide one will do, which leaves no part of what
-        passes behind: what is left behind comes after in every further step. What is inserted into
-        its own second derivative grows where it swings faster than it resonates, and has to be
-        kept to the band; a gain of H then becomes one of ``1 - (1 - H)^2`` (twicing: Tukey 1977).
+        passes behind: what is left behind comes after in every further step. A gain of H becomes
+        one of ``1 - (1 - H)^2`` (twicing: Tukey 1977).
         """
         taps, rate = self.log.taps, self.log.rate
-        if not self.found.base:
-            taps = low_pass(_WIDER * noise_bandwidth(taps, rate), rate)
+        taps = low_pass(_WIDER * noise_bandwidth(taps, rate), rate)
         twice = 2 * np.pad(taps, len(taps) // 2) - np.convolve(taps, taps)
         return filtered(x, twice)
+
+    @cached_property
+    def _there(self) -> F64:
+        """(N,) share of the loads that is there: before and behind what is compared they fade.
+
+        Differences and filters lack samples at the ends; what resonates would swing by that.
+        """
+        n, within = len(self.log.q), self.within
+        at = [0, within.start, within.stop - 1, n - 1]
+        return np.asarray(np.sin(np.pi / 2 * np.interp(np.arange(n), at, [0, 1, 1, 0])) ** 2)
+
+    @cached_property
+    def _absent(self) -> F64:
+        """(N, R) deflections by the share that is not."""
+        none = np.zeros((len(self.log.q), self.tree.n_joints + N_HINGES))
+        return np.asarray((1 - self._there)[:, None] * self._bent(none, self._torques(none)))
 
     @property
     def _of_damping(self) -> slice:
@@ -412,6 +427,39 @@ class _OfLog:
         """(R,) times by which dampers make parts late [s]."""
         found = self.found.origin[self._of_damping] / _FAR
         return np.asarray(_LATE * np.exp(_FAR * np.tanh(found)))
+
+    @property
+    def _damped(self) -> F64:
+        """(R, R) by how much each damper, of a spring of unit stiffness, makes all parts late."""
+        C, of_base = np.eye(len(self.found.parts)), self._of_base
+        C[of_base, of_base] = self.found.compliance[of_base, of_base]
+        return C
+
+    @property
+    def _of_base(self) -> slice:
+        """The parts that are the base's turns."""
+        R = len(self.found.parts)
+        return slice(R - 3 * self.found.base, R)
+
+    @property
+    def _moves(self) -> F64:
+        """(D + 6, R) what joints and hinges do per unit of each part: a turned base shifts, too."""
+        tree, parts = self.tree, self.found.parts
+        out = np.zeros((tree.n_joints + N_HINGES, len(parts)))
+        out[parts, np.arange(len(parts))] = 1.0
+        if self.found.base:
+            out[self._shifts, self._of_base] = skew(self.found.lever).T
+        return out
+
+    @property
+    def _shifts(self) -> slice:
+        """Columns of the base's shifts."""
+        return slice(shift(self.tree, 0), turn(self.tree, 0))
+
+    @property
+    def _turns(self) -> slice:
+        """Columns of the base's turns."""
+        return slice(turn(self.tree, 0), turn(self.tree, 0) + 3)
 
     def _moved(self, beyond: F64) -> Trajectory:
         """The log with the motion of the links."""
@@ -438,25 +486,19 @@ class _OfLog:
 
     def _torques(self, beyond: F64) -> F64:
         """(N, R) torques of parts by these."""
-        tree, found = self.tree, self.found
-        moved, base = self._moved(beyond), found.base
-        tau = loads_of(tree, self.state, self.g, self.gravity, moved, self._bodies, base=base)
-        torques = tau[:, found.parts]
-        if base:
-            torques[:, -3:] += tau[:, shift(tree, 0) : turn(tree, 0)] @ skew(found.lever).T
-        return torques
+        moved, base = self._moved(beyond), self.found.base
+        tau = loads_of(self.tree, self.state, self.g, self.gravity, moved, self._bodies, base=base)
+        return np.asarray(tau @ self._moves[: tau.shape[1]])
 
     def _under(self, beyond: F64, basis: F64) -> tuple[F64, F64]:
         """Torques of parts (N, R, P) and forces on the base (N, 3, P) per unit of each load."""
         tree, found, moved = self.tree, self.found, self._moved(beyond)
         torques = np.empty((len(moved.q), len(found.parts), len(basis)))
         forces = np.zeros((len(moved.q), 3, len(basis)))
-        about = skew(found.lever)
         for Y, at in regressors(tree, self.state, self.g, self.gravity, moved, base=found.base):
-            torques[at] = Y[:, found.parts] @ basis.T
+            torques[at] = self._moves[: Y.shape[1]].T @ Y @ basis.T
             if found.base:
-                forces[at] = Y[:, shift(tree, 0) : turn(tree, 0)] @ basis.T
-                torques[at, -3:] += np.einsum("ij,njp->nip", about, forces[at])
+                forces[at] = Y[:, self._shifts] @ basis.T
         return torques, forces
 
     def _bent(self, beyond: F64, tau: F64) -> F64:
@@ -466,49 +508,62 @@ class _OfLog:
             beyond: (N, D + 6) deflections that the loads go with [rad or m].
             tau: (N, R) torques.
         """
-        found, parts, rate = self.found, self.found.parts, self.log.rate
-        out = -tau @ found.compliance.T
-        rates = first_derivative(beyond[:, parts], rate)
-        out -= rates @ dampers(found.compliance, self._late).T
-        if found.base:
-            own = self._own_inertia()
-            out -= second_derivative(beyond[:, parts], rate) @ (found.compliance @ own).T
-        return np.asarray(out)
+        parts, rate = self.found.parts, self.log.rate
+        rates, a = (of(beyond[:, parts], rate) for of in (first_derivative, second_derivative))
+        by_springs = (tau + a @ self._own_inertia()) @ self.found.compliance
+        return np.asarray(-by_springs - rates * self._late @ self._damped)
 
     def _own_inertia(self) -> F64:
         """(R, R) inertia of the base itself, of which the numbers are over its stiffness."""
         found, R = self.found, len(self.found.parts)
         out = np.zeros((R, R))
         if found.base:
-            J = np.zeros((3, 3))
             tensor = self._of_damping.stop + np.arange(len(_TENSOR))
             for n, (i, j) in zip(tensor, _TENSOR, strict=True):
-                J[i, j] = J[j, i] = found.origin[n]
-            root = np.sqrt(np.diag(found.compliance)[-3:])
-            out[-3:, -3:] = J / root / root[:, None]
+                i, j = R - 3 + i, R - 3 + j
+                out[i, j] = out[j, i] = found.origin[n]
         return out
 
-    def _of_base(self, out: F64, tau: F64, force: F64, beyond: F64) -> None:
-        """Write what numbers of the base do into loads (N, R, S)."""
+    def _write_base(self, out: F64, tau: F64, a: F64) -> None:
+        """Write what the base's cross compliances and its own inertia do into loads.
+
+        Args:
+            out: (N, R, S) the loads.
+            tau: (N, R) what loads the springs.
+            a: (N, R) the parts' accelerations.
+        """
         found, C = self.found, self.found.compliance
         P, R = len(found.basis), len(found.parts)
         root = np.sqrt(np.diag(C)[-3:])
         for n, (i, j) in enumerate(_PAIRS):
             for one, other in ((i, j), (j, i)):
                 out[:, R - 3 + one, P + R + n] = -root[one] * root[other] * tau[:, R - 3 + other]
-        a = second_derivative(beyond[:, turn(self.tree, 0) :], self.log.rate)
         first = self._of_damping.stop
         for n, (i, j) in enumerate(_TENSOR):
             for one, other in {(i, j), (j, i)}:
-                per = C[:, R - 3 + one] / (root[one] * root[other])
-                out[:, :, first + n] -= a[:, other, None] * per
-        for i in range(3):
-            moment = force @ skew(np.eye(3)[i]).T
-            out[:, :, first + len(_TENSOR) + i] = -moment @ C[:, -3:].T
+                out[:, :, first + n] -= a[:, R - 3 + other, None] * C[:, R - 3 + one]
+
+    def _deeper(self, axis: int, robot: F64, force: F64, beyond: F64) -> F64:
+        """(N, R) loads per metre that the base turns about a point further off along an axis.
+
+        The lever of the forces is longer, and the frame shifts more, which moves all links.
+
+        Args:
+            axis: x, y or z.
+            robot: (N, R) what the robot loads the springs with.
+            force: (N, 3) what it pushes the frame with.
+            beyond: (N, D + 6) of the links beyond the encoders.
+        """
+        unit = skew(np.eye(3)[axis])
+        shifted = np.array(beyond)
+        shifted[:, self._shifts] += beyond[:, self._turns] @ unit
+        loads = self._torques(shifted) - robot
+        loads[:, self._of_base] += force @ unit.T
+        return np.asarray(loads)
 
 
 def _compliance(found: Bending, x: F64) -> F64:
-    """(R, R) what parts yield by the numbers that were found."""
+    """(R, R) what parts yield by the numbers that were found; none yields against its load."""
     P, R = len(found.basis), len(found.parts)
     C = np.array(found.compliance)
     root = np.sqrt(np.diag(C))
@@ -518,4 +573,5 @@ def _compliance(found: Bending, x: F64) -> F64:
             C[a, b] += root[a] * root[b] * x[P + R + n]
             C[b, a] = C[a, b]
     grown = np.exp(0.5 * np.clip(x[P : P + R], -_UNLIKE, _UNLIKE))
-    return np.asarray(C * grown[:, None] * grown)
+    root, _ = roots(C * grown[:, None] * grown)
+    return np.asarray(root @ root)

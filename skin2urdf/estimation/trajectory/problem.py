@@ -22,6 +22,7 @@ from skin2urdf.estimation.trajectory.derivatives import (
 )
 from skin2urdf.estimation.trajectory.front_end import front_end
 from skin2urdf.estimation.trajectory.gyro import predicted_turning
+from skin2urdf.estimation.trajectory.heights import rise
 from skin2urdf.estimation.trajectory.kinematics import (
     joint_columns,
     seen_before_joint,
@@ -42,6 +43,9 @@ from skin2urdf.model.specific_force import specific_forces
 from skin2urdf.signals.filters import filtered, first_derivative
 from skin2urdf.signals.trajectory import Trajectory
 
+_HELD = 1e-6
+"""Deviation by which a height that nothing shows is held [m]: far less than is stated of any."""
+
 
 class MotionProblem(Derivatives):
     """Chi-squared of all samples of all logs, of what :class:`Derivatives` takes."""
@@ -55,6 +59,17 @@ class MotionProblem(Derivatives):
     def free_su(self) -> Bool:
         """(U, n) coordinates of the SUs that are estimated."""
         return self._free[1]
+
+    def height(self, state: MotionState) -> F64:
+        """(J,) unit vector along which the robot rises, see :mod:`heights`.
+
+        It is 0 where no motion of the base is followed by its loads, or the robot is known.
+        """
+        out, unseen = np.zeros(self.layout.n_joint), self.unseen
+        follows = unseen is not None and unseen.settled and unseen.moves_base(self.tree.n_joints)
+        if follows and self.priors.blueprint is None:
+            out[self.layout.joints] = rise(self.tree, state.placements)[0].ravel()
+        return out
 
     def again(
         self, *, logs: Sequence[Trajectory] | None = None, priors: MotionPriors | None = None
@@ -276,6 +291,8 @@ class MotionProblem(Derivatives):
                 joint[np.ix_(columns, numbers)] += H[:, :nj].T
                 mixed[u][:, numbers] += H[:, nj:].T
                 joint_gradient[numbers] += own @ r[:, at].ravel()
+        up = self.height(state)
+        joint += np.outer(up, up) / _HELD**2
         data = Equations(joint, su, mixed, joint_gradient, su_gradient)
         return with_priors(self.priors, self.layout, self._seconds, state, data)
 

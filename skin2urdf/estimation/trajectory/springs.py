@@ -31,13 +31,13 @@ class Springs:
         inertia: (N, R, R) that goes with it: their product is in s^2. What resonates too fast for
             steps of fourth order has such of second order, which are stable for any; inertia below
             none, as of masses that are not found yet, counts as none.
-        late: (R,) damping times compliance [s].
+        late: (R, R) compliance times damping [s].
         rate: samples per second [Hz].
     """
 
     def __init__(self, compliance: F64, inertia: F64, late: F64, rate: float) -> None:
         self._h = h = 1 / rate
-        self._late = dampers(compliance, late)
+        self._late = late
         root, inverse = roots(compliance)
         lam, V = np.linalg.eigh(0.5 * root @ (inertia + inertia.swapaxes(1, 2)) @ root)
         share = np.where(lam < (h / _STABLE) ** 2, 1 / 4, 1 / 12)
@@ -62,17 +62,6 @@ class Springs:
             v = v + 0.5 * h * a
             out[n] = e
         return out
-
-
-def dampers(compliance: F64, late: F64) -> F64:
-    """(R, R) times by which dampers make deflections late [s], such that none drives any.
-
-    Args:
-        compliance: (R, R) symmetric.
-        late: (R,) of each part by itself [s].
-    """
-    root, inverse = roots(compliance)
-    return np.asarray(root * late @ inverse)
 
 
 def roots(compliance: F64) -> tuple[F64, F64]:

@@ -103,7 +103,14 @@ def loads_of(
     return out
 
 
-def joint_inertias(tree: KinematicTree, state: State, log: Trajectory, parameters: F64) -> F64:
+def joint_inertias(
+    tree: KinematicTree,
+    state: State,
+    log: Trajectory,
+    parameters: F64,
+    *,
+    base: bool = False,
+) -> F64:
     """(N, D, D) inertia that bodies have in the joints, along a log [kg m^2, kg m or kg].
 
     Args:
@@ -111,19 +118,23 @@ def joint_inertias(tree: KinematicTree, state: State, log: Trajectory, parameter
         state: placements.
         log: the motion of the links.
         parameters: (10 D,) of the bodies, in the order of Pinocchio's regressors.
+        base: whether that in the base's hinges is wanted, too; (N, D + 6, D + 6) then.
     """
     import pinocchio as pin
 
-    model, _, (q, _, _) = _dynamics(tree, state, 0, 0.0, log, base=False)
+    model, skeleton, (q, _, _) = _dynamics(tree, state, 0, 0.0, log, base=base)
     # Pinocchio adds up bodies, of which none may weigh nothing: what is added is taken off again.
     heavy = np.zeros((tree.n_joints, N_INERTIAL))
     heavy[:, 0] = _HEAVY * np.abs(parameters.reshape(-1, N_INERTIAL)[:, :4]).max(initial=1e-300)
-    upper = np.zeros((len(q), tree.n_joints, tree.n_joints))
+    upper = np.zeros((len(q), model.nv, model.nv))
     for sign, added in ((1, heavy.ravel() + parameters), (-1, heavy.ravel())):
         _load(model, bodies(added))
         data = model.createData()
         upper += sign * np.array([np.triu(pin.crba(model, data, x)) for x in q])
-    return np.asarray(upper + np.triu(upper, 1).swapaxes(1, 2))
+    out = np.empty_like(upper)
+    numbers = skeleton.numbers
+    out[:, numbers[:, None], numbers] = upper + np.triu(upper, 1).swapaxes(1, 2)
+    return out
 
 
 def bodies(parameters: F64) -> list[pin.Inertia]:

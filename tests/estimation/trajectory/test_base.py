@@ -16,7 +16,7 @@ from synthetic import RATE, random_state, sampled_trajectory, serial_tree, stays
 from skin2urdf.arrays import F64
 from skin2urdf.estimation.problem.cost import Priors
 from skin2urdf.estimation.problem.state import State
-from skin2urdf.estimation.trajectory.bending import Bending
+from skin2urdf.estimation.trajectory.bending import Bending, bending, followed
 from skin2urdf.estimation.trajectory.estimate import MotionEstimate, estimate_along, motion_priors
 from skin2urdf.geometry.so3 import rotation_exp, rotation_log
 from skin2urdf.signals.filters import filtered, low_pass
@@ -24,6 +24,10 @@ from skin2urdf.signals.filters import filtered, low_pass
 _CHAIN = serial_tree(2)
 _TREE = replace(_CHAIN, su_names=(*_CHAIN.su_names, "base"), su_joint=np.array([0, 1, -1]))
 _STAY, _MOVE, _PLACES = 180, 120, 8
+_BODIES = [
+    pin.Inertia(mass, np.array(lever), 0.02 * mass * np.eye(3))
+    for mass, lever in ((20.0, (0.2, 0.1, 0.1)), (8.0, (0.3, 0.1, -0.1)))
+]
 
 
 @cache
@@ -42,11 +46,7 @@ def _on_a_stand(compliance: float) -> tuple[MotionEstimate, F64]:
     truth = _truth()
     at = np.random.default_rng(1).uniform(-1.5, 1.5, (_PLACES, 2))
     q = stays(at, _STAY, _MOVE)
-    bodies = [
-        pin.Inertia(mass, np.array(lever), 0.02 * mass * np.eye(3))
-        for mass, lever in ((20.0, (0.2, 0.1, 0.1)), (8.0, (0.3, 0.1, -0.1)))
-    ]
-    read, tilt = readings_on_a_stand(_TREE, truth, bodies, q, compliance)
+    read, tilt = readings_on_a_stand(_TREE, truth, _BODIES, q, compliance)
     read = read + 7e-3 * np.random.default_rng(2).standard_normal(read.shape)
     priors = motion_priors(Priors(), gravity=0.0, front=(np.zeros(2), np.zeros(2)))
     log = sampled_trajectory(q, read)
@@ -77,3 +77,37 @@ def test_a_base_that_gives_way_is_followed() -> None:
     assert not stiff.base_motion.any()
     # Loads that no encoder sees bend joints as well, and explain less.
     assert found.tried["elastic"] > 2 * found.tried["base"]
+
+
+def test_what_each_number_does_to_the_turns_is_what_another_number_makes() -> None:
+    q = stays(np.random.default_rng(1).uniform(-1.0, 1.0, (3, 2)), _STAY, _MOVE)
+    log, truth = sampled_trajectory(q, np.zeros((len(q), 3, 3))), _truth()
+    loads = bending(_TREE, [log], truth, 9.81, joints=False, base=True)
+    masses = np.concatenate([body.toDynamicParameters() for body in _BODIES])
+    x = np.zeros(loads.n_numbers)
+    P = len(loads.basis)
+    x[:P] = np.linalg.lstsq(loads.basis.T, masses / 20_000, rcond=None)[0]
+    x[-9:] = [5e-5, 3e-5, 2e-5, 1e-5, 0.0, -1e-5, 0.1, -0.1, 0.3]
+    # About other axes than its frame's it yields less.
+    found = replace(
+        loads, compliance=np.array([[1.0, 0.2, 0.1], [0.2, 0.8, -0.2], [0.1, -0.2, 0.5]])
+    )
+    for _ in range(3):
+        found, x = followed(found, _TREE, [log], truth, 9.81, x)
+    turns, kept = slice(-3, None), log.kept
+    steps = {n: 1e-3 * abs(x[n]) + 1e-7 for n in range(P)}
+    steps |= dict.fromkeys(range(P, P + 9), 1e-2)
+    steps |= dict.fromkeys(range(P + 9, P + 15), 1e-6) | dict.fromkeys(range(P + 15, P + 18), 1e-3)
+    for n in [0, 1, *range(P, P + 18)]:
+        entries = np.flatnonzero((found.number == n) & (found.joint >= _TREE.n_joints + 3))
+        if not len(entries):
+            continue  # what yields most is the scale of all
+        step = steps[n] * np.eye(len(x))[n]
+        more, less = (
+            followed(found, _TREE, [log], truth, 9.81, x + far)[0].settled[0][kept, turns]
+            for far in (step, -step)
+        )
+        change = (more - less) / (2 * steps[n])
+        told = np.zeros_like(change)
+        told[:, found.joint[entries] - _TREE.n_joints - 3] = found.on_grid[0][np.ix_(kept, entries)]
+        assert np.linalg.norm(told - change) < 0.01 * np.linalg.norm(change)

@@ -111,8 +111,8 @@ def test_joints_that_yield_are_followed() -> None:
     near, far = np.diag(bends.compliance)
     assert far / near == pytest.approx(2.0, rel=0.05)
     np.testing.assert_allclose(soft.deflections, [5.20e-3, 6.24e-3], rtol=0.03)
-    # Of a fit with rigid joints they are 0.058 m/s^2.
-    assert _reading_errors(soft.state) < 0.02
+    # Of a fit with rigid joints they are 0.058 m/s^2; of six such logs they were 0.015 to 0.022.
+    assert _reading_errors(soft.state) < 0.025
     for part in (soft.information.shared, soft.information.shared_su):
         assert np.isfinite(part).all()
 
@@ -165,4 +165,4 @@ def test_equations_hold_the_gradient_in_what_yields(*, base: bool) -> None:
         ) / 2e-6
         # What low-passes do to the product of a deflection and of slow geometry is small.
         scale = np.sqrt(equations.joint[i, i] * chi2(state))
-        assert slope == pytest.approx(-2 * equations.joint_gradient[i], rel=2e-2, abs=5e-4 * scale)
+        assert slope == pytest.approx(-2 * equations.joint_gradient[i], rel=2e-3, abs=5e-4 * scale)

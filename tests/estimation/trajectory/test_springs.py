@@ -13,6 +13,7 @@ import pytest
 from synthetic import RATE, random_state, sampled_trajectory, serial_tree
 
 from skin2urdf.estimation.trajectory.bending import Bending, followed
+from skin2urdf.estimation.trajectory.skeleton import N_HINGES
 from skin2urdf.estimation.trajectory.springs import Springs
 from skin2urdf.estimation.trajectory.torques import bodies, joint_inertias, loads_of, regressors
 from skin2urdf.estimation.trajectory.unseen import Unseen
@@ -28,7 +29,7 @@ def test_a_damped_spring_answers_as_its_transfer_function_says(frequency: float)
     resonance, late = 2 * np.pi * 5.0, 3e-3
     t = np.arange(1500) / RATE
     w = 2 * np.pi * frequency
-    springs = Springs(np.eye(1), np.full((len(t), 1, 1), resonance**-2), np.array([late]), RATE)
+    springs = Springs(np.eye(1), np.full((len(t), 1, 1), resonance**-2), np.array([[late]]), RATE)
     found = springs.bent(np.sin(w * t)[:, None, None])[:, 0, 0]
     answer = 1 / (1 - (w / resonance) ** 2 + 1j * w * late)
     true = (answer * np.exp(1j * w * t)).imag
@@ -82,7 +83,7 @@ def test_soft_gears_are_followed_through_their_resonance() -> None:
 def test_what_resonates_too_fast_or_not_at_all_bends_with_its_loads(inertia: float) -> None:
     late, w = 2e-2, 2 * np.pi * 3.0
     t = np.arange(1500) / RATE
-    springs = Springs(np.eye(1), np.full((len(t), 1, 1), inertia), np.array([late]), RATE)
+    springs = Springs(np.eye(1), np.full((len(t), 1, 1), inertia), np.array([[late]]), RATE)
     found = springs.bent(np.sin(w * t)[:, None, None])[:, 0, 0]
     true = (np.exp(1j * w * t) / (1 + 1j * w * late)).imag
     assert np.abs(found - true)[-300:].max() < 0.01
@@ -104,20 +105,22 @@ def test_motion_on_a_coarser_grid_is_that_of_all_samples() -> None:
     np.testing.assert_allclose(coarse.on_grid[0][log.kept], motion[log.kept], atol=1e-4)
 
 
-def test_bodies_without_mass_have_torques_and_inertias() -> None:
+@pytest.mark.parametrize("base", [False, True])
+def test_bodies_without_mass_have_torques_and_inertias(base: bool) -> None:
     """Masses that show in no motion may be found to be none, or less, beside moments that show."""
     tree = serial_tree(3)
     rng = np.random.default_rng(5)
     state = random_state(rng, tree, 1, 0.3)
-    q, qd, qdd = (rng.standard_normal((20, 3)) for _ in range(3))
+    n = 3 + N_HINGES * base
+    q, qd, qdd = (rng.standard_normal((20, n)) for _ in range(3))
     log = replace(sampled_trajectory(q, np.zeros((20, 1, 3))), q=q, qd=qd, qdd=qdd)
     found = rng.standard_normal((3, 10))
     found[0, 0], found[1, 0] = 0.0, -found[2, 0]
-    ((Y, _),) = regressors(tree, state, 0, 9.81, log)
-    tau = loads_of(tree, state, 0, 9.81, log, bodies(found.ravel()), base=False)
-    np.testing.assert_allclose(tau, Y @ found.ravel(), rtol=1e-5, atol=1e-5)
-    inertia = joint_inertias(tree, state, log, found.ravel())
-    for d in range(3):
-        pushed = replace(log, qdd=qdd + np.eye(3)[d])
-        ((Z, _),) = regressors(tree, state, 0, 9.81, pushed)
+    ((Y, _),) = regressors(tree, state, 0, 9.81, log, base=base)
+    tau = loads_of(tree, state, 0, 9.81, log, bodies(found.ravel()), base=base)
+    np.testing.assert_allclose(tau, Y @ found.ravel(), rtol=1e-5, atol=1e-4)
+    inertia = joint_inertias(tree, state, log, found.ravel(), base=base)
+    for d in range(n):
+        pushed = replace(log, qdd=qdd + np.eye(n)[d])
+        ((Z, _),) = regressors(tree, state, 0, 9.81, pushed, base=base)
         np.testing.assert_allclose(inertia[:, :, d], (Z - Y) @ found.ravel(), rtol=1e-6, atol=1e-6)

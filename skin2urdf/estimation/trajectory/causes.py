@@ -92,8 +92,8 @@ _CERTAIN = 10.0
 """Logarithm of the likelihood that unseen motion has to gain, which chance does once in 100,000;
 sound recordings gain nothing (panda and five of ur5), a strain wave of 0.1 mrad 121."""
 _DOUBTED = 4.5
-"""Logarithm of the likelihood up to which a size is not ruled out: that of three standard deviations.
-Slack of gears in a log of 15 s has 8, rounding that 200 SUs see 4."""
+"""Logarithm of the likelihood up to which a size is not ruled out: that of three standard
+deviations. Slack of gears in a log of 15 s has 8, rounding that 200 SUs see 4."""
 _NEGATIVE = 10.0
 """Deviations below zero at which a compliance is none: what torques lack in truth, as those of
 cables and tools that a model leaves out, makes small ones wrong by several."""

@@ -42,6 +42,9 @@ from skin2urdf.structure.records import KinematicTree
 _OF_LINKS = 0.25
 """Part of a misfit that links have to be able to explain so that it is tried whether they yield:
 half of what a cause has to explain to be added."""
+_UNSURE = 1 / np.sqrt(3)
+"""Standard deviation of what the noise of encoders does, over what is taken off for it: rounding is
+white noise in the mean of many motions, and in patterns of a few frequencies twice that or none."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,12 +89,12 @@ class MotionEstimate:
         sways = swaying(self.problem, self.fitted.state)
         again = rounded_off_again(self.problem.logs)
         groups = [each for each in (sways, again) if each is not None]
-        # Rounding is white noise in the mean of many motions; of one it may be twice that or none.
-        defects, rounding = [*self.corrected], None
+        defects, rounding = [], None
         if groups:
             seen = lacking(self.problem, self.fitted, groups)
             defects += [seen.pull(0)] if sways is not None else []
             rounding = seen.pulls(len(groups) - 1) if again is not None else None
+        defects += [(_UNSURE * joint, _UNSURE * own) for joint, own in self.corrected]
         return motion_information(self.problem, self.fitted, defects, rounding, misfit=self.misfit)
 
     @property

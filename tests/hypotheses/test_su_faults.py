@@ -120,13 +120,15 @@ def test_sus_that_fit_no_place_keep_a_result_from_being_good() -> None:
 
 
 def test_a_slip_is_measured() -> None:
-    """Its size is that of the simulated slip."""
+    """Its size is that of the simulated slip, and the earlier placement is an SU of its own."""
     injected = faulty("loose")
     (fault,) = calibrated("loose").faults
     distance, angle = (float(part.split()[0]) for part in injected.words.split(", "))
     assert 1e3 * fault.size == pytest.approx(distance, abs=0.5)
     assert np.rad2deg(fault.turn) == pytest.approx(angle, abs=0.15)
     assert fault.begin < fault.end
+    tree, (name,) = calibrated("loose").model.tree, injected.subjects
+    assert joint_of(tree, f"{name}_before") == joint_of(tree, name)
 
 
 def of_six_poses(kind: str, seed: int) -> tuple[Faulty, list[Recording]]:
@@ -240,13 +242,6 @@ def test_all_that_is_told_is_of_an_su_that_did_not_slip(monkeypatch: pytest.Monk
     found = calibrate(retimed(sound(five=True).recording))
     assert found.faults == ()
     assert found.goodness.by_su.dof.shape == (found.model.tree.n_sus,)
-
-
-def test_the_earlier_placement_of_a_loose_su_is_an_su_of_its_own() -> None:
-    found, (name,) = calibrated("loose"), faulty("loose").subjects
-    tree = found.model.tree
-    joint = dict(zip(tree.su_names, tree.su_joint, strict=True))
-    assert joint[f"{name}_before"] == joint[name]
 
 
 @pytest.mark.parametrize("logs", [1, 2])

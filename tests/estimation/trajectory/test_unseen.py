@@ -25,6 +25,8 @@ from skin2urdf.signals.trajectory import Trajectory
 _TREE = serial_tree(2)
 _UP = np.array([0.0, 0.0, 1.0])
 _STAY, _MOVE, _PLACES = 130, 170, 10
+_STEP = 1e-4
+"""Step of encoders that round off a sixth of the slack at most."""
 
 
 @cache
@@ -132,7 +134,7 @@ def test_slack_that_rounding_may_have_made_is_asked_for_no_cause() -> None:
     assert rounded.causes == ()
     assert not rounded.tried
     assert rounded.problem.unseen is not None
-    assert "slack" in _fit("slack", 0.02 * shown.size).causes
+    assert "slack" in _fit("slack", _STEP).causes
 
 
 @pytest.mark.parametrize("unseen", ["harmonics", "ripples"])
@@ -161,7 +163,7 @@ def test_ripples_are_found_by_their_number_per_turn() -> None:
 
 
 def test_slack_of_places_is_of_the_size_that_it_has() -> None:
-    loose = _fit("slack")
+    loose = _fit("slack", _STEP)
     assert loose.causes == ("slack",)
     assert loose.slack == pytest.approx(3e-4, rel=0.8)
     # They are known like gravity's size: all SUs share them.
@@ -171,9 +173,8 @@ def test_slack_of_places_is_of_the_size_that_it_has() -> None:
 
 
 def test_slack_within_half_a_step_of_the_encoders_has_no_other_cause() -> None:
-    rounded, loose = _fit("slack", 2e-3), _fit("slack")
+    rounded, loose = _fit("slack", 2e-3), _fit("slack", _STEP)
     assert rounded.causes == ()
     assert rounded.tried == {}
     # It is taken up all the same, and no finer encoder could have made it.
     assert rounded.deflections == pytest.approx(loose.deflections, rel=0.1)
-    assert _fit("slack", 1e-4).causes == ("slack",)

@@ -13,6 +13,7 @@ from skin2urdf.estimation.problem.cost import Priors
 from skin2urdf.estimation.problem.state import State
 from skin2urdf.estimation.trajectory.causes import SPAN, Explained, explained, misfit_of
 from skin2urdf.estimation.trajectory.deviations import su_covariances
+from skin2urdf.estimation.trajectory.doubtful_fronts import UNSURE, without_doubtful_fronts
 from skin2urdf.estimation.trajectory.elastic import Elasticity
 from skin2urdf.estimation.trajectory.encoder_noise import without_shortening
 from skin2urdf.estimation.trajectory.fit import Fitted, fit
@@ -42,9 +43,6 @@ from skin2urdf.structure.records import KinematicTree
 _OF_LINKS = 0.25
 """Part of a misfit that links have to be able to explain so that it is tried whether they yield:
 half of what a cause has to explain to be added."""
-_UNSURE = 1 / np.sqrt(3)
-"""Standard deviation of what the noise of encoders does, over what is taken off for it: rounding is
-white noise in the mean of many motions, and in patterns of a few frequencies twice that or none."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,7 +92,7 @@ class MotionEstimate:
             seen = lacking(self.problem, self.fitted, groups)
             defects += [seen.pull(0)] if sways is not None else []
             rounding = seen.pulls(len(groups) - 1) if again is not None else None
-        defects += [(_UNSURE * joint, _UNSURE * own) for joint, own in self.corrected]
+        defects += [(UNSURE * joint, UNSURE * own) for joint, own in self.corrected]
         return motion_information(self.problem, self.fitted, defects, rounding, misfit=self.misfit)
 
     @property
@@ -207,6 +205,7 @@ def estimate_along(
         problem, begin, iterations=iterations, tolerance=NEAR, tell=lambda part: tell(0.5 * part)
     )
     problem, fitted = fit_with_products(problem, fitted, iterations)
+    problem, fitted = without_doubtful_fronts(problem, fitted, iterations)
     tell(0.7)
     problem, fitted, contradict = listened(problem, fitted)
     problem, fitted, late = with_publishers(

@@ -212,7 +212,7 @@ def _descend(
             at_once = False
         if far and damping > _DAMPING:
             length = np.inf  # a step that was held back says nothing of how far it still is
-        gain = (cost - there) / max(cost, 1e-12)
+        fell, gain = cost - there, (cost - there) / max(cost, 1e-12)
         problem, state, predicted = about, trial, ahead
         if at_once:
             damping = max(damping / _FALL, 1e-12)
@@ -223,7 +223,7 @@ def _descend(
         if tolerance < length < longest:
             # Steps become shorter by a factor each time: what counts is how many such are left.
             tell(float(np.log(longest / length) / np.log(longest / tolerance)))
-        if length < tolerance or gain < _NO_GAIN:
+        if (length < tolerance and fell < max(1.0, tolerance**2)) or gain < _NO_GAIN:
             break
     tell(1.0)
     return problem, Fitted(problem, state, noise, weights, predicted, cost)
@@ -243,6 +243,17 @@ def held(problem: MotionProblem, state: MotionState) -> Fitted:
     return Fitted(problem, state, noise, weights, predicted, cost)
 
 
+def cost_with(weights: Sequence[F64], shaken: Shaken, fitted: Fitted) -> float:
+    """Chi-squared of a fit with the weights of another, so that the two can be compared.
+
+    Args:
+        weights: per log, information of each sample, as in :class:`Fitted`.
+        shaken: what encoders' noise makes of predictions with these weights.
+        fitted: the fit.
+    """
+    return _cost(fitted.problem, fitted.state, fitted.predicted, weights, shaken)
+
+
 def _length(equations: Equations, joint: F64, sus: F64, free_su: Bool) -> float:
     """Length of a step in standard deviations of placements, biases and shapes.
 
@@ -252,13 +263,9 @@ def _length(equations: Equations, joint: F64, sus: F64, free_su: Bool) -> float:
     towards = np.einsum("unm,um->un", equations.su, sus) + equations.mixed @ joint
     along = joint @ equations.joint @ joint + np.einsum("unj,un,j->", equations.mixed, sus, joint)
     square = float(along + np.einsum("un,un->", sus, towards))
-    own = slice(N_SU, None)
-    both = free_su[:, own, None] & free_su[:, None, own]
-    left = np.where(free_su[:, own], towards[:, own], 0.0)
-    H = np.where(both, equations.su[:, own, own], 0.0)
-    index = np.arange(H.shape[1])
-    H[:, index, index] += ~free_su[:, own]
-    square -= float(np.einsum("un,un->", left, np.linalg.solve(H, left[..., None])[..., 0]))
+    sensors = free_su & (np.arange(free_su.shape[1]) >= N_SU)
+    inverse = eliminated(equations, np.zeros(len(joint), dtype=bool), sensors).su_inverse
+    square -= float(np.einsum("unm,un,um->", inverse, towards, towards))
     return float(np.sqrt(max(0.0, square)))
 
 

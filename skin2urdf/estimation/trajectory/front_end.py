@@ -20,10 +20,11 @@ from skin2urdf.arrays import F64
 
 N_FRONT = 2
 """Coordinates of a front end: p, the square of b, and r, both in s^2."""
-_FAST = 1 / 64
-"""Front end to begin with, over what is common: a lag of 1 ms where 8 are. From 8 ms on, noise of
-encoders of 12 bits leads all SUs to low-passes of some 6 Hz that are not there, from 1 ms on one
-of seven; from half of that the way to real ones of 44 Hz ends before it is there."""
+_SLOW, _FAST = 1 / 16, 1 / 64
+"""Front ends to begin with, over what is common: lags of 2 and 1 ms where 8 are. From the slow one
+the way leads to real low-passes of 10 to 44 Hz; from the fast one, or from half of it, it ends
+before some of them. From the slow one, noise of encoders of 12 and 13 bits leads one SU of three to
+a low-pass of 7 Hz that is not there, from 8 ms on all of them."""
 _SMALL = 1e-12
 """Square of a lag below which it is none [s^2]: a microsecond."""
 
@@ -119,11 +120,16 @@ def common_front_end(cutoff: float, order: int) -> tuple[F64, F64]:
     return mean, 0.2 * mean
 
 
-def begin_front(front: F64) -> F64:
-    """Front end (2,) to begin with: that of a fast filter of second order.
+def begin_front(front: F64, *, fast: bool = False) -> F64:
+    """Front end (2,) to begin with: that of a filter of second order.
 
     Without any filter the slope towards one of second order is zero, and where data ask for it the
     way begins on either side.
+
+    Args:
+        front: mean and standard deviation (2, 2) of what is known before [s^2].
+        fast: whether the way shall lead to low-passes only of which there is no doubt.
     """
     mean, deviation = front
-    return np.asarray(mean if mean.any() else _FAST * np.array([1.0, 0.5]) * deviation)
+    begin = (_FAST if fast else _SLOW) * np.array([1.0, 0.5]) * deviation
+    return np.asarray(mean if mean.any() else begin)

@@ -1,0 +1,54 @@
+"""Low-passes of sensors that may be nothing but the noise of encoders.
+
+A low-pass that cuts off what encoders' noise makes of predictions leaves less of the readings. What
+it gains by that is taken off (see :mod:`shaken`), but only as well as it is known, and where noise
+is large a low-pass that is not there can still pay. A real one gains a hundred times as much by
+what it makes of the motion. So a fit whose low-passes cut off more noise than chance is held
+against one that begins with fast sensors, and is kept where its gain is beyond doubt.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from skin2urdf.estimation.trajectory.fit import Fitted, cost_with, fit
+from skin2urdf.estimation.trajectory.front_end import N_FRONT, begin_front
+from skin2urdf.estimation.trajectory.problem import MotionProblem
+from skin2urdf.estimation.trajectory.products import fit_with_products
+from skin2urdf.estimation.trajectory.shaken import Shaken
+
+UNSURE = 1 / np.sqrt(3)
+"""Standard deviation of what the noise of encoders does, over what is taken off for it: rounding is
+white noise in the mean of many motions, and in patterns of a few frequencies twice that or none."""
+_BEYOND_DOUBT = 5.0
+"""Standard deviations of what is taken off that a low-pass has to gain."""
+
+
+def without_doubtful_fronts(
+    problem: MotionProblem, fitted: Fitted, iterations: int
+) -> tuple[MotionProblem, Fitted]:
+    """The fit, or one that begins with fast sensors where its low-passes may be encoders' noise.
+
+    Args:
+        problem: the logs, the tree and what is known before.
+        fitted: its fit, from sensors that may be slow.
+        iterations: linearisations, at most, of another fit.
+    """
+    state = fitted.state
+    if not _shaken(fitted).cut_off(state.front) > N_FRONT * len(state.front):
+        return problem, fitted
+    front = np.tile(begin_front(problem.priors.front, fast=True), (len(state.front), 1))
+    fast = fit(problem, replace(state, front=front), near=True, iterations=iterations)
+    shaken = _shaken(fast)
+    gain = fast.chi2 - cost_with(fast.weights, shaken, fitted)
+    taken_off = shaken.cut_off(state.front) - shaken.cut_off(fast.state.front)
+    if gain > _BEYOND_DOUBT * UNSURE * max(taken_off, 0.0):
+        return problem, fitted
+    return fit_with_products(problem, fast, iterations)
+
+
+def _shaken(fitted: Fitted) -> Shaken:
+    problem = fitted.problem
+    return Shaken.of(problem.tree, problem.logs, fitted.state, fitted.weights)

@@ -1,8 +1,9 @@
 """Parts of the data that fit worse than their like, told by a test of known false-alarm rate.
 
-Chi-squared is not held against 1 here: what encoders round away can raise it everywhere without
+Chi-squared is not held against 1 alone: what encoders round away can raise it everywhere without
 anything being wrong. Each part is compared with the others, on a logarithmic scale, where misfits
-of all sizes spread alike and a single wild block can not stand for a whole SU or pose.
+of all sizes spread alike and a single wild block can not stand for a whole SU or pose. Where the
+others fit better than their noise lets expect, a part is held against its noise.
 """
 
 from __future__ import annotations
@@ -31,7 +32,8 @@ class Unlike(Record):
     """How n parts of the data fit, compared with each other.
 
     Attributes:
-        times: (n,) misfit over that of the median part, as a factor; NaN where there is no data.
+        times: (n,) misfit over that of the median part, or over noise where that fits better, as a
+            factor; NaN where there is no data.
         odd: (n,) True where it is larger than chance explains.
     """
 
@@ -81,7 +83,7 @@ def _typical(blocks: Share, axis: int) -> tuple[F64, F64]:
 
 
 def _compared(y: F64, variance: F64, n_tests: int | None = None) -> Unlike:
-    """Test every log misfit (n,) against the median one.
+    """Test every log misfit (n,) against the median one, or against noise where that is less.
 
     The spread between honest parts is what the recording shows (median absolute deviation) and
     what is known beforehand, weighed by degrees of freedom; so the test is Student's.
@@ -95,5 +97,6 @@ def _compared(y: F64, variance: F64, n_tests: int | None = None) -> Unlike:
     spread = _CONFIDENCE * _ALIKE**2 + (n - 1) * max(0.0, float(shown))
     spread /= _CONFIDENCE + n - 1
     limit = stdtrit(_CONFIDENCE + n - 1, 1 - FALSE_ALARM / (n_tests or n))
-    t = (y - middle) / np.sqrt(spread + variance)
-    return Unlike(np.exp(y - middle), known & (np.nan_to_num(t) > limit))
+    beyond = y - max(middle, 0.0)
+    t = beyond / np.sqrt(spread + variance)
+    return Unlike(np.exp(beyond), known & (np.nan_to_num(t) > limit))

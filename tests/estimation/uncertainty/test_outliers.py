@@ -66,6 +66,13 @@ def test_an_su_that_comes_loose_half_way_is_named() -> None:
     assert np.flatnonzero(sus_unlike_the_rest(share).odd).tolist() == [5]
 
 
+def test_what_fits_as_well_as_its_noise_is_never_named() -> None:
+    """Rests between moves may fit a thousand times better than windows of moves let expect."""
+    share = scaled(blocks(np.random.default_rng(1)), np.full((P, U), 1e-3))
+    assert not poses(scaled(share, by(300.0, pose=3))).odd.any()
+    assert np.flatnonzero(poses(scaled(share, by(1e5, pose=3))).odd).tolist() == [3]
+
+
 def test_two_bad_sus_do_not_hide_each_other() -> None:
     factors = by(200.0, su=1) * by(50.0, su=6)
     found = sus_unlike_the_rest(scaled(blocks(np.random.default_rng(2)), factors))

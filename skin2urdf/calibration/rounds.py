@@ -205,7 +205,7 @@ def _led_by_motion(
         )
     except (StructureError, InsufficientDataError):
         return None
-    if not alike(best.tree, first.tree):
+    if not best.tree.is_like(first.tree):
         return None
     tree = replace(best.tree, notes=first.tree.notes)
     led = estimate_once(logs, tree, features, state_of(best), clock, search=False)
@@ -238,11 +238,14 @@ def settle(
             again = ordered(kinematic_tree(seen.felt_somewhere(deaf), shown), shown)
         except StructureError:
             break
-        if any(alike(again, other) for other in tried):
+        if any(again.is_like(other) for other in tried):
             break
         again = replace(again, notes=(*again.notes, Note("second look")))
         tried.append(again)
-        latest, shown = relinearise(logs, again, features, clock)
+        try:
+            latest, shown = relinearise(logs, again, features, clock)
+        except InsufficientDataError:
+            break  # a structure of which no estimate can begin explains nothing
         if latest.cost_per_dof < _CLEARLY_BETTER * best.cost_per_dof:
             best, refined = latest, shown
     return _with_an_su_elsewhere(logs, best, refined, features, clock)
@@ -263,7 +266,7 @@ def _with_an_su_elsewhere(
         try:
             again = ordered(kinematic_tree(seen.moved_by(su, joint, moved), refined), refined)
             again = replace(again, notes=(*again.notes, _elsewhere(su, joint, moved)))
-            if alike(again, found.tree):
+            if again.is_like(found.tree):
                 continue
             latest, shown = relinearise(logs, again, features, clock, hopeless=leads_nowhere)
         except (StructureError, InsufficientDataError):
@@ -398,18 +401,6 @@ def estimate_once(
 
 _CLEARLY_BETTER = 0.8
 """Cost of another structure or start, over the first one's, from which it is preferred."""
-
-
-def alike(a: KinematicTree, b: KinematicTree) -> bool:
-    """Whether two trees have the same joints before the same SUs, in the same order."""
-
-    def chains(tree: KinematicTree) -> dict[str, list[str]]:
-        return {
-            name: [tree.joint_names[j] for j in tree.chain(int(joint))]
-            for name, joint in zip(tree.su_names, tree.su_joint, strict=True)
-        }
-
-    return chains(a) == chains(b)
 
 
 def _next_to(tree: KinematicTree, sus: Sequence[int]) -> Iterator[tuple[str, str, bool]]:

@@ -13,7 +13,6 @@ from skin2urdf.calibration.result import BAD_FIT, GOOD_FIT
 from skin2urdf.calibration.rounds import (
     Logs,
     Structure,
-    alike,
     find_structure,
     relinearise,
     settle,
@@ -48,7 +47,7 @@ def sound_part(
     sound = list[_Fit]()
     if tree:
         named = [(part, named_as_felt(tree, part.structure(clock).seen)) for part in parts]
-        named = [each for each in named if not alike(each[1], tree)]
+        named = [each for each in named if not each[1].is_like(tree)]
         sound, _ = _explanations(named, clock)
         if not sound:
             sound, fits = _explanations([(part, tree) for part in parts], clock)
@@ -58,7 +57,7 @@ def sound_part(
             sound = sound or _explanations(pairs, clock)[0]
     if not sound:
         shown = [(part, other) for part in parts if (other := part.structure(clock).tree)]
-        new = [(part, other) for part, other in shown if not (tree and alike(other, tree))]
+        new = [(part, other) for part, other in shown if not (tree and other.is_like(tree))]
         sound, _ = _explanations(new, clock, certain=False)
     if not sound:
         return None
@@ -165,7 +164,7 @@ def _new(
     """Parts and trees that are not among those that were tried, each once."""
     known = list(tried)
     for part, tree in pairs:
-        if not any(of is part and alike(other, tree) for of, other in known):
+        if not any(of is part and other.is_like(tree) for of, other in known):
             known.append((part, tree))
     return known[len(tried) :]
 

@@ -26,7 +26,6 @@ from skin2urdf.calibration.rounds import (
     Logs,
     Solution,
     Structure,
-    alike,
     find_structure,
     leads_nowhere,
     relinearise,
@@ -218,7 +217,7 @@ def _settled(
 
 def _is_the_same(a: KinematicTree, b: KinematicTree) -> bool:
     """Whether two trees are alike down to the order of joints and SUs, so that states fit both."""
-    return alike(a, b) and (a.joint_names, a.su_names) == (b.joint_names, b.su_names)
+    return a.is_like(b) and (a.joint_names, a.su_names) == (b.joint_names, b.su_names)
 
 
 def _calm(logs: Logs, amendments: Sequence[Amendment]) -> Logs:

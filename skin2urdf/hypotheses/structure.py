@@ -10,7 +10,7 @@ from collections.abc import Hashable, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-from skin2urdf.calibration.rounds import alike, settle
+from skin2urdf.calibration.rounds import settle
 from skin2urdf.faults import Fault
 from skin2urdf.hypotheses.records import Amendment, Attempt, Candidate
 from skin2urdf.hypotheses.search import Search, explains
@@ -53,7 +53,7 @@ class Structures:
             return []
         before = now.solution.found
         found, _ = settle(now.solution.logs, before, now.solution.features, search.clock)
-        if alike(found.tree, before.tree):
+        if found.tree.is_like(before.tree):
             return []
         drop = (before.misfit - found.misfit) * int(before.count.sum())
         moved = [n for n in found.tree.su_names if _joint(found.tree, n) != _joint(before.tree, n)]

@@ -88,21 +88,33 @@ def trees_from_motion(
         StructureError: no SU feels any joint move, or no chain of joints explains what any feels.
     """
     samples = along(sampled)
-    grown: list[tuple[MotionTree, ...]] = []
-    missing: StructureError | None = None
     # Rests show gravity alone; where there are few, moves show it beside accelerations.
     kinds = gravity_windows(sampled, su_names), moments(sampled, su_names)
-    for i, windows in enumerate(kinds):
+    grown: list[tuple[MotionTree, ...]] = []
+    missing: StructureError | None = None
 
-        def part(share: float, i: int = i) -> None:
-            tell((i + share) / len(kinds))
-
+    def grow(i: int, of: KinematicTree | None, begun: float) -> None:
+        nonlocal missing
         try:
-            grown.append(_grown_from(windows, samples, sampled, known, seed, part))
+            grown.append(
+                _grown_from(
+                    kinds[i], samples, sampled, of, seed, lambda part: tell(begun + 0.25 * part)
+                )
+            )
         except StructureError as lack:
             missing = missing or lack
+
+    for i in range(len(kinds)):
+        grow(i, known, 0.25 * i)
     if not grown:
         raise missing or StructureError("there is no tree", "record more moves")
+    trees = [each[0].tree for each in grown]
+    if len(trees) == len(kinds) and not trees[0].is_like(trees[1]):
+        # Directions by one kind may be too rough for the tree that it shows: the other kind's count
+        # as well before the two are compared.
+        for i, tree in enumerate(trees):
+            grow(1 - i, tree, 0.5 + 0.25 * i)
+    tell(1.0)
     return min(grown, key=lambda trees: _unexplained(trees[0], samples, su_names))
 
 

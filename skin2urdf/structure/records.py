@@ -53,6 +53,17 @@ class KinematicTree(Record):
             joint = int(self.parent[joint])
         return tuple(reversed(path))
 
+    def is_like(self, other: KinematicTree) -> bool:
+        """Whether both have the same joints before the same SUs, in the same order."""
+        return self._chains() == other._chains()
+
+    def _chains(self) -> dict[str, list[str]]:
+        """Names of the joints before each SU."""
+        return {
+            name: [self.joint_names[j] for j in self.chain(int(joint))]
+            for name, joint in zip(self.su_names, self.su_joint, strict=True)
+        }
+
     def activity(self) -> Bool:
         """(U, D) activity matrix this tree produces (paper II-B.1)."""
         active = np.zeros((self.n_sus, self.n_joints), dtype=bool)

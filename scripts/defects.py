@@ -22,9 +22,10 @@ from collections.abc import Sequence
 from batch import options as batch_options
 from batch import run
 from batch.run import Batch
+from bench.measured import Figures
 from bench.rows import ROWS
 from bench.table import complete, report, shortfalls
-from bench.trials import TWO_ARMS, Case, Figures, perform
+from bench.trials import TWO_ARMS, Case, perform
 
 from skin2urdf.errors import UsageError
 from skin2urdf.simulation import GRADES, robot_names

@@ -8,20 +8,22 @@ from collections import Counter
 from collections.abc import Sequence
 
 from batch import figures
+from batch.records import Failure
 from montecarlo.normalised import summed
 
+from bench.measured import Figures
 from bench.rows import ROWS, SOUND
-from bench.trials import Figures, Trial
+from bench.trials import Trial
 
 LIMIT = 2.0
 """True error over the stated one that makes a result one that can not be believed."""
 
-_HEAD = (
+HEAD = (
     ("re-", "cordings"), ("true", "mm"), ("stated", "mm"), ("worst", "ratio"), ("true", "deg"),
     ("stated", "deg"), ("worst", "ratio"), ("known", "deg"), ("NEES", "mm"), ("", "deg"),
     ("good/fair", "/none"), ("SUs not", "known"), ("time", "s"), ("", "named or refused"),
 )  # fmt: skip
-_LEGEND = (
+LEGEND = (
     "True and stated errors are root mean squares over recordings, SUs and configurations. Ratio: "
     f"true over stated, the\nlargest of the recordings; ! beyond {LIMIT:g}. None: refused, or bad. "
     "SUs not known: stated to be not determined.\nKnown: true error of the others' orientations. "
@@ -38,14 +40,14 @@ def report(trials: Sequence[Trial]) -> str:
     for words in dict.fromkeys(trial.case.circumstance for trial in trials):
         own = [trial for trial in trials if trial.case.circumstance == words]
         names = [name for name in ROWS if any(t.case.row == name for t in own)]
-        rows = [(name, _row([t for t in own if t.case.row == name])) for name in names]
-        parts.append(figures.table(words, _HEAD, rows))
+        rows = [(name, cells([t.outcome for t in own if t.case.row == name])) for name in names]
+        parts.append(figures.table(words, HEAD, rows))
         ratios = [r for t in own if not t.failure and (r := t.figures.position_ratio) is not None]
         if ratios:
             median = statistics.median(ratios)
             parts.append(f"Median of true over stated: {median:.2f} (position).\n")
     found = [(trial.case.key, shortfalls(trial)) for trial in trials]
-    return "\n".join([*parts, _LEGEND, figures.missed(found, "fell short")])
+    return "\n".join([*parts, LEGEND, figures.missed(found, "fell short")])
 
 
 def complete(trials: Sequence[Trial]) -> bool:
@@ -55,11 +57,21 @@ def complete(trials: Sequence[Trial]) -> bool:
 
 def shortfalls(trial: Trial) -> list[str]:
     """What is wrong with a result, in words."""
-    if trial.failure:
-        return [str(trial.failure)]
-    own = trial.figures
+    if isinstance(trial.outcome, Failure):
+        return [str(trial.outcome)]
+    own = trial.outcome
     if own.refusal:
         return [own.refusal.splitlines()[0]]
+    reasons = misstated(own)
+    # No row hits a joint, moves an SU on its segment, or breaks one.
+    reasons += [f"named {kind} {subject}" for kind, subject in own.named if kind in _FALSE]
+    if trial.case.row == SOUND and own.named:
+        reasons.append("something named in a sound recording")
+    return reasons
+
+
+def misstated(own: Figures) -> list[str]:
+    """What of a result is false, in words: errors larger than stated, or the tree."""
     reasons = [
         f"{what} {ratio:.1f} times the stated error, {own.verdict}"
         for what, ratio in (
@@ -68,13 +80,7 @@ def shortfalls(trial: Trial) -> list[str]:
         )
         if ratio is not None and not ratio <= LIMIT
     ]
-    if not own.tree_right:
-        reasons.append("wrong tree")
-    # No row hits a joint, moves an SU on its segment, or breaks one.
-    reasons += [f"named {kind} {subject}" for kind, subject in own.named if kind in _FALSE]
-    if trial.case.row == SOUND and own.named:
-        reasons.append("something named in a sound recording")
-    return reasons
+    return reasons if own.tree_right else [*reasons, "wrong tree"]
 
 
 _FALSE = frozenset(
@@ -83,8 +89,9 @@ _FALSE = frozenset(
 )  # fmt: skip
 
 
-def _row(trials: Sequence[Trial]) -> tuple[str, ...]:
-    done = [trial.figures for trial in trials if not trial.failure]
+def cells(outcomes: Sequence[Figures | Failure]) -> tuple[str, ...]:
+    """The cells of a row of the table."""
+    done = [each for each in outcomes if not isinstance(each, Failure)]
     verdicts = Counter(
         f.verdict if f.verdict in ("good", "fair") and not f.refusal else "none" for f in done
     )
@@ -92,7 +99,7 @@ def _row(trials: Sequence[Trial]) -> tuple[str, ...]:
     said = [f"{kind} {n}" for kind, n in named.most_common()]
     said += sorted({f.refusal.splitlines()[0][:60] for f in done if f.refusal})
     return (
-        figures.count(len(done), len(trials)),
+        figures.count(len(done), len(outcomes)),
         figures.short(figures.rms(f.position_mm for f in done)),
         figures.short(figures.rms(f.position_stated_mm for f in done)),
         figures.short(_largest([f.position_ratio for f in done]), LIMIT),

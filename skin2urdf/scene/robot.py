@@ -103,7 +103,9 @@ def along_axes(robot: Robot, frames: Mapping[str, F64]) -> dict[str, F64]:
         name, first = model.names[joint], model.idx_vs[joint]
         if name not in frames or model.nvs[joint] != 1:
             continue
-        twist = pin.getJointJacobian(model, data, joint, pin.LOCAL)[:, first]
+        # Of a single joint the Jacobian is a vector.
+        jacobian = pin.getJointJacobian(model, data, joint, pin.LOCAL).reshape(6, model.nv)
+        twist = jacobian[:, first]
         axis = twist[3:] if np.linalg.norm(twist[3:]) > 0 else twist[:3]
         found[name] = frames[name] @ placement(frame_with_z(axis), np.zeros(3))
     return found

@@ -26,6 +26,9 @@ _LINEAR_RATE = 1300.0
 """Uneven streams faster than this [Hz] are interpolated linearly; slower ones by cubic splines."""
 _UNEVEN = 1e-4
 """Relative change from one period to the next up to which a stream is regular."""
+_COINCIDING = 0.25
+"""Time between samples, over the usual one, below which they count as one sample: where a curve is
+drawn through both, it strays from them by about as much as their noise parts them."""
 _STOPBAND = 100.0
 """Attenuation beyond a low-pass [dB]: gravity of 10 m/s^2 leaves 0.1 mm/s^2, below any noise."""
 
@@ -127,6 +130,7 @@ def _sample_irregular(
     else:
         from scipy.interpolate import CubicSpline
 
+        time, values = _parted(time, values, _COINCIDING * typical)
         inside = np.clip(fine, time[0], time[-1])
         dense = CubicSpline(time, values)(inside)
     # Full convolution, of which the first complete output belongs to the grid's first time.
@@ -134,6 +138,21 @@ def _sample_irregular(
     first = (len(lead) + 2 * half) // factor
     out = _decimated(np.concatenate([lead, dense]), taps, factor, first, grid.size)
     return out, half / fine_rate
+
+
+def _parted(time: F64, values: F64, least: float) -> tuple[F64, F64]:
+    """Samples with those closer than some time to the one before as one, at their mean time.
+
+    Stamps that jitter by as much as samples are apart come to lie next to each other, or on each
+    other. A curve through both has the slope of their noise, which motion never had, and carries
+    it far beyond them.
+    """
+    first = np.flatnonzero(np.r_[True, np.diff(time) >= least])
+    if len(first) == len(time):
+        return time, values
+    count = np.diff(first, append=len(time))
+    together = np.add.reduceat(time, first) / count
+    return together, np.add.reduceat(values, first, axis=0) / count[:, None]
 
 
 def _decimated(values: F64, taps: F64, factor: int, first: int, size: int) -> F64:

@@ -40,6 +40,9 @@ _LOST = 0.05
 """Share of lost samples from which an SU counts as intermittent."""
 _UNTOLD = 0.3
 """Shortest steps over the mean step below which stamps come in bursts and tell of no loss."""
+_EVEN = 0.8
+"""The shortest twentieth of the steps over the shortest quarter, below which they scatter so much
+that no step tells of a loss: scatter alone then makes one step in 25 half as long again."""
 _SILENT = 3.0
 """Time at an end of the log without a sample [s] from which an SU counts as dead there."""
 _NOISY = 5.0
@@ -212,7 +215,8 @@ def _losses(su: SuStream, pauses: Sequence[tuple[float, float]]) -> list[Fault]:
     if len(steps) < 8:
         return []
     period = float(np.quantile(steps, 0.25))
-    if period < _UNTOLD * float(steps.mean()):
+    shortest = float(np.quantile(steps, 0.05))
+    if period < _UNTOLD * float(steps.mean()) or shortest < _EVEN * period:
         return []
     missing = np.maximum(np.round(steps / period) - 1, 0)
     share = float(missing.sum() / (missing.sum() + len(su.time)))

@@ -99,6 +99,23 @@ class Draft(Record):
         su_joint[list(sus)] = place
         return replace(self, joints=tuple(joints), parent=tuple(parent), su_joint=su_joint)
 
+    def pushed(
+        self, dofs: Sequence[int], at: int, children: Sequence[int], sus: Sequence[int]
+    ) -> Draft:
+        """With sliding joints of any direction put in behind a joint, before some of what follows.
+
+        Args:
+            dofs: the joints that slide.
+            at: the joint that they follow, as ``at + 1`` and those after it; -1 for the RS.
+            children: joints that follow them.
+            sus: SUs that sit on the last of them.
+        """
+        out, own = self, (list(children), list(sus))
+        for dof in dofs:
+            out = out.with_joint(ChainJoint(dof, "prismatic", (0.0, 0.0, 1.0)), at, *own)
+            own = [at + 1], []
+        return out
+
     def gathered(self, joint: int, children: Sequence[int], sus: Sequence[int]) -> Draft:
         """With branches and SUs that sat beside a joint beyond it.
 
@@ -154,7 +171,7 @@ def with_unseen_joints(
     others: list[Draft] = []
     while left:
         now = [draft.judged(samples, u) if j >= -1 else None for u, j in enumerate(draft.su_joint)]
-        places = [p for d in left for p in _places(draft, samples, d, now, len(left))]
+        places = [p for d in left for p in _places(draft, samples, d, now, left)]
         if not places:
             break
         places.sort(key=lambda p: -p.gain)
@@ -225,10 +242,11 @@ def _log_ratio(now: F64, then: F64, count: F64, quiet: float) -> F64:
 
 
 def _places(
-    draft: Draft, samples: Along, dof: int, now: Sequence[Judged | None], left: int
+    draft: Draft, samples: Along, dof: int, now: Sequence[Judged | None], left: Sequence[int]
 ) -> Iterator[_Place]:
     """Everywhere that a joint may be, if that is worth its parameters."""
-    price = _price(samples, left, len(draft.joints) + 1)
+    price = _price(samples, len(left), len(draft.joints) + 1)
+    others = [d for d in left if d != dof]
     for at in range(-1, len(draft.joints)):
         vertical = all(
             draft.joints[j].kind == "prismatic" or abs(draft.joints[j].axis[2]) > _PARALLEL
@@ -238,16 +256,20 @@ def _places(
         if vertical:
             kinds += [ChainJoint(dof, "revolute", (0.0, 0.0, s)) for s in (1.0, -1.0)]
         for joint in kinds:
-            place = _placed(draft, samples, joint, at, now, price)
+            place = _placed(draft, samples, joint, at, now, others, price)
             if place is not None:
                 yield place
 
 
 def _placed(
     draft: Draft, samples: Along, joint: ChainJoint, at: int, now: Sequence[Judged | None],
-    price: float,
+    others: Sequence[int], price: float,
 ) -> _Place | None:  # fmt: skip
-    """A joint at one place, before those branches and SUs that gain by it."""
+    """A joint at one place, before those branches and SUs that gain by it.
+
+    What an SU gains by one of two joints that it lacks is spoilt by the other. So where the gain is
+    not the same in all stretches, the others that have no place yet may push it as well.
+    """
     total = 0.0
     children: list[int] = []
     sus: list[int] = []
@@ -256,6 +278,13 @@ def _placed(
         trial = draft.with_joint(joint, at, own, [] if own else members)
         moved = _moved(draft, trial, samples, members, joint.kind, at, now, price)
         if moved is None:
+            continue
+        if moved.gain > price and not moved.holds and others and joint.kind == "prismatic":
+            beside = draft.pushed(others, at, own, [] if own else members)
+            trial = beside.with_joint(joint, at, [at + 1], [])
+            pushed = [beside.judged(samples, u) if u in members else None for u in range(len(now))]
+            moved = _moved(beside, trial, samples, members, joint.kind, at, pushed, price)
+        if moved is None or not moved.holds:
             continue
         total += moved.gain
         children += own
@@ -282,8 +311,16 @@ def _groups(draft: Draft, at: int) -> Iterator[tuple[list[int], list[int]]]:
 
 @dataclass(frozen=True, eq=False)
 class _Moved:
-    """What it is worth that a joint moves a branch or an SU, and how a sliding one pushes it."""
+    """What it is worth that a joint moves a branch or an SU, and how a sliding one pushes it.
 
+    Attributes:
+        holds: whether all that is known of them agrees that it does.
+        gain: log-likelihood.
+        push: (3,) of a sliding joint.
+        push_sd: its standard deviation.
+    """
+
+    holds: bool
     gain: float
     push: F64
     push_sd: float
@@ -299,35 +336,35 @@ def _moved(
     now: Sequence[Judged | None],
     price: float,
 ) -> _Moved | None:
-    """Whether SUs are beyond a joint that a trial puts before them, behind segment ``at``."""
+    """What it is worth that a trial puts a joint before SUs, behind segment ``at``.
+
+    None where these have no readings.
+    """
     pairs = [(a, trial.judged(samples, u)) for u in members if (a := now[u]) is not None]
     if not pairs:
         return None
     each = np.array([_gain(a, b) for a, b in pairs])
     gains = each.sum(axis=0)
+    gain = float(gains.sum())
     scatter = float(np.std(gains)) * np.sqrt(len(gains)) + 1e-12
-    if gains.sum() < max(price, _CONSISTENT * scatter):
-        return None
     # What moves a branch moves every SU on it.
-    if each.sum(axis=1).min() < -CERTAIN:
-        return None
+    holds = gain >= max(price, _CONSISTENT * scatter) and each.sum(axis=1).min() >= -CERTAIN
     if kind == "revolute":
         near = len(pairs) == 1 and pairs[0][1].lever < _NEAREST
         own = trial.path(int(trial.su_joint[members[0]]))
         # A gyroscope tells turning from shaking.
         turns = sum(_gain_in_turning(a, b).sum() for a, b in pairs) > CERTAIN
         shaken = near and not turns and len(own) == len(draft.path(at)) + 1
-        return None if shaken else _Moved(float(gains.sum()), np.zeros(3), 0.0)
+        return _Moved(holds and not shaken, gain, np.zeros(3), 0.0)
     # It comes after the sliding joints on the way to it.
     index = sum(draft.joints[j].kind == "prismatic" for j in draft.path(at))
     push = np.array([b.slide[index] for _, b in pairs])
     sd = np.array([b.slide_sd[index] for _, b in pairs])
     off = np.abs(np.linalg.norm(push, axis=1) - 1)
     # SUs beyond a joint that is not known yet say something else.
-    if np.median(off - 4 * sd) > _PUSH:
-        return None
+    holds &= bool(np.median(off - 4 * sd) <= _PUSH)
     best = int(np.argmin(sd))
-    return _Moved(float(gains.sum()), push[best], float(sd[best]))
+    return _Moved(holds, gain, push[best], float(sd[best]))
 
 
 def _with_all_that_they_move(draft: Draft, samples: Along, dofs: Sequence[int]) -> Draft:
@@ -346,7 +383,8 @@ def _with_all_that_they_move(draft: Draft, samples: Along, dofs: Sequence[int]) 
                     for u in range(len(draft.su_joint))
                 ]
                 at = draft.parent[j]
-                if _moved(draft, trial, samples, members, joint.kind, at, now, price):
+                moved = _moved(draft, trial, samples, members, joint.kind, at, now, price)
+                if moved is not None and moved.holds:
                     draft = trial
                     break
             else:

@@ -368,6 +368,14 @@ def test_a_few_lost_samples_are_no_fault_and_many_are() -> None:
     assert kinds(losing(0.02), losing(0.3)) == [[], ["intermittent"]]
 
 
+@pytest.mark.parametrize("scatter", [0.2, 0.4, 0.6])
+def test_stamps_that_scatter_tell_of_no_loss(scatter: float) -> None:
+    whole = stream(noise())
+    late = scatter / 250.0 * np.random.default_rng(0).standard_normal(len(whole.time))
+    stamps = np.maximum.accumulate(whole.time + late) + 1e-6 * np.arange(len(late))
+    assert kinds(replace(whole, time=stamps)) == [[]]
+
+
 def test_a_pause_of_the_whole_recording_is_no_loss() -> None:
     whole = stream(noise())
     kept = (whole.time % 4.0) < 2.5

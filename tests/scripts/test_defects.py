@@ -9,9 +9,10 @@ import defects
 import pytest
 from batch.records import Record
 from batch.store import Store
+from bench.measured import NORMALISED, Figures
 from bench.rows import ROWS, SOUND
 from bench.table import report, shortfalls
-from bench.trials import NORMALISED, TWO_ARMS, Case, Figures, Trial, robot
+from bench.trials import TWO_ARMS, Case, Trial, robot
 
 from skin2urdf.simulation.mechanism import load_mechanism
 

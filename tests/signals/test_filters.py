@@ -104,6 +104,20 @@ def test_gaps_are_marked_and_do_no_harm_around_them(rate: float, length: float) 
     np.testing.assert_allclose(values[ok], tones(t)[ok], atol=3e-4)
 
 
+@pytest.mark.parametrize("rate", [50.0, 200.0, 500.0])
+def test_stamps_that_lie_on_each_other_leave_noise_what_it_is(rate: float) -> None:
+    """Stamps that scatter by more than half a period, in order, as drivers make them on arrival."""
+    rng = np.random.default_rng(3)
+    time = np.arange(int(20 * rate)) / rate
+    stamps = np.maximum.accumulate(time + 0.6 / rate * rng.standard_normal(len(time)))
+    stamps += 1e-6 * np.arange(len(time))
+    noise = rng.standard_normal((len(time), 1))
+    grid = Grid(0.0, 100.0, 2000)
+    found, whole = sample(stamps, noise, grid)
+    assert whole.mean() > 0.9
+    assert np.abs(found[whole]).max() < 10.0
+
+
 def test_beyond_a_stream_nothing_is_valid() -> None:
     time = np.arange(2.0, 8.0, 0.004)
     values, ok = sample(time, tones(time), GRID)

@@ -19,6 +19,8 @@ from skin2urdf.simulation.defects import (
     Lost,
     LowPass,
     Nonlinearity,
+    OnArrival,
+    OwnRates,
     SecondPublisher,
     Spikes,
     SuClock,
@@ -148,6 +150,27 @@ def test_lost_messages_are_missing() -> None:
     assert len(left.time) == pytest.approx(0.98 * len(sound.time), rel=0.005)
     kept = np.isin(sound.time, left.time)
     np.testing.assert_array_equal(sound.specific_force[kept], left.specific_force)
+
+
+def test_sus_of_rates_of_their_own_send_samples_as_they_were() -> None:
+    plain, slow = recorded().recording.sus, recorded(OwnRates(4)).recording.sus
+    steps = {round(len(a.time) / len(b.time)) for a, b in zip(plain, slow, strict=True)}
+    assert steps <= {1, 2, 3, 4}
+    assert len(steps) > 1
+    for a, b in zip(plain, slow, strict=True):
+        np.testing.assert_array_equal(
+            a.at(np.isin(a.time, b.time)).specific_force, b.specific_force
+        )
+
+
+def test_stamps_made_on_arrival_are_late_and_in_order() -> None:
+    plain, late = recorded().recording, recorded(OnArrival(5e-3)).recording
+    assert len({id(joint.time) for joint in late.joints}) == 1
+    for a, b in zip((*plain.sus, *plain.joints), (*late.sus, *late.joints), strict=True):
+        # Each recording begins with its own first stamp.
+        delay = b.time - a.time
+        assert (np.diff(b.time) > 0).all()
+        assert 4e-3 < delay.mean() - delay.min() < 9e-3
 
 
 def test_an_su_at_rest_feels_the_gravity_of_the_place() -> None:

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 import pytest
+from random_robots import chain, robot_of
 
 from skin2urdf.arrays import F64
 from skin2urdf.recording.reading import read
@@ -323,3 +324,10 @@ def test_efforts_are_what_holds_the_links(tmp_path: Path) -> None:
     assert [joint.name for joint in back.joints] == sorted(by_name)
     for joint in back.joints:
         np.testing.assert_array_equal(joint.position, by_name[joint.name].position)
+
+
+def test_a_base_gives_way_under_a_single_joint(tmp_path: Path) -> None:
+    settings = SimulationSettings(excite="none", minutes=0.05, defects=(YieldingBase(),))
+    moved = simulate(robot_of(chain(1), tmp_path), settings).moved
+    assert moved.mechanism.n_joints == 3
+    np.testing.assert_array_equal(moved.rows, [2])

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from random_robots import Joint, robot_of
+from random_robots import Joint, random_joints, robot_of
 
 from skin2urdf.errors import StructureError
 from skin2urdf.notes import of_kind
@@ -74,6 +74,18 @@ def test_vertical_and_sliding_joints_show_in_accelerations(tmp_path: Path) -> No
     # 0.4 rad about the axis of the URDF's second joint's x, which is square to both.
     assert abs(found.axes[1] @ found.axes[2]) == pytest.approx(np.cos(0.4), abs=0.02)
     assert found.misfit < 0.01
+
+
+def test_an_su_that_two_sliding_joints_push_and_none_turns_is_found(tmp_path: Path) -> None:
+    """What it gains by either of them is spoilt by the other."""
+    robot = robot_of(random_joints(np.random.default_rng(611001), 5), tmp_path)
+    settings = SimulationSettings(excite="none", minutes=1.0, seed=611001, imu_rate=200.0)
+    simulation = simulate(robot, settings)
+    log = sampled(retimed(simulation.recording))
+    found, *_ = found_in(log, list(range(log.readings.shape[1])))
+    first, *_, branch = simulation.truth.joint_names
+    su = [su.joint for su in simulation.truth.sus].index(4)
+    assert chain(found, su) == [first, branch]
 
 
 def test_moves_order_parallel_joints_without_an_su_in_between(tmp_path: Path) -> None:

@@ -11,11 +11,13 @@ import numpy as np
 import pytest
 from calibrated import calibration, simulation
 from chromium import needs_chromium, opened, resize
+from random_robots import Joint, robot_of
 
 from skin2urdf.cli.main import main
 from skin2urdf.output import save
 from skin2urdf.recording.records import JointStream
-from skin2urdf.scene.robot import BASE
+from skin2urdf.scene.robot import BASE, along_axes
+from skin2urdf.urdf.loading import load_robot
 from skin2urdf.view import viewer
 from skin2urdf.view.actors import Play, load_play
 from skin2urdf.view.recorded import Motion
@@ -144,3 +146,9 @@ def test_a_browser_shows_it_without_an_error_and_asks_nobody_else(
         asked = [re.sub(r"^(\w+:(//[^/]*)?).*", r"\1", address) for address in tab.requests]
         here = shown.address.removeprefix("http")
         assert set(asked) <= {"data:", "blob:", f"http{here}", f"ws{here}"}
+
+
+def test_the_axis_of_a_single_joint_is_found(tmp_path: Path) -> None:
+    spec = robot_of((Joint("alone", -1, "revolute", axis=(1.0, 0.0, 0.0)),), tmp_path)
+    (T,) = along_axes(load_robot(spec.urdf), {"alone": np.eye(4)}).values()
+    np.testing.assert_allclose(T[:3, 2], [1.0, 0.0, 0.0], atol=1e-12)

@@ -66,8 +66,9 @@ def regressors(
         for i in range(len(Y)):
             n = begin + i
             of_all = pin.computeJointTorqueRegressor(model, data, q[n], qd[n], qdd[n])
-            # What hinges carry themselves stands still: its parameters show in nothing.
-            Y[i, numbers] = of_all[:, N_INERTIAL * first :]
+            # Of a single joint it is a vector. What hinges carry themselves stands still: its
+            # parameters show in nothing.
+            Y[i, numbers] = of_all.reshape(D + first, -1)[:, N_INERTIAL * first :]
         yield Y, at
 
 

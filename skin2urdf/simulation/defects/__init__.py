@@ -5,6 +5,8 @@ from skin2urdf.simulation.defects.gears import Backlash, ElasticGears, GearHarmo
 from skin2urdf.simulation.defects.messages import (
     Held,
     Lost,
+    OnArrival,
+    OwnRates,
     SecondPublisher,
     Spikes,
     SuClock,
@@ -27,6 +29,8 @@ __all__ = [
     "Lost",
     "LowPass",
     "Nonlinearity",
+    "OnArrival",
+    "OwnRates",
     "SecondPublisher",
     "Spikes",
     "SuClock",

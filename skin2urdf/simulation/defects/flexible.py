@@ -151,7 +151,9 @@ def _axes(mechanism: Mechanism) -> F64:
     pin.computeJointJacobians(model, data, pin.neutral(model))
     axes = np.empty((mechanism.n_joints, 3))
     for d in range(mechanism.n_joints):
-        twist = pin.getJointJacobian(model, data, d + 1, pin.LOCAL)[:, d]
+        # Of a single joint the Jacobian is a vector.
+        jacobian = pin.getJointJacobian(model, data, d + 1, pin.LOCAL)
+        twist = jacobian.reshape(6, mechanism.n_joints)[:, d]
         axes[d] = twist[:3] if mechanism.prismatic[d] else twist[3:]
     return axes
 

@@ -10,6 +10,7 @@ from skin2urdf.arrays import F64, frozen
 from skin2urdf.geometry.units import GRAVITY
 from skin2urdf.recording.records import JointStream, SuStream
 from skin2urdf.simulation.defects.records import Defect
+from skin2urdf.simulation.sensors import MIN_STAMP_STEP
 
 
 @dataclass(frozen=True)
@@ -83,6 +84,50 @@ class Lost(Defect):
         """What is left."""
         kept = rng.random(len(stream.time)) >= self.share
         return stream.at(kept)
+
+
+@dataclass(frozen=True)
+class OwnRates(Defect):
+    """SUs that send less often, each as seldom as it likes.
+
+    Attributes:
+        most: an SU sends every first to every so manieth of its samples.
+    """
+
+    most: int = 3
+
+    def send(self, stream: SuStream, rng: np.random.Generator) -> SuStream:
+        """Every so manieth sample."""
+        return stream.at(slice(None, None, int(rng.integers(1, self.most + 1))))
+
+
+@dataclass(frozen=True)
+class OnArrival(Defect):
+    """Stamps made where messages arrive, of joints and of SUs: none early, some late.
+
+    Attributes:
+        late: mean of the times on the way, which are exponentially distributed [s].
+    """
+
+    late: float = 2e-3
+
+    def send(self, stream: SuStream, rng: np.random.Generator) -> SuStream:
+        """An SU's stream with the times of arrival."""
+        return replace(stream, time=self._arrival(stream.time, rng))
+
+    def publish(
+        self, joints: tuple[JointStream, ...], rng: np.random.Generator
+    ) -> tuple[JointStream, ...]:
+        """The joints' streams; those in one message arrive together."""
+        times = {id(joint.time): joint.time for joint in joints}
+        arrived = {key: self._arrival(time, rng) for key, time in times.items()}
+        return tuple(replace(joint, time=arrived[id(joint.time)]) for joint in joints)
+
+    def _arrival(self, time: F64, rng: np.random.Generator) -> F64:
+        """(N,) increasing times, for no message overtakes another."""
+        late = np.asarray(time) + rng.exponential(self.late, len(time))
+        ramp = MIN_STAMP_STEP * np.arange(len(time))
+        return frozen(np.maximum.accumulate(late - ramp) + ramp)
 
 
 @dataclass(frozen=True)

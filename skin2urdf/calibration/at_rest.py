@@ -2,16 +2,23 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from skin2urdf.calibration.clock import Clock
 from skin2urdf.calibration.rounds import Logs, Solution, Structure
+from skin2urdf.calibration.samples import fit_samples
 from skin2urdf.estimation.solve.estimate import estimate
 from skin2urdf.estimation.start.from_rests import state_of
-from skin2urdf.structure.from_motion import trees_from_motion
+from skin2urdf.estimation.trajectory.publishers import likelihood
+from skin2urdf.structure.from_motion import MotionTree, trees_of_both_kinds
 from skin2urdf.structure.gravity import gravity_features, gravity_windows
+from skin2urdf.structure.records import KinematicTree
 
 
 def estimate_at_rest(logs: Logs, structure: Structure, clock: Clock) -> Solution:
     """The tree and the directions that gravity shows; positions stay open.
+
+    Where rests and moves show different trees, both are followed, and all samples decide.
 
     Args:
         logs: the logs.
@@ -22,15 +29,38 @@ def estimate_at_rest(logs: Logs, structure: Structure, clock: Clock) -> Solution
         InsufficientDataError: the logs lack what directions need.
         StructureError: no SU feels any joint move.
     """
-    best, *_ = clock.run(
-        "structure", lambda tell: trees_from_motion(logs.sampled, logs.su_names, tell=tell)
+    found = clock.run(
+        "structure", lambda tell: trees_of_both_kinds(logs.sampled, logs.su_names, tell=tell)
     )
     features = gravity_features(gravity_windows(logs.sampled, logs.su_names), logs.sampled)
     settings = logs.settings.estimation
-    found = clock.run(
-        "estimation",
-        lambda tell: estimate(
-            features, best.tree, settings, state_of(best), search=False, tell=tell
-        ),
-    )
-    return Solution(logs, structure.seen, found, features)
+
+    def solved(best: MotionTree) -> Solution:
+        state = state_of(best)
+        return clock.run(
+            "estimation",
+            lambda tell: Solution(
+                logs,
+                structure.seen,
+                estimate(features, best.tree, settings, state, search=False, tell=tell),
+                features,
+            ),
+        )
+
+    first, *others = (trees[0] for trees in found)
+    others = [each for each in others if _differ(each.tree, first.tree)]
+    solutions = [solved(each) for each in (first, *others)]
+    if not others or logs.settings.motion != "all":
+        return solutions[0]
+    return max(solutions, key=lambda each: _likelihood(each, clock))
+
+
+def _differ(tree: KinematicTree, other: KinematicTree) -> bool:
+    """Whether trees are not the same, but of the same SUs, so that all samples can compare them."""
+    return set(tree.su_names) == set(other.su_names) and not tree.is_like(other)
+
+
+def _likelihood(solution: Solution, clock: Clock) -> float:
+    """That of all samples, as the estimate explains them; less than any where these are none."""
+    along = clock.run("all samples", lambda tell: fit_samples(solution, tell, look_further=False))
+    return -np.inf if along is None else likelihood(along.fitted)

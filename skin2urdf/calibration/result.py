@@ -171,14 +171,14 @@ class Calibration(Record):
         an error that none has, every SU with readings has a place, no joint is weak, half of the
         joints are determined, and the base stands still, since lengths along the first axis may
         else be off by more than is stated. It is bad where the readings are not explained, or only
-        in part while all SUs beyond the first joint are weak, or where most SUs are not determined
+        in part while no SU beyond the first joint is determined, or where most SUs are not determined
         and would need errors that no sensor has: then it is the model that is wrong. What no
         recording can tell must not spoil it, such as where branches that meet in one joint sit
         along its axis.
         """
         if not self.misfit <= self.largest_misfit:
             return "bad"
-        if self.misfit > GOOD_FIT and set(self._placed) == {"weak"}:
+        if self.misfit > GOOD_FIT and self._placed and "determined" not in self._placed:
             return "bad"
         if self.mostly_open and self.mostly_implausible:
             return "bad"

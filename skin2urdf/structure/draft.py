@@ -20,8 +20,8 @@ from skin2urdf.structure.records import JointType
 CERTAIN = 10.0
 """Difference of log-likelihoods beyond which one of two structures is certain: 20,000 to 1."""
 _CONSISTENT = 4.0
-"""Standard deviations by which the gain of a joint stands out from its scatter between stretches
-of time: errors that are alike for a while count once."""
+"""Standard deviations by which the gain of a joint stands out from what chance gains and loses from
+one stretch of time to the next: errors that are alike for a while count once."""
 QUIET = 1e-3
 """Noise [m/s^2] of low-passed samples below which no error matters: a tenth of a mg."""
 _QUIET_RATE = 1e-3
@@ -346,9 +346,12 @@ def _moved(
     each = np.array([_gain(a, b) for a, b in pairs])
     gains = each.sum(axis=0)
     gain = float(gains.sum())
-    scatter = float(np.std(gains)) * np.sqrt(len(gains)) + 1e-12
+    # Of what it explains by chance it loses as much elsewhere, and one moment may be odd by itself.
+    chance = float(np.sqrt(2 * (np.minimum(gains, 0.0) ** 2).sum()))
+    elsewhere = gain - float(gains.max(initial=0.0))
     # What moves a branch moves every SU on it.
-    holds = gain >= max(price, _CONSISTENT * scatter) and each.sum(axis=1).min() >= -CERTAIN
+    holds = gain >= _CONSISTENT * chance and elsewhere >= price
+    holds &= bool(each.sum(axis=1).min() >= -CERTAIN)
     if kind == "revolute":
         near = len(pairs) == 1 and pairs[0][1].lever < _NEAREST
         own = trial.path(int(trial.su_joint[members[0]]))

@@ -87,35 +87,47 @@ def trees_from_motion(
     Raises:
         StructureError: no SU feels any joint move, or no chain of joints explains what any feels.
     """
+    return trees_of_both_kinds(sampled, su_names, known, seed, tell)[0]
+
+
+def trees_of_both_kinds(
+    sampled: Sequence[Sampled],
+    su_names: Sequence[str],
+    known: KinematicTree | None = None,
+    seed: int = 0,
+    tell: Callable[[float], None] = lambda _: None,
+) -> list[tuple[MotionTree, ...]]:
+    """Trees by rests and trees by moves, those first whose best one leaves less.
+
+    Rests show gravity alone; where there are few, moves show it beside accelerations. Directions by
+    either kind may be too rough to tell whose tree is right, where these are not the same.
+
+    Args:
+        sampled: as of :func:`trees_from_motion`, like all others.
+        su_names: see there.
+        known: see there.
+        seed: see there.
+        tell: see there.
+
+    Raises:
+        StructureError: as there.
+    """
     samples = along(sampled)
-    # Rests show gravity alone; where there are few, moves show it beside accelerations.
-    kinds = gravity_windows(sampled, su_names), moments(sampled, su_names)
     grown: list[tuple[MotionTree, ...]] = []
     missing: StructureError | None = None
+    kinds = gravity_windows(sampled, su_names), moments(sampled, su_names)
+    for i, windows in enumerate(kinds):
 
-    def grow(i: int, of: KinematicTree | None, begun: float) -> None:
-        nonlocal missing
+        def part(share: float, i: int = i) -> None:
+            tell((i + share) / len(kinds))
+
         try:
-            grown.append(
-                _grown_from(
-                    kinds[i], samples, sampled, of, seed, lambda part: tell(begun + 0.25 * part)
-                )
-            )
+            grown.append(_grown_from(windows, samples, sampled, known, seed, part))
         except StructureError as lack:
             missing = missing or lack
-
-    for i in range(len(kinds)):
-        grow(i, known, 0.25 * i)
     if not grown:
         raise missing or StructureError("there is no tree", "record more moves")
-    trees = [each[0].tree for each in grown]
-    if len(trees) == len(kinds) and not trees[0].is_like(trees[1]):
-        # Directions by one kind may be too rough for the tree that it shows: the other kind's count
-        # as well before the two are compared.
-        for i, tree in enumerate(trees):
-            grow(1 - i, tree, 0.5 + 0.25 * i)
-    tell(1.0)
-    return min(grown, key=lambda trees: _unexplained(trees[0], samples, su_names))
+    return sorted(grown, key=lambda trees: _unexplained(trees[0], samples, su_names))
 
 
 def _grown_from(

@@ -134,8 +134,7 @@ def _compared(found: Calibration, truth: Truth, folder: Path, seconds: float) ->
     placed = [su for su in comparison.sus if su.position is not None]
     turned = [su for su in comparison.sus if su.orientation is not None]
     known = [su for su in turned if verdicts[su.name] == "determined"]
-    patterned = comparison.tree_equal and found.features is not None
-    blocks = blocks_of(found, truth) if patterned else {}
+    blocks = _blocks(found, truth) if comparison.tree_equal else {}
     return replace(
         plain,
         position_mm=_scaled(rms(su.position.rms for su in placed if su.position), 1e3),
@@ -146,6 +145,16 @@ def _compared(found: Calibration, truth: Truth, folder: Path, seconds: float) ->
         blocks={name: blocks[name] for name in NORMALISED if name in blocks},
         tree_right=comparison.tree_equal,
     )
+
+
+def _blocks(found: Calibration, truth: Truth) -> Mapping[str, Block]:
+    """Errors over stated variances; none without patterns, or where joints are in another order."""
+    if found.features is None:
+        return {}
+    try:
+        return blocks_of(found, truth)
+    except ValueError:  # of joints that can be exchanged
+        return {}
 
 
 def _exit_status(found: Calibration) -> int:

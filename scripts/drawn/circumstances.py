@@ -171,12 +171,12 @@ def _defects(rng: np.random.Generator, imu_rate: float) -> tuple[Defect, ...]:
 
 
 _SIZES: Mapping[str, Callable[[np.random.Generator, float], Defect]] = MappingProxyType({
-    "gears": lambda rng, _: real.ElasticGears(*(_between(rng, 7e3, 56e3) * np.array([1.0, 0.5]))),
+    "gears": lambda rng, _: real.ElasticGears(*_and_half(_between(rng, 7e3, 56e3))),
     "links": lambda rng, _: real.LinkFlex(_between(rng, 20e3, 200e3)),
     "base": lambda rng, _: real.YieldingBase(_between(rng, 20e3, 200e3)),
     "backlash": lambda rng, _: real.Backlash(_between(rng, 1e-4, 1e-3)),
-    "gear error": lambda rng, _: real.GearHarmonics(*(_between(rng, 0.2, 1.5) * _ARCMIN
-                                                      * np.array([1.0, 0.5]))),
+    "gear error": lambda rng, _: real.GearHarmonics(
+        *_and_half(_between(rng, 0.2, 1.5) * _ARCMIN)),
     "low-pass": lambda rng, _: real.LowPass(_between(rng, 10.0, 94.0), int(rng.integers(1, 3))),
     "gravity": lambda rng, _: real.LocalGravity(float(rng.uniform(9.764, 9.834))),
     "warm-up": lambda rng, _: real.WarmUp(_between(rng, 5e-4, 5e-3)),
@@ -200,6 +200,10 @@ _SIZES: Mapping[str, Callable[[np.random.Generator, float], Defect]] = MappingPr
 def _between(rng: np.random.Generator, low: float, high: float) -> float:
     """A size whose logarithm is uniform: a half and twice as much are as likely."""
     return float(np.exp(rng.uniform(np.log(low), np.log(high))))
+
+
+def _and_half(size: float) -> tuple[float, float]:
+    return size, 0.5 * size
 
 
 def _one_of(

@@ -171,10 +171,10 @@ class Calibration(Record):
         an error that none has, every SU with readings has a place, no joint is weak, half of the
         joints are determined, and the base stands still, since lengths along the first axis may
         else be off by more than is stated. It is bad where the readings are not explained, or only
-        in part while no SU beyond the first joint is determined, or where most SUs are not determined
-        and would need errors that no sensor has: then it is the model that is wrong. What no
-        recording can tell must not spoil it, such as where branches that meet in one joint sit
-        along its axis.
+        in part while no SU that the log shows beyond the first joint is determined, or where most
+        of these are not and most would need errors that no sensor has: then it is the model that is
+        wrong, which SUs on the base fit whatever it is. What no recording can tell must not spoil
+        it, such as where branches that meet in one joint sit along its axis.
         """
         if not self.misfit <= self.largest_misfit:
             return "bad"
@@ -211,16 +211,21 @@ class Calibration(Record):
 
     @property
     def mostly_implausible(self) -> bool:
-        """Whether most SUs would need errors that no working sensor has."""
-        return bool(2 * are_plausible(self.estimate.state).sum() < self.model.tree.n_sus)
+        """Whether most SUs that a recording could place need errors that no working sensor has."""
+        plausible = are_plausible(self.estimate.state)[self._beyond]
+        return bool(2 * plausible.sum() < len(plausible))
 
     @property
     def _placed(self) -> list[str]:
-        """Verdicts on SUs beyond the first joint; on it, or on the base, none is ever placed."""
-        tree = self.model.tree
-        beyond = (tree.su_joint >= 0) & (tree.parent[tree.su_joint] >= 0)
+        """Verdicts on SUs beyond the first joint."""
         verdicts = self.observability.su_verdict
-        return [v for v, b in zip(verdicts, beyond, strict=True) if b]
+        return [v for v, b in zip(verdicts, self._beyond, strict=True) if b]
+
+    @property
+    def _beyond(self) -> Bool:
+        """(U,) SUs beyond the first joint; on it, or on the base, none is ever placed."""
+        tree = self.model.tree
+        return np.asarray((tree.su_joint >= 0) & (tree.parent[tree.su_joint] >= 0))
 
     @property
     def unlike_sus(self) -> Unlike:

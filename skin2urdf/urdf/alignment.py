@@ -47,11 +47,29 @@ def align(
 def _fit(T_est_su: F64, T_true_su: F64, P: F64) -> tuple[F64, F64]:
     """X and D of :func:`align` over all given SUs, whose projectors are P (U, 6, 6).
 
-    Gauss-Newton with the displacements eliminated: the cost is linear in the number of SUs.
+    Gauss-Newton with the displacements eliminated: the cost is linear in the number of SUs. Places
+    that are free by decimetres turn everything where they count, so that where all SUs are free to
+    move it begins from their orientations as well, and the better one lasts.
     """
     ranks = np.array([np.linalg.matrix_rank(p) for p in P])
     firm = ranks == ranks.min()
-    X = kabsch(T_est_su[:, firm], T_true_su[:, firm])
+    starts = [kabsch(T_est_su[:, firm], T_true_su[:, firm])]
+    if ranks.min() > 0:
+        starts.append(kabsch(_turned(T_est_su[:, firm]), _turned(T_true_su[:, firm])))
+    fits = [_from(X, T_est_su, T_true_su, P) for X in starts]
+    _, X, D = min(fits, key=lambda fit: fit[0])
+    return X, D
+
+
+def _turned(T: F64) -> F64:
+    """Frames as they are turned, all in one place."""
+    R = np.array(T)
+    R[..., :3, 3] = 0.0
+    return R
+
+
+def _from(X: F64, T_est_su: F64, T_true_su: F64, P: F64) -> tuple[float, F64, F64]:
+    """Cost, X and D where Gauss-Newton ends from a first X."""
     D = _first_displacements(X @ T_est_su, T_true_su, P)
     best = (np.inf, X, D)
     for _ in range(_MAX_STEPS):
@@ -67,7 +85,7 @@ def _fit(T_est_su: F64, T_true_su: F64, P: F64) -> tuple[F64, F64]:
         step = np.linalg.lstsq(A_seen.reshape(-1, 6), r.reshape(-1), rcond=1e-10)[0]
         D = D @ _displacement(P, (r - A @ step).mean(axis=0))
         X = X @ se3.exp(step)
-    return best[1], best[2]
+    return best
 
 
 def displace(T_est_su: F64, T_true_su: F64, P: F64) -> F64:

@@ -4,8 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import numpy as np
+
+from skin2urdf.arrays import F64
+from skin2urdf.urdf.kinematics import kinematics
 from skin2urdf.urdf.loading import Robot
 from skin2urdf.urdf.records import Difference
+
+_ALIKE = 1e-6
+"""Bracket of two twists [m or 1] that rounding leaves where it vanishes."""
 
 
 def tree_differences(est: Robot, true: Robot, sus: Sequence[str]) -> tuple[Difference, ...]:
@@ -44,13 +51,38 @@ def tree_differences(est: Robot, true: Robot, sus: Sequence[str]) -> tuple[Diffe
             differences.append(Difference("missing SU", su, f"SU {su} is not in the estimate"))
             continue
         found, right = (tuple(j for j in robot.chain(su) if j in shared) for robot in (est, true))
-        if found != right:
+        if found != right and not _moves_alike(true, found, right):
             on = [", ".join(chain) or "no joint" for chain in (found, right)]
             words = f"SU {su} hangs on {on[0]}; in the truth on {on[1]}"
             differences.append(Difference("chain", su, words, found, right))
     if not sus:
         differences += _orders(est, true, shared)
     return tuple(differences)
+
+
+def _moves_alike(robot: Robot, found: Sequence[str], right: Sequence[str]) -> bool:
+    """Whether joints of a robot move what they carry alike in both orders.
+
+    Two screw motions can be exchanged where the bracket of their twists vanishes: sliding joints,
+    a joint that slides along the axis of one that turns, and axes on one line.
+    """
+    if sorted(found) != sorted(right):
+        return False
+    _, axes = kinematics(robot, (), right, np.zeros((1, len(right))))
+    twist = dict(zip(right, axes[0], strict=True))
+    left = list(found)
+    for name in right:
+        at = left.index(name)
+        if any(np.abs(_bracket(twist[name], twist[other])).max() > _ALIKE for other in left[:at]):
+            return False
+        left.pop(at)
+    return True
+
+
+def _bracket(a: F64, b: F64) -> F64:
+    """(6,) Lie bracket of two twists (linear, angular)."""
+    linear = np.cross(a[3:], b[:3]) + np.cross(a[:3], b[3:])
+    return np.concatenate([linear, np.cross(a[3:], b[3:])])
 
 
 def _orders(est: Robot, true: Robot, shared: Sequence[str]) -> list[Difference]:

@@ -163,6 +163,9 @@ def test_a_robot_of_which_all_sus_are_weak_is_bad_and_one_mostly_open_is_not_goo
     assert all_weak.along is not None
     half_explained = replace(all_weak, along=replace(all_weak.along, misfit=7.0))
     assert half_explained.quality == "bad"
+    # What a log can not show of some says nothing for the others.
+    partly = with_observability(su_verdict=("weak",) * 4 + ("not observable",) * 3)
+    assert replace(half_explained, observability=partly.observability).quality == "bad"
     assert all_weak.mostly_open
     assert against(all_weak) == [("SUs open", all_weak.model.tree.su_names)]
     # Rests alone show no position at all: what they show is worth something.
@@ -170,6 +173,19 @@ def test_a_robot_of_which_all_sus_are_weak_is_bad_and_one_mostly_open_is_not_goo
     assert rests.quality == "fair"
     assert rests.mostly_open
     assert not calibration().mostly_open
+
+
+def test_sus_before_the_model_do_not_vouch_for_it() -> None:
+    """Those on the base and on the first joint read what they would of any robot."""
+    found = with_observability(su_verdict=("weak",) * 7)
+    tree, state = found.model.tree, found.estimate.state
+    beyond = (tree.su_joint >= 0) & (tree.parent[tree.su_joint] >= 0)
+    worse = np.flatnonzero(beyond)[: beyond.sum() // 2 + 1]
+    bias = np.array(state.bias)
+    bias[worse] = 7.0
+    assert 2 * len(worse) > beyond.sum()
+    other = replace(found.estimate, state=replace(state, bias=bias))
+    assert replace(found, estimate=other).quality == "bad"
 
 
 def test_a_refusal_names_the_physics_that_explains_most() -> None:

@@ -96,3 +96,18 @@ def test_displacements_may_be_large(seed: int, angle: float) -> None:
     X, D = align(T_est, T_true, free)
     assert cost(X, D, T_est, T_true) < 1.5 * T_est[..., 0, 0].size * noise**2 * np.sum(SCALE**2)
     np.testing.assert_allclose(D, D_true, atol=10 * noise)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_sus_that_are_free_along_one_axis_do_not_turn_the_base(seed: int) -> None:
+    """Joints on one line, whose SUs may be anywhere along it: half a metre apart, or beside."""
+    rng = np.random.default_rng(seed)
+    at = frames(rng, 2)
+    at[:, :3, 3] *= 0.1
+    turns = se3.exp(rng.uniform(-2.0, 2.0, (20, 2, 1)) * np.eye(6)[5])
+    T_est = turns @ at
+    free = [np.r_[T[2, :3], np.zeros(3)][None] for T in at]
+    D_true = se3.exp(np.array([[0.5], [-0.4]]) * np.concatenate(free))
+    T_true = frames(rng, 1)[0] @ T_est @ D_true
+    X, D = align(T_est, T_true, free)
+    assert cost(X, D, T_est, T_true) < 1e-12

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from random_robots import Joint, robot_of
 
 from skin2urdf.errors import InsufficientDataError, UsageError
 from skin2urdf.geometry import se3
@@ -20,6 +21,7 @@ from skin2urdf.model.canonical import canonical
 from skin2urdf.model.records import KinematicModel
 from skin2urdf.urdf.alignment import ARM
 from skin2urdf.urdf.compare import compare, random_positions
+from skin2urdf.urdf.differences import tree_differences
 from skin2urdf.urdf.emit import emit
 from skin2urdf.urdf.loading import load_robot
 from skin2urdf.urdf.records import Comparison
@@ -386,3 +388,29 @@ def test_small_robots_equal_themselves(
     assert c.tree_equal
     assert c.position.max < 1e-12
     assert len(c.joints) == n
+
+
+@pytest.mark.parametrize(
+    ("kinds", "tilt", "equal"),
+    [
+        (("revolute", "prismatic"), 0.0, True),
+        (("revolute", "prismatic"), 0.1, False),
+        (("prismatic", "prismatic"), 0.1, True),
+        (("revolute", "revolute"), 0.1, False),
+    ],
+)
+def test_an_order_that_no_motion_shows_is_no_difference(
+    kinds: tuple[str, str], tilt: float, equal: bool, tmp_path: Path
+) -> None:
+    """Two joints along one axis, or square to each other, and one that both carry."""
+    first, second = (
+        Joint(name, -1, kind, xyz=(0.0, 0.0, 0.0)) for name, kind in zip("ab", kinds, strict=True)
+    )
+    last = Joint("c", 1, "revolute", rpy=(1.0, 0.0, 0.0))
+    robots = []
+    for i, (near, far) in enumerate(((first, second), (second, first))):
+        folder = tmp_path / str(i)
+        folder.mkdir()
+        chain = (near, replace(far, parent=0, rpy=(tilt, 0.0, 0.0)), last)
+        robots.append(load_robot(robot_of(chain, folder).urdf))
+    assert (not tree_differences(*robots, ["link_c"])) == equal

@@ -38,7 +38,7 @@ _HIT = 3.0
 _MOMENT = 0.5
 """Length of moments that may stand out [s]: about that of the shortest hit that matters."""
 _MOST = 0.5
-"""Share of the poses from which the samples say all that features do."""
+"""Share of the moments, around poses and between, from which samples say all that features do."""
 
 
 def fit_samples(
@@ -59,8 +59,9 @@ def fit_samples(
         look_further: whether any is tried.
 
     Returns:
-        None where most poses have no samples to compare, as rests that were recorded one by one:
-        filters reach beyond them, and the few that are left know less than the features.
+        None where most moments are around poses that have no samples to compare, as rests that were
+        recorded one by one: filters reach beyond them, and the few samples that are left know less
+        than the features.
     """
     found, features, logs = solution.found, solution.features, solution.logs
     tree, settings = found.tree, logs.settings
@@ -82,7 +83,7 @@ def fit_samples(
                 turning=None if whole.turning is None else whole.turning & tells,
             )
         )
-    if _share_of_poses(trajectories, logs.sampled) < _MOST:
+    if _share_compared(trajectories, logs.sampled) < _MOST:
         return None
     priors = sample_priors(settings, found.cost.priors)
     return estimate_along(
@@ -325,17 +326,24 @@ def _rattle(along: MotionEstimate, log: Trajectory) -> F64:
     return np.asarray(np.sqrt(2) * along.slack * push * arm)
 
 
-def _share_of_poses(trajectories: Sequence[Trajectory], sampled: Sequence[Sampled]) -> float:
-    """Share of the poses in whose windows there are samples to compare; 1 where nothing rests."""
-    seen = []
+def _share_compared(trajectories: Sequence[Trajectory], sampled: Sequence[Sampled]) -> float:
+    """Share of the moments that have samples to compare; 1 where nothing rests.
+
+    Left out are those around poses that have none at all. A robot that rests once and then moves on
+    and on has no samples in its only pose, and a thousand beyond.
+    """
+    compared, lost = 0, 0
     for log, s in zip(trajectories, sampled, strict=True):
         if not s.at_rest:
             continue
-        there = log.kept[log.valid.any(axis=1)]
+        there = np.asarray(log.valid.any(axis=1))
+        compared += int(there.sum())
         for pose in s.neighbourhoods:
-            ends = np.searchsorted(there, np.array(pose.windows))
-            seen.append(bool((ends[:, 1] > ends[:, 0]).any()))
-    return float(np.mean(seen)) if seen else 1.0
+            ends = [np.searchsorted(log.kept, window) for window in pose.windows]
+            around = np.concatenate([there[begin:end] for begin, end in ends])
+            if not around.any():
+                lost += around.size
+    return compared / (compared + lost) if compared + lost else 1.0
 
 
 def with_samples(found: Estimate, along: MotionEstimate) -> Estimate:

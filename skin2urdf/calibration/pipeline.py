@@ -30,6 +30,7 @@ from skin2urdf.calibration.samples import (
     clocks_in_all,
     fit_samples,
     is_explained_by_physics,
+    is_play,
     late_publishers,
     rejected,
     stands_out,
@@ -88,12 +89,12 @@ def calibrate(
     recordings = clock.run("reading", lambda tell: recordings_of(logs, tell))
     begun = begin(recordings, settings, clock)
     sampled, structure, first = begun.logs, begun.structure, begun.first
-    along = looked = None
+    along = looked = plain = None
     in_vain: frozenset[str] = frozenset()
     if settings.method == "paper":
         solution = _estimate_by_the_paper(sampled, begun.features, structure, clock)
     else:
-        looked = _look(first, clock) if begun.of_patterns else None
+        looked = plain = _look(first, clock) if begun.of_patterns else None
         explained = looked is not None and is_explained_by_physics(looked)
         if first is not None and (explained or not begun.of_patterns):
             solution = first
@@ -119,6 +120,8 @@ def calibrate(
         along = looked or clock.run(
             "all samples", lambda tell: fit_samples(solution, tell, without=in_vain, most=most)
         )
+        if along is not None and first is not None and is_play(solution, along, plain):
+            solution, along = first, plain
         if along is not None:
             fitted = along
             solution, along = clock.run(

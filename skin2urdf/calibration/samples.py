@@ -37,8 +37,12 @@ _HIT = 3.0
 """Mean size of what is left during a hit, in standard deviations of noise, from which it is one."""
 _MOMENT = 0.5
 """Length of moments that may stand out [s]: about that of the shortest hit that matters."""
+_OF_ENCODERS = frozenset({"encoder jump", "encoder scale"})
+"""Faults of encoders that leave links off by other amounts from place to place."""
+_STAYS = 0.5
+"""Share of the slack that stays where encoders were mended that had nothing."""
 _MOST = 0.5
-"""Share of the poses from which the samples say all that features do."""
+"""Share of the moments, around poses and between, from which samples say all that features do."""
 
 
 def fit_samples(
@@ -59,8 +63,9 @@ def fit_samples(
         look_further: whether any is tried.
 
     Returns:
-        None where most poses have no samples to compare, as rests that were recorded one by one:
-        filters reach beyond them, and the few that are left know less than the features.
+        None where most moments are around poses that have no samples to compare, as rests that were
+        recorded one by one: filters reach beyond them, and the few samples that are left know less
+        than the features.
     """
     found, features, logs = solution.found, solution.features, solution.logs
     tree, settings = found.tree, logs.settings
@@ -82,7 +87,7 @@ def fit_samples(
                 turning=None if whole.turning is None else whole.turning & tells,
             )
         )
-    if _share_of_poses(trajectories, logs.sampled) < _MOST:
+    if _share_compared(trajectories, logs.sampled) < _MOST:
         return None
     priors = sample_priors(settings, found.cost.priors)
     return estimate_along(
@@ -278,6 +283,25 @@ def without_false_hits(
     return replace(everything, faults=()), again
 
 
+def is_play(solution: Solution, along: MotionEstimate, plain: MotionEstimate | None) -> bool:
+    """Whether what was found of encoders is no more than the play of gears.
+
+    An encoder that is wrong is off from place to place, and so are links that have play. What was
+    wrong is gone once it is mended; play stays.
+
+    Args:
+        solution: the estimate, with errors of encoders among its faults.
+        along: the fit of its logs.
+        plain: the fit of the logs in which nothing was mended; None where there is none.
+    """
+    kinds = {fault.kind for fault in solution.faults}
+    if plain is None or not kinds & _OF_ENCODERS or not kinds <= {"contact", *_OF_ENCODERS}:
+        return False
+    if not (plain.misfit <= GOOD_FIT and are_plausible(plain.state).all()):
+        return False
+    return 0 < plain.slack * _STAYS < along.slack
+
+
 def stands_out(
     along: MotionEstimate, sampled: Sequence[Sampled], g: int, begin: float, end: float
 ) -> bool:
@@ -298,7 +322,7 @@ def stands_out(
     if not during.any():
         return True
     seen = fitted.predicted[g].measured[during, :, None]
-    noise = np.hypot(_usual(along, g)[during], _rattle(along, log)[:, None])
+    noise = np.hypot(_usual(along, g)[during], _rattle(along, g)[:, None])
     ratio = np.where(seen, fitted.predicted[g].residual[during] / noise, 0.0)
     return bool((ratio**2).mean(axis=(0, 2)).max() > _HIT**2)
 
@@ -312,30 +336,39 @@ def _usual(along: MotionEstimate, g: int) -> F64:
     return noise if leaps is None else np.hypot(noise, np.sqrt(leaps.readings)[..., None])
 
 
-def _rattle(along: MotionEstimate, log: Trajectory) -> F64:
+def _rattle(along: MotionEstimate, g: int) -> F64:
     """(U,) what SUs feel of joints that cross their slack at once [m/s^2]; 0 where they have none.
 
     A joint goes from what its slack is in one place to what it is in another. A step that is
     low-passed as readings are has a largest acceleration, which joints that cross back and forth
     come near to for long; it counts over the levers of all joints.
     """
+    log = along.problem.logs[g]
     step = np.convolve(log.taps, log.taps) * log.rate
     push = float(np.abs(np.diff(step) * log.rate).max())
-    arm = np.sqrt((levers(along.problem.tree, along.state) ** 2).sum(axis=1))
-    return np.asarray(np.sqrt(2) * along.slack * push * arm)
+    steps = np.maximum(np.sqrt(2) * along.slack, along.widest_slack(g))
+    arm = np.sqrt(((levers(along.problem.tree, along.state) * steps) ** 2).sum(axis=1))
+    return np.asarray(push * arm)
 
 
-def _share_of_poses(trajectories: Sequence[Trajectory], sampled: Sequence[Sampled]) -> float:
-    """Share of the poses in whose windows there are samples to compare; 1 where nothing rests."""
-    seen = []
+def _share_compared(trajectories: Sequence[Trajectory], sampled: Sequence[Sampled]) -> float:
+    """Share of the moments that have samples to compare; 1 where nothing rests.
+
+    Left out are those around poses that have none at all. A robot that rests once and then moves on
+    and on has no samples in its only pose, and a thousand beyond.
+    """
+    compared, lost = 0, 0
     for log, s in zip(trajectories, sampled, strict=True):
         if not s.at_rest:
             continue
-        there = log.kept[log.valid.any(axis=1)]
+        there = np.asarray(log.valid.any(axis=1))
+        compared += int(there.sum())
         for pose in s.neighbourhoods:
-            ends = np.searchsorted(there, np.array(pose.windows))
-            seen.append(bool((ends[:, 1] > ends[:, 0]).any()))
-    return float(np.mean(seen)) if seen else 1.0
+            ends = [np.searchsorted(log.kept, window) for window in pose.windows]
+            around = np.concatenate([there[begin:end] for begin, end in ends])
+            if not around.any():
+                lost += around.size
+    return compared / (compared + lost) if compared + lost else 1.0
 
 
 def with_samples(found: Estimate, along: MotionEstimate) -> Estimate:

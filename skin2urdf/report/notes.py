@@ -12,7 +12,8 @@ _LISTED = 6
 """Poses that are listed at most."""
 _WHY = {
     "no readings": "it has no usable readings",
-    "no chain": "no chain of joints explains what it feels; put SUs on the segments before it",
+    "no chain": "no chain of joints explains what it feels; put SUs on the segments before it if "
+    "they have none, else see whether its clock is off: move from rest to rest, which shows it",
     "never moved": "it never moved in this log",
     "not alone": "it moved, but neither alone nor in a pattern, so what it moves is not known",
     "turns no gravity": (

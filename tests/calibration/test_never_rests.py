@@ -69,6 +69,18 @@ def test_a_robot_that_never_rests_is_calibrated(tmp_path: Path) -> None:
     assert comparison.position.rms < 1e-3
 
 
+def test_motion_after_the_only_rest_tells_positions(tmp_path: Path) -> None:
+    """Filters reach across all of that rest, which is no reason to leave the motion out."""
+    arm = random_arm(SEED, 3)
+    path = JointPath([0.0] * 3).swing({0: 1.6, 1: -1.8, 2: 2.0}, seconds=40.0, hertz=0.3)
+    whole = record(arm, path, *names(arm), np.random.default_rng(2))
+    recording = on_the_way(whole, 3.0, 34.0)
+    assert len(find_rests(joint_motion(recording))) == 1
+    found = calibrate(recording)
+    assert found.quality == "good"
+    assert compared(arm, found, tmp_path).position.rms < 1e-3
+
+
 def test_motion_that_spans_all_readings_tells_no_clock_wrong() -> None:
     """Any slow reading is a sum of slow joints' positions, whatever its lag."""
     _, recording = restless()

@@ -1,4 +1,4 @@
-"""Gears with play let links jump as if they were hit."""
+"""Gears with play let links jump as if they were hit, or as if encoders were wrong."""
 
 from __future__ import annotations
 
@@ -12,8 +12,9 @@ from skin2urdf.calibration.rounds import (
     sample_logs,
     take_features,
 )
-from skin2urdf.calibration.samples import fit_samples, stands_out
+from skin2urdf.calibration.samples import fit_samples, is_play, stands_out
 from skin2urdf.calibration.settings import CalibrationSettings
+from skin2urdf.faults import Fault
 from skin2urdf.hypotheses.contact import Contact
 from skin2urdf.hypotheses.records import Attempt
 from skin2urdf.hypotheses.search import Search
@@ -39,3 +40,12 @@ def test_jumps_within_the_slack_that_all_samples_show_are_no_hits() -> None:
     assert along is not None
     knowing = replace(search, stands_out=partial(stands_out, along, logs.sampled))
     assert not Contact().propose(knowing, now)
+    # A joint crosses from one end of its play to the other, whatever is common to all.
+    assert along.widest_slack(0).max() > 1.5 * along.slack
+    # Nothing was wrong with an encoder where as much slack stays once it is mended.
+    mended = replace(first, faults=(Fault("encoder jump", "elbow_flex", size=2e-3),))
+    plain = replace(along, misfit=1.0)
+    assert is_play(mended, along, plain)
+    assert not is_play(mended, replace(along, causes=()), plain)
+    assert not is_play(mended, along, replace(along, misfit=20.0))
+    assert not is_play(first, along, plain)

@@ -42,7 +42,6 @@ from skin2urdf.estimation.trajectory.arrow import eliminated, joint_inverse, new
 from skin2urdf.estimation.trajectory.clusters import Clusters, clusters
 from skin2urdf.estimation.trajectory.fit import Fitted
 from skin2urdf.estimation.trajectory.problem import MotionProblem, parts_of
-from skin2urdf.estimation.trajectory.state import Layout
 from skin2urdf.estimation.uncertainty.covariance import ArrowCovariance
 from skin2urdf.model.prediction import Chains
 
@@ -195,7 +194,7 @@ def motion_information(
         prior_y=scores[..., :N_SU] - scores[..., N_SU:] @ by_y,
         clusters=parts,
         moments=moments,
-        kinds=_kinds(layout, tree.n_sus),
+        kinds=_kinds(problem),
         shares=shares,
         prior_joint=np.where(free_joint, joint_prior, 0.0),
     )
@@ -297,12 +296,20 @@ def _roots(information: F64) -> F64:
     return np.swapaxes(V * np.sqrt(np.maximum(lam, 0.0))[:, None, :], 1, 2)
 
 
-def _kinds(layout: Layout, n_sus: int) -> tuple[Int, Int, Int]:
-    """Kinds of coordinates (J,), (U, 15) and (Z,): offsets, turns, biases, scales, cross axes."""
+def _kinds(problem: MotionProblem) -> tuple[Int, Int, Int]:
+    """Kinds of coordinates (J,), (U, 15) and (Z,): offsets, turns, biases, scales, loads ..
+
+    Loads, compliances and dampers are told by different moments, and what shows of one kind is no
+    evidence of another.
+    """
+    layout, unseen = problem.layout, problem.unseen
     of_joints = np.ones(layout.gravity, dtype=np.int64)  # gravity turns in every log
     of_joints[layout.joints] = np.arange(N_JOINT * layout.n_joints) % N_JOINT // 2
-    of_sus = np.tile(np.arange(N_SU) // 3, (n_sus, 1))
-    return of_joints, of_sus, np.zeros(layout.n_joint - layout.gravity, dtype=np.int64)
+    of_sus = np.tile(np.arange(N_SU) // 3, (problem.tree.n_sus, 1))
+    of_all = np.zeros(layout.n_joint, dtype=np.int64)
+    if unseen is not None:
+        of_all[layout.unseen] = 1 + unseen.kinds
+    return of_joints, of_sus, of_all[layout.gravity :]
 
 
 def _shares(information: F64) -> F64:

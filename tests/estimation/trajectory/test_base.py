@@ -15,9 +15,11 @@ from synthetic import RATE, random_state, sampled_trajectory, serial_tree, stays
 
 from skin2urdf.arrays import F64
 from skin2urdf.estimation.problem.cost import Priors
-from skin2urdf.estimation.problem.state import State
+from skin2urdf.estimation.problem.state import State, identifiable
+from skin2urdf.estimation.trajectory.azimuth import turned
 from skin2urdf.estimation.trajectory.bending import Bending, bending, followed
 from skin2urdf.estimation.trajectory.estimate import MotionEstimate, estimate_along, motion_priors
+from skin2urdf.estimation.uncertainty.observability import Subject, observability_along
 from skin2urdf.geometry.so3 import rotation_exp, rotation_log
 from skin2urdf.signals.filters import filtered, low_pass
 
@@ -77,6 +79,24 @@ def test_a_base_that_gives_way_is_followed() -> None:
     assert not stiff.base_motion.any()
     # Loads that no encoder sees bend joints as well, and explain less.
     assert found.tried["elastic"] > 2 * found.tried["base"]
+
+
+def test_how_a_base_stands_is_chosen_or_stated_to_be_open() -> None:
+    """Nothing shows its turn about gravity, nor how it leans all the time."""
+    found, _ = _on_a_stand(1 / 30_000)
+    tree, state, free = _TREE, found.state, identifiable(_TREE, 1)
+    subject = Subject(tree, state, free, np.zeros((1, 2)), Priors(), Priors())
+    seen = observability_along(subject, found.information)
+    covariance = seen.covariance.joint[: free.joints.size, : free.joints.size]
+    about_gravity, *about = (turned(tree, state, axis)[0].ravel() for axis in (UP, *np.eye(3)[:2]))
+    about_gravity /= np.linalg.norm(about_gravity)
+    assert np.sqrt(about_gravity @ covariance @ about_gravity) < 1e-5
+    sways = np.concatenate(found.problem.base_motions(found.fitted.state))[:, 3:].std(axis=0).max()
+    leans = np.array([way - (about_gravity @ way) * about_gravity for way in about])
+    for way in leans:
+        stated = np.sqrt(way @ covariance @ way)
+        # Loads that hardly change are not known exactly, either.
+        assert 1.0 < stated / (sways * np.linalg.norm(leans @ way)) < 2.0
 
 
 def test_what_each_number_does_to_the_turns_is_what_another_number_makes() -> None:

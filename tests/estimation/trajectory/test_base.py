@@ -19,6 +19,7 @@ from skin2urdf.estimation.problem.state import State, identifiable
 from skin2urdf.estimation.trajectory.azimuth import turned
 from skin2urdf.estimation.trajectory.bending import Bending, bending, followed
 from skin2urdf.estimation.trajectory.estimate import MotionEstimate, estimate_along, motion_priors
+from skin2urdf.estimation.trajectory.unseen import Unseen, together
 from skin2urdf.estimation.uncertainty.observability import Subject, observability_along
 from skin2urdf.geometry.so3 import rotation_exp, rotation_log
 from skin2urdf.signals.filters import filtered, low_pass
@@ -106,6 +107,9 @@ def test_what_each_number_does_to_the_turns_is_what_another_number_makes() -> No
     masses = np.concatenate([body.toDynamicParameters() for body in _BODIES])
     x = np.zeros(loads.n_numbers)
     P = len(loads.basis)
+    assert np.bincount(loads.kinds).tolist() == [P, 6, 3, 6, 3]
+    slack = Unseen(np.zeros(2, dtype=np.int64), (np.ones((len(q), 2)),))
+    assert together([loads, slack]).kinds.tolist() == [*loads.kinds, 5, 5]
     x[:P] = np.linalg.lstsq(loads.basis.T, masses / 20_000, rcond=None)[0]
     x[-9:] = [5e-5, 3e-5, 2e-5, 1e-5, 0.0, -1e-5, 0.1, -0.1, 0.3]
     # About other axes than its frame's it yields less.

@@ -140,12 +140,6 @@ class Bending(Unseen):
         return np.concatenate(known)
 
     @property
-    def kinds(self) -> Int:
-        """(S,) loads, compliances, times by which deflections are late, inertia of the base, h."""
-        P, R, of_base = len(self.basis), len(self.parts), int(self.base)
-        return np.repeat(np.arange(5), [P, R + 3 * of_base, R, len(_TENSOR) * of_base, 3 * of_base])
-
-    @property
     def lever(self) -> F64:
         """(3,) how far the base's frame is from the point about which it turns [m]."""
         return np.array(self.origin[-3:]) if self.base else np.zeros(3)

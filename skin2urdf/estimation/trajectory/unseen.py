@@ -35,7 +35,6 @@ class Unseen(Record):
         settled: per log (N, D + 6) motion of joints and hinges that numbers at the origin make;
             none of them where they make none.
         every: per log, grid samples from one of its motions' to the next; () where they have all.
-        kind: (S,) kind of each number, see :attr:`kinds`; () where all are of one.
     """
 
     joint: Int
@@ -44,7 +43,6 @@ class Unseen(Record):
     origin: F64 = field(default_factory=lambda: np.zeros(0), kw_only=True)
     settled: tuple[F64, ...] = field(default=(), kw_only=True)
     every: tuple[int, ...] = field(default=(), kw_only=True)
-    kind: Int = field(default_factory=lambda: np.zeros(0, dtype=np.int64), kw_only=True)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -57,11 +55,6 @@ class Unseen(Record):
     def n_numbers(self) -> int:
         """S."""
         return int(self.number.max(initial=-1)) + 1
-
-    @property
-    def kinds(self) -> Int:
-        """(S,) kind of each number, from 0 on: errors show in numbers of one kind alike."""
-        return self.kind if len(self.kind) else np.zeros(self.n_numbers, dtype=np.int64)
 
     def at_kept(self, logs: Sequence[Trajectory]) -> tuple[F64, ...]:
         """Per log (3, E, K): motions and their derivatives at the samples compared.
@@ -115,7 +108,6 @@ class Unseen(Record):
 def together(several: Sequence[Unseen]) -> Unseen:
     """The numbers of several, one after the other."""
     first = np.cumsum([0, *(each.n_numbers for each in several)])
-    kinds = np.cumsum([0, *(1 + int(each.kinds.max(initial=-1)) for each in several)])
     return Unseen(
         np.concatenate([each.joint for each in several]),
         tuple(
@@ -125,7 +117,6 @@ def together(several: Sequence[Unseen]) -> Unseen:
         number=np.concatenate([e.number + n for e, n in zip(several, first[:-1], strict=True)]),
         origin=np.concatenate([each.origin for each in several]),
         settled=_sums([each.settled for each in several if each.settled]),
-        kind=np.concatenate([each.kinds + n for each, n in zip(several, kinds[:-1], strict=True)]),
     )
 
 

@@ -10,6 +10,7 @@ from functools import cache
 
 import numpy as np
 import pinocchio as pin
+from scipy.stats import ortho_group
 from stand import DEPTH, UP, readings_on_a_stand
 from synthetic import RATE, random_state, sampled_trajectory, serial_tree, stays
 
@@ -19,7 +20,6 @@ from skin2urdf.estimation.problem.state import State, identifiable
 from skin2urdf.estimation.trajectory.azimuth import turned
 from skin2urdf.estimation.trajectory.bending import Bending, bending, followed
 from skin2urdf.estimation.trajectory.estimate import MotionEstimate, estimate_along, motion_priors
-from skin2urdf.estimation.trajectory.unseen import Unseen, together
 from skin2urdf.estimation.uncertainty.observability import Subject, observability_along
 from skin2urdf.geometry.so3 import rotation_exp, rotation_log
 from skin2urdf.signals.filters import filtered, low_pass
@@ -100,6 +100,36 @@ def test_how_a_base_stands_is_chosen_or_stated_to_be_open() -> None:
         assert 1.0 < stated / (sways * np.linalg.norm(leans @ way)) < 2.0
 
 
+def test_what_numbers_stand_for_does_not_change_what_is_stated() -> None:
+    """Loads may be mixed as one likes, where as much is known of the mixtures before."""
+    found, _ = _on_a_stand(1 / 30_000)
+    free, info = identifiable(_TREE, 1), found.information
+    J, Z = info.shared_joint.shape[1], len(info.shared)
+    known = info.prior_joint[J:] > 0
+    unit = np.where(known, info.prior_joint[J:].clip(min=1e-300) ** -0.5, 1.0)
+    mixed = np.eye(Z)
+    mixed[np.ix_(known, known)] = ortho_group.rvs(int(known.sum()), random_state=1)
+    axes = unit[:, None] * mixed / unit
+    others = replace(
+        info,
+        shared=axes.T @ info.shared @ axes,
+        shared_joint=axes.T @ info.shared_joint,
+        shared_su=info.shared_su @ axes,
+        defects=info.defects.along(axes),
+        rounding=info.rounding.along(axes),
+        errors=info.errors.along(axes),
+        draws=tuple(each.along(axes) for each in info.draws),
+        prior_xz=np.concatenate([info.prior_xz[..., :J], info.prior_xz[..., J:] @ axes], axis=2),
+    )
+    subject = Subject(_TREE, found.state, free, np.zeros((1, 2)), Priors(), Priors())
+    stated, mixtures = (
+        np.sqrt(np.diag(observability_along(subject, each).covariance.joint)[:J])
+        for each in (info, others)
+    )
+    shows = stated > 0
+    np.testing.assert_allclose(mixtures[shows], stated[shows], rtol=0.01)
+
+
 def test_what_each_number_does_to_the_turns_is_what_another_number_makes() -> None:
     q = stays(np.random.default_rng(1).uniform(-1.0, 1.0, (3, 2)), _STAY, _MOVE)
     log, truth = sampled_trajectory(q, np.zeros((len(q), 3, 3))), _truth()
@@ -107,9 +137,6 @@ def test_what_each_number_does_to_the_turns_is_what_another_number_makes() -> No
     masses = np.concatenate([body.toDynamicParameters() for body in _BODIES])
     x = np.zeros(loads.n_numbers)
     P = len(loads.basis)
-    assert np.bincount(loads.kinds).tolist() == [P, 6, 3, 6, 3]
-    slack = Unseen(np.zeros(2, dtype=np.int64), (np.ones((len(q), 2)),))
-    assert together([loads, slack]).kinds.tolist() == [*loads.kinds, 5, 5]
     x[:P] = np.linalg.lstsq(loads.basis.T, masses / 20_000, rcond=None)[0]
     x[-9:] = [5e-5, 3e-5, 2e-5, 1e-5, 0.0, -1e-5, 0.1, -0.1, 0.3]
     # About other axes than its frame's it yields less.

@@ -13,6 +13,7 @@ from skin2urdf.arrays import F64
 from skin2urdf.calibration.result import Calibration
 from skin2urdf.estimation.problem.state import N_JOINT, Step
 from skin2urdf.estimation.solve.spread import DETERMINED
+from skin2urdf.estimation.trajectory.azimuth import turned
 from skin2urdf.estimation.trajectory.heights import rise
 from skin2urdf.estimation.uncertainty.observability import ARM
 from skin2urdf.geometry.units import MILLI_G
@@ -42,7 +43,7 @@ def blocks_of(found: Calibration, truth: Truth) -> dict[str, Block]:
     """
     estimate, seen = found.estimate, found.observability
     tree = estimate.tree
-    off = _at_its_height(displacement(estimate.state, tree, true_robot(truth, tree)), found)
+    off = _as_it_stands(displacement(estimate.state, tree, true_robot(truth, tree)), found)
     parts: dict[str, list[Block]] = {name: [] for name in BLOCKS}
 
     free = estimate.free.joints.ravel()
@@ -86,13 +87,22 @@ def blocks_of(found: Calibration, truth: Truth) -> dict[str, Block]:
     return {name: summed(blocks) for name, blocks in parts.items()}
 
 
-def _at_its_height(off: Step, found: Calibration) -> Step:
-    """Displacements to the truth, at the height on its first axis that the estimate took."""
-    joints, sus = rise(found.estimate.tree, found.estimate.state)
+def _as_it_stands(off: Step, found: Calibration) -> Step:
+    """Displacements to the truth, at the height on its first axis that the estimate took.
+
+    They are turned about gravity as it is, too.
+    """
+    tree, state = found.estimate.tree, found.estimate.state
+    joints, raised = rise(tree, state)
     far = float((joints * off.joints).sum())
     placed = np.array(off.sus)
-    placed[:, :3] -= far * sus
-    return replace(off, joints=off.joints - far * joints, sus=placed)
+    placed[:, :3] -= far * raised
+    moved = off.joints - far * joints
+    joints, swung = turned(tree, state, state.up[0])
+    far = float((joints * moved).sum() / max((joints**2).sum(), 1e-300))
+    carried = tree.su_joint >= 0
+    placed[carried, :6] -= far * swung[carried]
+    return replace(off, joints=moved - far * joints, sus=placed)
 
 
 def normalised(error: F64, covariance: F64, observable: float = 0.0) -> Block:

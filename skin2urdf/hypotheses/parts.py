@@ -40,9 +40,7 @@ def sound_part(
     s = _visited(alone.sampled[0])
     alone = alone.of([s])
     features = take_features(alone, clock)
-    length = np.ptp(features.span, axis=1)
-    half = int(np.searchsorted(np.cumsum(length), length.sum() / 2))
-    border = float(features.span[half, 1])
+    border = middle(features)
     parts = [part for late in (False, True) if (part := _Part.of(alone, border, late, clock))]
     sound = list[_Fit]()
     if tree:
@@ -63,6 +61,19 @@ def sound_part(
         return None
     best = min(sound, key=lambda fit: fit.found.cost_per_dof)
     return best.found, take_features(alone, clock, latency=best.latency)
+
+
+def middle(features: Features) -> float:
+    """The end of a pose with as much time in poses before it as after it, or nearly so [s].
+
+    Whatever changes in a log once, the part before this time or the one after it is of one kind.
+    Either may be it, so that neither may be much the smaller one: few poses leave several robots.
+
+    Args:
+        features: of one log, its poses in the order of time.
+    """
+    before = np.cumsum(np.ptp(features.span, axis=1))
+    return float(features.span[np.argmin(np.abs(before - before[-1] / 2)), 1])
 
 
 @dataclass(frozen=True, eq=False)

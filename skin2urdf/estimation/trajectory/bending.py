@@ -219,10 +219,6 @@ def followed(
 ) -> tuple[Bending, F64]:
     """The same deflections along the motion of the links, which is what torques go with.
 
-    Loads go with the motion of the links, of which deflections are a part. They are solved for by
-    Newton's method, with :class:`~skin2urdf.estimation.trajectory.springs.Springs` as its
-    derivative, and so is what each number does to them.
-
     Args:
         found: deflections along some motion, by which the links' is nearly known.
         tree: the structure.
@@ -235,15 +231,31 @@ def followed(
         The deflections about these numbers, and the numbers: what the parts were found to yield is
         in ``compliance``.
     """
+    there = balanced(found, tree, logs, state, gravity, x)
+    return there.moved_by_numbers(), there.x
+
+
+def balanced(
+    found: Bending,
+    tree: KinematicTree,
+    logs: Sequence[Trajectory],
+    state: State,
+    gravity: float,
+    x: F64,
+) -> Balance:
+    """Loads and deflections in balance; arguments as those of :func:`followed`.
+
+    Loads go with the motion of the links, of which deflections are a part. They are solved for by
+    Newton's method, with :class:`~skin2urdf.estimation.trajectory.springs.Springs` as its
+    derivative.
+    """
     P, R = len(found.basis), len(found.parts)
     before = [_beyond(tree, log, found.moved(log, g, x)) for g, log in enumerate(logs)]
     about = replace(found, compliance=_compliance(found, x))
     x = np.array(x)
     x[P : P + R + 3 * found.base] = 0.0
     about = replace(about, origin=x)
-    numbers = np.arange(about.n_numbers)
-    moved = [*found.parts.tolist(), *((shift(tree, i) for i in range(3)) if found.base else ())]
-    settled, motions, every, holds = [], [], [], True
+    sizes, of_logs, bent, all_springs, every, holds = [], [], [], [], [], True
     for g, (log, beyond) in enumerate(zip(logs, before, strict=True)):
         step = max(1, int(log.rate / (_PER_CUTOFF * noise_bandwidth(log.taps, log.rate))))
         within = slice(int(log.kept[0]) // step, int(log.kept[-1]) // step + 1)
@@ -259,26 +271,68 @@ def followed(
             beyond, last = nearer, change
             if change < _EXACT:
                 break
-        settled.append(on_grid(beyond, step, len(log.q)))
-        of_numbers = of_log.motions(beyond, springs)
-        motions.append(of_numbers.reshape(len(beyond), -1))
+        sizes.append(len(log.q))
+        of_logs.append(of_log)
+        bent.append(beyond)
+        all_springs.append(springs)
         every.append(step)
-    most = int(np.argmax(np.max([np.ptp(e[:, found.parts], axis=0) for e in settled], axis=0)))
-    held = np.ones((len(moved), len(numbers)), dtype=bool)
-    held[:, P + most] = False  # what one part yields is the scale of all
-    shows = held & (np.max([np.abs(m).max(axis=0) for m in motions], axis=0) > 0).reshape(
-        held.shape
-    )
-    joint, number = np.broadcast_arrays(np.array(moved)[:, None], numbers)
-    return replace(
+    moved = [*found.parts.tolist(), *((shift(tree, i) for i in range(3)) if found.base else ())]
+    deflections = replace(
         about,
-        joint=joint[shows],
-        motions=tuple(m[:, shows.ravel()] for m in motions),
-        number=number[shows],
-        settled=tuple(settled),
+        joint=np.array(moved),
+        motions=tuple(np.zeros((len(beyond), len(moved))) for beyond in bent),
+        number=np.zeros(len(moved), dtype=np.int64),
+        settled=tuple(map(on_grid, bent, every, sizes)),
         every=tuple(every),
         holds=holds,
-    ), x
+    )
+    return Balance(deflections, x, tuple(of_logs), tuple(bent), tuple(all_springs))
+
+
+@dataclass(frozen=True, eq=False)
+class Balance:
+    """Deflections in balance with their loads, before it is asked what numbers do to them.
+
+    They tell whether a step leads nearer. Half of the steps that are tried do not, and what each
+    number does is twice the work.
+
+    Attributes:
+        deflections: about the numbers, of which none moves anything.
+        x: (S,) the numbers.
+        of_logs: per log, what loads do along it.
+        bent: per log (M, D + 6) deflections at each so many-th sample [rad or m].
+        springs: per log, how these follow their loads.
+    """
+
+    deflections: Bending
+    x: F64
+    of_logs: tuple[_OfLog, ...]
+    bent: tuple[F64, ...]
+    springs: tuple[Springs, ...]
+
+    def moved_by_numbers(self) -> Bending:
+        """The deflections with what each number does to them."""
+        still = self.deflections
+        motions = [
+            of_log.motions(beyond, springs).reshape(len(beyond), -1)
+            for of_log, beyond, springs in zip(self.of_logs, self.bent, self.springs, strict=True)
+        ]
+        numbers = np.arange(still.n_numbers)
+        most = int(
+            np.argmax(np.max([np.ptp(e[:, still.parts], axis=0) for e in still.settled], axis=0))
+        )
+        held = np.ones((len(still.joint), len(numbers)), dtype=bool)
+        held[:, len(still.basis) + most] = False  # what one part yields is the scale of all
+        shows = held & (np.max([np.abs(m).max(axis=0) for m in motions], axis=0) > 0).reshape(
+            held.shape
+        )
+        joint, number = np.broadcast_arrays(still.joint[:, None], numbers)
+        return replace(
+            still,
+            joint=joint[shows],
+            motions=tuple(m[:, shows.ravel()] for m in motions),
+            number=number[shows],
+        )
 
 
 def _beyond(tree: KinematicTree, log: Trajectory, moved: Trajectory) -> F64:

@@ -22,13 +22,13 @@ from skin2urdf.estimation.trajectory.bending import (
     SPINDLE,
     YIELD,
     Bending,
+    balanced,
     bending,
-    followed,
     unsettled,
 )
 from skin2urdf.estimation.trajectory.elastic import Elasticity
 from skin2urdf.estimation.trajectory.elastic import followed as followed_by_known
-from skin2urdf.estimation.trajectory.fit import Fitted, fit, fit_following, held
+from skin2urdf.estimation.trajectory.fit import Fitted, Led, fit, fit_following, held
 from skin2urdf.estimation.trajectory.front_end import begin_front
 from skin2urdf.estimation.trajectory.gears import find_ripples, harmonics, ripples
 from skin2urdf.estimation.trajectory.known_torque import known_elasticity
@@ -395,17 +395,19 @@ def _yielding(
     n_knots = problem.layout.n_knots
     promised = 1 + _MOST_OF_IT * (misfit_of(problem, fitted, SPAN) - 1)
 
-    def follow(before: MotionProblem, at: MotionState) -> tuple[MotionProblem, MotionState]:
-        about = cast(Bending, before.unseen)
-        about, x = followed(about, tree, before.logs, at.placements, at.gravity, at.unseen)
-        after = MotionProblem(tree, before.logs, before.priors, n_knots, about)
-        return after, replace(at, unseen=x)
+    def follow(before: MotionProblem, at: MotionState) -> Led:
+        bends = cast(Bending, before.unseen)
+        there = balanced(bends, tree, before.logs, at.placements, at.gravity, at.unseen)
 
-    def follow_where_it_holds(
-        before: MotionProblem, at: MotionState
-    ) -> tuple[MotionProblem, MotionState] | None:
-        after, there = follow(before, at)
-        return (after, there) if cast(Bending, after.unseen).holds else None
+        def about(bends: Bending) -> MotionProblem:
+            return MotionProblem(tree, before.logs, before.priors, n_knots, bends)
+
+        led = about(there.deflections), replace(at, unseen=there.x)
+        return Led(*led, lambda: about(there.moved_by_numbers()))
+
+    def follow_where_it_holds(before: MotionProblem, at: MotionState) -> Led | None:
+        led = follow(before, at)
+        return led if cast(Bending, led.problem.unseen).holds else None
 
     # How SUs on the base are turned is known when its motion is.
     moved = [replace(log, valid=log.valid & ((tree.su_joint >= 0) | (not base))) for log in logs]
@@ -417,7 +419,8 @@ def _yielding(
     if not base:
         # Far below resonances links deflect by the motion that encoders have, or nearly so.
         state = fit(yielding, state, tolerance=_NEARLY, iterations=_PROMISING_STEPS).state
-        yielding, state = follow(yielding, state)
+        led = follow(yielding, state)
+        yielding, state = led.whole(), led.state
         yielding, near = fit_following(
             yielding,
             state,
@@ -427,7 +430,8 @@ def _yielding(
         )
         bends = unsettled(cast(Bending, yielding.unseen), moved)
         yielding = MotionProblem(tree, moved, priors, n_knots, bends)
-        yielding, state = follow(yielding, near.state)
+        led = follow(yielding, near.state)
+        yielding, state = led.whole(), led.state
     for steps in (_PROMISING_STEPS, _STEPS) if base else (_PROMISING_STEPS,):
         yielding, fitted = fit_following(
             yielding, state, follow_where_it_holds, iterations=steps, tolerance=_NEARLY

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from functools import cached_property
 
 import numpy as np
 
@@ -65,7 +66,6 @@ class Derivatives:
         self.tree, self.logs, self.priors = tree, tuple(logs), priors
         self.unseen = unseen
         self.skeleton = Skeleton.of(tree, unseen.joint if unseen else ())
-        self._motions = unseen.at_kept(self.logs) if unseen else ()
         self._seconds = tuple(float(log.time[-1] - log.time[0]) for log in self.logs)
         knots = tuple(n_knots or [0] * len(self.logs))
         self.gyros = with_gyros(tree, self.logs)
@@ -84,6 +84,11 @@ class Derivatives:
             any(log.rates is not None for log in self.logs),
             priors.blueprint.n_coordinates if priors.blueprint else 0,
         )
+
+    @cached_property
+    def _motions(self) -> tuple[F64, ...]:
+        """Per log what each number moves; steps that fail never ask."""
+        return self.unseen.at_kept(self.logs) if self.unseen else ()
 
     def knot_shares(self, g: int) -> F64:
         """(K, B) how much each knot counts at the kept samples of a log; linear in between."""

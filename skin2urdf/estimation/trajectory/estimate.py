@@ -19,6 +19,7 @@ from skin2urdf.estimation.trajectory.encoder_noise import without_shortening
 from skin2urdf.estimation.trajectory.fit import Fitted, fit
 from skin2urdf.estimation.trajectory.front_end import begin_front, droop, droop_variance
 from skin2urdf.estimation.trajectory.gyro import gyro_deviations
+from skin2urdf.estimation.trajectory.leaning import with_leaning_base
 from skin2urdf.estimation.trajectory.listening import found_gyros, listened
 from skin2urdf.estimation.trajectory.misfit import (
     misfit,
@@ -84,16 +85,21 @@ class MotionEstimate:
     @cached_property
     def information(self) -> MotionInformation:
         """What the fit is worth: a quarter of the work, for those who ask."""
-        sways = swaying(self.problem, self.fitted.state)
-        again = rounded_off_again(self.problem.logs)
+        problem, fitted = with_leaning_base(self.problem, self.fitted)
+        sways = swaying(problem, fitted.state)
+        again = rounded_off_again(problem.logs)
         groups = [each for each in (sways, again) if each is not None]
         defects, rounding = [], None
         if groups:
-            seen = lacking(self.problem, self.fitted, groups)
+            seen = lacking(problem, fitted, groups)
             defects += [seen.pull(0)] if sways is not None else []
             rounding = seen.pulls(len(groups) - 1) if again is not None else None
-        defects += [(UNSURE * joint, UNSURE * own) for joint, own in self.corrected]
-        return motion_information(self.problem, self.fitted, defects, rounding, misfit=self.misfit)
+        end = self.problem.layout.unseen.stop
+        none = np.zeros(problem.layout.unseen.stop - end)
+        defects += [
+            (UNSURE * np.insert(joint, end, none), UNSURE * own) for joint, own in self.corrected
+        ]
+        return motion_information(problem, fitted, defects, rounding, misfit=self.misfit)
 
     @property
     def misfit_of_sus(self) -> F64:

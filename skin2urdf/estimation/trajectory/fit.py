@@ -132,9 +132,29 @@ def _near(
     return found
 
 
-Follow = Callable[[MotionProblem, MotionState], tuple[MotionProblem, MotionState] | None]
-"""What makes a problem that is linear about a state from one that is so about another: the problem,
-and the state in its numbers; None where there is none."""
+@dataclass(frozen=True, eq=False)
+class Led:
+    """Where a step leads in a problem that is linear about a state.
+
+    Attributes:
+        problem: about there, as far as the step is judged by it.
+        state: the same place in its numbers.
+        whole: makes the problem with all derivatives, for steps that are taken.
+    """
+
+    problem: MotionProblem
+    state: MotionState
+    whole: Callable[[], MotionProblem]
+
+
+Follow = Callable[[MotionProblem, MotionState], Led | None]
+"""What makes a problem that is linear about a state from one that is so about another; None where
+there is none."""
+
+
+def _stay(problem: MotionProblem, state: MotionState) -> Led:
+    """The same problem, about whatever state."""
+    return Led(problem, state, lambda: problem)
 
 
 def fit_following(
@@ -172,7 +192,7 @@ def _descend(
     iterations: int,
     tell: Callable[[float], None],
     far: bool = False,
-    follow: Follow = lambda problem, state: (problem, state),
+    follow: Follow = _stay,
     predicted: tuple[Predicted, ...] | None = None,
 ) -> tuple[MotionProblem, Fitted]:
     """Minimise chi-squared over some coordinates; from far away steps may have to be held back."""
@@ -199,7 +219,7 @@ def _descend(
                 return problem, here
             led = follow(problem, problem.layout.moved(state, joint, sus))
             if led is not None:
-                about, trial = led
+                about, trial = led.problem, led.state
                 ahead = tuple(about.predict(trial, g) for g in range(len(problem.logs)))
                 trial, ahead = about.refit_sensors(trial, ahead, weights, free_su)
                 there = _cost(about, trial, ahead, weights, shaken)
@@ -213,7 +233,7 @@ def _descend(
         if far and damping > _DAMPING:
             length = np.inf  # a step that was held back says nothing of how far it still is
         fell, gain = cost - there, (cost - there) / max(cost, 1e-12)
-        problem, state, predicted = about, trial, ahead
+        problem, state, predicted = led.whole(), trial, ahead
         if at_once:
             damping = max(damping / _FALL, 1e-12)
         noise, weights = _noise(problem, state, predicted)

@@ -14,6 +14,7 @@ from skin2urdf.estimation.problem.state import (
     N_SU,
     identifiable,
 )
+from skin2urdf.estimation.trajectory.azimuth import turned
 from skin2urdf.estimation.trajectory.derivatives import (
     Derivatives,
     compared,
@@ -44,7 +45,7 @@ from skin2urdf.signals.filters import filtered, first_derivative
 from skin2urdf.signals.trajectory import Trajectory
 
 _HELD = 1e-6
-"""Deviation by which a height that nothing shows is held [m]: far less than is stated of any."""
+"""Deviation by which what nothing shows is held [m or rad]: far less than is stated of any."""
 
 
 class MotionProblem(Derivatives):
@@ -60,16 +61,20 @@ class MotionProblem(Derivatives):
         """(U, n) coordinates of the SUs that are estimated."""
         return self._free[1]
 
-    def height(self, state: MotionState) -> F64:
-        """(J,) unit vector along which the robot rises, see :mod:`heights`.
+    def chosen(self, state: MotionState) -> F64:
+        """(H, J) unit vectors along which the robot stands as one chooses, and nothing shows.
 
-        It is 0 where no motion of the base is followed by its loads, or the robot is known.
+        Its height (:mod:`heights`) and how it is turned about gravity (:mod:`azimuth`); none where
+        no motion of the base is followed by its loads, or the robot is known.
         """
-        out, unseen = np.zeros(self.layout.n_joint), self.unseen
+        unseen, places = self.unseen, state.placements
         follows = unseen is not None and unseen.settled and unseen.moves_base(self.tree.n_joints)
-        if follows and self.priors.blueprint is None:
-            out[self.layout.joints] = rise(self.tree, state.placements)[0].ravel()
-        return out
+        if not follows or self.priors.blueprint is not None:
+            return np.zeros((0, self.layout.n_joint))
+        ways = rise(self.tree, places)[0], turned(self.tree, places, places.up[0])[0]
+        out = np.zeros((len(ways), self.layout.n_joint))
+        out[:, self.layout.joints] = [way.ravel() for way in ways]
+        return np.asarray(out / np.linalg.norm(out, axis=1, keepdims=True).clip(min=1e-300))
 
     def again(
         self, *, logs: Sequence[Trajectory] | None = None, priors: MotionPriors | None = None
@@ -291,8 +296,8 @@ class MotionProblem(Derivatives):
                 joint[np.ix_(columns, numbers)] += H[:, :nj].T
                 mixed[u][:, numbers] += H[:, nj:].T
                 joint_gradient[numbers] += own @ r[:, at].ravel()
-        up = self.height(state)
-        joint += np.outer(up, up) / _HELD**2
+        chosen = self.chosen(state)
+        joint += chosen.T @ chosen / _HELD**2
         data = Equations(joint, su, mixed, joint_gradient, su_gradient)
         return with_priors(self.priors, self.layout, self._seconds, state, data)
 

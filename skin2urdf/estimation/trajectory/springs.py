@@ -11,6 +11,8 @@ are alike; near it they are not, and no repeated insertion of e into e'' leads t
 
 from __future__ import annotations
 
+from functools import cached_property
+
 import numpy as np
 
 from skin2urdf.arrays import F64
@@ -45,23 +47,70 @@ class Springs:
             root @ (V * each[:, None]) @ V.swapaxes(1, 2) @ inverse
             for each in (lam.clip(min=0.0), h**2 * share)
         )
-        self._inverse = np.linalg.inv(A + 0.5 * h * self._late + later)
-        self._later = later
+        inverse = np.linalg.inv(A + 0.5 * h * self._late + later)
+        self._n = len(inertia)
+        self._length = length = max(1, round(np.sqrt(self._n)))
+        self._inverse, self._later = _in_blocks(inverse, length), _in_blocks(later, length)
 
     def bent(self, loads: F64) -> F64:
-        """(N, R, S) deflections by loads (N, R, S), from rest in balance with the first."""
+        """(N, R, S) deflections by loads (N, R, S), from rest in balance with the first.
+
+        Steps are linear in what they begin from: all blocks of the time are gone through at once,
+        each from rest, and each then moves on from where the one before it ended.
+        """
+        R = loads.shape[1]
+        begin = np.zeros((3, *loads.shape[1:]))
+        begin[0] = loads[0]
+        blocks = _in_blocks(loads, self._length)
+        out, ends = self._stepped(blocks, np.zeros((3, len(blocks), *loads.shape[1:])))
+        moved_on, at_end = self._from_units
+        state = begin
+        for b in range(len(blocks)):
+            flat = state.reshape(3 * R, -1)
+            out[b] += moved_on[b] @ flat
+            state = ends[:, b] + (at_end[b] @ flat).reshape(begin.shape)
+        return out.reshape(-1, *loads.shape[1:])[: self._n]
+
+    @cached_property
+    def _from_units(self) -> tuple[F64, F64]:
+        """What becomes of deflection, speed and acceleration of one unit each without loads.
+
+        Returns:
+            Per block (B, L, R, 3 R) deflections, and (B, 3 R, 3 R) all three at its end.
+        """
+        B, L, R = self._later.shape[:3]
+        units = np.eye(3 * R).reshape(3, 1, R, 3 * R)
+        start = np.broadcast_to(units, (3, B, R, 3 * R))
+        out, ends = self._stepped(np.zeros((B, L, R, 1)), start)
+        return out, ends.swapaxes(0, 1).reshape(B, 3 * R, 3 * R)
+
+    def _stepped(self, loads: F64, start: F64) -> tuple[F64, F64]:
+        """Steps through all blocks at once.
+
+        Args:
+            loads: (B, L, R, S or 1) of L samples of each block.
+            start: (3, B, R, S) deflections, speeds and accelerations before the first.
+
+        Returns:
+            (B, L, R, S) deflections, and (3, B, R, S) what is left at the ends.
+        """
         h, inverse, later, late = self._h, self._inverse, self._later, self._late
-        out = np.empty_like(loads)
-        e = out[0] = loads[0]
-        v, a = np.zeros_like(e), np.zeros_like(e)
-        for n in range(1, len(loads)):
+        out = np.empty((*loads.shape[:3], start.shape[3]))
+        e, v, a = start
+        for n in range(loads.shape[1]):
             v = v + 0.5 * h * a
-            e = e + h * v - later[n] @ a
-            a = inverse[n] @ (loads[n] - e - late @ v)
-            e = e + later[n] @ a
+            e = e + h * v - later[:, n] @ a
+            a = inverse[:, n] @ (loads[:, n] - e - late @ v)
+            e = e + later[:, n] @ a
             v = v + 0.5 * h * a
-            out[n] = e
-        return out
+            out[:, n] = e
+        return out, np.array([e, v, a])
+
+
+def _in_blocks(x: F64, length: int) -> F64:
+    """(B, length, ...) blocks of (N, ...) samples; the last sample stands for those behind it."""
+    at = np.minimum(np.arange(-(-len(x) // length) * length), len(x) - 1)
+    return np.asarray(x[at].reshape(-1, length, *x.shape[1:]))
 
 
 def roots(compliance: F64) -> tuple[F64, F64]:

@@ -131,7 +131,9 @@ def joint_inertias(
     for sign, added in ((1, heavy.ravel() + parameters), (-1, heavy.ravel())):
         _load(model, bodies(added))
         data = model.createData()
-        upper += sign * np.array([np.triu(pin.crba(model, data, x)) for x in q])
+        for n, x in enumerate(q):
+            upper[n] += sign * pin.crba(model, data, x)
+    upper = np.triu(upper)
     out = np.empty_like(upper)
     numbers = skeleton.numbers
     out[:, numbers[:, None], numbers] = upper + np.triu(upper, 1).swapaxes(1, 2)

@@ -116,6 +116,10 @@ class Pulls:
         """Errors that are larger by a factor."""
         return Pulls(factor * self.x, factor * self.z, factor * self.y)
 
+    def along(self, axes: F64) -> Pulls:
+        """The same on other numbers that all share: axes (Z, Z) times these are the former."""
+        return replace(self, z=self.z @ axes)
+
     def together(self, label: Int) -> Pulls:
         """Sums of errors that go together, as they have the same label (E,)."""
         return Pulls(
@@ -383,6 +387,8 @@ def disturbed(weights: ArrowCovariance, info: MotionInformation) -> tuple[ArrowC
         The covariance, and the variances that clusters show, over those of errors that are new at
         every moment, in the mean over the joints' coordinates.
     """
+    axes = _axes(_Response.of(weights, info).inverse_z, info.prior_joint[len(weights.joint) :])
+    info = _along(info, axes)
     response = _Response.of(weights, info)
     known = _of_priors(response, info)
     by_joint, by_su, by_z = _widening(response, info)
@@ -396,10 +402,55 @@ def disturbed(weights: ArrowCovariance, info: MotionInformation) -> tuple[ArrowC
     columns = np.concatenate([weights.columns, np.tile(J + np.arange(Z), (U, 1))], axis=1)
     lean = np.concatenate([weights.lean, -response.own_z], axis=2)
     own = _scaled(weights.own, known[1], by_su) + np.einsum("uei,uej->uij", dy, dy)
+    # Numbers again, as they were.
+    back = np.linalg.inv(axes)
+    joint[J:] = axes @ joint[J:]
+    joint[:, J:] = joint[:, J:] @ axes.T
+    lean[..., weights.lean.shape[2] :] = -response.own_z @ back
     told = np.diag(weights.joint) > 0
     noise = _of_noise(response, info)
     widening = float(by_joint[told].mean() / noise[told].mean()) if told.any() else 1.0
     return ArrowCovariance(joint, columns, lean, own), widening
+
+
+def _axes(covariance: F64, known: F64) -> F64:
+    """(Z, Z) numbers that all share, column by column, whose errors have nothing to do with others.
+
+    Of loads, what makes the readings is known a thousand times better than each of them. A single
+    one's errors, which are those of what hardly shows, must not widen the whole: by as much as they
+    differ, numbers that make up for each other would do so no longer. In units of what is known
+    before, what shows best comes apart from what shows least.
+
+    Args:
+        covariance: (Z, Z) if the weights are right.
+        known: (Z,) information before; 0 for numbers that are not estimated.
+    """
+    some = np.flatnonzero(known > 0)
+    scale = known[some] ** -0.5
+    axes = np.eye(len(known))
+    _, turn = np.linalg.eigh(covariance[np.ix_(some, some)] / np.outer(scale, scale))
+    axes[np.ix_(some, some)] = scale[:, None] * turn
+    return axes
+
+
+def _along(info: MotionInformation, axes: F64) -> MotionInformation:
+    """The same with other numbers that all share: axes (Z, Z) times these are the former."""
+    J = info.shared_joint.shape[1]
+    of_parts = info.shares[2] @ (np.diag(info.shared)[:, None] * axes**2)
+    before = info.prior_joint
+    return replace(
+        info,
+        shared=axes.T @ info.shared @ axes,
+        shared_joint=axes.T @ info.shared_joint,
+        shared_su=info.shared_su @ axes,
+        defects=info.defects.along(axes),
+        rounding=info.rounding.along(axes),
+        errors=info.errors.along(axes),
+        draws=tuple(each.along(axes) for each in info.draws),
+        prior_xz=np.concatenate([info.prior_xz[..., :J], info.prior_xz[..., J:] @ axes], axis=2),
+        shares=(*info.shares[:2], _shares(of_parts)),
+        prior_joint=np.append(before[:J], before[J:] @ axes**2),
+    )
 
 
 def shared_covariance(problem: MotionProblem, fitted: Fitted, misfit: float) -> F64:

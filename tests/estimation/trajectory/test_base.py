@@ -10,14 +10,17 @@ from functools import cache
 
 import numpy as np
 import pinocchio as pin
+from scipy.stats import ortho_group
 from stand import DEPTH, UP, readings_on_a_stand
 from synthetic import RATE, random_state, sampled_trajectory, serial_tree, stays
 
 from skin2urdf.arrays import F64
 from skin2urdf.estimation.problem.cost import Priors
-from skin2urdf.estimation.problem.state import State
+from skin2urdf.estimation.problem.state import State, identifiable
+from skin2urdf.estimation.trajectory.azimuth import turned
 from skin2urdf.estimation.trajectory.bending import Bending, bending, followed
 from skin2urdf.estimation.trajectory.estimate import MotionEstimate, estimate_along, motion_priors
+from skin2urdf.estimation.uncertainty.observability import Subject, observability_along
 from skin2urdf.geometry.so3 import rotation_exp, rotation_log
 from skin2urdf.signals.filters import filtered, low_pass
 
@@ -77,6 +80,54 @@ def test_a_base_that_gives_way_is_followed() -> None:
     assert not stiff.base_motion.any()
     # Loads that no encoder sees bend joints as well, and explain less.
     assert found.tried["elastic"] > 2 * found.tried["base"]
+
+
+def test_how_a_base_stands_is_chosen_or_stated_to_be_open() -> None:
+    """Nothing shows its turn about gravity, nor how it leans all the time."""
+    found, _ = _on_a_stand(1 / 30_000)
+    tree, state, free = _TREE, found.state, identifiable(_TREE, 1)
+    subject = Subject(tree, state, free, np.zeros((1, 2)), Priors(), Priors())
+    seen = observability_along(subject, found.information)
+    covariance = seen.covariance.joint[: free.joints.size, : free.joints.size]
+    about_gravity, *about = (turned(tree, state, axis)[0].ravel() for axis in (UP, *np.eye(3)[:2]))
+    about_gravity /= np.linalg.norm(about_gravity)
+    assert np.sqrt(about_gravity @ covariance @ about_gravity) < 1e-5
+    sways = np.concatenate(found.problem.base_motions(found.fitted.state))[:, 3:].std(axis=0).max()
+    leans = np.array([way - (about_gravity @ way) * about_gravity for way in about])
+    for way in leans:
+        stated = np.sqrt(way @ covariance @ way)
+        # Loads that hardly change are not known exactly, either.
+        assert 1.0 < stated / (sways * np.linalg.norm(leans @ way)) < 2.0
+
+
+def test_what_numbers_stand_for_does_not_change_what_is_stated() -> None:
+    """Loads may be mixed as one likes, where as much is known of the mixtures before."""
+    found, _ = _on_a_stand(1 / 30_000)
+    free, info = identifiable(_TREE, 1), found.information
+    J, Z = info.shared_joint.shape[1], len(info.shared)
+    known = info.prior_joint[J:] > 0
+    unit = np.where(known, info.prior_joint[J:].clip(min=1e-300) ** -0.5, 1.0)
+    mixed = np.eye(Z)
+    mixed[np.ix_(known, known)] = ortho_group.rvs(int(known.sum()), random_state=1)
+    axes = unit[:, None] * mixed / unit
+    others = replace(
+        info,
+        shared=axes.T @ info.shared @ axes,
+        shared_joint=axes.T @ info.shared_joint,
+        shared_su=info.shared_su @ axes,
+        defects=info.defects.along(axes),
+        rounding=info.rounding.along(axes),
+        errors=info.errors.along(axes),
+        draws=tuple(each.along(axes) for each in info.draws),
+        prior_xz=np.concatenate([info.prior_xz[..., :J], info.prior_xz[..., J:] @ axes], axis=2),
+    )
+    subject = Subject(_TREE, found.state, free, np.zeros((1, 2)), Priors(), Priors())
+    stated, mixtures = (
+        np.sqrt(np.diag(observability_along(subject, each).covariance.joint)[:J])
+        for each in (info, others)
+    )
+    shows = stated > 0
+    np.testing.assert_allclose(mixtures[shows], stated[shows], rtol=0.01)
 
 
 def test_what_each_number_does_to_the_turns_is_what_another_number_makes() -> None:

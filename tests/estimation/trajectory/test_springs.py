@@ -12,7 +12,7 @@ import pinocchio as pin
 import pytest
 from synthetic import RATE, random_state, sampled_trajectory, serial_tree
 
-from skin2urdf.estimation.trajectory.bending import Bending, followed
+from skin2urdf.estimation.trajectory.bending import Bending, balanced, followed
 from skin2urdf.estimation.trajectory.skeleton import N_HINGES
 from skin2urdf.estimation.trajectory.springs import Springs
 from skin2urdf.estimation.trajectory.torques import bodies, joint_inertias, loads_of, regressors
@@ -70,6 +70,9 @@ def test_soft_gears_are_followed_through_their_resonance() -> None:
     x = np.zeros(gears_of_one_load.n_numbers)
     x[0] = 1.0
     found, _ = followed(gears_of_one_load, tree, [log], truth, 9.81, x)
+    # A step is judged by deflections alone.
+    judged = balanced(gears_of_one_load, tree, [log], truth, 9.81, x).deflections
+    assert np.array_equal(judged.moved(log, 0, x).q, found.moved(log, 0, x).q)
     true = filtered(link - drive, log.taps)[log.kept]
     off = (found.moved(log, 0, x).q - log.q)[log.kept] - true
     np.testing.assert_array_less(off.std(axis=0), 0.03 * true.std(axis=0))
@@ -77,6 +80,22 @@ def test_soft_gears_are_followed_through_their_resonance() -> None:
     again, x = followed(found, tree, [log], truth, 9.81, x)
     moved = (again.moved(log, 0, x).q - found.moved(log, 0, x).q)[log.kept]
     np.testing.assert_array_less(np.abs(moved).max(axis=0), 1e-3 * true.std(axis=0))
+
+
+def test_what_comes_later_changes_nothing_before() -> None:
+    """Blocks of the time that are gone through at once are others then, and end elsewhere."""
+    rng, n, earlier = np.random.default_rng(1), 1500, 967
+    root = rng.standard_normal((2, 2))
+    turning = (1 + 0.5 * np.sin(np.arange(n) / 40))[:, None, None]
+    inertia = 1e-3 * turning * (root @ root.T + np.eye(2))
+    loads = rng.standard_normal((n, 2, 3))
+    whole, part = (
+        Springs(np.diag([1.0, 0.4]), inertia[:m], 3e-3 * np.eye(2), RATE).bent(loads[:m])
+        for m in (n, earlier)
+    )
+    assert whole.shape == loads.shape
+    np.testing.assert_allclose(part, whole[:earlier], rtol=0, atol=1e-10 * np.abs(whole).max())
+    np.testing.assert_allclose(part[0], loads[0])
 
 
 @pytest.mark.parametrize("inertia", [-1e-3, 0.0, 1e-6])

@@ -1,0 +1,38 @@
+"""How a base leans by what loads it all the time, which nothing shows.
+
+The weight of what stands still on a base, and that of the whole robot on a lever that does not
+change, turn it by as much in all poses. Readings then are those of a robot whose axes are turned
+against gravity, but the URDF's are those on a base without load. So two numbers join the others
+that make the base's motion: of them nothing is known but that they may be as large as what the base
+is seen to do.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from skin2urdf.estimation.trajectory.fit import Fitted
+from skin2urdf.estimation.trajectory.problem import MotionProblem
+from skin2urdf.estimation.trajectory.skeleton import turn
+from skin2urdf.estimation.trajectory.slack import with_unseen
+from skin2urdf.estimation.trajectory.unseen import Unseen
+
+
+def with_leaning_base(problem: MotionProblem, fitted: Fitted) -> tuple[MotionProblem, Fitted]:
+    """A problem and its fit with constant turns of the base about its horizontal axes.
+
+    Args:
+        problem: what was fitted; where its base stands still, nothing is added.
+        fitted: the fit.
+    """
+    tree = problem.tree
+    if problem.unseen is None or not problem.unseen.moves_base(tree.n_joints):
+        return problem, fitted
+    turns = np.concatenate(problem.base_motions(fitted.state))[:, 3:]
+    about = np.array([turn(tree, 0), turn(tree, 1)])
+    constant = Unseen(about, tuple(np.ones((len(log.q), 2)) for log in problem.logs))
+    wider = with_unseen(problem, constant, float(turns.std(axis=0).max()))
+    state = replace(fitted.state, unseen=np.append(fitted.state.unseen, np.zeros(2)))
+    return wider, replace(fitted, problem=wider, state=state)

@@ -8,8 +8,9 @@ every branch and SU by itself.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 
@@ -153,7 +154,7 @@ def with_unseen_joints(
     left = list(unplaced)
     others: list[Draft] = []
     while left:
-        now = [draft.judged(samples, u) if j >= -1 else None for u, j in enumerate(draft.su_joint)]
+        now = _judged_once(draft, samples)
         places = [p for d in left for p in _places(draft, samples, d, now, len(left))]
         if not places:
             break
@@ -208,6 +209,15 @@ def _alike(draft: Draft) -> Iterator[int]:
             yield j
 
 
+_Now = Callable[[int], Judged | None]
+"""How well the chain of an SU predicts what it feels; None of SUs without readings."""
+
+
+def _judged_once(draft: Draft, samples: Along) -> _Now:
+    """The same of a draft, worked out when it is first asked for."""
+    return cache(lambda u: draft.judged(samples, u) if draft.su_joint[u] >= -1 else None)
+
+
 def _gain(now: Judged, then: Judged) -> F64:
     """(B,) log-likelihood that another chain gains in each stretch, whatever its noise is."""
     return _log_ratio(now.loss, then.loss, now.count, QUIET) + _gain_in_turning(now, then)
@@ -224,9 +234,7 @@ def _log_ratio(now: F64, then: F64, count: F64, quiet: float) -> F64:
     return np.asarray(count / 2 * np.log((now + floor) / (then + floor)))
 
 
-def _places(
-    draft: Draft, samples: Along, dof: int, now: Sequence[Judged | None], left: int
-) -> Iterator[_Place]:
+def _places(draft: Draft, samples: Along, dof: int, now: _Now, left: int) -> Iterator[_Place]:
     """Everywhere that a joint may be, if that is worth its parameters."""
     price = _price(samples, left, len(draft.joints) + 1)
     for at in range(-1, len(draft.joints)):
@@ -244,7 +252,7 @@ def _places(
 
 
 def _placed(
-    draft: Draft, samples: Along, joint: ChainJoint, at: int, now: Sequence[Judged | None],
+    draft: Draft, samples: Along, joint: ChainJoint, at: int, now: _Now,
     price: float,
 ) -> _Place | None:  # fmt: skip
     """A joint at one place, before those branches and SUs that gain by it."""
@@ -296,20 +304,27 @@ def _moved(
     members: Sequence[int],
     kind: JointType,
     at: int,
-    now: Sequence[Judged | None],
+    now: _Now,
     price: float,
 ) -> _Moved | None:
     """Whether SUs are beyond a joint that a trial puts before them, behind segment ``at``."""
-    pairs = [(a, trial.judged(samples, u)) for u in members if (a := now[u]) is not None]
+    pairs: list[tuple[Judged, Judged]] = []
+    gains = np.zeros(samples.n_stretches)
+    for u in members:
+        before = now(u)
+        if before is None:
+            continue
+        after = trial.judged(samples, u)
+        gain = _gain(before, after)
+        # What moves a branch moves every SU on it; of many, the first that denies it is enough.
+        if gain.sum() < -CERTAIN:
+            return None
+        gains += gain
+        pairs.append((before, after))
     if not pairs:
         return None
-    each = np.array([_gain(a, b) for a, b in pairs])
-    gains = each.sum(axis=0)
     scatter = float(np.std(gains)) * np.sqrt(len(gains)) + 1e-12
     if gains.sum() < max(price, _CONSISTENT * scatter):
-        return None
-    # What moves a branch moves every SU on it.
-    if each.sum(axis=1).min() < -CERTAIN:
         return None
     if kind == "revolute":
         near = len(pairs) == 1 and pairs[0][1].lever < _NEAREST
@@ -334,6 +349,7 @@ def _with_all_that_they_move(draft: Draft, samples: Along, dofs: Sequence[int]) 
     """The draft with branches and SUs beyond joints put in, where all joints known show it."""
     price = _price(samples, 1, 1)
     while True:
+        now = _judged_once(draft, samples)
         for j, joint in enumerate(draft.joints):
             if joint.dof not in dofs:
                 continue
@@ -341,10 +357,6 @@ def _with_all_that_they_move(draft: Draft, samples: Along, dofs: Sequence[int]) 
                 if own == [j]:
                     continue
                 trial = draft.gathered(j, own, [] if own else members)
-                now = [
-                    draft.judged(samples, u) if u in members else None
-                    for u in range(len(draft.su_joint))
-                ]
                 at = draft.parent[j]
                 if _moved(draft, trial, samples, members, joint.kind, at, now, price):
                     draft = trial

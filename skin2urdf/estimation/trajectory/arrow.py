@@ -57,7 +57,7 @@ def eliminated(
     H = np.where(free_joint[:, None] & free_joint, equations.joint, 0.0)
     index = np.arange(len(H))
     H[index, index] += damping * np.diag(H)
-    schur = H + np.einsum("unj,unk->jk", mixed, lean)
+    schur = H + np.tensordot(mixed, lean, ((0, 1), (0, 1)))
     own = np.einsum("unm,um->un", inverse, equations.su_gradient)
     gradient = np.where(free_joint, equations.joint_gradient, 0.0)
     gradient += np.einsum("unj,un->j", lean, equations.su_gradient)

@@ -78,7 +78,7 @@ def joint_inverse(schur: F64, free: Bool) -> F64:
     """(J, J) inverse of a Schur complement over its free coordinates."""
     diagonal = np.diag(schur)
     size = np.sqrt(np.where(free & (diagonal > 0), diagonal, 1.0))
-    unit = schur / size[:, None] / size
+    unit = np.where(free[:, None] & free, schur / size[:, None] / size, 0.0)
     index = np.arange(len(unit))
     unit[index, index] = np.where(free, np.maximum(np.diag(unit), 0.0) + NOTHING, 1.0)
     inverse = _inverse(unit) / size[:, None] / size

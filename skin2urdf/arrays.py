@@ -29,7 +29,7 @@ def frozen(value: ArrayLike, dtype: Any = np.float64) -> NDArray[Any]:
     """
     array = np.asarray(value, dtype=dtype)
     if array.flags.writeable:
-        array = array.copy() if array is value or array.base is not None else array
+        array = array.copy(order="K") if array is value or array.base is not None else array
         array.flags.writeable = False
     return array
 

@@ -16,8 +16,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-# What is kept in ordinary memory before [byte]: a few SUs for some minutes.
-ORDINARY = 1 << 28
+# What each shelf keeps in ordinary memory before [byte]: a few SUs for some minutes. A calibration
+# has half a dozen of them, of readings as they come, on the grid, filtered and as splines.
+ORDINARY = 1 << 26
 # Arrays that share a file [byte].
 FILE = 1 << 26
 # Streams whose values are in memory while many are gone through.

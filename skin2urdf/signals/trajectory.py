@@ -231,12 +231,12 @@ def trajectory(
     readings.flags.writeable = False  # of which the record then needs no copy
     whole = (sampled.valid & ~sampled.computed & motion.valid[:, None])[:, sus]
     margin = 2 * half + int(np.ceil(reach * rate))
-    valid = np.stack([eroded(column, margin) for column in whole.T], axis=1)[kept]
+    valid = np.stack([eroded(column, margin)[kept] for column in whole.T]).T
     rates, turning = None, None
     if sampled.turning is not None:
         rates = filtered(filtered(sampled.turning.rates[:, sus], taps), taps)
         there = (sampled.turning.valid & motion.valid[:, None])[:, sus]
-        turning = np.stack([eroded(column, margin) for column in there.T], axis=1)[kept]
+        turning = np.stack([eroded(column, margin)[kept] for column in there.T]).T
     twice = np.convolve(taps, taps)
     return Trajectory(
         log=log,

@@ -57,7 +57,7 @@ def eliminated(
     H = np.where(free_joint[:, None] & free_joint, equations.joint, 0.0)
     index = np.arange(len(H))
     H[index, index] += damping * np.diag(H)
-    schur = H + np.einsum("unj,unk->jk", mixed, lean)
+    schur = H + np.tensordot(mixed, lean, ((0, 1), (0, 1)))
     own = np.einsum("unm,um->un", inverse, equations.su_gradient)
     gradient = np.where(free_joint, equations.joint_gradient, 0.0)
     gradient += np.einsum("unj,un->j", lean, equations.su_gradient)
@@ -78,7 +78,7 @@ def joint_inverse(schur: F64, free: Bool) -> F64:
     """(J, J) inverse of a Schur complement over its free coordinates."""
     diagonal = np.diag(schur)
     size = np.sqrt(np.where(free & (diagonal > 0), diagonal, 1.0))
-    unit = schur / size[:, None] / size
+    unit = np.where(free[:, None] & free, schur / size[:, None] / size, 0.0)
     index = np.arange(len(unit))
     unit[index, index] = np.where(free, np.maximum(np.diag(unit), 0.0) + NOTHING, 1.0)
     inverse = _inverse(unit) / size[:, None] / size

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -15,7 +16,7 @@ from skin2urdf.estimation.problem.state import (
     N_SU,
 )
 from skin2urdf.estimation.trajectory.blueprint import ALONG_AXIS, further_columns, turn_axes
-from skin2urdf.estimation.trajectory.front_end import front_end, front_end_slopes
+from skin2urdf.estimation.trajectory.front_end import front_end_slopes
 from skin2urdf.estimation.trajectory.gyro import rate_columns, with_gyros
 from skin2urdf.estimation.trajectory.kinematics import (
     FrameMotion,
@@ -28,6 +29,7 @@ from skin2urdf.estimation.trajectory.kinematics import (
     seen_before_joint,
     seen_from_parent,
 )
+from skin2urdf.estimation.trajectory.links import LinkRows
 from skin2urdf.estimation.trajectory.points import SharedPoints, shared_points
 from skin2urdf.estimation.trajectory.priors import (
     MotionPriors,
@@ -40,6 +42,24 @@ from skin2urdf.estimation.trajectory.state import Layout, MotionState
 from skin2urdf.estimation.trajectory.unseen import Unseen
 from skin2urdf.signals.trajectory import Trajectory
 from skin2urdf.structure.records import KinematicTree
+
+
+@dataclass(frozen=True, eq=False)
+class _Carried:
+    """The SUs of a link in a log, and what their own derivatives are made of.
+
+    Attributes:
+        link: the link with its points.
+        frames: motion of the frames in which joints are placed, and of those that they carry.
+        predicted: the log held against the state.
+        weights: (K, U, 3) information of each of its samples; gyroscopes' behind it.
+    """
+
+    link: SharedPoints
+    frames: tuple[list[FrameMotion], list[FrameMotion]]
+    predicted: Predicted
+    weights: F64
+
 
 _SHAPE = ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))
 
@@ -129,55 +149,84 @@ class Derivatives:
         T = skeleton.placements(state.placements.T_parent_joint)
         return (q, qd, qdd), frame_motions(skeleton.tree, T, up, q, qd, qdd)
 
-    def _rows(
+    def _links(
         self, state: MotionState, predicted: Sequence[Predicted], weights: Sequence[F64]
-    ) -> Iterator[Rows]:
-        """Whitened derivatives and residuals of every log and SU."""
+    ) -> Iterator[tuple[LinkRows, _Carried]]:
+        """Every log and link whose SUs count, and what the rest of their derivatives is made of."""
+        matrices = state.placements.sensor_matrix() * sense(self.priors, state)
         for g, (p, w) in enumerate(zip(predicted, weights, strict=True)):
             motion, frames = self._frames(state, g)
             for link in self.points(state):
                 if not w[:, link.sus].any():
                     continue
-                of_points = self._columns_of_points(state, g, link, frames, motion)
-                for some in link.parts():
-                    yield from self._rows_of(state, g, some, of_points, frames, p, w)
+                left = np.where(p.measured[:, link.sus, None], p.residual[:, link.sus], 0.0)
+                yield (
+                    LinkRows(
+                        log=g,
+                        sus=link.sus,
+                        columns=self._joint_columns(int(link.sus[0]), g),
+                        of_points=self._columns_of_points(state, g, link, frames, motion),
+                        joints=self._yielding(int(link.sus[0])),
+                        sensed=link.sensed(matrices[link.sus]),
+                        weights=np.ascontiguousarray(np.moveaxis(w[:, link.sus, :3], 0, 2)),
+                        residual=np.ascontiguousarray(np.moveaxis(left, 0, 2)),
+                    ),
+                    _Carried(link, frames, p, w),
+                )
 
-    def _rows_of(
-        self,
-        state: MotionState,
-        g: int,
-        some: SharedPoints,
-        of_points: F64,
-        frames: tuple[list[FrameMotion], list[FrameMotion]],
-        predicted: Predicted,
-        weights: F64,
+    def _rows(
+        self, state: MotionState, predicted: Sequence[Predicted], weights: Sequence[F64]
     ) -> Iterator[Rows]:
-        """The rows of some SUs of a link, given those of its points (3 p, C K)."""
-        matrices = state.placements.sensor_matrix()[some.sus] * sense(self.priors, state)
-        placements = self.skeleton.su_placements(state.placements.T_joint_su)
-        rates = self._rates(state, g, some, predicted)
-        columns = self._joint_columns(int(some.sus[0]), g)
-        joints, C = self._yielding(int(some.sus[0])), len(columns)
-        for u, mine, rate in zip(some.sus.tolist(), some.sensed(matrices), rates, strict=True):
-            root = np.sqrt(weights[:, u, :3].T)
-            K = root.shape[1]
-            residual = np.where(predicted.measured[:, u], predicted.residual[:, u].T, 0.0)
-            by_joints = (mine @ of_points).reshape(3, -1, K).swapaxes(0, 1)
+        """Whitened derivatives and residuals of every log and SU."""
+        for link, carried in self._links(state, predicted, weights):
+            yield from self._rows_of(state, link, carried)
+
+    def _rows_of(self, state: MotionState, link: LinkRows, carried: _Carried) -> Iterator[Rows]:
+        """The rows of the SUs of a link."""
+        C, K = len(link.columns), link.weights.shape[2]
+        of_points = link.of_points.reshape(len(link.of_points), -1)
+        every = (
+            pair
+            for at, each in self._own(state, link, carried)
+            for pair in zip(range(at.start, at.stop), each, strict=True)
+        )
+        for i, own in every:
+            root = np.sqrt(link.weights[i])
+            by_joints = (link.sensed[i] @ of_points).reshape(3, -1, K).swapaxes(0, 1)
             A = np.empty((C + self.layout.n_su, 3, K))
             np.multiply(by_joints[:C], root, out=A[:C])
-            here = placed(frames[1][some.joint], placements[u])
-            np.multiply(self._own_columns(state, g, u, here, rate), root, out=A[C:])
-            by_motion = (by_joints[C:] * root).reshape(len(joints), 3, 3, K)
-            yield Rows(g, u, columns, A, residual * root, joints, by_motion)
-            turned = predicted.turned
-            if turned is not None and self.gyros[u]:
-                A = self._gyro_columns(state, g, u, frames, turned)
-                root = np.sqrt(weights[:, u, 3:].T)
-                none = np.zeros(0, dtype=np.int64), np.zeros((0, 3, 3, K))
-                yield Rows(
-                    g, u, self._all_columns(u, g), A * root,
-                    turned.residual[:, u].T * root, *none,
-                )  # fmt: skip
+            np.multiply(own, root, out=A[C:])
+            by_motion = (by_joints[C:] * root).reshape(len(link.joints), 3, 3, K)
+            u = int(link.sus[i])
+            yield Rows(
+                link.log, u, link.columns, A, link.residual[i] * root, link.joints, by_motion
+            )
+            yield from self._gyro_rows(state, link.log, u, carried)
+
+    def _own(
+        self, state: MotionState, link: LinkRows, carried: _Carried
+    ) -> Iterator[tuple[slice, F64]]:
+        """Of some SUs of a link at a time, by their places there, derivatives (s, n, 3, K)."""
+        placements = self.skeleton.su_placements(state.placements.T_joint_su)
+        first, K = 0, link.weights.shape[2]
+        for some in carried.link.parts():
+            rates = self._rates(state, link.log, some, carried.predicted)
+            own = np.empty((len(some.sus), self.layout.n_su, 3, K))
+            for u, rate, out in zip(some.sus.tolist(), rates, own, strict=True):
+                here = placed(carried.frames[1][some.joint], placements[u])
+                self._own_columns(state, link.log, u, here, rate, out)
+            yield slice(first, first + len(own)), own
+            first += len(own)
+
+    def _gyro_rows(self, state: MotionState, g: int, u: int, carried: _Carried) -> Iterator[Rows]:
+        """The rows of an SU's gyroscope, if it has one."""
+        turned = carried.predicted.turned
+        if turned is None or not self.gyros[u]:
+            return
+        A = self._gyro_columns(state, g, u, carried.frames, turned)
+        root = np.sqrt(carried.weights[:, u, 3:].T)
+        none = np.zeros(0, dtype=np.int64), np.zeros((0, 3, 3, root.shape[1]))
+        yield Rows(g, u, self._all_columns(u, g), A * root, turned.residual[:, u].T * root, *none)
 
     def _rates(self, state: MotionState, g: int, some: SharedPoints, predicted: Predicted) -> F64:
         """(S, 3, 3, K) derivatives of the readings of some SUs in time and in their front ends."""
@@ -186,8 +235,7 @@ class Derivatives:
         within, rate, margin = compared(self.logs[g])
         matrices, front = state.placements.sensor_matrix()[some.sus], state.front[some.sus]
         read, slope = (some.read(matrices, x) for x in np.split(predicted.felt, 2, axis=1))
-        in_time = front_end(slope, front, rate, margin)
-        by_front = front_end_slopes(read, front, rate, margin)
+        in_time, by_front = front_end_slopes(read, slope, front, rate, margin)
         return np.concatenate([in_time[None], by_front])[..., within].swapaxes(0, 1)
 
     def _joint_columns(self, u: int, g: int) -> list[int]:
@@ -274,7 +322,7 @@ class Derivatives:
         """Derivatives of what a link's points feel in the joint part, in its frame.
 
         Returns:
-            (3 p, (C + 3 m) K) in C coordinates, and in position, velocity and acceleration of each
+            (3 p, C + 3 m, K) in C coordinates, and in position, velocity and acceleration of each
             of m joints that move beyond their encoders.
         """
         u, (fixed, carried) = int(link.sus[0]), frames
@@ -291,7 +339,7 @@ class Derivatives:
             # With gravity grow the accelerations that a reading stands for.
             rows = [*before, (pull - here.f)[None], *behind]
             np.concatenate(rows, out=out[i].swapaxes(0, 1))
-        return out.reshape(-1, C * K)
+        return out.reshape(-1, C, K)
 
     def _columns_of_path(
         self,
@@ -350,9 +398,9 @@ class Derivatives:
         return rows, behind
 
     def _own_columns(
-        self, state: MotionState, g: int, u: int, here: FrameMotion, rates: F64
-    ) -> F64:
-        """(n, 3, K) derivatives of an SU's prediction in its own coordinates.
+        self, state: MotionState, g: int, u: int, here: FrameMotion, rates: F64, out: F64
+    ) -> None:
+        """Derivatives of an SU's prediction in its own coordinates.
 
         Args:
             state: where.
@@ -360,20 +408,33 @@ class Derivatives:
             u: the SU.
             here: its motion.
             rates: (3, 3, K) derivatives in time and in its front end.
+            out: (n, 3, K) is filled.
         """
         layout, sensed = self.layout, sense(self.priors, state)
-        out = np.zeros((layout.n_su, 3, here.f.shape[1]))
         matrix = state.placements.sensor_matrix()[u] * sensed
         out[:N_PLACEMENT] = matrix @ own_columns(here)
         out[N_PLACEMENT:N_SU] = sensor_columns(here.f * sensed)
+        out[N_SU:] = 0.0
         out[layout.front] = rates[1:]
         out[layout.clock(g)] = -rates[0], self._since_middle(g) * -rates[0]
-        shares = self.knot_shares(g)
-        knots = np.zeros((shares.shape[1], 3, *out.shape[1:]))
-        for i in range(3):
-            knots[:, i, i] = shares.T
-        out[layout.knots(g)] = knots.reshape(-1, *out.shape[1:])
-        return out
+        knots = out[layout.knots(g)]
+        if len(knots):
+            shares = self.knot_shares(g).T
+            for i in range(3):
+                knots[i::3, i] = shares
+
+
+def _senses() -> F64:
+    out = np.zeros((3, 9, 4))
+    out[range(3), range(3), 0] = 1.0
+    for i, (a, b) in enumerate(_SHAPE):
+        out[a, 3 + i, 1 + b] = 1.0
+        out[b, 3 + i, 1 + a] = 1.0
+    return out
+
+
+SENSES = _senses()
+"""(3, 9, 4) by axis, what bias and shape make of 1 and what a perfect sensor would read."""
 
 
 def fixed_path(T: F64, n: int) -> Path:

@@ -114,10 +114,7 @@ def _gradients(
 ) -> tuple[F64, F64]:
     """Gradients (J,) and (U, n) that given residuals (K, U, 3) would make, without priors."""
     swapped = [replace(p, residual=r) for p, r in zip(predicted, residual, strict=True)]
-    found = problem.equations(state, swapped, weights)
-    prior = problem.equations(state, swapped, [np.zeros_like(w) for w in weights])
-    joint = found.joint_gradient - prior.joint_gradient
-    return joint, found.su_gradient - prior.su_gradient
+    return problem.gradients(state, swapped, weights)
 
 
 def _predicted(problem: MotionProblem, state: MotionState) -> list[Predicted]:

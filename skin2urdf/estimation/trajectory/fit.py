@@ -30,6 +30,9 @@ Weights that follow the residuals let steps become shorter by three each time an
 coordinates share the rest."""
 _SHORT = 0.1
 """Length of a step, over that of a last one, from which it is worth taking."""
+_FEW_SUS = 10
+"""SUs whose own coordinates together may be as far off as that: more than any robot has segments,
+of which each has one. The lengths of a thousand add up to ten times that, wherever a fit is."""
 _ROUGHLY = 30.0
 """Length of a step, in standard deviations, from which all coordinates may move."""
 _ENOUGH, _THINNEST = 1500, 4
@@ -211,7 +214,7 @@ def _descend(
             pulled = shaken.taken_off(equations, problem.layout, state.front)
             system = eliminated(pulled, free_joint, free_su, damping)
             joint, sus = newton_step(system, free_joint)
-            length = _length(equations, joint, sus, free_su)
+            length = step_length(equations, joint, sus, free)
             if not length >= enough:  # NaN is not
                 tell(1.0)
                 here = Fitted(problem, state, noise, weights, predicted, cost)
@@ -274,18 +277,23 @@ def cost_with(weights: Sequence[F64], shaken: Shaken, fitted: Fitted) -> float:
     return _cost(fitted.problem, fitted.state, fitted.predicted, weights, shaken)
 
 
-def _length(equations: Equations, joint: F64, sus: F64, free_su: Bool) -> float:
+def step_length(equations: Equations, joint: F64, sus: F64, free: tuple[Bool, Bool]) -> float:
     """Length of a step in standard deviations of placements, biases and shapes.
 
     What clocks and front ends would make up for does not count: where a sensor has no low-pass that
-    shows, these wander along a valley without an end, in which nothing else moves.
+    shows, these wander along a valley without an end, in which nothing else moves. Of many SUs what
+    each moves beside its link counts as that of a few: together they are never as near as one.
     """
+    free_joint, free_su = free
     towards = np.einsum("unm,um->un", equations.su, sus) + equations.mixed @ joint
-    along = joint @ equations.joint @ joint + np.einsum("unj,un,j->", equations.mixed, sus, joint)
-    square = float(along + np.einsum("un,un->", sus, towards))
+    follows = np.einsum("unj,un->j", equations.mixed, sus)
+    square = float(joint @ (equations.joint @ joint + follows) + np.einsum("un,un->", sus, towards))
     sensors = free_su & (np.arange(free_su.shape[1]) >= N_SU)
     inverse = eliminated(equations, np.zeros(len(joint), dtype=bool), sensors).su_inverse
     square -= float(np.einsum("unm,un,um->", inverse, towards, towards))
+    if len(sus) > _FEW_SUS:
+        shared = float(joint @ eliminated(equations, free_joint, free_su).schur @ joint)
+        square = shared + (square - shared) * _FEW_SUS / len(sus)
     return float(np.sqrt(max(0.0, square)))
 
 
@@ -319,16 +327,16 @@ def _noise(
     for log, p in zip(problem.logs, predicted, strict=True):
         # By SU, as all axes have the same; which views give to each.
         shape = p.residual.shape
-        sd = np.full(shape[:2], np.inf)
+        sd = np.full(shape[1::-1], np.inf).T
+        square = np.einsum("kuc,kuc->uk", p.residual, p.residual).T
         for u in range(problem.tree.n_sus):
             chain = list(problem.tree.chain(int(problem.tree.su_joint[u])))
             moves = log.moving[:, chain].any(axis=1)
             for which in (moves, ~moves):
-                sd[which, u] = _spread(p.residual[:, u], which & p.measured[:, u])
+                sd[which, u] = _spread(square[:, u], which & p.measured[:, u])
         if log.leaps is not None:
             sd = np.hypot(sd, np.sqrt(log.leaps.variance(arms)))
-        square = np.einsum("kuc,kuc->ku", p.residual, p.residual) / 3
-        size = np.where(p.measured, np.sqrt(square) / sd, 0.0)
+        size = np.where(p.measured, np.sqrt(square / 3) / sd, 0.0)
         share = _HUBER / np.maximum(size, _HUBER)
         w = np.where(p.measured, log.independence * share, 0.0) / sd**2
         w = np.where(np.isfinite(w), w, 0.0)
@@ -342,10 +350,13 @@ def _noise(
     return tuple(noise), tuple(weights)
 
 
-def _spread(residual: F64, which: Bool) -> float:
-    """Standard deviation of chosen residuals (K, 3) by their median, which outliers do not move."""
+def _spread(square: F64, which: Bool) -> float:
+    """Standard deviation of chosen residuals of squares (K,), all axes together.
+
+    It is that of their median, which outliers do not move.
+    """
     if which.sum() < 8:
         return np.inf
     # The median of chi-squared with three degrees of freedom is 2.366.
-    spread = float(np.sqrt(np.median((residual[which] ** 2).sum(axis=1)) / 2.366))
+    spread = float(np.sqrt(np.median(square[which]) / 2.366))
     return max(spread, _QUIET)

@@ -39,13 +39,27 @@ def front_end(read: F64, front: F64, rate: float, margin: int) -> F64:
         margin: samples by which the ends are carried on.
     """
     spectrum = _Spectrum(read, rate, margin)
-    return spectrum.line + spectrum.times(transfer(spectrum.w, front)[0])
+    return spectrum.line + spectrum.times(gain(spectrum.w, front))
 
 
-def front_end_slopes(read: F64, front: F64, rate: float, margin: int) -> F64:
-    """(2, U, C, N) derivatives of :func:`front_end` in the coordinates [1/s^2 times the unit]."""
-    spectrum = _Spectrum(read, rate, margin)
-    return np.stack([spectrum.times(slope) for slope in transfer(spectrum.w, front)[1]])
+def front_end_slopes(
+    read: F64, in_time: F64, front: F64, rate: float, margin: int
+) -> tuple[F64, F64]:
+    """Derivatives of :func:`front_end` in time and in the coordinates.
+
+    Args:
+        read: (U, C, N) readings without a front end, and
+        in_time: (U, C, N) their derivatives.
+        front: as above, and
+        rate: the same, and
+        margin: the same.
+
+    Returns:
+        (U, C, N) and (2, U, C, N) [1/s and 1/s^2 times the unit].
+    """
+    slopes, spectrum = _Spectrum(in_time, rate, margin), _Spectrum(read, rate, margin)
+    H, by_front = transfer(spectrum.w, front)
+    return slopes.line + slopes.times(H), np.stack([spectrum.times(each) for each in by_front])
 
 
 class _Spectrum:
@@ -69,13 +83,32 @@ class _Spectrum:
         self.line, self._series = line[..., self._inner], rfft(padded - line)
         self.w = 2 * np.pi * rfftfreq(self._size, 1 / rate)
 
-    def times(self, gain: F64) -> F64:
+    def times(self, gains: F64) -> F64:
         """(U, C, N) the series with gains (F, U)."""
-        return np.asarray(irfft(self._series * gain.T[:, None], self._size)[..., self._inner])
+        return np.asarray(irfft(self._series * gains.T[:, None], self._size)[..., self._inner])
+
+
+def gain(w: F64, front: F64) -> F64:
+    """H at angular frequencies w (F,) [rad/s]: (F, U)."""
+    return _parts(w, front)[0]
 
 
 def transfer(w: F64, front: F64) -> tuple[F64, F64]:
     """H at angular frequencies w (F,) [rad/s]: (F, U), and its derivatives (2, F, U)."""
+    H, N, D = _parts(w, front)
+    p, r = front.T
+    s, w2 = 1j * w[:, None], w[:, None] ** 2
+    positive = np.maximum(p, 0.0)
+    rises = r - 0.5 * np.minimum(p, 0.0) > positive
+    by_q = w2 * H / np.where(rises, N, D)
+    has_lag = p > _SMALL
+    by_lag = s * H * (1 - 1 / D) / (2 * np.where(has_lag, np.sqrt(positive), 1.0))
+    by_lag = by_lag + np.where(rises, w2 * H / D - by_q, 0.0)
+    return H, np.stack([np.where(has_lag, by_lag, -0.5 * by_q), by_q])
+
+
+def _parts(w: F64, front: F64) -> tuple[F64, F64, F64]:
+    """(F, U) H, and its numerator (but for the lag that is taken off) and denominator."""
     p, r = front.T
     positive = np.maximum(p, 0.0)
     b = np.sqrt(positive)
@@ -86,13 +119,7 @@ def transfer(w: F64, front: F64) -> tuple[F64, F64]:
     rise = np.maximum(q - positive, 0.0)
     D = 1 + s * b - w2 * (q - rise)
     N = 1 + w2 * rise
-    H = np.exp(s * b) * N / D
-    rises = rise > 0
-    by_q = w2 * H / np.where(rises, N, D)
-    has_lag = p > _SMALL
-    by_lag = s * H * (1 - 1 / D) / (2 * np.where(has_lag, b, 1.0))
-    by_lag = by_lag + np.where(rises, w2 * H / D - by_q, 0.0)
-    return H, np.stack([np.where(has_lag, by_lag, -0.5 * by_q), by_q])
+    return np.exp(s * b) * N / D, N, D
 
 
 def droop(front: F64) -> F64:

@@ -16,10 +16,10 @@ from skin2urdf.estimation.problem.state import (
 )
 from skin2urdf.estimation.trajectory.azimuth import turned
 from skin2urdf.estimation.trajectory.derivatives import (
+    SENSES,
     Derivatives,
     compared,
     fixed_path,
-    sensor_columns,
 )
 from skin2urdf.estimation.trajectory.front_end import front_end
 from skin2urdf.estimation.trajectory.gyro import predicted_turning
@@ -29,6 +29,7 @@ from skin2urdf.estimation.trajectory.kinematics import (
     seen_before_joint,
     seen_from_parent,
 )
+from skin2urdf.estimation.trajectory.normal_equations import Sums
 from skin2urdf.estimation.trajectory.priors import (
     MotionPriors,
     prior_chi2,
@@ -149,7 +150,8 @@ class MotionProblem(Derivatives):
         felt = self._felt_by_points(state, log, g)
         lags, shares = self.lags(state, g), self.knot_shares(g)
         at = log.kept[:, None] + log.rate * lags
-        residual = np.empty((len(log.kept), self.tree.n_sus, 3))
+        # What belongs to an SU lies in one piece: with many of them, all else is far away.
+        residual = np.empty((self.tree.n_sus, 3, len(log.kept))).transpose(2, 0, 1)
         matrices, splines = places.sensor_matrix(), self.logs[g].splines
         within, rate, margin = compared(log)
         for link in self.points(state):
@@ -242,11 +244,12 @@ class MotionProblem(Derivatives):
         H, b = prior[:, at, at].copy(), gradient[:, at].copy()
         for g, (p, w) in enumerate(zip(predicted, weights, strict=True)):
             for u, ideal in self.ideal(state, g, p):
-                root = np.sqrt(w[:, u, :3].T)
-                A = (sensor_columns(ideal) * root).reshape(len(b[u]), -1)
-                r = np.where(p.measured[:, u], p.residual[:, u].T, 0.0) * root
-                H[u] += A @ A.T
-                b[u] += A @ r.ravel()
+                felt = np.concatenate([np.ones((1, ideal.shape[1])), ideal])
+                weighed = w[:, u, :3].T[:, None] * felt
+                moments = weighed @ felt.T
+                left = np.where(p.measured[:, u], p.residual[:, u].T, 0.0)
+                H[u] += np.einsum("ica,iab,idb->cd", SENSES, moments, SENSES, optimize=True)
+                b[u] += np.einsum("ica,iak,ik->c", SENSES, weighed, left, optimize=True)
         H = np.where(free[:, :, None] & free[:, None], H, 0.0) + np.eye(H.shape[1]) * ~free[:, None]
         x = np.linalg.solve(H, np.where(free, b, 0.0)[..., None])[..., 0]
         places = replace(
@@ -256,9 +259,10 @@ class MotionProblem(Derivatives):
         )
         moved = []
         for g, p in enumerate(predicted):
-            residual = np.array(p.residual)
+            residual = p.residual.copy(order="K")
             for u, ideal in self.ideal(state, g, p):
-                residual[:, u] -= np.tensordot(sensor_columns(ideal), x[u], (0, 0)).T
+                by_felt = np.tensordot(x[u], SENSES, (0, 1))
+                residual[:, u] -= (by_felt[:, 1:] @ ideal + by_felt[:, :1]).T
             moved.append(replace(p, residual=residual))
         return replace(state, placements=places), tuple(moved)
 
@@ -273,33 +277,41 @@ class MotionProblem(Derivatives):
             weights: per log (K, U, 3) information of each sample [s^4/m^2], 0 leaves one out;
                 (K, U, 6) with that of gyroscopes [s^2/rad^2] where a log has any.
         """
-        layout, U = self.layout, self.tree.n_sus
-        J, n = layout.n_joint, layout.n_su
-        joint, su, mixed = np.zeros((J, J)), np.zeros((U, n, n)), np.zeros((U, n, J))
-        joint_gradient, su_gradient = np.zeros(J), np.zeros((U, n))
-        beyond = self.beyond()
-        for rows in self._rows(state, predicted, weights):
-            u, A, r = rows.su, rows.by_coordinates, rows.residual
-            columns = np.array(rows.columns)
-            nj, flat = len(columns), A.reshape(len(A), -1)
-            H, gradient = flat @ flat.T, flat @ r.ravel()
-            joint[np.ix_(columns, columns)] += H[:nj, :nj]
-            su[u] += H[nj:, nj:]
-            mixed[u][:, columns] += H[nj:, :nj]
-            joint_gradient[columns] += gradient[:nj]
-            su_gradient[u] += gradient[nj:]
-            for at, numbers, B in beyond[rows.log].blocks(rows) if beyond else ():
-                own, others = B.reshape(len(B), -1), A[:, :, at].reshape(len(A), -1)
-                H = own @ others.T
-                joint[np.ix_(numbers, numbers)] += own @ own.T
-                joint[np.ix_(numbers, columns)] += H[:, :nj]
-                joint[np.ix_(columns, numbers)] += H[:, :nj].T
-                mixed[u][:, numbers] += H[:, nj:].T
-                joint_gradient[numbers] += own @ r[:, at].ravel()
+        sums, beyond = Sums.nothing(self.layout, self.tree.n_sus), self.beyond()
+        for link, carried in self._links(state, predicted, weights):
+            unseen = beyond[link.log] if beyond else None
+            if not link.shared:
+                for rows in self._rows_of(state, link, carried):
+                    sums.add(rows, unseen)
+                continue
+            blocks = sums.add_joints(link, unseen)
+            for some, own in self._own(state, link, carried):
+                sums.add_sus(link, some, own, blocks)
+            for u in link.sus.tolist():
+                for rows in self._gyro_rows(state, link.log, u, carried):
+                    sums.add(rows, unseen)
         chosen = self.chosen(state)
-        joint += chosen.T @ chosen / _HELD**2
-        data = Equations(joint, su, mixed, joint_gradient, su_gradient)
-        return with_priors(self.priors, self.layout, self._seconds, state, data)
+        sums.joint[:] += chosen.T @ chosen / _HELD**2
+        return with_priors(self.priors, self.layout, self._seconds, state, sums.equations())
+
+    def gradients(
+        self, state: MotionState, predicted: Sequence[Predicted], weights: Sequence[F64]
+    ) -> tuple[F64, F64]:
+        """Gradients (J,) and (U, n) that residuals of accelerometers make, without priors.
+
+        In what encoders do not see there are none.
+
+        Args:
+            state: where.
+            predicted: residuals of each log there.
+            weights: per log (K, U, 3) information of each sample [s^4/m^2].
+        """
+        sums = Sums.nothing(self.layout, self.tree.n_sus)
+        for link, carried in self._links(state, predicted, weights):
+            sums.pull_joints(link)
+            for some, own in self._own(state, link, carried):
+                sums.pull_sus(link, some, own)
+        return sums.joint_gradient, sums.su_gradient
 
     def spans(
         self,

@@ -68,8 +68,12 @@ def _with_products(
     for g, (log, p) in enumerate(zip(problem.logs, fitted.predicted, strict=True)):
         if len(log.positions):
             at = whole.predict(fitted.state, g)
-            known = 0.0 if log.beyond is None else log.beyond
-            log = replace(log, beyond=known + _residual(p) - _residual(at))
+            # In place: with many SUs each such array is large.
+            beyond = _residual(p)
+            beyond -= _residual(at)
+            if log.beyond is not None:
+                beyond += log.beyond
+            log = replace(log, beyond=beyond)
             turned = p.turned and at.turned and replace(p.turned, residual=at.turned.residual)
             p = replace(p, residual=at.residual, turned=turned)
         logs.append(log)

@@ -51,7 +51,7 @@ class Rows:
         """
         if beyond is None or not len(self.joints):
             return self.columns, self.by_coordinates
-        numbers, derivatives = beyond.derivatives(self)
+        numbers, derivatives = beyond.derivatives(self.joints, self.by_motion)
         return [*numbers.tolist(), *self.columns], np.concatenate(
             [derivatives, self.by_coordinates]
         )
@@ -71,25 +71,26 @@ class Beyond:
     motions: F64
     first: int
 
-    def blocks(self, rows: Rows) -> Iterator[tuple[slice, Int, F64]]:
+    def blocks(self, joints: Int, by_motion: F64) -> Iterator[tuple[slice, Int, F64]]:
         """Stretches of time, columns of the numbers that count in each, and derivatives in those.
 
         Args:
-            rows: of an SU in this log.
+            joints: (m,) numbers of joints and hinges that move beyond their encoders.
+            by_motion: (m, 3, c, K) derivatives of c series in the motion of each of them.
 
         Yields:
-            The samples, (s,) columns of the joint part and (s, 3, k) whitened derivatives.
+            The samples, (s,) columns of the joint part and (s, c, k) derivatives.
         """
-        if not len(rows.joints):
+        if not len(joints):
             return
         for begin, counts in self._counting:
-            at = slice(begin, min(begin + _BLOCK, rows.residual.shape[1]))
-            yield at, *self._derivatives(rows, at, counts)
+            at = slice(begin, min(begin + _BLOCK, by_motion.shape[3]))
+            yield at, *self._derivatives(joints, by_motion[..., at], at, counts)
 
-    def derivatives(self, rows: Rows) -> tuple[Int, F64]:
-        """Columns (s,) of all numbers that count, and derivatives (s, 3, K) in these."""
+    def derivatives(self, joints: Int, by_motion: F64) -> tuple[Int, F64]:
+        """Columns (s,) of all numbers that count, and derivatives (s, c, K) in these."""
         every = np.ones(self.motions.shape[1], dtype=bool)
-        return self._derivatives(rows, slice(0, rows.residual.shape[1]), every)
+        return self._derivatives(joints, by_motion, slice(0, by_motion.shape[3]), every)
 
     @cached_property
     def _counting(self) -> list[tuple[int, Bool]]:
@@ -100,16 +101,16 @@ class Beyond:
             for begin in range(0, size, _BLOCK)
         ]
 
-    def _derivatives(self, rows: Rows, at: slice, counts: Bool) -> tuple[Int, F64]:
+    def _derivatives(self, joints: Int, by_motion: F64, at: slice, counts: Bool) -> tuple[Int, F64]:
         """The same at some samples, of the motions (E,) that count."""
         motions = self.motions[:, :, at]
-        counts = counts & np.isin(self.unseen.joint, rows.joints)
+        counts = counts & np.isin(self.unseen.joint, joints)
         numbers = np.unique(self.unseen.number[counts])
-        out = np.zeros((len(numbers), 3, motions.shape[2]))
-        for joint, of_joint in zip(rows.joints, rows.by_motion, strict=True):
+        out = np.zeros((len(numbers), by_motion.shape[2], motions.shape[2]))
+        for joint, of_joint in zip(joints, by_motion, strict=True):
             entries = np.flatnonzero(counts & (self.unseen.joint == joint))
             place = np.searchsorted(numbers, self.unseen.number[entries])
-            added = np.einsum("dck,dsk->sck", of_joint[..., at], motions[:, entries])
+            added = np.einsum("dck,dsk->sck", of_joint, motions[:, entries])
             # A number may move a joint in more than one way.
             for s, each in zip(place, added, strict=True):
                 out[s] += each

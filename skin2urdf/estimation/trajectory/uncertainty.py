@@ -586,17 +586,14 @@ def _scaled(covariance: F64, known: F64, ratio: F64) -> F64:
 
 def _of_priors(response: _Response, info: MotionInformation) -> tuple[F64, F64, F64]:
     """Variances as of :func:`_variances` that come from what was known before."""
-    U, Q, _ = info.prior_y.shape
-    J = info.shared_joint.shape[1]
-    joint, own = np.zeros(J), np.zeros((U, N_SU))
-    shared = np.zeros(len(info.shared))
-    for u in range(U):
-        y = np.zeros((U, Q, N_SU))
-        y[u] = info.prior_y[u]
-        dx, dy, dz = response.to(Pulls(info.prior_xz[u][:, :J], info.prior_xz[u][:, J:], y))
-        joint += (dx**2).sum(axis=0)
-        own[u] = (dy[u] ** 2).sum(axis=0)
-        shared += (dz**2).sum(axis=0)
+    U, J = len(info.prior_y), info.shared_joint.shape[1]
+    # What is known of an SU pulls on its own coordinates, and on those that all share.
+    x = info.prior_xz[..., :J] + info.prior_y @ response.lean
+    z = info.prior_xz[..., J:] - info.prior_y @ response.own_z
+    dx = x @ response.weights.joint
+    dz = (z - dx @ response.z_x.T) @ response.inverse_z
+    own = ((info.prior_y @ response.weights.own) ** 2).sum(axis=1)
+    joint, shared = (dx**2).sum(axis=(0, 1)), (dz**2).sum(axis=(0, 1))
     roots = np.diag(np.sqrt(info.prior_joint))[info.prior_joint > 0]
     nothing = np.zeros((U, len(roots), N_SU))
     dx, _, dz = response.to(Pulls(roots[:, :J], roots[:, J:], nothing))

@@ -47,7 +47,8 @@ def test_nothing_steps_where_a_log_begins_and_ends() -> None:
     line = 9.8 - 0.1 * np.arange(400.0).reshape(1, 1, -1)
     front = np.array([[5e-5, 2e-5]])
     np.testing.assert_allclose(front_end(line, front, 30.0, 20), line, atol=1e-9)
-    np.testing.assert_allclose(front_end_slopes(line, front, 30.0, 20), 0.0, atol=1e-5)
+    by_front = front_end_slopes(line, line, front, 30.0, 20)[1]
+    np.testing.assert_allclose(by_front, 0.0, atol=1e-5)
 
 
 def test_what_swings_is_as_the_transfer_function_says() -> None:

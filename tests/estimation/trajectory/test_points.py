@@ -7,9 +7,11 @@ from dataclasses import replace
 import numpy as np
 from synthetic import random_state, sampled_trajectory, serial_tree
 
+from skin2urdf.arrays import F64
 from skin2urdf.estimation.problem.cost import Priors
 from skin2urdf.estimation.trajectory.estimate import motion_priors
 from skin2urdf.estimation.trajectory.problem import MotionProblem
+from skin2urdf.estimation.trajectory.records import Equations
 from skin2urdf.estimation.trajectory.state import MotionState
 from skin2urdf.estimation.trajectory.unseen import Unseen
 
@@ -45,6 +47,12 @@ def test_an_su_among_many_is_what_it_is_alone() -> None:
     predicted = [all_at_once.predict(state, g) for g in range(2)]
     weights = [rng.uniform(1, 2, p.residual.shape) for p in predicted]
     whole = all_at_once.equations(state, predicted, weights)
+    joint, gradient = _of_data(all_at_once, state, whole)
+    pulled, _ = all_at_once.gradients(state, predicted, weights)
+    seen_by_encoders = np.delete(np.arange(len(gradient)), all_at_once.layout.unseen)
+    np.testing.assert_allclose(
+        pulled[seen_by_encoders], gradient[seen_by_encoders], atol=1e-9 * np.abs(gradient).max()
+    )
     for u in range(U):
         places = state.placements
         mine = replace(
@@ -74,3 +82,16 @@ def test_an_su_among_many_is_what_it_is_alone() -> None:
         for name in ("su", "mixed", "su_gradient"):
             expected, found = getattr(part, name)[0], getattr(whole, name)[u]
             assert np.abs(found - expected).max() < 1e-9 * max(np.abs(expected).max(), 1.0)
+        of_one, pull = _of_data(alone, mine, part)
+        joint -= of_one
+        gradient -= pull
+    assert np.abs(joint).max() < 1e-9 * np.abs(whole.joint).max()
+    assert np.abs(gradient).max() < 1e-9 * np.abs(whole.joint_gradient).max()
+
+
+def _of_data(problem: MotionProblem, state: MotionState, found: Equations) -> tuple[F64, F64]:
+    """(J, J) and (J,) what readings say of the joint part, without what is known before."""
+    none = [np.zeros((len(log.kept), problem.tree.n_sus, 3)) for log in problem.logs]
+    predicted = [problem.predict(state, g) for g in range(len(problem.logs))]
+    before = problem.equations(state, predicted, none)
+    return found.joint - before.joint, found.joint_gradient - before.joint_gradient

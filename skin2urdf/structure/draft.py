@@ -21,7 +21,8 @@ CERTAIN = 10.0
 """Difference of log-likelihoods beyond which one of two structures is certain: 20,000 to 1."""
 _CONSISTENT = 4.0
 """Standard deviations by which the gain of a joint stands out from what chance gains and loses from
-one stretch of time to the next: errors that are alike for a while count once."""
+one stretch of time to the next, and the push of a sliding one from none: errors that are alike for
+a while count once."""
 QUIET = 1e-3
 """Noise [m/s^2] of low-passed samples below which no error matters: a tenth of a mg."""
 _QUIET_RATE = 1e-3
@@ -363,9 +364,10 @@ def _moved(
     index = sum(draft.joints[j].kind == "prismatic" for j in draft.path(at))
     push = np.array([b.slide[index] for _, b in pairs])
     sd = np.array([b.slide_sd[index] for _, b in pairs])
-    off = np.abs(np.linalg.norm(push, axis=1) - 1)
-    # SUs beyond a joint that is not known yet say something else.
-    holds &= bool(np.median(off - 4 * sd) <= _PUSH)
+    size = np.linalg.norm(push, axis=1)
+    # SUs beyond a joint that is not known yet say something else; and a push has to be seen.
+    holds &= bool(np.median(np.abs(size - 1) - 4 * sd) <= _PUSH)
+    holds &= bool(np.median(size - _CONSISTENT * sd) > 0)
     best = int(np.argmin(sd))
     return _Moved(holds, gain, push[best], float(sd[best]))
 

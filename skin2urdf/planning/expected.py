@@ -21,7 +21,7 @@ from skin2urdf.estimation.problem.cost import Priors
 from skin2urdf.estimation.problem.state import N_PLACEMENT, N_SU, State, identifiable
 from skin2urdf.estimation.solve.spread import learnt_hidden, narrowed
 from skin2urdf.estimation.trajectory.estimate import estimate_along, motion_priors
-from skin2urdf.estimation.trajectory.uncertainty import MotionInformation
+from skin2urdf.estimation.trajectory.information import MotionInformation
 from skin2urdf.estimation.uncertainty.observability import (
     Observability,
     Subject,

@@ -103,14 +103,17 @@ def trees_of_both_kinds(
     either kind may be too rough to tell whose tree is right, where these are not the same.
 
     Args:
-        sampled: as of :func:`trees_from_motion`, like all others.
-        su_names: see there.
-        known: see there.
-        seed: see there.
-        tell: see there.
+        sampled: the logs on their grids, with the same joints and SUs.
+        su_names: U SU names.
+        known: a tree that is right, where there is one: none other is then tried.
+        seed: of the random axes from which chains are searched where segments carry no SU.
+        tell: told the share of the work that is done.
+
+    Returns:
+        Of one kind or of both: the best tree, and those not told from it for certain.
 
     Raises:
-        StructureError: as there.
+        StructureError: no SU feels any joint move, or no chain of joints explains what any feels.
     """
     samples = along(sampled)
     grown: list[tuple[MotionTree, ...]] = []

@@ -55,10 +55,10 @@ class KinematicTree(Record):
 
     def is_like(self, other: KinematicTree) -> bool:
         """Whether both have the same joints before the same SUs, in the same order."""
-        return self._chains() == other._chains()
+        return self.chains() == other.chains()
 
-    def _chains(self) -> dict[str, list[str]]:
-        """Names of the joints before each SU."""
+    def chains(self) -> dict[str, list[str]]:
+        """Names of the joints before each SU, from the RS outwards, by the SU's name."""
         return {
             name: [self.joint_names[j] for j in self.chain(int(joint))]
             for name, joint in zip(self.su_names, self.su_joint, strict=True)

@@ -13,19 +13,9 @@ from bench.measured import Figures
 from drawn.circumstances import drawn
 from drawn.table import complete, report, shortfalls
 from drawn.trials import Case, Outcome, Trial
+from good_figures import GOOD
 
 from skin2urdf.simulation.defects import Defect, LocalGravity
-
-GOOD = Figures(
-    position_mm=0.05,
-    position_stated_mm=0.04,
-    orientation_deg=0.003,
-    orientation_stated_deg=0.004,
-    verdict="good",
-    tree_right=True,
-    n_sus=8,
-    seconds=1.0,
-)
 
 
 def trial(figures: Figures, *words: str, seed: int = 0) -> Trial:

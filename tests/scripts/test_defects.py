@@ -13,18 +13,9 @@ from bench.measured import NORMALISED, Figures
 from bench.rows import ROWS, SOUND
 from bench.table import report, shortfalls
 from bench.trials import TWO_ARMS, Case, Trial, robot
+from good_figures import GOOD
 
 from skin2urdf.simulation.mechanism import load_mechanism
-
-GOOD = Figures(
-    position_mm=0.05,
-    position_stated_mm=0.04,
-    orientation_deg=0.003,
-    orientation_stated_deg=0.004,
-    verdict="good",
-    tree_right=True,
-    n_sus=8,
-)
 
 
 def trial(figures: Figures, row: str = SOUND) -> Trial:

@@ -19,7 +19,6 @@ from skin2urdf.simulation import SimulationSettings, load_robot, simulate
 from skin2urdf.simulation.robots import GivenSu, SkinLayout
 from skin2urdf.structure.activity import activity
 from skin2urdf.structure.from_motion import MotionTree, trees_from_motion
-from skin2urdf.structure.records import KinematicTree
 from skin2urdf.structure.still import turned_all_the_same
 
 SQUARE = (np.pi / 2, 0.0, 0.0)
@@ -154,20 +153,14 @@ def test_gyroscopes_tell_an_su_on_a_vertical_axis_from_one_on_the_base(tmp_path:
     log = sampled(recording)
     names = [su.name for su in recording.sus]
 
-    def chains(tree: KinematicTree) -> dict[str, list[str]]:
-        return {
-            name: [tree.joint_names[j] for j in tree.chain(int(at))]
-            for name, at in zip(tree.su_names, tree.su_joint, strict=True)
-        }
-
     seen = trees_from_motion([log], names)[0].tree
-    assert sorted(chains(seen).values(), key=len) == [[], ["vertical"], ["vertical", "swings"]]
+    assert sorted(seen.chains().values(), key=len) == [[], ["vertical"], ["vertical", "swings"]]
     assert turned_all_the_same([log], names, seen) == ()
     deaf = trees_from_motion([replace(log, turning=None)], names)[0].tree
-    assert sorted(chains(deaf).values(), key=len) == [[], [], ["vertical", "swings"]]
+    assert sorted(deaf.chains().values(), key=len) == [[], [], ["vertical", "swings"]]
     # Where nothing else shows it, gyroscopes still tell that such a tree is wrong.
     (wrong,) = turned_all_the_same([log], names, deaf)
-    assert chains(seen)[wrong] == ["vertical"]
+    assert seen.chains()[wrong] == ["vertical"]
 
 
 @pytest.mark.parametrize("seed", [7405, 7407])

@@ -19,6 +19,7 @@ from skin2urdf.estimation.trajectory.encoder_noise import without_shortening
 from skin2urdf.estimation.trajectory.fit import Fitted, fit
 from skin2urdf.estimation.trajectory.front_end import begin_front, droop, droop_variance
 from skin2urdf.estimation.trajectory.gyro import gyro_deviations
+from skin2urdf.estimation.trajectory.information import MotionInformation, motion_information
 from skin2urdf.estimation.trajectory.leaning import with_leaning_base
 from skin2urdf.estimation.trajectory.listening import found_gyros, listened
 from skin2urdf.estimation.trajectory.misfit import (
@@ -37,7 +38,6 @@ from skin2urdf.estimation.trajectory.shaken import Shaken
 from skin2urdf.estimation.trajectory.slack import lacking
 from skin2urdf.estimation.trajectory.state import MotionState
 from skin2urdf.estimation.trajectory.swaying import swaying
-from skin2urdf.estimation.trajectory.uncertainty import MotionInformation, motion_information
 from skin2urdf.signals.trajectory import Trajectory
 from skin2urdf.structure.records import KinematicTree
 

@@ -18,7 +18,8 @@ from skin2urdf.estimation.problem.cost import NormalEquations, Priors
 from skin2urdf.estimation.problem.state import N_JOINT, N_PLACEMENT, N_SU, Free, State
 from skin2urdf.estimation.solve.estimate import Estimate
 from skin2urdf.estimation.solve.spread import learnt_hidden
-from skin2urdf.estimation.trajectory.uncertainty import MotionInformation, disturbed
+from skin2urdf.estimation.trajectory.information import MotionInformation
+from skin2urdf.estimation.trajectory.uncertainty import disturbed
 from skin2urdf.estimation.uncertainty.bounds import Align, expected_errors
 from skin2urdf.estimation.uncertainty.covariance import ArrowCovariance
 from skin2urdf.estimation.uncertainty.open_directions import ALIKE, open_directions

@@ -110,17 +110,7 @@ def test_what_numbers_stand_for_does_not_change_what_is_stated() -> None:
     mixed = np.eye(Z)
     mixed[np.ix_(known, known)] = ortho_group.rvs(int(known.sum()), random_state=1)
     axes = unit[:, None] * mixed / unit
-    others = replace(
-        info,
-        shared=axes.T @ info.shared @ axes,
-        shared_joint=axes.T @ info.shared_joint,
-        shared_su=info.shared_su @ axes,
-        defects=info.defects.along(axes),
-        rounding=info.rounding.along(axes),
-        errors=info.errors.along(axes),
-        draws=tuple(each.along(axes) for each in info.draws),
-        prior_xz=np.concatenate([info.prior_xz[..., :J], info.prior_xz[..., J:] @ axes], axis=2),
-    )
+    others = info.along(axes)
     subject = Subject(_TREE, found.state, free, np.zeros((1, 2)), Priors(), Priors())
     stated, mixtures = (
         np.sqrt(np.diag(observability_along(subject, each).covariance.joint)[:J])

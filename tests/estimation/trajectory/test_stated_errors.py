@@ -20,7 +20,7 @@ from skin2urdf.estimation.problem.cost import Priors
 from skin2urdf.estimation.problem.state import State, identifiable
 from skin2urdf.estimation.trajectory.clusters import CLUSTERS, clusters
 from skin2urdf.estimation.trajectory.estimate import MotionEstimate, estimate_along, motion_priors
-from skin2urdf.estimation.trajectory.uncertainty import motion_information
+from skin2urdf.estimation.trajectory.information import motion_information
 from skin2urdf.estimation.uncertainty.observability import (
     Observability,
     Subject,

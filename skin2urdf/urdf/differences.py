@@ -6,7 +6,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from skin2urdf.arrays import F64
 from skin2urdf.urdf.kinematics import kinematics
 from skin2urdf.urdf.loading import Robot
 from skin2urdf.urdf.records import Difference
@@ -66,23 +65,20 @@ def _moves_alike(robot: Robot, found: Sequence[str], right: Sequence[str]) -> bo
     Two screw motions can be exchanged where the bracket of their twists vanishes: sliding joints,
     a joint that slides along the axis of one that turns, and axes on one line.
     """
+    import pinocchio as pin
+
     if sorted(found) != sorted(right):
         return False
     _, axes = kinematics(robot, (), right, np.zeros((1, len(right))))
-    twist = dict(zip(right, axes[0], strict=True))
+    twist = {name: pin.Motion(axis) for name, axis in zip(right, axes[0], strict=True)}
     left = list(found)
     for name in right:
         at = left.index(name)
-        if any(np.abs(_bracket(twist[name], twist[other])).max() > _ALIKE for other in left[:at]):
+        brackets = [twist[name].cross(twist[other]).vector for other in left[:at]]
+        if any(np.abs(each).max() > _ALIKE for each in brackets):
             return False
         left.pop(at)
     return True
-
-
-def _bracket(a: F64, b: F64) -> F64:
-    """(6,) Lie bracket of two twists (linear, angular)."""
-    linear = np.cross(a[3:], b[:3]) + np.cross(a[:3], b[3:])
-    return np.concatenate([linear, np.cross(a[3:], b[3:])])
 
 
 def _orders(est: Robot, true: Robot, shared: Sequence[str]) -> list[Difference]:

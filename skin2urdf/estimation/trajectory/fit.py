@@ -246,6 +246,8 @@ def _descend(
         if tolerance < length < longest:
             # Steps become shorter by a factor each time: what counts is how many such are left.
             tell(float(np.log(longest / length) / np.log(longest / tolerance)))
+        # Clocks and front ends, which a length leaves out, are still on their way where chi-squared
+        # falls by more than a step of that length explains.
         if (length < tolerance and fell < max(1.0, tolerance**2)) or gain < _NO_GAIN:
             break
     tell(1.0)

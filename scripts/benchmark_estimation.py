@@ -29,10 +29,10 @@ from skin2urdf.estimation.uncertainty.observability import observability
 from skin2urdf.signals.information import Information
 from skin2urdf.signals.records import Features, StaticMoves
 from skin2urdf.simulation.mechanism import Mechanism, load_mechanism
+from skin2urdf.simulation.motion_settings import MotionSettings
 from skin2urdf.simulation.pattern import windowed_pattern
 from skin2urdf.simulation.robots import RobotSpec, SkinLayout, load_robot
 from skin2urdf.simulation.sensors import GRADES, draw_sensor
-from skin2urdf.simulation.settings import MotionSettings
 from skin2urdf.simulation.skins import PlacedSu, place_skin
 from skin2urdf.structure.records import KinematicTree
 
@@ -124,7 +124,7 @@ def synthesised(
         noise=np.full((n_poses, n_sus, 3), NOISE),
         latency=np.zeros(n_sus),
         latency_sd=np.zeros(n_sus),
-        moves=StaticMoves(np.zeros(0), np.zeros(0), np.zeros((0, n_sus, 3))),
+        moves=StaticMoves(np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros((0, n_sus, 3))),
     )
     tree = KinematicTree(
         mechanism.joint_names,

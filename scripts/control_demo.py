@@ -147,7 +147,9 @@ def targets(bench: Bench, count: int, rng: np.random.Generator) -> Outcome:
         count: number of targets.
         rng: source of SUs and targets.
     """
-    sus, errors, given_up = [], [], 0
+    sus: list[str] = []
+    errors: list[tuple[float, float]] = []
+    given_up = 0
     q = bench.random_configuration(rng)
     while len(errors) < count and given_up < 2 * count:
         su = bench.sus[rng.integers(len(bench.sus))]
@@ -162,7 +164,10 @@ def targets(bench: Bench, count: int, rng: np.random.Generator) -> Outcome:
         real = bench.true_pose(su, q)
         sus.append(su)
         errors.append(
-            (np.linalg.norm(real[:3, 3] - T[0, :3, 3]), angle_of(T[0, :3, :3].T @ real[:3, :3]))
+            (
+                float(np.linalg.norm(real[:3, 3] - T[0, :3, 3])),
+                angle_of(T[0, :3, :3].T @ real[:3, :3]),
+            )
         )
     position, orientation = np.reshape(errors, (-1, 2)).T
     return Outcome(tuple(sus), position, orientation, np.zeros(0), given_up)
@@ -177,7 +182,9 @@ def retreats(bench: Bench, count: int, rng: np.random.Generator) -> Outcome:
         rng: source of SUs and poses.
     """
     able = [su for su in bench.sus if len(bench.estimate.chain(su)) >= DEXTEROUS]
-    sus, errors, given_up = [], [], 0
+    sus: list[str] = []
+    errors: list[float] = []
+    given_up = 0
     while able and len(errors) < count and given_up < 4 * count:
         su = able[rng.integers(len(able))]
         q = bench.random_configuration(rng)

@@ -37,8 +37,8 @@ from skin2urdf.structure.activity import activity
 from skin2urdf.structure.tree import nested
 
 ROBOTS = ("talos", "romeo", "icub", "simple_humanoid", "g1", "panda")
-TILTED = tuple(radians(a) for a in (25.0, 15.0, 0.0))
-TURNED = tuple(radians(a) for a in (115.0, 15.0, 0.0))
+TILTED = (radians(25.0), radians(15.0), 0.0)
+TURNED = (radians(115.0), radians(15.0), 0.0)
 
 
 @dataclass(frozen=True)

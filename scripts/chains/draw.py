@@ -101,7 +101,8 @@ def draw(seed: int, kind: Measured | None = None) -> Chain:
     """
     rng = np.random.default_rng([seed, 20121])
     n = int(rng.integers(DOFS[0], DOFS[1] + 1))
-    measured = kind or _one_of(rng, get_args(Measured), (0.6, 0.25, 0.15))
+    kinds: tuple[Measured, ...] = get_args(Measured)
+    measured = _one_of(rng, kinds, (0.6, 0.25, 0.15)) if kind is None else kind
     types = _types(rng, n, 0.0 if measured == "no slopes" else SLIDING)
     posture: Posture = _one_of(rng, get_args(Posture), (0.4, 0.1, 0.5))
     axes, points, relations = _axes(rng, types, posture)
@@ -143,7 +144,7 @@ def _axes(
 ) -> tuple[F64, F64, tuple[Relation, ...]]:
     """Axes (D, 3), a point on each (D, 3) and how each lies to the one before."""
     tilt = {"upright": 0.0, "nearly upright": np.deg2rad(2.0) * rng.random()}
-    angle = tilt.get(posture, np.arccos(rng.uniform(-1, 1)))
+    angle = tilt.get(posture, float(np.arccos(rng.uniform(-1, 1))))
     azimuth = rng.uniform(0, 2 * np.pi)
     k = np.array([np.sin(angle) * np.cos(azimuth), np.sin(angle) * np.sin(azimuth), np.cos(angle)])
     k = k * rng.choice([-1.0, 1.0])

@@ -68,7 +68,7 @@ def measured(chain: Chain) -> Features:
     exact[:, :, 0] += chain.bias
     P, U, n = exact.shape[:3]
     if chain.measured == "no slopes":
-        swing = np.r_[1.0, np.zeros(chain.n_dofs), np.full(chain.n_dofs, _PAPER_PEAK)]
+        swing: F64 = np.r_[1.0, np.zeros(chain.n_dofs), np.full(chain.n_dofs, _PAPER_PEAK)]
         noise, information = _PAPER_NOISE, np.tile(np.diag(swing**2), (P, 1, 1))
         inverse = np.divide(1.0, swing, out=np.zeros(n), where=swing > 0)
         error = rng.uniform(-np.sqrt(3), np.sqrt(3), exact.shape) * inverse[:, None]
@@ -77,7 +77,8 @@ def measured(chain: Chain) -> Features:
         X = np.stack([_regressors(chain, rng) for _ in range(P)])
         noise, information = float(_NOISE), np.swapaxes(X, 1, 2) @ X
         root = np.linalg.cholesky(information)[:, None]
-        error = np.linalg.solve(np.swapaxes(root, -1, -2), rng.standard_normal(exact.shape))
+        unit = rng.standard_normal(exact.shape)
+        error = np.asarray(np.linalg.solve(np.swapaxes(root, -1, -2), unit), dtype=np.float64)
     dof, su = rng.permutation(chain.n_dofs), rng.permutation(U)
     rows = np.r_[0, 1 + dof, 1 + chain.n_dofs + dof]
     return Features(
@@ -92,7 +93,7 @@ def measured(chain: Chain) -> Features:
         noise=np.full((P, U, 3), noise),
         latency=np.zeros(U),
         latency_sd=np.zeros(U),
-        moves=StaticMoves(np.zeros(0), np.zeros(0), np.zeros((0, U, 3))),
+        moves=StaticMoves(np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros((0, U, 3))),
     )
 
 

@@ -235,7 +235,7 @@ def _agreement(chain: Chain, found: Estimate, covariance: F64) -> float:
         chain.fresh, np.zeros(F, dtype=np.int64), exact,
         Information.of(np.tile(np.eye(n), (F, U, 1, 1))),
         np.ones((F, U, 3)), np.zeros(U), np.zeros(U),
-        StaticMoves(np.zeros(0), np.zeros(0), np.zeros((0, U, 3))),
+        StaticMoves(np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros((0, U, 3))),
     )  # fmt: skip
     cost = Cost(found.tree, feature_blocks(unit, found.tree), found.cost.priors)
     here = cost.at(found.state)

@@ -53,8 +53,8 @@ def mutated_records(log: bytes, rng: np.random.Generator) -> bytes:
         elif kind == 2:
             records[a], records[b] = records[b], records[a]
         elif kind == 3:
-            claim = int(2 ** rng.uniform(0, 64)) & (2**64 - 1)
-            records[a] = records[a][:1] + struct.pack("<Q", claim) + records[a][9:]
+            length = int(2 ** rng.uniform(0, 64)) & (2**64 - 1)
+            records[a] = records[a][:1] + struct.pack("<Q", length) + records[a][9:]
         elif kind == 4 and len(records[a]) > 41:
             # The size that a chunk claims to have once unpacked.
             claim = struct.pack("<Q", int(2 ** rng.uniform(0, 40)))

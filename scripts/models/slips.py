@@ -147,6 +147,7 @@ def perform(trial: Slip) -> Noticed:
     others = [su.off.chi2 / su.off.dof for su in checked.sus if su.name != slipped and su.off.dof]
     one = by_name.get(slipped)
     deg = float(np.rad2deg(1.0))
+    bound, expected = _powers(checked, one, twist) if one else (None, None)
     return Noticed(
         slipped,
         tuple(su.name for su in checked.sus if su.changed),
@@ -155,7 +156,8 @@ def perform(trial: Slip) -> Noticed:
         one.shift[1] * 1e3 if one else None,
         one.turn[0] * deg if one else None,
         one.turn[1] * deg if one else None,
-        *(_powers(checked, one, twist) if one else (None, None)),
+        bound,
+        expected,
         float(max(others, default=0.0)),
         seconds,
     )

@@ -222,12 +222,14 @@ def _compared(
         if child is not None and parent is not None:
             T = origin_transform(joint.find("origin"))
             places[child.get("link", "")] = parent.get("link", ""), T
-    right, errors, covariances = [], [], []
+    right: list[bool] = []
+    errors: list[F64] = []
+    covariances: list[F64] = []
     for u, name in enumerate(found.tree.su_names):
         link, T = places[name]
         # Where it may sit on several, all of these are told; links fixed to each other are one.
-        joint, _ = found.chassis.carried[link]
-        right.append(joint in (found.tree.su_joint[u], *found.instead[u]))
+        carrier, _ = found.chassis.carried[link]
+        right.append(carrier in (found.tree.su_joint[u], *found.instead[u]))
         if found.links[u] == link and found.observability.su_verdict[u] == "determined":
             errors.append(log(inverse(T) @ found.T_link_su[u]))
             covariances.append(found.observability.su_covariance[u])
@@ -245,13 +247,11 @@ def _compared(
         return float(np.sqrt(x.sum(axis=1).mean())) if len(x) else None
 
     mm, deg = 1e3, float(np.rad2deg(1.0))
-    sizes = [
-        rms(e[:, :3] ** 2 * mm**2), rms(variance[:, :3] * mm**2),
-        rms(e[:, 3:] ** 2 * deg**2), rms(variance[:, 3:] * deg**2),
-    ]  # fmt: skip
     return Found(
         "", (*found.offsets, *found.odd), expected, float(np.rad2deg(found.tilt)), found.turned,
-        upright, found.left.mean, float(np.mean(right)), len(e), *sizes,
+        upright, found.left.mean, float(np.mean(right)), len(e),
+        rms(e[:, :3] ** 2 * mm**2), rms(variance[:, :3] * mm**2),
+        rms(e[:, 3:] ** 2 * deg**2), rms(variance[:, 3:] * deg**2),
         float(np.mean(nees)) if nees else None, n, within, seconds,
     )  # fmt: skip
 

@@ -41,7 +41,8 @@ def blocks_of(found: Calibration, truth: Truth) -> dict[str, Block]:
     Raises:
         ValueError: its tree is not the true one.
     """
-    estimate, seen = found.estimate, found.observability
+    estimate, seen, features = found.estimate, found.observability, found.features
+    assert features is not None  # noqa: S101 - the recordings have poses
     tree = estimate.tree
     off = _as_it_stands(displacement(estimate.state, tree, true_robot(truth, tree)), found)
     parts: dict[str, list[Block]] = {name: [] for name in BLOCKS}
@@ -68,11 +69,11 @@ def blocks_of(found: Calibration, truth: Truth) -> dict[str, Block]:
             at = slice(6 + 3 * kind, 9 + 3 * kind)
             parts[name].append(normalised(x[at], C[at, at], _OBSERVABLE.get(name, 0.0)))
 
-    names = found.features.su_names
+    names = features.su_names
     lag = truth.lag[[[su.name for su in truth.sus].index(name) for name in names]]
     # What was found of a clock before features were taken is no longer in their latency; where all
     # samples were fitted, it has what these found, too.
-    total, deviation = np.array(found.features.latency), np.array(found.features.latency_sd)
+    total, deviation = np.array(features.latency), np.array(features.latency_sd)
     for clock in found.clocks[0]:
         u = names.index(clock.su)
         if found.along is None:

@@ -101,7 +101,7 @@ def _compared(case: Case, found: Calibration, truth: Truth, folder: Path) -> Fig
         types_right=all(types.get(n) == kind for n, kind in found_types.items()),
         cost_per_dof=float(found.estimate.cost_per_dof),
         n_dofs=len(truth.joint_names),
-        n_poses=found.features.n_poses,
+        n_poses=found.features.n_poses if found.features else 0,
         hypotheses=tuple(map(float, found.estimate.hypotheses)),
         axis_angle_deg=_rms(comparison.axis_angle, _DEG),
         axis_distance_mm=_rms(comparison.axis_distance, 1e3),

@@ -41,12 +41,14 @@ from skin2urdf.estimation.trajectory.records import Equations, Predicted, Spans,
 from skin2urdf.estimation.trajectory.skeleton import N_HINGES
 from skin2urdf.estimation.trajectory.state import N_GYRO, MotionState
 from skin2urdf.model.records import KinematicModel
-from skin2urdf.model.specific_force import specific_forces
-from skin2urdf.signals.filters import filtered, first_derivative
+from skin2urdf.model.specific_force import forces_in_time
+from skin2urdf.signals.filters import FIRST_DIFFERENCES, passed
 from skin2urdf.signals.trajectory import Trajectory
 
 _HELD = 1e-6
 """Deviation by which what nothing shows is held [m or rad]: far less than is stated of any."""
+_TOGETHER = 4096
+"""Samples of the grid that are predicted at once: as many as caches hold of a chain of joints."""
 
 
 class MotionProblem(Derivatives):
@@ -81,13 +83,16 @@ class MotionProblem(Derivatives):
         self, *, logs: Sequence[Trajectory] | None = None, priors: MotionPriors | None = None
     ) -> MotionProblem:
         """The same problem with other logs, or with something else known before."""
-        return MotionProblem(
+        new = MotionProblem(
             self.tree,
             self.logs if logs is None else logs,
             priors or self.priors,
             self.layout.n_knots,
             self.unseen,
         )
+        if logs is None and "_motions" in vars(self):
+            vars(new)["_motions"] = self._motions
+        return new
 
     def stiff(self) -> MotionProblem:
         """The same problem of a robot of which encoders see all."""
@@ -180,13 +185,25 @@ class MotionProblem(Derivatives):
         carried_by = np.repeat([link.joint for link in links], [len(link.arms) for link in links])
         tree = replace(tree, su_names=tuple(map(str, range(len(T)))), su_joint=carried_by)
         model = KinematicModel(tree, self.skeleton.placements(places.T_parent_joint), T)
-        q, qd, qdd = (x[:, self.skeleton.numbers] for x in (log.q, log.qd, log.qdd))
-        force = specific_forces(model, q, qd, qdd, places.up[g] * state.gravity)
-        force = filtered(force * sense(self.priors, state), log.taps)
+        moved = [x.T[self.skeleton.numbers] for x in (log.q, log.qd, log.qdd)]
+        up = places.up[g] * state.gravity
+        slope = np.convolve(log.taps, FIRST_DIFFERENCES * log.rate)
+        filters = np.stack([np.pad(log.taps, len(FIRST_DIFFERENCES) // 2), slope])
+        filters *= sense(self.priors, state)
         # Low-passed, nothing is lost at the rate of the samples that are compared.
-        at = np.arange(int(log.kept[0]) % log.every, len(force), log.every)
-        both = np.concatenate([force[at], first_derivative(force, log.rate, at)], axis=2)
-        return np.ascontiguousarray(np.moveaxis(both, 0, 2))
+        at = np.arange(int(log.kept[0]) % log.every, len(log.q), log.every)
+        out, reach = np.empty((len(T), 6, len(at))), filters.shape[1] // 2
+        for begin in range(0, len(at), -(-_TOGETHER // log.every)):
+            some = slice(begin, begin + -(-_TOGETHER // log.every))
+            first, last = at[some][0] - reach, at[some][-1] + reach
+            # Ends repeat the outermost samples.
+            here = np.arange(first, last + 1).clip(0, len(log.q) - 1)
+            q, qd, qdd = (x[:, here] for x in moved)
+            force = forces_in_time(model, q, qd, qdd, up)
+            both = passed(force.reshape(-1, len(here)), filters, log.every)
+            both = both.reshape(len(T), 3, 2, -1).swapaxes(1, 2)
+            out[:, :, some] = both.reshape(len(T), 6, -1)
+        return out
 
     def ideal(self, state: MotionState, g: int, predicted: Predicted) -> Iterator[tuple[int, F64]]:
         """What perfect sensors in the SUs' places would read, SU by SU: (3, K) [m/s^2]."""

@@ -61,12 +61,12 @@ def extract_features(
                 tell(1.0 - left * (1.0 - 0.5 * (before + pose) / n_poses))
 
             parts.append(_poses(s, lag, curvature, log, told))
-        before = np.abs(change) if again else np.full(U, np.inf)
+        previous = np.abs(change) if again else np.full(U, np.inf)
         change, lag_sd = _latency_step([p for part in parts for p in part])
         lag = np.clip(lag + change, -0.25, 0.25)
         # Steps to a lag that shows are a hundred times shorter each time; others follow noise.
-        follows = (np.abs(change) > _SHORTER * before) & (np.abs(change) < _REAL * lag_sd)
-        if np.max(np.abs(change), where=~follows, initial=0.0) < 2e-5:
+        follows = (np.abs(change) > _SHORTER * previous) & (np.abs(change) < _REAL * lag_sd)
+        if np.max(np.where(follows, 0.0, np.abs(change)), initial=0.0) < 2e-5:
             break
     poses = _moderated([p for part in parts for p in part])
     if not poses:

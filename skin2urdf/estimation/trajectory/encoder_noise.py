@@ -88,7 +88,7 @@ def without_shortening(
     to_joint[shared] = (joint - of_joint)[shared]
     to_joint[layout.further] = (joint - of_joint)[still.layout.further]
     to_su[:, own] = (su - of_su)[:, own]
-    equations = replace(fitted.curvature, joint_gradient=to_joint, su_gradient=to_su)
+    equations = replace(fitted.equations, joint_gradient=to_joint, su_gradient=to_su)
     system = eliminated(equations, problem.free_joint, problem.free_su)
     taken_off = held(problem, layout.moved(fitted.state, *newton_step(system, problem.free_joint)))
     left = _left(fitted, fitted)

@@ -60,7 +60,6 @@ class Fitted:
         weights: per log, of the same shape, information that each sample counted with.
         predicted: per log, residuals at the state.
         chi2: sum of squared residuals over noise, times independence, priors included.
-        linearised: normal equations where the last step began; None where there was none.
     """
 
     problem: MotionProblem
@@ -69,12 +68,6 @@ class Fitted:
     weights: tuple[F64, ...]
     predicted: tuple[Predicted, ...]
     chi2: float
-    linearised: Equations | None = None
-
-    @property
-    def curvature(self) -> Equations:
-        """Normal equations not farther off than a last step, of which the gradient is not asked."""
-        return self.linearised or self.equations
 
     @cached_property
     def equations(self) -> Equations:
@@ -236,7 +229,7 @@ def _descend(
             length = step_length(equations, joint, sus, free)
             if not length >= enough:  # NaN is not
                 tell(1.0)
-                here = Fitted(problem, state, noise, weights, predicted, cost, equations)
+                here = Fitted(problem, state, noise, weights, predicted, cost)
                 here.keep(equations)
                 return problem, here
             led = follow(problem, problem.layout.moved(state, joint, sus))
@@ -273,7 +266,7 @@ def _descend(
         if (last and fell < max(1.0, tolerance**2, len(sus) / _FEW_SUS)) or gain < _NO_GAIN:
             break
     tell(1.0)
-    return problem, Fitted(problem, state, noise, weights, predicted, cost, equations)
+    return problem, Fitted(problem, state, noise, weights, predicted, cost)
 
 
 def held(problem: MotionProblem, state: MotionState) -> Fitted:

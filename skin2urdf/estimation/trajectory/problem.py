@@ -30,6 +30,7 @@ from skin2urdf.estimation.trajectory.kinematics import (
     seen_from_parent,
 )
 from skin2urdf.estimation.trajectory.normal_equations import Sums
+from skin2urdf.estimation.trajectory.points import SharedPoints
 from skin2urdf.estimation.trajectory.priors import (
     MotionPriors,
     prior_chi2,
@@ -402,28 +403,48 @@ class MotionProblem(Derivatives):
             Per log (D, 3, K) gradient in a joint's position, velocity and acceleration beyond its
             encoder, and (D, 3, 3, K) information on them, all else as it is.
         """
-        out = []
-        sensors, T = state.placements.sensor_matrix(), state.placements.T_joint_su
+        D = self.tree.n_joints
+        out = [(np.zeros((D, 3, len(w))), np.zeros((D, 3, 3, len(w)))) for w in weights]
+        for g, link, chain, by_motion in self._moved_links(state):
+            p, w, sensed = predicted[g], weights[g][:, link.sus, :3], self._sensed(state, link)
+            left = np.where(p.measured[:, link.sus, None], p.residual[:, link.sus], 0.0)
+            pulls = np.einsum("ksi,sip->pk", w * left, sensed, optimize=True)
+            N = np.einsum("ksi,sip,siq->pqk", w, sensed, sensed, optimize=True)
+            weighed = np.einsum("pqk,mdqk->mdpk", N, by_motion)
+            G, H = out[g]
+            G[chain] += np.einsum("mdpk,pk->mdk", by_motion, pulls)
+            H[chain] += np.einsum("mdpk,mepk->mdek", by_motion, weighed)
+        return out
+
+    def _sensed(self, state: MotionState, link: SharedPoints) -> F64:
+        """(S, 3, 3 p) what makes the readings of a link's SUs of what its points feel."""
+        matrices = state.placements.sensor_matrix() * sense(self.priors, state)
+        return np.asarray(link.sensed(matrices[link.sus]))
+
+    def _moved_links(
+        self, state: MotionState
+    ) -> Iterator[tuple[int, SharedPoints, list[int], F64]]:
+        """Logs, links, the m joints before each, and (m, 3, 3 p, K) what its points feel of these.
+
+        Of their positions, velocities and accelerations.
+        """
+        first = len(self.skeleton.hinges)
         for g in range(len(self.logs)):
             motion, (fixed, _) = self._frames(state, g)
-            K = motion[0].shape[1]
-            first = len(self.skeleton.hinges)
-            G, H = np.zeros((self.tree.n_joints, 3, K)), np.zeros((self.tree.n_joints, 3, 3, K))
-            for u in range(self.tree.n_sus):
-                root = np.sqrt(weights[g][:, u, :3].T)
-                p = predicted[g]
-                r = np.where(p.measured[:, u], p.residual[:, u].T, 0.0) * root
-                path = fixed_path(T[u], K)
-                for k in reversed(self.tree.chain(int(self.tree.su_joint[u]))):
-                    slides = bool(self.tree.prismatic[k])
-                    path = seen_before_joint(path, slides, *(x[first + k] for x in motion))
-                    c = joint_columns(fixed[first + k], path, slides)
-                    c = np.einsum("ij,djk->dik", sensors[u], c) * root
-                    G[k] += np.einsum("dik,ik->dk", c, r)
-                    H[k] += np.einsum("dik,eik->dek", c, c)
-                    path = seen_from_parent(path, state.placements.T_parent_joint[k])
-            out.append((G, H))
-        return out
+            for link in self.points(state):
+                chain = [k - first for k in self._chain(int(link.sus[0])) if k >= first]
+                by_motion = np.empty((len(chain), 3, 3 * len(link.arms), motion[0].shape[1]))
+                for i, arm in enumerate(link.arms):
+                    T = np.eye(4)
+                    T[:3, 3] = arm
+                    path = fixed_path(T, motion[0].shape[1])
+                    for place, k in reversed(list(enumerate(chain))):
+                        slides = bool(self.tree.prismatic[k])
+                        path = seen_before_joint(path, slides, *(x[first + k] for x in motion))
+                        columns = joint_columns(fixed[first + k], path, slides)
+                        by_motion[place, :, 3 * i : 3 * i + 3] = columns
+                        path = seen_from_parent(path, state.placements.T_parent_joint[k])
+                yield g, link, chain, by_motion
 
     def prior_information(self, state: MotionState) -> tuple[F64, F64, F64, F64]:
         """Information (J,) and (U, n, n) of the priors and their gradients (J,) and (U, n)."""

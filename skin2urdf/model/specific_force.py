@@ -24,8 +24,13 @@ def specific_forces(model: KinematicModel, q: F64, qd: F64, qdd: F64, gravity_up
     Returns:
         (N, U, 3) in the SUs' frames [m/s^2].
     """
-    tree = model.tree
     q, qd, qdd = (np.ascontiguousarray(x.T) for x in (q, qd, qdd))
+    return np.ascontiguousarray(np.moveaxis(forces_in_time(model, q, qd, qdd, gravity_up), 2, 0))
+
+
+def forces_in_time(model: KinematicModel, q: F64, qd: F64, qdd: F64, gravity_up: F64) -> F64:
+    """The same, samples last: (U, 3, N) of (D, N) positions, velocities and accelerations."""
+    tree = model.tree
     base = np.zeros((3, 3, q.shape[1]))
     base[2] = gravity_up[:, None]
     motion: list[F64] = []
@@ -39,7 +44,7 @@ def specific_forces(model: KinematicModel, q: F64, qd: F64, qdd: F64, gravity_up
         for u in np.flatnonzero(tree.su_joint == j):
             T = model.T_joint_su[u]
             out[u] = T[:3, :3].T @ _at(motion[j] if j >= 0 else base, T[:3, 3])
-    return np.ascontiguousarray(np.moveaxis(out, 2, 0))
+    return out
 
 
 def angular_velocities(model: KinematicModel, q: F64, qd: F64) -> F64:

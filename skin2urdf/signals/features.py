@@ -49,7 +49,7 @@ def extract_features(
     """
     U = len(su_names)
     lag = np.zeros(U) if latency is None else np.array(latency, dtype=np.float64)
-    lag_sd = np.full(U, np.inf)
+    change, lag_sd = np.zeros(U), np.full(U, np.inf)
     n_poses = max(1, sum(len(s.neighbourhoods) for s in sampled))
     for again in range(6):
         parts: list[list[_Pose]] = []
@@ -61,9 +61,12 @@ def extract_features(
                 tell(1.0 - left * (1.0 - 0.5 * (before + pose) / n_poses))
 
             parts.append(_poses(s, lag, curvature, log, told))
+        previous = np.abs(change) if again else np.full(U, np.inf)
         change, lag_sd = _latency_step([p for part in parts for p in part])
         lag = np.clip(lag + change, -0.25, 0.25)
-        if np.max(np.abs(change), initial=0.0) < 2e-5:
+        # Steps to a lag that shows are a hundred times shorter each time; others follow noise.
+        follows = (np.abs(change) > _SHORTER * previous) & (np.abs(change) < _REAL * lag_sd)
+        if np.max(np.where(follows, 0.0, np.abs(change)), initial=0.0) < 2e-5:
             break
     poses = _moderated([p for part in parts for p in part])
     if not poses:
@@ -91,6 +94,12 @@ def extract_features(
         faults=distinct(f for s in sampled for f in s.faults),
         turns=turn_evidence(sampled, lag),
     )
+
+
+_REAL = 5.0
+"""Standard deviations of a step to another latency beyond which it is real."""
+_SHORTER = 0.5
+"""A step to another latency over the one before, beyond which it follows noise."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -240,5 +249,5 @@ def _latency_step(poses: Sequence[_Pose]) -> tuple[F64, F64]:
     sd = np.where(denominator > 0, 1 / np.sqrt(np.maximum(denominator, 1e-300)), np.inf)
     step = np.divide(numerator, denominator, out=np.zeros_like(sd), where=denominator > 0)
     # A large lag leaves large residuals, hence a large sd: a step of many sd is real all the same.
-    known = (sd < 3e-4) | (np.abs(step) > 5 * sd)
+    known = (sd < 3e-4) | (np.abs(step) > _REAL * sd)
     return np.where(known, np.clip(step, -0.03, 0.03), 0.0), np.where(known, sd, np.inf)

@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from scipy.fft import irfft, next_fast_len, rfft
 from scipy.ndimage import convolve1d, map_coordinates, minimum_filter1d, spline_filter1d
 
@@ -280,6 +281,39 @@ def _convolved(values: F64, taps: F64) -> F64:
         done = irfft(rfft(block, size, axis=0) * spectrum, size, axis=0)
         end = min(begin + step, len(out))
         out[begin:end] = done[T - 1 : T - 1 + end - begin]
+    return out
+
+
+def passed(values: F64, filters: F64, every: int) -> F64:
+    """Complete outputs of some FIRs, of each so many-th sample only, as products of matrices.
+
+    Args:
+        values: (C, N) samples last.
+        filters: (R, T) weights of T samples, from the first on.
+        every: samples from one output to the next.
+
+    Returns:
+        (C, R, M), the first outputs made of the first T samples.
+    """
+    (n_filters, size), (rows, n) = filters.shape, values.shape
+    count = (n - size) // every + 1
+    out = np.empty((rows, n_filters, count))
+    together = max(1, min(count, size // every))  # so that half of a matrix is not zero
+    for begin, end in ((0, count - count % together), (count - count % together, count)):
+        if begin == end:
+            continue
+        each = min(together, end - begin)
+        band = np.zeros((n_filters, each, (each - 1) * every + size))
+        for i in range(each):
+            band[:, i, i * every : i * every + size] = filters
+        windows = sliding_window_view(values, band.shape[2], axis=1)
+        windows = windows[:, begin * every :: each * every].swapaxes(0, 1)
+        done = windows @ band.reshape(-1, band.shape[2]).T
+        out[..., begin:end] = (
+            done.reshape(len(windows), rows, n_filters, each)
+            .transpose(1, 2, 0, 3)
+            .reshape(rows, n_filters, -1)
+        )
     return out
 
 

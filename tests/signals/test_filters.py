@@ -15,6 +15,7 @@ from skin2urdf.signals.filters import (
     first_derivative,
     low_pass,
     noise_bandwidth,
+    passed,
     sample,
     second_derivative,
     shifted,
@@ -204,3 +205,15 @@ def test_erosion_keeps_what_is_whole_all_around(bits: list[bool], reach: int) ->
     kept = eroded(np.array(bits), reach)
     for i in range(len(bits)):
         assert kept[i] == all(bits[max(0, i - reach) : i + reach + 1])
+
+
+@pytest.mark.parametrize(("every", "size"), [(1, 200), (5, 1003), (5, 118)])
+def test_what_is_low_passed_where_it_is_wanted_is_what_is_low_passed_everywhere(
+    every: int, size: int
+) -> None:
+    taps = low_pass(10.0, 125.0)
+    values = np.random.default_rng(0).standard_normal((3, size))
+    found = passed(values, np.stack([taps, 2 * taps]), every)
+    half = len(taps) // 2
+    whole = filtered(values.T, taps)[half : size - half : every].T
+    np.testing.assert_allclose(found, np.stack([whole, 2 * whole], axis=1), rtol=0, atol=1e-12)

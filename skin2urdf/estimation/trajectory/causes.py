@@ -36,7 +36,9 @@ from skin2urdf.estimation.trajectory.misfit import misfit, span_means
 from skin2urdf.estimation.trajectory.on_the_base import turned_as_the_base
 from skin2urdf.estimation.trajectory.problem import MotionProblem
 from skin2urdf.estimation.trajectory.slack import (
+    Lacking,
     Size,
+    lacking,
     learnt_size,
     rounded_off,
     size_of,
@@ -145,10 +147,9 @@ def explained(
     rigid = _Attempt(problem, fitted, (), places)
     if rigid.misfit > min(most, _BEYOND) or not rigid.lacks:
         return Explained(problem, fitted)
-    if rigid.may_round:
-        rounded = rigid.with_slack()
-        if rounded.misfit <= _EXPLAINED:
-            return Explained(rounded.problem, rounded.fitted)
+    rounded = rigid.with_rounding()
+    if rounded is not None and rounded.misfit <= _EXPLAINED:
+        return Explained(rounded.problem, rounded.fitted)
     # Few numbers that say more than many would.
     known = rigid.with_known_torque()
     if known is not None and yields(known.problem, known.fitted) and _explains_most(known, rigid):
@@ -239,7 +240,12 @@ class _Attempt:
     @cached_property
     def slack_size(self) -> Size | None:
         """Slack that the readings show beyond what the problem has."""
-        return None if self.places is None else size_of(self.problem, self.fitted, self.places)
+        return None if self.shown is None else self.shown.size(0)
+
+    @cached_property
+    def shown(self) -> Lacking | None:
+        """What the readings show of slack; None of a robot that stays in one place."""
+        return None if self.places is None else lacking(self.problem, self.fitted, [self.places])
 
     @property
     def lacks(self) -> bool:
@@ -273,13 +279,22 @@ class _Attempt:
             self, problem=problem, fitted=fit(problem, state), causes=(*self.causes, name)
         )
 
-    @property
-    def may_round(self) -> bool:
-        """Whether it lacks slack, and all of it may be what encoders round off."""
-        if self.slack_size is None or self.slack_size.gain <= _CERTAIN:
-            return False
+    def with_rounding(self) -> _Attempt | None:
+        """With slack, where it is lacking and all of it may be what encoders round off.
+
+        So little leaves a fit where it is but for a step, of which the equations are known.
+        """
+        if self.shown is None or self.slack_size is None or self.slack_size.gain <= _CERTAIN:
+            return None
         rounding = rounded_off(self.problem.tree, self.problem.logs)
-        return self.slack_size.gain_beyond(rounding) <= _DOUBTED
+        if self.slack_size.gain_beyond(rounding) > _DOUBTED:
+            return None
+        problem, equations = self.shown.begun(0, self.slack_size.size)
+        before = self.fitted
+        none = np.zeros(problem.layout.n_unseen - len(before.state.unseen))
+        state = replace(before.state, unseen=np.concatenate([before.state.unseen, none]))
+        fitted = fit(problem, state, near=True, predicted=before.predicted, equations=equations)
+        return replace(self, problem=problem, fitted=fitted, causes=(*self.causes, "slack"))
 
     def with_slack(self) -> _Attempt:
         """With slack of the size that the readings show."""

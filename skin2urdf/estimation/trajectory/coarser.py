@@ -16,6 +16,7 @@ from skin2urdf.signals.filters import (
     SECOND_DIFFERENCES,
     filtered,
     first_derivative,
+    passed,
     second_derivative,
 )
 from skin2urdf.signals.trajectory import Trajectory
@@ -27,6 +28,8 @@ _REACH, _WINDOW = 9, 10.0
 """Samples on either side that tell what is between two, and the shape of their window."""
 _NOTHING = 1e-12
 """Part of the largest value below which there is none, but what transforms leave of zeros."""
+_TOGETHER = 32
+"""Columns that are low-passed at once, so that what is copied for it stays small."""
 
 
 def coarser(log: Trajectory, step: int) -> Trajectory:
@@ -66,15 +69,40 @@ def passed_at_kept(x: F64, step: int, log: Trajectory) -> F64:
     """
     coarse = coarser(log, step)
     largest = np.abs(x).max(initial=0.0)
+    at, rate = log.kept, coarse.rate
+    if step == 1 and _in_a_row(at):
+        return _passed(x, log)
     x = filtered(x, coarse.taps)
     x[np.abs(x) < _NOTHING * largest] = 0.0
-    at, rate = log.kept, coarse.rate
     if step == 1:
         return np.stack([x[at], first_derivative(x, rate, at), second_derivative(x, rate, at)])
     between = _between(at, step, len(x))
     of_first = between @ _differences(FIRST_DIFFERENCES * rate, len(x))
     of_second = between @ _differences(SECOND_DIFFERENCES * rate**2, len(x))
     return np.stack([matrix @ x for matrix in (between, of_first, of_second)])
+
+
+def _in_a_row(at: Int) -> bool:
+    """Whether samples are as far from each other all along."""
+    return len(at) > 1 and bool((np.diff(at) == at[1] - at[0]).all())
+
+
+def _passed(x: F64, log: Trajectory) -> F64:
+    """The same of values (N, C) on the log's grid, where samples are compared in a row."""
+    at, every = log.kept, int(log.kept[1] - log.kept[0])
+    slopes = FIRST_DIFFERENCES * log.rate, SECOND_DIFFERENCES * log.rate**2
+    still = np.zeros(len(FIRST_DIFFERENCES))
+    still[len(still) // 2] = 1.0
+    filters = np.stack([np.convolve(log.taps, each) for each in (still, *slopes)])
+    reach = filters.shape[1] // 2
+    # Ends repeat the outermost samples.
+    around = np.arange(at[0] - reach, at[-1] + reach + 1).clip(0, len(x) - 1)
+    out = np.empty((3, len(at), x.shape[1]))
+    for first in range(0, x.shape[1], _TOGETHER):
+        some = slice(first, first + _TOGETHER)
+        here = np.ascontiguousarray(x[around, some].T)
+        out[:, :, some] = passed(here, filters, every).transpose(1, 2, 0)
+    return out
 
 
 def _between(at: Int, step: int, size: int) -> csr_array:

@@ -304,7 +304,8 @@ class Derivatives:
         if self.unseen:
             felt = self._felt(self.unseen, u)
             number = np.searchsorted(self._moving(u), self.unseen.number[felt])
-            unseen = self.unseen.joint[felt], number, self._motions[g][:2, felt]
+            motions = self._motions[g][:2, self.unseen.columns[felt]]
+            unseen = self.unseen.joint[felt], number, motions * self.unseen.units[felt, None]
         slides = dict(zip(numbers.tolist(), tree.prismatic.tolist(), strict=True))
         of_number = dict(zip(numbers.tolist(), fixed, strict=True)), here
         slopes = turned.slope[:, u], turned.bend[:, u], self._since_middle(g)

@@ -26,6 +26,12 @@ _BEYOND_DOUBT = 5.0
 """Standard deviations of what is taken off that a low-pass has to gain."""
 
 
+def has_doubtful_fronts(fitted: Fitted) -> bool:
+    """Whether the low-passes of a fit cut off more of encoders' noise than chance makes them."""
+    front = fitted.state.front
+    return _shaken(fitted).cut_off(front) > N_FRONT * len(front)
+
+
 def without_doubtful_fronts(
     problem: MotionProblem, fitted: Fitted, iterations: int
 ) -> tuple[MotionProblem, Fitted]:
@@ -33,12 +39,10 @@ def without_doubtful_fronts(
 
     Args:
         problem: the logs, the tree and what is known before.
-        fitted: its fit, from sensors that may be slow.
+        fitted: its fit, from sensors that may be slow, with low-passes that are doubtful.
         iterations: linearisations, at most, of another fit.
     """
     state = fitted.state
-    if not _shaken(fitted).cut_off(state.front) > N_FRONT * len(state.front):
-        return problem, fitted
     front = np.tile(begin_front(problem.priors.front, fast=True), (len(state.front), 1))
     fast = fit(problem, replace(state, front=front), near=True, iterations=iterations)
     shaken = _shaken(fast)

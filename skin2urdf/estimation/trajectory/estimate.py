@@ -13,10 +13,14 @@ from skin2urdf.estimation.problem.cost import Priors
 from skin2urdf.estimation.problem.state import State
 from skin2urdf.estimation.trajectory.causes import SPAN, Explained, explained, misfit_of
 from skin2urdf.estimation.trajectory.deviations import su_covariances
-from skin2urdf.estimation.trajectory.doubtful_fronts import UNSURE, without_doubtful_fronts
+from skin2urdf.estimation.trajectory.doubtful_fronts import (
+    UNSURE,
+    has_doubtful_fronts,
+    without_doubtful_fronts,
+)
 from skin2urdf.estimation.trajectory.elastic import Elasticity
 from skin2urdf.estimation.trajectory.encoder_noise import without_shortening
-from skin2urdf.estimation.trajectory.fit import Fitted, fit
+from skin2urdf.estimation.trajectory.fit import Fitted, fit, held, leading
 from skin2urdf.estimation.trajectory.front_end import begin_front, droop, droop_variance
 from skin2urdf.estimation.trajectory.gyro import gyro_deviations
 from skin2urdf.estimation.trajectory.information import MotionInformation, motion_information
@@ -162,10 +166,11 @@ class MotionEstimate:
             return out
         # Slack is what was added last, and all its numbers are of one size.
         of_slack = self.problem.priors.unseen == self.slack
-        x = np.where(of_slack, self.fitted.state.unseen, 0.0)
-        each = unseen.on_grid[g] * x[unseen.number]
+        x = unseen.units * np.where(of_slack, self.fitted.state.unseen, 0.0)[unseen.number]
+        motions = unseen.on_grid[g]
         for j in range(len(out)):
-            out[j] = np.ptp(each[:, unseen.joint == j].sum(axis=1))
+            mine = unseen.joint == j
+            out[j] = np.ptp(motions[:, unseen.columns[mine]] @ x[mine])
         return out
 
     @property
@@ -223,11 +228,7 @@ def estimate_along(
         unseen=np.zeros(problem.layout.n_unseen),
         gyro=np.zeros((U, problem.layout.gyro.stop - problem.layout.gyro.start)),
     )
-    fitted = fit(
-        problem, begin, iterations=iterations, tolerance=NEAR, tell=lambda part: tell(0.5 * part)
-    )
-    problem, fitted = fit_with_products(problem, fitted, iterations)
-    problem, fitted = without_doubtful_fronts(problem, fitted, iterations)
+    problem, fitted = _of_a_rigid_robot(problem, begin, iterations, lambda part: tell(0.7 * part))
     tell(0.7)
     problem, fitted, contradict = listened(problem, fitted)
     problem, fitted, late = with_publishers(
@@ -251,6 +252,38 @@ def estimate_along(
     gyros = found_gyros(problem, fitted, contradict)
     what = found.causes, found.tried, found.under_known
     return MotionEstimate(problem, fitted, left, gyros, *what, late, tuple(corrected))
+
+
+def _of_a_rigid_robot(
+    problem: MotionProblem,
+    begin: MotionState,
+    iterations: int,
+    tell: Callable[[float], None],
+) -> tuple[MotionProblem, Fitted]:
+    """The fit of a rigid robot with what readings hold beyond low-passed motion.
+
+    Where samples are many, part of them leads so near that all of them are gone through as seldom
+    as can be.
+    """
+    few = leading(problem)
+    about, fitted = _led(few or problem, begin, iterations, tell)
+    doubtful = has_doubtful_fronts(fitted)
+    if doubtful:
+        about, fitted = without_doubtful_fronts(about, fitted, iterations)
+    if few is None:
+        return about, fitted
+    problem, fitted = fit_with_products(problem, held(problem, fitted.state), iterations)
+    if not doubtful and has_doubtful_fronts(fitted):
+        problem, fitted = without_doubtful_fronts(problem, fitted, iterations)
+    return problem, fitted
+
+
+def _led(
+    problem: MotionProblem, begin: MotionState, iterations: int, tell: Callable[[float], None]
+) -> tuple[MotionProblem, Fitted]:
+    """The fit from where it begins, and then with products of motions."""
+    fitted = fit(problem, begin, iterations=iterations, tolerance=NEAR, tell=tell)
+    return fit_with_products(problem, fitted, iterations)
 
 
 def _shaking(problem: MotionProblem, fitted: Fitted) -> tuple[F64, F64]:

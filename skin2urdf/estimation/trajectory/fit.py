@@ -26,8 +26,11 @@ held back at all. It grows to that, and by ten, with every step that fails, and 
 every one that succeeds at once: what had to be held back to succeed would fail again."""
 _ARRIVED = 0.5
 """Length of a last step in standard deviations, those of placements, biases and shapes together.
-Weights that follow the residuals let steps become shorter by three each time and more; some hundred
-coordinates share the rest."""
+Some hundred coordinates share the rest."""
+_SHRINK = 3.0
+"""By how much each step is shorter than the one before at least, as weights follow the residuals.
+Of a step that is followed by a last one the next need not be worked out where it would be as much
+shorter again and too short to be taken."""
 _SHORT = 0.1
 """Length of a step, over that of a last one, from which it is worth taking."""
 _FEW_SUS = 10
@@ -85,6 +88,7 @@ def fit(
     near: bool = False,
     far: bool = False,
     predicted: tuple[Predicted, ...] | None = None,
+    equations: Equations | None = None,
     tell: Callable[[float], None] = lambda _: None,
 ) -> Fitted:
     """Minimise chi-squared of all samples.
@@ -99,6 +103,7 @@ def fit(
         far: whether it begins so far away that steps have to be held back on the way, and that
             placements can not be found without what encoders do not see.
         predicted: per log, residuals where it begins, if they are known.
+        equations: normal equations where it begins, if they are known, and it is near.
         tell: told the share of the work that is done.
     """
     if not near:
@@ -108,8 +113,15 @@ def fit(
     free = problem.free_joint, problem.free_su
     return _descend(
         problem, start, free, tolerance, iterations,
-        lambda share: tell(begin + (1.0 - begin) * share), far, predicted=predicted,
+        lambda share: tell(begin + (1.0 - begin) * share), far,
+        predicted=predicted, known=equations if near else None,
     )[1]  # fmt: skip
+
+
+def leading(problem: MotionProblem) -> MotionProblem | None:
+    """The problem with a part of the samples, enough to lead near; None where all are few."""
+    thin = min(_THINNEST, sum(len(log.kept) for log in problem.logs) // _ENOUGH)
+    return problem.again(logs=[log.thinned(thin) for log in problem.logs]) if thin > 1 else None
 
 
 def _near(
@@ -123,12 +135,11 @@ def _near(
 
     All coordinates move once those are near that the others would make up for.
     """
-    thin = min(_THINNEST, sum(len(log.kept) for log in problem.logs) // _ENOUGH)
-    if thin > 1:
-        problem = problem.again(logs=[log.thinned(thin) for log in problem.logs])
+    few = leading(problem)
+    thin, problem = few is not None, few or problem
     coarse, free = problem.coarse(unseen=far), (problem.free_joint, problem.free_su)
     found = _descend(problem, start, coarse, _ROUGHLY, iterations, tell, far)[1]
-    if thin > 1:
+    if thin:
         found = _descend(
             problem, found.state, free, _ROUGHLY, iterations, tell, far, predicted=found.predicted
         )[1]
@@ -197,6 +208,7 @@ def _descend(
     far: bool = False,
     follow: Follow = _stay,
     predicted: tuple[Predicted, ...] | None = None,
+    known: Equations | None = None,
 ) -> tuple[MotionProblem, Fitted]:
     """Minimise chi-squared over some coordinates; from far away steps may have to be held back."""
     free_joint, free_su = free
@@ -206,9 +218,9 @@ def _descend(
     shaken = Shaken.of(problem.tree, problem.logs, state, weights)
     cost = _cost(problem, state, predicted, weights, shaken)
     damping = _DAMPING
-    longest = 0.0
+    longest, before = 0.0, np.inf
     for _ in range(iterations):
-        equations = problem.equations(state, predicted, weights)
+        equations, known = known or problem.equations(state, predicted, weights), None
         at_once, enough = True, _SHORT * tolerance
         while True:
             pulled = shaken.taken_off(equations, problem.layout, state.front)
@@ -242,13 +254,16 @@ def _descend(
         noise, weights = _noise(problem, state, predicted)
         shaken = Shaken.of(problem.tree, problem.logs, state, weights)
         cost = _cost(problem, state, predicted, weights, shaken)
-        longest = max(longest, length) if length < np.inf else longest
+        shrinks = length / before if at_once and length < before < np.inf else 1.0
+        longest, before = max(longest, length) if length < np.inf else longest, length
         if tolerance < length < longest:
             # Steps become shorter by a factor each time: what counts is how many such are left.
             tell(float(np.log(longest / length) / np.log(longest / tolerance)))
+        last = length < tolerance
+        last = last or (length < _SHRINK * tolerance and length * shrinks < _SHORT * tolerance)
         # Clocks and front ends, which a length leaves out, are still on their way where chi-squared
         # falls by more than a step of that length explains.
-        if (length < tolerance and fell < max(1.0, tolerance**2)) or gain < _NO_GAIN:
+        if (last and fell < max(1.0, tolerance**2, len(sus) / _FEW_SUS)) or gain < _NO_GAIN:
             break
     tell(1.0)
     return problem, Fitted(problem, state, noise, weights, predicted, cost)

@@ -30,6 +30,7 @@ from skin2urdf.estimation.trajectory.kinematics import (
     seen_from_parent,
 )
 from skin2urdf.estimation.trajectory.normal_equations import Sums
+from skin2urdf.estimation.trajectory.points import SharedPoints
 from skin2urdf.estimation.trajectory.priors import (
     MotionPriors,
     prior_chi2,
@@ -41,12 +42,14 @@ from skin2urdf.estimation.trajectory.records import Equations, Predicted, Spans,
 from skin2urdf.estimation.trajectory.skeleton import N_HINGES
 from skin2urdf.estimation.trajectory.state import N_GYRO, MotionState
 from skin2urdf.model.records import KinematicModel
-from skin2urdf.model.specific_force import specific_forces
-from skin2urdf.signals.filters import filtered, first_derivative
+from skin2urdf.model.specific_force import forces_in_time
+from skin2urdf.signals.filters import FIRST_DIFFERENCES, passed
 from skin2urdf.signals.trajectory import Trajectory
 
 _HELD = 1e-6
 """Deviation by which what nothing shows is held [m or rad]: far less than is stated of any."""
+_TOGETHER = 4096
+"""Samples of the grid that are predicted at once: as many as caches hold of a chain of joints."""
 
 
 class MotionProblem(Derivatives):
@@ -81,13 +84,16 @@ class MotionProblem(Derivatives):
         self, *, logs: Sequence[Trajectory] | None = None, priors: MotionPriors | None = None
     ) -> MotionProblem:
         """The same problem with other logs, or with something else known before."""
-        return MotionProblem(
+        new = MotionProblem(
             self.tree,
             self.logs if logs is None else logs,
             priors or self.priors,
             self.layout.n_knots,
             self.unseen,
         )
+        if logs is None and "_motions" in vars(self):
+            vars(new)["_motions"] = self._motions
+        return new
 
     def stiff(self) -> MotionProblem:
         """The same problem of a robot of which encoders see all."""
@@ -180,13 +186,25 @@ class MotionProblem(Derivatives):
         carried_by = np.repeat([link.joint for link in links], [len(link.arms) for link in links])
         tree = replace(tree, su_names=tuple(map(str, range(len(T)))), su_joint=carried_by)
         model = KinematicModel(tree, self.skeleton.placements(places.T_parent_joint), T)
-        q, qd, qdd = (x[:, self.skeleton.numbers] for x in (log.q, log.qd, log.qdd))
-        force = specific_forces(model, q, qd, qdd, places.up[g] * state.gravity)
-        force = filtered(force * sense(self.priors, state), log.taps)
+        moved = [x.T[self.skeleton.numbers] for x in (log.q, log.qd, log.qdd)]
+        up = places.up[g] * state.gravity
+        slope = np.convolve(log.taps, FIRST_DIFFERENCES * log.rate)
+        filters = np.stack([np.pad(log.taps, len(FIRST_DIFFERENCES) // 2), slope])
+        filters *= sense(self.priors, state)
         # Low-passed, nothing is lost at the rate of the samples that are compared.
-        at = np.arange(int(log.kept[0]) % log.every, len(force), log.every)
-        both = np.concatenate([force[at], first_derivative(force, log.rate, at)], axis=2)
-        return np.ascontiguousarray(np.moveaxis(both, 0, 2))
+        at = np.arange(int(log.kept[0]) % log.every, len(log.q), log.every)
+        out, reach = np.empty((len(T), 6, len(at))), filters.shape[1] // 2
+        for begin in range(0, len(at), -(-_TOGETHER // log.every)):
+            some = slice(begin, begin + -(-_TOGETHER // log.every))
+            first, last = at[some][0] - reach, at[some][-1] + reach
+            # Ends repeat the outermost samples.
+            here = np.arange(first, last + 1).clip(0, len(log.q) - 1)
+            q, qd, qdd = (x[:, here] for x in moved)
+            force = forces_in_time(model, q, qd, qdd, up)
+            both = passed(force.reshape(-1, len(here)), filters, log.every)
+            both = both.reshape(len(T), 3, 2, -1).swapaxes(1, 2)
+            out[:, :, some] = both.reshape(len(T), 6, -1)
+        return out
 
     def ideal(self, state: MotionState, g: int, predicted: Predicted) -> Iterator[tuple[int, F64]]:
         """What perfect sensors in the SUs' places would read, SU by SU: (3, K) [m/s^2]."""
@@ -385,28 +403,48 @@ class MotionProblem(Derivatives):
             Per log (D, 3, K) gradient in a joint's position, velocity and acceleration beyond its
             encoder, and (D, 3, 3, K) information on them, all else as it is.
         """
-        out = []
-        sensors, T = state.placements.sensor_matrix(), state.placements.T_joint_su
+        D = self.tree.n_joints
+        out = [(np.zeros((D, 3, len(w))), np.zeros((D, 3, 3, len(w)))) for w in weights]
+        for g, link, chain, by_motion in self._moved_links(state):
+            p, w, sensed = predicted[g], weights[g][:, link.sus, :3], self._sensed(state, link)
+            left = np.where(p.measured[:, link.sus, None], p.residual[:, link.sus], 0.0)
+            pulls = np.einsum("ksi,sip->pk", w * left, sensed, optimize=True)
+            N = np.einsum("ksi,sip,siq->pqk", w, sensed, sensed, optimize=True)
+            weighed = np.einsum("pqk,mdqk->mdpk", N, by_motion)
+            G, H = out[g]
+            G[chain] += np.einsum("mdpk,pk->mdk", by_motion, pulls)
+            H[chain] += np.einsum("mdpk,mepk->mdek", by_motion, weighed)
+        return out
+
+    def _sensed(self, state: MotionState, link: SharedPoints) -> F64:
+        """(S, 3, 3 p) what makes the readings of a link's SUs of what its points feel."""
+        matrices = state.placements.sensor_matrix() * sense(self.priors, state)
+        return np.asarray(link.sensed(matrices[link.sus]))
+
+    def _moved_links(
+        self, state: MotionState
+    ) -> Iterator[tuple[int, SharedPoints, list[int], F64]]:
+        """Logs, links, the m joints before each, and (m, 3, 3 p, K) what its points feel of these.
+
+        Of their positions, velocities and accelerations.
+        """
+        first = len(self.skeleton.hinges)
         for g in range(len(self.logs)):
             motion, (fixed, _) = self._frames(state, g)
-            K = motion[0].shape[1]
-            first = len(self.skeleton.hinges)
-            G, H = np.zeros((self.tree.n_joints, 3, K)), np.zeros((self.tree.n_joints, 3, 3, K))
-            for u in range(self.tree.n_sus):
-                root = np.sqrt(weights[g][:, u, :3].T)
-                p = predicted[g]
-                r = np.where(p.measured[:, u], p.residual[:, u].T, 0.0) * root
-                path = fixed_path(T[u], K)
-                for k in reversed(self.tree.chain(int(self.tree.su_joint[u]))):
-                    slides = bool(self.tree.prismatic[k])
-                    path = seen_before_joint(path, slides, *(x[first + k] for x in motion))
-                    c = joint_columns(fixed[first + k], path, slides)
-                    c = np.einsum("ij,djk->dik", sensors[u], c) * root
-                    G[k] += np.einsum("dik,ik->dk", c, r)
-                    H[k] += np.einsum("dik,eik->dek", c, c)
-                    path = seen_from_parent(path, state.placements.T_parent_joint[k])
-            out.append((G, H))
-        return out
+            for link in self.points(state):
+                chain = [k - first for k in self._chain(int(link.sus[0])) if k >= first]
+                by_motion = np.empty((len(chain), 3, 3 * len(link.arms), motion[0].shape[1]))
+                for i, arm in enumerate(link.arms):
+                    T = np.eye(4)
+                    T[:3, 3] = arm
+                    path = fixed_path(T, motion[0].shape[1])
+                    for place, k in reversed(list(enumerate(chain))):
+                        slides = bool(self.tree.prismatic[k])
+                        path = seen_before_joint(path, slides, *(x[first + k] for x in motion))
+                        columns = joint_columns(fixed[first + k], path, slides)
+                        by_motion[place, :, 3 * i : 3 * i + 3] = columns
+                        path = seen_from_parent(path, state.placements.T_parent_joint[k])
+                yield g, link, chain, by_motion
 
     def prior_information(self, state: MotionState) -> tuple[F64, F64, F64, F64]:
         """Information (J,) and (U, n, n) of the priors and their gradients (J,) and (U, n)."""

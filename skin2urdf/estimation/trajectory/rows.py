@@ -63,7 +63,7 @@ class Beyond:
 
     Attributes:
         unseen: which numbers move which joints.
-        motions: (3, E, K) by how much, its velocity and its acceleration per unit.
+        motions: (3, M, K) by how much, its velocity and its acceleration per unit of each column.
         first: column of the joint part of the first number.
     """
 
@@ -89,28 +89,29 @@ class Beyond:
 
     def derivatives(self, joints: Int, by_motion: F64) -> tuple[Int, F64]:
         """Columns (s,) of all numbers that count, and derivatives (s, c, K) in these."""
-        every = np.ones(self.motions.shape[1], dtype=bool)
+        every = np.ones(len(self.unseen.joint), dtype=bool)
         return self._derivatives(joints, by_motion, slice(0, by_motion.shape[3]), every)
 
     @cached_property
     def _counting(self) -> list[tuple[int, Bool]]:
         """First sample of each block, and (E,) which motions are any in it."""
-        size = self.motions.shape[2]
+        size, columns = self.motions.shape[2], self.unseen.columns
         return [
-            (begin, np.asarray(self.motions[:, :, begin : begin + _BLOCK].any(axis=(0, 2))))
+            (begin, np.any(self.motions[:, :, begin : begin + _BLOCK], axis=(0, 2))[columns])
             for begin in range(0, size, _BLOCK)
         ]
 
     def _derivatives(self, joints: Int, by_motion: F64, at: slice, counts: Bool) -> tuple[Int, F64]:
         """The same at some samples, of the motions (E,) that count."""
-        motions = self.motions[:, :, at]
+        motions, columns, units = self.motions[:, :, at], self.unseen.columns, self.unseen.units
         counts = counts & np.isin(self.unseen.joint, joints)
         numbers = np.unique(self.unseen.number[counts])
         out = np.zeros((len(numbers), by_motion.shape[2], motions.shape[2]))
         for joint, of_joint in zip(joints, by_motion, strict=True):
             entries = np.flatnonzero(counts & (self.unseen.joint == joint))
             place = np.searchsorted(numbers, self.unseen.number[entries])
-            added = np.einsum("dck,dsk->sck", of_joint, motions[:, entries])
+            each = motions[:, columns[entries]] * units[entries, None]
+            added = np.einsum("dck,dsk->sck", of_joint, each)
             # A number may move a joint in more than one way.
             for s, each in zip(place, added, strict=True):
                 out[s] += each

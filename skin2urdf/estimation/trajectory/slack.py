@@ -107,12 +107,18 @@ def slack(
     joints = np.arange(tree.n_joints)
     if zeros_given:
         apart = null_space(np.ones((1, P)))
-        motions = tuple(np.concatenate([h @ apart * k for k in unit], axis=1) for h in shares)
-        return Unseen(np.repeat(joints, P - 1), motions)
-    motions = tuple(
-        np.concatenate([*(h * k for k in unit), np.tile(unit, (len(h), 1))], axis=1) for h in shares
+        motions, n = tuple(h @ apart for h in shares), P - 1
+        return Unseen(
+            np.repeat(joints, n), motions,
+            column=np.tile(np.arange(n), len(joints)), unit=np.repeat(unit, n),
+        )  # fmt: skip
+    motions = tuple(np.concatenate([h, np.ones((len(h), 1))], axis=1) for h in shares)
+    return Unseen(
+        np.concatenate([np.repeat(joints, P), joints]),
+        motions,
+        column=np.concatenate([np.tile(np.arange(P), len(joints)), np.full(len(joints), P)]),
+        unit=np.concatenate([np.repeat(unit, P), unit]),
     )
-    return Unseen(np.concatenate([np.repeat(joints, P), joints]), motions)
 
 
 def rounded_off(tree: KinematicTree, logs: Sequence[Trajectory]) -> float:
@@ -174,6 +180,21 @@ class Lacking:
     def _fitted(self) -> Int:
         """Coordinates of the joint part that were fitted."""
         return np.setdiff1d(np.arange(self.problem.layout.n_joint), np.concatenate(self.groups))
+
+    def begun(self, group: int, size: float) -> tuple[MotionProblem, Equations]:
+        """The problem with a single group of some size, and its equations where the fit is.
+
+        Args:
+            group: the only one.
+            size: standard deviation of its numbers.
+        """
+        at, spread = self.groups[group], np.array(self.problem.priors.unseen)
+        first = self.problem.layout.unseen.start
+        joint = np.array(self.equations.joint)
+        joint[at, at] += size**-2 - spread[at - first] ** -2
+        spread[at - first] = size
+        priors = replace(self.problem.priors, unseen=spread)
+        return self.problem.again(priors=priors), replace(self.equations, joint=joint)
 
     def _but(self, group: int) -> Int:
         """Coordinates of all groups but one."""

@@ -27,8 +27,11 @@ class Unseen(Record):
     Attributes:
         joint: (E,) the joint that each entry moves; D and more are hinges of the base, numbered as
             in :mod:`skeleton`.
-        motions: per log (N, E) by how much its link is beyond its encoder [rad or m per unit],
-            low-passed as the positions.
+        motions: per log (N, M) by how much its link is beyond its encoder [rad or m per unit],
+            low-passed as the positions; a column for each entry, but where columns are given.
+        column: (E,) the column that makes each entry's motion, as many entries may move alike; ()
+            where each has its own.
+        unit: (E,) how many of it; () for one of each.
         number: (E,) the number that makes the motion; by default each entry has its own.
         origin: (S,) numbers about which the motions are those that more of them makes; by default
             0.
@@ -39,6 +42,8 @@ class Unseen(Record):
 
     joint: Int
     motions: tuple[F64, ...]
+    column: Int = field(default_factory=lambda: np.zeros(0, dtype=np.int64), kw_only=True)
+    unit: F64 = field(default_factory=lambda: np.zeros(0), kw_only=True)
     number: Int = field(default_factory=lambda: np.zeros(0, dtype=np.int64), kw_only=True)
     origin: F64 = field(default_factory=lambda: np.zeros(0), kw_only=True)
     settled: tuple[F64, ...] = field(default=(), kw_only=True)
@@ -56,8 +61,18 @@ class Unseen(Record):
         """S."""
         return int(self.number.max(initial=-1)) + 1
 
+    @property
+    def columns(self) -> Int:
+        """(E,) the column that makes each entry's motion."""
+        return self.column if len(self.column) else np.arange(len(self.joint))
+
+    @property
+    def units(self) -> F64:
+        """(E,) how many of its column each entry moves by."""
+        return self.unit if len(self.unit) else np.ones(len(self.joint))
+
     def at_kept(self, logs: Sequence[Trajectory]) -> tuple[F64, ...]:
-        """Per log (3, E, K): motions and their derivatives at the samples compared.
+        """Per log (3, M, K): motions and their derivatives at the samples compared.
 
         They are low-passed as predictions are: readings feel what is left then.
         """
@@ -80,8 +95,9 @@ class Unseen(Record):
         """
         n_joints = log.q.shape[1]
         hinges = np.zeros((len(log.q), N_HINGES if self.moves_base(n_joints) else 0))
-        of_joint = np.zeros((len(self.joint), n_joints + hinges.shape[1]))
-        of_joint[np.arange(len(self.joint)), self.joint] = (x - self.origin)[self.number]
+        of_joint = np.zeros((self.motions[g].shape[1], n_joints + hinges.shape[1]))
+        each = self.units * (x - self.origin)[self.number]
+        np.add.at(of_joint, (self.columns, self.joint), each)
         e = on_grid(self.motions[g] @ of_joint, self.every[g] if self.every else 1, len(log.q))
         if self.settled:
             e += self.settled[g][:, : e.shape[1]]
@@ -94,7 +110,7 @@ class Unseen(Record):
 
     @property
     def on_grid(self) -> tuple[F64, ...]:
-        """Per log (N, E) the motions at all samples of its grid."""
+        """Per log (N, M) the motions at all samples of its grid."""
         if not self.every:
             return self.motions
         sizes = map(len, self.settled)
@@ -108,12 +124,15 @@ class Unseen(Record):
 def together(several: Sequence[Unseen]) -> Unseen:
     """The numbers of several, one after the other."""
     first = np.cumsum([0, *(each.n_numbers for each in several)])
+    columns = np.cumsum([0, *(each.motions[0].shape[1] for each in several)])
     return Unseen(
         np.concatenate([each.joint for each in several]),
         tuple(
             np.concatenate(parts, axis=1)
             for parts in zip(*(e.on_grid for e in several), strict=True)
         ),
+        column=np.concatenate([e.columns + n for e, n in zip(several, columns[:-1], strict=True)]),
+        unit=np.concatenate([each.units for each in several]),
         number=np.concatenate([e.number + n for e, n in zip(several, first[:-1], strict=True)]),
         origin=np.concatenate([each.origin for each in several]),
         settled=_sums([each.settled for each in several if each.settled]),

@@ -184,12 +184,16 @@ def _with_physics(rigid: _Attempt, without: Collection[str]) -> tuple[_Attempt, 
         left.remove(_DRIFT)
     best, tried = rigid, []
     while left:
-        further = []
-        for cause in left:
+        further: list[_Attempt] = []
+        for cause in (*(c for c in left if c == _DRIFT), *best.likely(left)):
             further.append(best.adding(cause))
             tried.append(further[-1])
             if not further[-1].lacks and _explains_most(further[-1], best):
                 return further[-1], tried
+            if cause in BENDS and further[-1].misfit <= _EXPLAINED:
+                break  # what is less likely still explains no more; slack is left
+        if not further:
+            break
         other = min(further, key=lambda each: each.misfit)
         if best is not rigid and not _explains_most(other, best):
             break
@@ -258,6 +262,35 @@ class _Attempt:
             found = find_ripples(self.problem, self.fitted)
             kinds.append(("ripples", ripples(logs, found)))
         return kinds
+
+    def likely(self, causes: Collection[str]) -> list[str]:
+        """Of what bends, the causes that may explain most of what is lacking, the likeliest first.
+
+        To first order deflections are linear in the loads, and one look at the residuals tells what
+        loads of a size that they all share would gain. To follow them takes fifty times as long.
+        None is likely that says less than slack of any kind would, or too little for the misfit.
+        """
+        problem, state = self.problem, self.fitted.state
+        enough = 0.0 if self.slack_size is None else self.slack_size.gain
+        if self.misfit > _EXPLAINED:
+            enough = max(enough, 0.5 * (1 - _MOST_OF_IT) * self._excess)
+        gains: dict[str, float] = {}
+        for cause in BENDS:
+            if cause in causes:
+                loads = bending(
+                    problem.tree, problem.logs, state.placements, state.gravity,
+                    joints=cause == "elastic", base=cause == "base",
+                )  # fmt: skip
+                gains[cause] = size_of(problem, self.fitted, loads).gain
+        return sorted((c for c in gains if gains[c] > enough), key=lambda c: -gains[c])
+
+    @property
+    def _excess(self) -> float:
+        """Chi-squared of mean residuals over spans beyond what noise makes of it."""
+        means, variances = span_means(
+            self.problem, self.fitted.predicted, self.fitted.weights, SPAN
+        )
+        return (self.misfit - 1) * int(np.isfinite(variances).sum())
 
     def sized(self, more: Unseen) -> tuple[Unseen, Size]:
         """More unseen motion, and the size that the readings show."""

@@ -287,9 +287,7 @@ class _Attempt:
     @property
     def _excess(self) -> float:
         """Chi-squared of mean residuals over spans beyond what noise makes of it."""
-        means, variances = span_means(
-            self.problem, self.fitted.predicted, self.fitted.weights, SPAN
-        )
+        _, variances = span_means(self.problem, self.fitted.predicted, self.fitted.weights, SPAN)
         return (self.misfit - 1) * int(np.isfinite(variances).sum())
 
     def sized(self, more: Unseen) -> tuple[Unseen, Size]:
@@ -465,9 +463,14 @@ def _yielding(
         yielding = MotionProblem(tree, moved, priors, n_knots, bends)
         led = follow(yielding, near.state)
         yielding, state = led.whole(), led.state
-    for steps in (_PROMISING_STEPS, _STEPS) if base else (_PROMISING_STEPS,):
+    stages = (
+        ((_PROMISING_STEPS, _NEARLY), (_STEPS, _NEARLY))
+        if base
+        else ((_PROMISING_STEPS, _ROUGHLY),)
+    )
+    for steps, enough in stages:
         yielding, fitted = fit_following(
-            yielding, state, follow_where_it_holds, iterations=steps, tolerance=_NEARLY
+            yielding, state, follow_where_it_holds, iterations=steps, tolerance=enough
         )
         keeps = misfit_of(yielding, fitted, SPAN) <= promised
         yielding = yielding.again(logs=logs)

@@ -11,7 +11,6 @@ from typing import Any
 
 from skin2urdf.calibration.result import Calibration
 from skin2urdf.errors import BadFitError, UsageError
-from skin2urdf.estimation.uncertainty.physics import physics_found
 from skin2urdf.files import check_target, write_atomically
 from skin2urdf.report.document import as_document
 from skin2urdf.report.findings import findings
@@ -164,7 +163,7 @@ def not_to_be_saved(calibration: Calibration, path: str | Path) -> BadFitError:
     stays = "; the file that is there stays as it was" if Path(path).exists() else ""
     what = f"the result is bad, and {path} was not written{stays}"
     remedy = "record more poses and moves with the default method"
-    found = physics_found(calibration.along.causes) if calibration.along else None
+    found = calibration.physics
     if found is not None:
         what, remedy = f"{what}; the readings show {found[0]}", f"{found[1]}, and record again"
     return BadFitError(

@@ -65,9 +65,9 @@ so that causes are held against each other before one is taken."""
 _TURNS = 6
 """Turns of deflections by known torques and of motion, at most; each leaves a fifth to a tenth of
 the error."""
-_PROMISING_STEPS, _STEPS, _LAST_STEPS = 12, 24, 8
-"""Steps at most until it shows whether there is anything to a cause, until a base is fitted, and
-once the size of loads is learnt."""
+_PROMISING_STEPS, _STEPS = 12, 24
+"""Steps at most until it shows whether there is anything to a cause, and until it is fitted: gears
+at 4.4 Hz take 20, what is stiffer 3 to 8."""
 _LATE = 1e-2
 """Standard deviation of the time by which deflections under known torques are late [s]: that of a
 resonance at 8 Hz, damped to a quarter of the critical."""
@@ -85,9 +85,11 @@ _ON_ITS_WAY = 1e-2
 that, and a hundredth of that part is less than is followed."""
 _ROUGHLY = 3.0
 """The same of what only leads near."""
-_SLOWER = 3
-"""By how many times slower the motion is that deflections are first looked for in: patterns of 2 to
-3 Hz are left of those up to 5 Hz, beside gears that resonate at 4.4 Hz and more."""
+_SLOWER = (3, 2)
+"""By how many times slower the motion is that deflections are looked for in, one after the other:
+patterns of 2 to 3 Hz are left of those up to 5 Hz, beside gears that resonate at 4.4 Hz and more.
+Nearer to a resonance deflections change so fast with what they are made of that only a state close
+by leads on."""
 _CERTAIN = 10.0
 """Logarithm of the likelihood that unseen motion has to gain, which chance does once in 100,000;
 sound recordings gain nothing (panda and five of ur5), a strain wave of 0.1 mrad 121."""
@@ -442,7 +444,7 @@ def _yielding(
 
     # How SUs on the base are turned is known when its motion is.
     moved = [replace(log, valid=log.valid & ((tree.su_joint >= 0) | (not base))) for log in logs]
-    first = moved if base else [log.slower(_SLOWER) for log in moved]
+    first = moved if base else [log.slower(_SLOWER[0]) for log in moved]
     bends = bending(tree, first, state.placements, state.gravity, joints=elastic, base=base)
     state = replace(state, unseen=np.zeros(bends.n_numbers))
     priors = replace(problem.priors, unseen=bends.spread)
@@ -452,17 +454,19 @@ def _yielding(
         state = fit(yielding, state, tolerance=_NEARLY, iterations=_PROMISING_STEPS).state
         led = follow(yielding, state)
         yielding, state = led.whole(), led.state
-        yielding, near = fit_following(
-            yielding,
-            state,
-            follow_where_it_holds,
-            iterations=_PROMISING_STEPS,
-            tolerance=_ROUGHLY,
-        )
-        bends = unsettled(cast(Bending, yielding.unseen), moved)
-        yielding = MotionProblem(tree, moved, priors, n_knots, bends)
-        led = follow(yielding, near.state)
-        yielding, state = led.whole(), led.state
+        for slower in (*_SLOWER[1:], 1):
+            yielding, near = fit_following(
+                yielding,
+                state,
+                follow_where_it_holds,
+                iterations=_PROMISING_STEPS,
+                tolerance=_ROUGHLY,
+            )
+            faster = moved if slower == 1 else [log.slower(slower) for log in moved]
+            bends = unsettled(cast(Bending, yielding.unseen), faster)
+            yielding = MotionProblem(tree, faster, priors, n_knots, bends)
+            led = follow(yielding, near.state)
+            yielding, state = led.whole(), led.state
     stages = (
         ((_PROMISING_STEPS, _NEARLY), (_STEPS, _NEARLY))
         if base
@@ -482,7 +486,7 @@ def _yielding(
     spread[loads] = learnt_size(yielding, fitted, loads).size
     yielding = yielding.again(priors=replace(priors, unseen=spread))
     return fit_following(
-        yielding, state, follow_where_it_holds, iterations=_LAST_STEPS, tolerance=_NEARLY
+        yielding, state, follow_where_it_holds, iterations=_STEPS, tolerance=_NEARLY
     )
 
 

@@ -169,7 +169,9 @@ def explained(
 
 def _of_any_cause(rigid: _Attempt, without: Collection[str]) -> tuple[_Attempt, list[_Attempt]]:
     """The attempt that explains most, and all that were made."""
-    best = _with_uneven_gears(rigid)
+    bends = [cause for cause in BENDS if cause not in without]
+    likeliest = rigid.likely(bends)[:1] if rigid.lacks else []
+    best = _with_uneven_gears(rigid, rigid.gains[likeliest[0]] if likeliest else 0.0)
     attempts = [best]
     if best.lacks:
         other, more = _with_physics(rigid, without)
@@ -192,8 +194,8 @@ def _with_physics(rigid: _Attempt, without: Collection[str]) -> tuple[_Attempt, 
             tried.append(further[-1])
             if not further[-1].lacks and _explains_most(further[-1], best):
                 return further[-1], tried
-            if cause in BENDS and further[-1].misfit <= _EXPLAINED:
-                break  # what is less likely still explains no more; slack is left
+            if cause in BENDS and any(_explains_most(each, best) for each in further):
+                break  # what is less likely waits for what is left then
         if not further:
             break
         other = min(further, key=lambda each: each.misfit)
@@ -206,8 +208,13 @@ def _with_physics(rigid: _Attempt, without: Collection[str]) -> tuple[_Attempt, 
     return best, tried
 
 
-def _with_uneven_gears(rigid: _Attempt) -> _Attempt:
-    """An attempt with the errors of gears that say more than slack of any kind would."""
+def _with_uneven_gears(rigid: _Attempt, by_bends: float) -> _Attempt:
+    """An attempt with the errors of gears that say more than slack of any kind would.
+
+    Args:
+        rigid: the attempt without.
+        by_bends: what the likeliest of what bends says.
+    """
     best = rigid
     while best.slack_size is not None and best.slack_size.gain > _CERTAIN:
         proposed = {name: best.sized(more) for name, more in best.uneven() if more is not None}
@@ -215,7 +222,7 @@ def _with_uneven_gears(rigid: _Attempt) -> _Attempt:
             break
         name = max(proposed, key=lambda each: proposed[each][1].gain)
         more, size = proposed[name]
-        if size.gain <= best.slack_size.gain:
+        if size.gain <= max(best.slack_size.gain, by_bends):
             break
         best = best.with_more(name, more, size.size)
     return best
@@ -272,19 +279,24 @@ class _Attempt:
         loads of a size that they all share would gain. To follow them takes fifty times as long.
         None is likely that says less than slack of any kind would, or too little for the misfit.
         """
-        problem, state = self.problem, self.fitted.state
         enough = 0.0 if self.slack_size is None else self.slack_size.gain
         if self.misfit > _EXPLAINED:
             enough = max(enough, 0.5 * (1 - _MOST_OF_IT) * self._excess)
-        gains: dict[str, float] = {}
+        likely = [cause for cause in causes if cause in BENDS and self.gains[cause] > enough]
+        return sorted(likely, key=lambda cause: -self.gains[cause])
+
+    @cached_property
+    def gains(self) -> dict[str, float]:
+        """Logarithm of the likelihood that loads of each kind of what bends would gain."""
+        problem, state = self.problem, self.fitted.state
+        found = {}
         for cause in BENDS:
-            if cause in causes:
-                loads = bending(
-                    problem.tree, problem.logs, state.placements, state.gravity,
-                    joints=cause == "elastic", base=cause == "base",
-                )  # fmt: skip
-                gains[cause] = size_of(problem, self.fitted, loads).gain
-        return sorted((c for c in gains if gains[c] > enough), key=lambda c: -gains[c])
+            loads = bending(
+                problem.tree, problem.logs, state.placements, state.gravity,
+                joints=cause == "elastic", base=cause == "base",
+            )  # fmt: skip
+            found[cause] = size_of(problem, self.fitted, loads).gain
+        return found
 
     @property
     def _excess(self) -> float:

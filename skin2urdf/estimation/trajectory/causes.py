@@ -28,13 +28,21 @@ from skin2urdf.estimation.trajectory.bending import (
 )
 from skin2urdf.estimation.trajectory.elastic import Elasticity
 from skin2urdf.estimation.trajectory.elastic import followed as followed_by_known
-from skin2urdf.estimation.trajectory.fit import Fitted, Led, fit, fit_following, held
+from skin2urdf.estimation.trajectory.fit import (
+    Fitted,
+    Led,
+    cost_with,
+    fit,
+    fit_following,
+    held,
+)
 from skin2urdf.estimation.trajectory.front_end import begin_front
 from skin2urdf.estimation.trajectory.gears import find_ripples, harmonics, ripples
 from skin2urdf.estimation.trajectory.known_torque import known_elasticity
 from skin2urdf.estimation.trajectory.misfit import misfit, span_means
 from skin2urdf.estimation.trajectory.on_the_base import turned_as_the_base
 from skin2urdf.estimation.trajectory.problem import MotionProblem
+from skin2urdf.estimation.trajectory.shaken import Shaken
 from skin2urdf.estimation.trajectory.slack import (
     Size,
     learnt_size,
@@ -466,6 +474,7 @@ def _yielding(
         state = fit(yielding, state, tolerance=_NEARLY, iterations=_PROMISING_STEPS).state
         led = follow(yielding, state)
         yielding, state = led.whole(), led.state
+        ways = []
         for slower in (*_SLOWER[1:], 1):
             yielding, near = fit_following(
                 yielding,
@@ -474,11 +483,22 @@ def _yielding(
                 iterations=_PROMISING_STEPS,
                 tolerance=_ROUGHLY,
             )
-            faster = moved if slower == 1 else [log.slower(slower) for log in moved]
-            bends = unsettled(cast(Bending, yielding.unseen), faster)
-            yielding = MotionProblem(tree, faster, priors, n_knots, bends)
-            led = follow(yielding, near.state)
-            yielding, state = led.whole(), led.state
+            ways.append((cast(Bending, yielding.unseen), near.state))
+            if slower > 1:
+                faster = [log.slower(slower) for log in moved]
+                bends = unsettled(ways[-1][0], faster)
+                led = follow(MotionProblem(tree, faster, priors, n_knots, bends), near.state)
+                yielding, state = led.whole(), led.state
+        # Where swings are all of one frequency, one of the two bands holds nothing of them.
+        leads = [
+            follow(MotionProblem(tree, moved, priors, n_knots, unsettled(bends, moved)), at)
+            for bends, at in ways
+        ]
+        ends = [held(led.problem, led.state) for led in leads]
+        shaken = Shaken.of(tree, moved, ends[0].state, ends[0].weights)
+        costs = [cost_with(ends[0].weights, shaken, end) for end in ends]
+        led = leads[int(np.argmin(costs))]
+        bends, yielding, state = cast(Bending, led.problem.unseen), led.whole(), led.state
     stages = (
         ((_PROMISING_STEPS, _NEARLY), (_STEPS, _NEARLY))
         if base

@@ -156,12 +156,20 @@ def write_pair(urdf: Path, text: str, document: Mapping[str, Any]) -> tuple[Path
 
 
 def not_to_be_saved(calibration: Calibration, path: str | Path) -> BadFitError:
-    """What is said of a bad result that was not written to ``path``."""
+    """What is said of a bad result that was not written to ``path``.
+
+    What was found of the robot's physics is the likely reason, which no further moves take away.
+    """
     stays = "; the file that is there stays as it was" if Path(path).exists() else ""
+    what = f"the result is bad, and {path} was not written{stays}"
+    remedy = "record more poses and moves with the default method"
+    found = calibration.physics
+    if found is not None:
+        what, remedy = f"{what}; the readings show {found[0]}", f"{found[1]}, and record again"
     return BadFitError(
-        f"the result is bad, and {path} was not written{stays}",
-        "record more poses and moves with the default method, or write it all the same with "
-        "--force (in Python even_bad=True) under another name",
+        what,
+        f"{remedy}, or write it all the same with --force (in Python even_bad=True) under another "
+        "name",
         cost_per_dof=calibration.misfit,
     )
 

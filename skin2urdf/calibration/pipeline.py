@@ -42,9 +42,10 @@ from skin2urdf.errors import BadFitError, InsufficientDataError
 from skin2urdf.estimation.solve.estimate import Estimate
 from skin2urdf.estimation.trajectory.estimate import MotionEstimate
 from skin2urdf.estimation.uncertainty.goodness import Goodness, goodness
-from skin2urdf.estimation.uncertainty.health import health_notes, why_bad, why_unexplained
+from skin2urdf.estimation.uncertainty.health import health_notes, why_bad
 from skin2urdf.estimation.uncertainty.narrow import narrow_priors
 from skin2urdf.estimation.uncertainty.observability import Observability, observability
+from skin2urdf.estimation.uncertainty.physics import why_unexplained
 from skin2urdf.faults import distinct, without_slips
 from skin2urdf.hypotheses.kinds import KINDS
 from skin2urdf.hypotheses.search import StandsOut, explain

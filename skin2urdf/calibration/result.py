@@ -20,6 +20,7 @@ from skin2urdf.estimation.uncertainty.outliers import (
     poses_unlike_the_rest,
     sus_unlike_the_rest,
 )
+from skin2urdf.estimation.uncertainty.physics import physics_found
 from skin2urdf.faults import Fault
 from skin2urdf.geometry.se3 import inverse
 from skin2urdf.model.records import KinematicModel, OpenDirection
@@ -197,6 +198,11 @@ class Calibration(Record):
         """SUs that were left out because no place in the tree explains their readings."""
         left_out = of_kind(self.notes, "su left out")
         return tuple(su for note in left_out if note.detail == "no chain" for su in note.sus)
+
+    @property
+    def physics(self) -> tuple[str, str] | None:
+        """What was found that a rigid robot has not, and what to do about it; None if nothing."""
+        return None if self.along is None else physics_found(self.along.causes)
 
     @property
     def base_gives_way(self) -> bool:

@@ -346,7 +346,7 @@ def _rattle(along: MotionEstimate, g: int) -> F64:
     log = along.problem.logs[g]
     step = np.convolve(log.taps, log.taps) * log.rate
     push = float(np.abs(np.diff(step) * log.rate).max())
-    steps = np.maximum(np.sqrt(2) * along.slack, along.widest_slack(g))
+    steps = np.maximum(np.sqrt(2) * along.slack, along.widest_slack[g])
     arm = np.sqrt(((levers(along.problem.tree, along.state) * steps) ** 2).sum(axis=1))
     return np.asarray(push * arm)
 

@@ -41,7 +41,7 @@ def test_jumps_within_the_slack_that_all_samples_show_are_no_hits() -> None:
     knowing = replace(search, stands_out=partial(stands_out, along, logs.sampled))
     assert not Contact().propose(knowing, now)
     # A joint crosses from one end of its play to the other, whatever is common to all.
-    assert along.widest_slack(0).max() > 1.5 * along.slack
+    assert along.widest_slack[0].max() > 1.5 * along.slack
     # Nothing was wrong with an encoder where as much slack stays once it is mended.
     mended = replace(first, faults=(Fault("encoder jump", "elbow_flex", size=2e-3),))
     plain = replace(along, misfit=1.0)

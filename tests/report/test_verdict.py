@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,8 +14,9 @@ from skin2urdf.calibration.pipeline import check_fit
 from skin2urdf.calibration.result import Calibration
 from skin2urdf.errors import BadFitError
 from skin2urdf.estimation.uncertainty.goodness import Share
-from skin2urdf.estimation.uncertainty.health import why_unexplained
+from skin2urdf.estimation.uncertainty.physics import physics_found, why_unexplained
 from skin2urdf.faults import Fault
+from skin2urdf.output import not_to_be_saved
 from skin2urdf.report.findings import findings
 
 
@@ -198,3 +200,21 @@ def test_a_refusal_names_the_physics_that_explains_most() -> None:
     assert all(words.strip("; ") in str(refused.value) for words in likely[:1])
     assert likely != why_unexplained({"drift": 60.0}, 60.0, "", "")
     check_fit(calibration().estimate, along)
+
+
+def test_a_bad_result_that_is_not_written_names_the_physics_that_was_found(tmp_path: Path) -> None:
+    all_weak = with_observability(su_verdict=("weak",) * 7)
+    assert all_weak.along is not None
+
+    def refused(causes: tuple[str, ...]) -> BadFitError:
+        along = replace(all_weak.along, misfit=7.0, causes=causes)
+        return not_to_be_saved(replace(all_weak, along=along), tmp_path / "robot.urdf")
+
+    plain, yields, loose = map(refused, ((), ("elastic",), ("elastic", "slack")))
+    for each, causes in ((yields, ("elastic",)), (loose, ("elastic", "slack"))):
+        found = physics_found(causes)
+        assert found is not None
+        assert found[0] in str(each)
+        assert found[1] in each.remedy
+        assert found[0] not in str(plain)
+    assert physics_found(()) is None

@@ -28,13 +28,21 @@ from skin2urdf.estimation.trajectory.bending import (
 )
 from skin2urdf.estimation.trajectory.elastic import Elasticity
 from skin2urdf.estimation.trajectory.elastic import followed as followed_by_known
-from skin2urdf.estimation.trajectory.fit import Fitted, Led, fit, fit_following, held
+from skin2urdf.estimation.trajectory.fit import (
+    Fitted,
+    Led,
+    cost_with,
+    fit,
+    fit_following,
+    held,
+)
 from skin2urdf.estimation.trajectory.front_end import begin_front
 from skin2urdf.estimation.trajectory.gears import find_ripples, harmonics, ripples
 from skin2urdf.estimation.trajectory.known_torque import known_elasticity
 from skin2urdf.estimation.trajectory.misfit import misfit, span_means
 from skin2urdf.estimation.trajectory.on_the_base import turned_as_the_base
 from skin2urdf.estimation.trajectory.problem import MotionProblem
+from skin2urdf.estimation.trajectory.shaken import Shaken
 from skin2urdf.estimation.trajectory.slack import (
     Lacking,
     Size,
@@ -67,9 +75,9 @@ so that causes are held against each other before one is taken."""
 _TURNS = 6
 """Turns of deflections by known torques and of motion, at most; each leaves a fifth to a tenth of
 the error."""
-_PROMISING_STEPS, _STEPS, _LAST_STEPS = 12, 24, 8
-"""Steps at most until it shows whether there is anything to a cause, until a base is fitted, and
-once the size of loads is learnt."""
+_PROMISING_STEPS, _STEPS = 12, 24
+"""Steps at most until it shows whether there is anything to a cause, and until it is fitted: gears
+at 4.4 Hz take 20, what is stiffer 3 to 8."""
 _LATE = 1e-2
 """Standard deviation of the time by which deflections under known torques are late [s]: that of a
 resonance at 8 Hz, damped to a quarter of the critical."""
@@ -87,9 +95,11 @@ _ON_ITS_WAY = 1e-2
 that, and a hundredth of that part is less than is followed."""
 _ROUGHLY = 3.0
 """The same of what only leads near."""
-_SLOWER = 3
-"""By how many times slower the motion is that deflections are first looked for in: patterns of 2 to
-3 Hz are left of those up to 5 Hz, beside gears that resonate at 4.4 Hz and more."""
+_SLOWER = (3, 2)
+"""By how many times slower the motion is that deflections are looked for in, one after the other:
+patterns of 2 to 3 Hz are left of those up to 5 Hz, beside gears that resonate at 4.4 Hz and more.
+Nearer to a resonance deflections change so fast with what they are made of that only a state close
+by leads on."""
 _CERTAIN = 10.0
 """Logarithm of the likelihood that unseen motion has to gain, which chance does once in 100,000;
 sound recordings gain nothing (panda and five of ur5), a strain wave of 0.1 mrad 121."""
@@ -168,7 +178,9 @@ def explained(
 
 def _of_any_cause(rigid: _Attempt, without: Collection[str]) -> tuple[_Attempt, list[_Attempt]]:
     """The attempt that explains most, and all that were made."""
-    best = _with_uneven_gears(rigid)
+    bends = [cause for cause in BENDS if cause not in without]
+    likeliest = rigid.likely(bends)[:1] if rigid.lacks else []
+    best = _with_uneven_gears(rigid, rigid.gains[likeliest[0]] if likeliest else 0.0)
     attempts = [best]
     if best.lacks:
         other, more = _with_physics(rigid, without)
@@ -185,12 +197,16 @@ def _with_physics(rigid: _Attempt, without: Collection[str]) -> tuple[_Attempt, 
         left.remove(_DRIFT)
     best, tried = rigid, []
     while left:
-        further = []
-        for cause in left:
+        further: list[_Attempt] = []
+        for cause in (*(c for c in left if c == _DRIFT), *best.likely(left)):
             further.append(best.adding(cause))
             tried.append(further[-1])
             if not further[-1].lacks and _explains_most(further[-1], best):
                 return further[-1], tried
+            if cause in BENDS and any(_explains_most(each, best) for each in further):
+                break  # what is less likely waits for what is left then
+        if not further:
+            break
         other = min(further, key=lambda each: each.misfit)
         if best is not rigid and not _explains_most(other, best):
             break
@@ -201,8 +217,13 @@ def _with_physics(rigid: _Attempt, without: Collection[str]) -> tuple[_Attempt, 
     return best, tried
 
 
-def _with_uneven_gears(rigid: _Attempt) -> _Attempt:
-    """An attempt with the errors of gears that say more than slack of any kind would."""
+def _with_uneven_gears(rigid: _Attempt, by_bends: float) -> _Attempt:
+    """An attempt with the errors of gears that say more than slack of any kind would.
+
+    Args:
+        rigid: the attempt without.
+        by_bends: what the likeliest of what bends says.
+    """
     best = rigid
     while best.slack_size is not None and best.slack_size.gain > _CERTAIN:
         proposed = {name: best.sized(more) for name, more in best.uneven() if more is not None}
@@ -210,7 +231,7 @@ def _with_uneven_gears(rigid: _Attempt) -> _Attempt:
             break
         name = max(proposed, key=lambda each: proposed[each][1].gain)
         more, size = proposed[name]
-        if size.gain <= best.slack_size.gain:
+        if size.gain <= max(best.slack_size.gain, by_bends):
             break
         best = best.with_more(name, more, size.size)
     return best
@@ -264,6 +285,38 @@ class _Attempt:
             found = find_ripples(self.problem, self.fitted)
             kinds.append(("ripples", ripples(logs, found)))
         return kinds
+
+    def likely(self, causes: Collection[str]) -> list[str]:
+        """Of what bends, the causes that may explain most of what is lacking, the likeliest first.
+
+        To first order deflections are linear in the loads, and one look at the residuals tells what
+        loads of a size that they all share would gain. To follow them takes fifty times as long.
+        None is likely that says less than slack of any kind would, or too little for the misfit.
+        """
+        enough = 0.0 if self.slack_size is None else self.slack_size.gain
+        if self.misfit > _EXPLAINED:
+            enough = max(enough, 0.5 * (1 - _MOST_OF_IT) * self._excess)
+        likely = [cause for cause in causes if cause in BENDS and self.gains[cause] > enough]
+        return sorted(likely, key=lambda cause: -self.gains[cause])
+
+    @cached_property
+    def gains(self) -> dict[str, float]:
+        """Logarithm of the likelihood that loads of each kind of what bends would gain."""
+        problem, state = self.problem, self.fitted.state
+        found = {}
+        for cause in BENDS:
+            loads = bending(
+                problem.tree, problem.logs, state.placements, state.gravity,
+                joints=cause == "elastic", base=cause == "base",
+            )  # fmt: skip
+            found[cause] = size_of(problem, self.fitted, loads).gain
+        return found
+
+    @property
+    def _excess(self) -> float:
+        """Chi-squared of mean residuals over spans beyond what noise makes of it."""
+        _, variances = span_means(self.problem, self.fitted.predicted, self.fitted.weights, SPAN)
+        return (self.misfit - 1) * int(np.isfinite(variances).sum())
 
     def sized(self, more: Unseen) -> tuple[Unseen, Size]:
         """More unseen motion, and the size that the readings show."""
@@ -426,7 +479,7 @@ def _yielding(
 
     # How SUs on the base are turned is known when its motion is.
     moved = [replace(log, valid=log.valid & ((tree.su_joint >= 0) | (not base))) for log in logs]
-    first = moved if base else [log.slower(_SLOWER) for log in moved]
+    first = moved if base else [log.slower(_SLOWER[0]) for log in moved]
     bends = bending(tree, first, state.placements, state.gravity, joints=elastic, base=base)
     state = replace(state, unseen=np.zeros(bends.n_numbers))
     priors = replace(problem.priors, unseen=bends.spread)
@@ -436,20 +489,39 @@ def _yielding(
         state = fit(yielding, state, tolerance=_NEARLY, iterations=_PROMISING_STEPS).state
         led = follow(yielding, state)
         yielding, state = led.whole(), led.state
-        yielding, near = fit_following(
-            yielding,
-            state,
-            follow_where_it_holds,
-            iterations=_PROMISING_STEPS,
-            tolerance=_ROUGHLY,
-        )
-        bends = unsettled(cast(Bending, yielding.unseen), moved)
-        yielding = MotionProblem(tree, moved, priors, n_knots, bends)
-        led = follow(yielding, near.state)
-        yielding, state = led.whole(), led.state
-    for steps in (_PROMISING_STEPS, _STEPS) if base else (_PROMISING_STEPS,):
+        ways = []
+        for slower in (*_SLOWER[1:], 1):
+            yielding, near = fit_following(
+                yielding,
+                state,
+                follow_where_it_holds,
+                iterations=_PROMISING_STEPS,
+                tolerance=_ROUGHLY,
+            )
+            ways.append((cast(Bending, yielding.unseen), near.state))
+            if slower > 1:
+                faster = [log.slower(slower) for log in moved]
+                bends = unsettled(ways[-1][0], faster)
+                led = follow(MotionProblem(tree, faster, priors, n_knots, bends), near.state)
+                yielding, state = led.whole(), led.state
+        # Where swings are all of one frequency, one of the two bands holds nothing of them.
+        leads = [
+            follow(MotionProblem(tree, moved, priors, n_knots, unsettled(bends, moved)), at)
+            for bends, at in ways
+        ]
+        ends = [held(led.problem, led.state) for led in leads]
+        shaken = Shaken.of(tree, moved, ends[0].state, ends[0].weights)
+        costs = [cost_with(ends[0].weights, shaken, end) for end in ends]
+        led = leads[int(np.argmin(costs))]
+        bends, yielding, state = cast(Bending, led.problem.unseen), led.whole(), led.state
+    stages = (
+        ((_PROMISING_STEPS, _NEARLY), (_STEPS, _NEARLY))
+        if base
+        else ((_PROMISING_STEPS, _ROUGHLY),)
+    )
+    for steps, enough in stages:
         yielding, fitted = fit_following(
-            yielding, state, follow_where_it_holds, iterations=steps, tolerance=_NEARLY
+            yielding, state, follow_where_it_holds, iterations=steps, tolerance=enough
         )
         keeps = misfit_of(yielding, fitted, SPAN) <= promised
         yielding = yielding.again(logs=logs)
@@ -461,7 +533,7 @@ def _yielding(
     spread[loads] = learnt_size(yielding, fitted, loads).size
     yielding = yielding.again(priors=replace(priors, unseen=spread))
     return fit_following(
-        yielding, state, follow_where_it_holds, iterations=_LAST_STEPS, tolerance=_NEARLY
+        yielding, state, follow_where_it_holds, iterations=_STEPS, tolerance=_NEARLY
     )
 
 

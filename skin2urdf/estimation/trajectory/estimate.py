@@ -156,22 +156,23 @@ class MotionEstimate:
         """What encoders leave of a joint's position from place to place, its learnt size [rad]."""
         return float(self.problem.priors.unseen[-1]) if "slack" in self.causes else 0.0
 
-    def widest_slack(self, g: int) -> F64:
-        """(D,) by how much each joint's slack differs between two places of a log [rad or m].
+    @cached_property
+    def widest_slack(self) -> tuple[F64, ...]:
+        """Per log (D,) by how much each joint's slack differs between two places [rad or m].
 
         The learnt size is common to all joints; one that crosses its play shows more of it.
         """
-        out, unseen = np.zeros(self.problem.tree.n_joints), self.problem.unseen
+        D, unseen = self.problem.tree.n_joints, self.problem.unseen
         if unseen is None or not self.slack:
-            return out
+            return tuple(np.zeros(D) for _ in self.problem.logs)
         # Slack is what was added last, and all its numbers are of one size.
         of_slack = self.problem.priors.unseen == self.slack
         x = unseen.units * np.where(of_slack, self.fitted.state.unseen, 0.0)[unseen.number]
-        motions = unseen.on_grid[g]
-        for j in range(len(out)):
-            mine = unseen.joint == j
-            out[j] = np.ptp(motions[:, unseen.columns[mine]] @ x[mine])
-        return out
+        of_joint = [unseen.joint == j for j in range(D)]
+        return tuple(
+            np.array([np.ptp(each[:, unseen.columns[mine]] @ x[mine]) for mine in of_joint])
+            for each in unseen.on_grid
+        )
 
     @property
     def deflections(self) -> F64:

@@ -46,6 +46,10 @@ noise are fitted no worse for it."""
 _NO_GAIN = 1e-7
 """Part of chi-squared below which an iteration gains nothing: a hundredth of its scatter with a
 hundred thousand measurements."""
+_OF_CHANCE = 1.0
+"""Fall of chi-squared up to which a step that follows what it finds gains nothing: that of one
+standard deviation. Of joints that seem to yield and do not, further steps take as long as all
+before, and change no position by a hundredth of its deviation."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -264,6 +268,9 @@ def _descend(
         # Clocks and front ends, which a length leaves out, are still on their way where chi-squared
         # falls by more than a step of that length explains.
         if (last and fell < max(1.0, tolerance**2, len(sus) / _FEW_SUS)) or gain < _NO_GAIN:
+            break
+        # What is known about a state only is never known well enough for the last of it.
+        if follow is not _stay and fell < _OF_CHANCE:
             break
     tell(1.0)
     return problem, Fitted(problem, state, noise, weights, predicted, cost)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 import numpy as np
 
 from skin2urdf.arrays import Bool
@@ -138,54 +136,3 @@ def why_bad(found: Estimate, limit: float) -> tuple[str, str]:
             "what their data sheet says, or leave the option out"
         )
     return what, f"{where}; `skin2urdf explore` shows the structure that was found"
-
-
-_PHYSICS = {
-    "elastic": (
-        "joints that yield under load",
-        "links that give way look alike: log the positions of the links if the robot has encoders "
-        "behind its gears",
-    ),
-    "base": (
-        "a base that gives way",
-        "put an SU on the base, and fix it more stiffly",
-    ),
-    "drift": (
-        "biases that drift",
-        "let the sensors warm up before recording",
-    ),
-    "harmonics": (
-        "uneven gears",
-        "log the positions of the links if the robot has encoders behind its gears",
-    ),
-    "ripples": (
-        "ripples of gears",
-        "log the positions of the links if the robot has encoders behind its gears",
-    ),
-    "slack": (
-        "joints off their encoders by other amounts in every place, as play and a base that gives "
-        "way make them",
-        "put an SU on the base, fix it more stiffly, and check the joints for play",
-    ),
-}
-"""What causes are called, and what to do about them."""
-
-
-def why_unexplained(
-    tried: Mapping[str, float], misfit: float, what: str, remedy: str
-) -> tuple[str, str]:
-    """What a bad fit of all samples looks like once physics was tried, and what to do about it.
-
-    Args:
-        tried: misfit with each cause that was tried.
-        misfit: the misfit of the best.
-        what: what the features look like.
-        remedy: what is done about that.
-    """
-    likely = min(tried, key=lambda cause: tried[cause])
-    name, cure = _PHYSICS[likely]
-    told = (
-        f"{what}; of what real robots have, {name} explain the samples best, and "
-        f"leave {misfit:.0f} times what noise would"
-    )
-    return told, f"{cure}; otherwise {remedy}"

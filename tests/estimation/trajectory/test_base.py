@@ -78,8 +78,8 @@ def test_a_base_that_gives_way_is_followed() -> None:
     stiff, _ = _on_a_stand(0.0)
     assert stiff.causes == ()
     assert not stiff.base_motion.any()
-    # Loads that no encoder sees bend joints as well, and explain less.
-    assert found.tried["elastic"] > 2 * found.tried["base"]
+    # Loads that no encoder sees bend joints as well; what says less at first sight is not followed.
+    assert "elastic" not in found.tried
 
 
 def test_how_a_base_stands_is_chosen_or_stated_to_be_open() -> None:

@@ -1,0 +1,71 @@
+"""What real robots have and ideal ones have not, in words, and what to do about it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+_PHYSICS = {
+    "elastic": (
+        "joints that yield under load",
+        "links that give way look alike: log the positions of the links if the robot has encoders "
+        "behind its gears",
+    ),
+    "base": (
+        "a base that gives way",
+        "put an SU on the base, and fix it more stiffly",
+    ),
+    "drift": (
+        "biases that drift",
+        "let the sensors warm up before recording",
+    ),
+    "harmonics": (
+        "uneven gears",
+        "log the positions of the links if the robot has encoders behind its gears",
+    ),
+    "ripples": (
+        "ripples of gears",
+        "log the positions of the links if the robot has encoders behind its gears",
+    ),
+    "slack": (
+        "joints off their encoders by other amounts in every place, as play and a base that gives "
+        "way make them",
+        "put an SU on the base, fix it more stiffly, and check the joints for play",
+    ),
+}
+"""What causes are called, and what to do about them."""
+
+
+def physics_found(causes: Sequence[str]) -> tuple[str, str] | None:
+    """What was found that a rigid robot with steady sensors has not, and what to do about it.
+
+    Args:
+        causes: names of what a fit of all samples has added, the first first.
+
+    Returns:
+        What it is, and its cures, each once; None where nothing was found.
+    """
+    known = [_PHYSICS[cause] for cause in causes]
+    if not known:
+        return None
+    what, cures = (list(dict.fromkeys(words)) for words in zip(*known, strict=True))
+    return " and ".join(what), "; ".join(cures)
+
+
+def why_unexplained(
+    tried: Mapping[str, float], misfit: float, what: str, remedy: str
+) -> tuple[str, str]:
+    """What a bad fit of all samples looks like once physics was tried, and what to do about it.
+
+    Args:
+        tried: misfit with each cause that was tried.
+        misfit: the misfit of the best.
+        what: what the features look like.
+        remedy: what is done about that.
+    """
+    likely = min(tried, key=lambda cause: tried[cause])
+    name, cure = _PHYSICS[likely]
+    told = (
+        f"{what}; of what real robots have, {name} explain the samples best, and "
+        f"leave {misfit:.0f} times what noise would"
+    )
+    return told, f"{cure}; otherwise {remedy}"

@@ -34,6 +34,7 @@ from skin2urdf.estimation.trajectory.products import NEAR, fit_with_products
 from skin2urdf.estimation.trajectory.publishers import Late, with_deviations, with_publishers
 from skin2urdf.estimation.trajectory.records import Gyros
 from skin2urdf.estimation.trajectory.rounded import rounded_off_again
+from skin2urdf.estimation.trajectory.senses import in_likelier_sense
 from skin2urdf.estimation.trajectory.shaken import Shaken
 from skin2urdf.estimation.trajectory.slack import lacking
 from skin2urdf.estimation.trajectory.state import MotionState
@@ -226,6 +227,7 @@ def estimate_along(
     fitted = fit(
         problem, begin, iterations=iterations, tolerance=NEAR, tell=lambda part: tell(0.5 * part)
     )
+    fitted = in_likelier_sense(problem, fitted, iterations)
     problem, fitted = fit_with_products(problem, fitted, iterations)
     problem, fitted = without_doubtful_fronts(problem, fitted, iterations)
     tell(0.7)

@@ -50,7 +50,8 @@ class Observability(Record):
             the directions that are not observable.
         su_unobservable: per SU (k, 6) orthonormal directions (linear [m], angular times ARM)
             along which the log says nothing about the SU's placement on its joint.
-        su_verdict: per SU.
+        su_verdict: per SU; of what recordings tell, which the turn that cross-axis errors hide
+            is not.
         joint_covariance: (D, 4, 4) covariance of each joint's local coordinates tx, ty, rx, ry.
         joint_verdict: per joint; "not observable" for those that an open direction moves.
         open_directions: independent ways in which branches may sit elsewhere relative to the rest
@@ -197,7 +198,9 @@ def _judged(
     su_covariance = covariance.su()[:, :N_PLACEMENT, :N_PLACEMENT]
     blocks = covariance.joint[: N_JOINT * D, : N_JOINT * D].reshape(D, N_JOINT, D, N_JOINT)
     joint_covariance = np.einsum("dadb->dab", blocks)
-    su_verdict = tuple(_verdict(su_covariance[u], len(directions[u])) for u in range(U))
+    # No recording tells what they hide; a verdict is about what this one does not tell.
+    told = su_covariance - turns[:N_PLACEMENT, None] * np.eye(N_PLACEMENT)
+    su_verdict = tuple(_verdict(told[u], len(directions[u])) for u in range(U))
     joint_verdict = tuple(
         _verdict(joint_covariance[j], int(name in moving))
         for j, name in enumerate(tree.joint_names)

@@ -129,7 +129,10 @@ def test_an_sus_offset_along_axis_1_takes_the_shortest_way() -> None:
 def test_what_cross_axis_errors_hide_is_stated_and_no_lack_of_the_recording() -> None:
     """No recording tells it: else verdicts would hang on how well other SUs tell its size."""
     known = replace(SENSORS, priors=replace(SENSORS.priors, cross=0.01))
-    seen = found(robot(2, 0.6), setting=known, noise=1e-3)[1]
+    state = robot(2, 0.6)
+    shape = np.zeros_like(state.shape)
+    shape[:, 3:] = 0.01 * np.random.default_rng(3).standard_normal((len(shape), 3))
+    seen = found(replace(state, shape=shape), setting=known, noise=1e-3)[1]
     assert seen.hidden_rotation > WEAK
     turn = np.einsum("uii->ui", seen.su_covariance)[:, 3:]
     assert (turn >= seen.hidden_rotation**2).all()

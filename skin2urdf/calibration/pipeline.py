@@ -12,6 +12,7 @@ import numpy as np
 from skin2urdf.arrays import F64, Bool
 from skin2urdf.calibration.beginning import begin
 from skin2urdf.calibration.clock import Clock, Progress, Tell
+from skin2urdf.calibration.gravity_of_slides import with_gravity_of_slides
 from skin2urdf.calibration.result import (
     BAD_FIT,
     BAD_MISFIT,
@@ -89,6 +90,10 @@ def calibrate(
     clock = Clock(progress)
     recordings = clock.run("reading", lambda tell: recordings_of(logs, tell))
     begun = begin(recordings, settings, clock)
+    of_slides = with_gravity_of_slides(begun.first, clock)
+    if of_slides is not None:
+        settings = of_slides
+        begun = begin(recordings, settings, clock)
     sampled, structure, first = begun.logs, begun.structure, begun.first
     along = looked = plain = None
     in_vain: frozenset[str] = frozenset()

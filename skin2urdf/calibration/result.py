@@ -15,6 +15,7 @@ from skin2urdf.estimation.trajectory.estimate import MotionEstimate
 from skin2urdf.estimation.uncertainty.goodness import Goodness
 from skin2urdf.estimation.uncertainty.health import are_plausible
 from skin2urdf.estimation.uncertainty.observability import Observability
+from skin2urdf.estimation.uncertainty.open_directions import ALIKE
 from skin2urdf.estimation.uncertainty.outliers import (
     Unlike,
     poses_unlike_the_rest,
@@ -24,6 +25,7 @@ from skin2urdf.estimation.uncertainty.physics import physics_found
 from skin2urdf.faults import Fault
 from skin2urdf.geometry.se3 import inverse
 from skin2urdf.model.records import KinematicModel, OpenDirection
+from skin2urdf.model.several_axes import turned_about_several_axes
 from skin2urdf.notes import Noted, of_kind
 from skin2urdf.signals.records import Features, JointClock, SuClock
 from skin2urdf.structure.activity import Activity
@@ -172,7 +174,7 @@ class Calibration(Record):
         an error that none has, every SU with readings has a place, no joint is weak, half of the
         joints are determined, and the base stands still, since lengths along the first axis may
         else be off by more than is stated. It is bad where the readings are not explained, or only
-        in part while no SU that the log shows beyond the first joint is determined, or where most
+        in part while no SU that a recording could place is determined, or where most
         of these are not and most would need errors that no sensor has: then it is the model that is
         wrong, which SUs on the base fit whatever it is. What no recording can tell must not spoil
         it, such as where branches that meet in one joint sit along its axis.
@@ -223,15 +225,14 @@ class Calibration(Record):
 
     @property
     def _placed(self) -> list[str]:
-        """Verdicts on SUs beyond the first joint."""
+        """Verdicts on SUs that a recording could place."""
         verdicts = self.observability.su_verdict
         return [v for v, b in zip(verdicts, self._beyond, strict=True) if b]
 
     @property
     def _beyond(self) -> Bool:
-        """(U,) SUs beyond the first joint; on it, or on the base, none is ever placed."""
-        tree = self.model.tree
-        return np.asarray((tree.su_joint >= 0) & (tree.parent[tree.su_joint] >= 0))
+        """(U,) SUs that joints turn about axes which are not parallel; no other is ever placed."""
+        return turned_about_several_axes(self.model, ALIKE)
 
     @property
     def unlike_sus(self) -> Unlike:

@@ -12,6 +12,8 @@ from skin2urdf.report.words import CROSS_REMEDY, more
 
 _EXACT_GRAVITY = 2e-3
 """Standard deviation of gravity up to which its size is known from the site [m/s^2]."""
+_MUCH = 0.005
+"""Standard deviation [rad] that makes SUs weak where recordings tell."""
 
 
 @dataclass(frozen=True)
@@ -55,11 +57,9 @@ def _asked(document: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
             yield more([name]), f"the axis of {name}, which is known weakly"
     for name, su in document["sus"].items():
         chain = chain_to(document, su["joint"])
-        if su["verdict"] != "weak" or not chain:
-            continue
-        if _hidden(document, su):
+        if chain and _hidden(document, su):
             yield CROSS_REMEDY, f"how {name} is turned, of which its cross-axis error hides most"
-        else:
+        elif chain and su["verdict"] == "weak":
             yield more(chain), f"the placement of {name}, which is known weakly"
     # A given model has its own lengths, and no poses of it are left out.
     if "model" in document:
@@ -79,12 +79,13 @@ def _asked(document: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
 
 
 def _hidden(document: Mapping[str, Any], su: Mapping[str, Any]) -> bool:
-    """Whether what cross-axis errors hide makes most of what is not known of an SU.
+    """Whether what cross-axis errors hide makes most of what is not known of an SU, and much.
 
     No motion tells it.
     """
     variance = np.linalg.eigvalsh(np.array(su["covariance"], dtype=np.float64))[-1]
-    return bool(2 * document["observability"]["hidden_rotation_rad"] ** 2 > variance)
+    hidden = document["observability"]["hidden_rotation_rad"] ** 2
+    return bool(2 * hidden > variance > _MUCH**2)
 
 
 def _unknowns(document: Mapping[str, Any]) -> Iterator[Mapping[str, str]]:

@@ -140,6 +140,12 @@ class Draft(Record):
             su_joint=np.array([place[int(j)] for j in su_joint]),
         )
 
+    def sliding(self, joint: int) -> Draft:
+        """With a joint that slides, in any direction, instead of turning."""
+        joints = list(self.joints)
+        joints[joint] = replace(joints[joint], kind="prismatic")
+        return replace(self, joints=tuple(joints))
+
     def swapped(self, joint: int) -> Draft:
         """With a joint and the one before it in the other order."""
         joints, before = list(self.joints), self.parent[joint]
@@ -212,6 +218,34 @@ def in_best_order(draft: Draft, samples: Along) -> tuple[Draft, tuple[Draft, ...
             return draft, tuple(others)
         draft = better
     return draft, ()
+
+
+def that_slide(draft: Draft, samples: Along) -> tuple[int, ...]:
+    """Joints that a draft has as turning, although moves show that they slide.
+
+    Gravity tells of no sliding joint, and the push of one may pass for the swing about an axis far
+    away: a push by one vector of length 1, which predicts more in every SU beyond, is none.
+
+    Args:
+        draft: a tree.
+        samples: the logs.
+
+    Returns:
+        What each of them is among the joints of the logs.
+    """
+    found = []
+    for j, joint in enumerate(draft.joints):
+        if joint.kind == "prismatic":
+            continue
+        now = [draft.judged(samples, u) if u in draft.beyond(j) else None
+               for u in range(len(draft.su_joint))]  # fmt: skip
+        moved = _moved(
+            draft, draft.sliding(j), samples, draft.beyond(j), "prismatic", draft.parent[j], now,
+            CERTAIN,
+        )  # fmt: skip
+        if moved is not None and moved.holds and moved.gain > CERTAIN:
+            found.append(joint.dof)
+    return tuple(found)
 
 
 def _alike(draft: Draft) -> Iterator[int]:

@@ -22,7 +22,13 @@ from skin2urdf.geometry.so3 import frame_with_z
 from skin2urdf.notes import Note
 from skin2urdf.signals.sampling import Sampled
 from skin2urdf.structure.accelerations import Along, ChainJoint, along
-from skin2urdf.structure.draft import QUIET, Draft, in_best_order, with_unseen_joints
+from skin2urdf.structure.draft import (
+    QUIET,
+    Draft,
+    in_best_order,
+    that_slide,
+    with_unseen_joints,
+)
 from skin2urdf.structure.gravity import GravityWindows, gravity_windows, moments
 from skin2urdf.structure.growth import Growth, Known
 from skin2urdf.structure.records import KinematicTree
@@ -148,8 +154,28 @@ def _grown_from(
     """
     moved = moved_joints(sampled)
     tree = None if known is None else _known(known, windows)
-    growth = Growth(windows, tuple(np.flatnonzero(moved)), np.random.default_rng(seed), tree)
-    growth.grow(tell)
+    sliding: tuple[int, ...] = ()
+    while True:
+        turning = tuple(int(d) for d in np.flatnonzero(moved) if d not in sliding)
+        growth = Growth(windows, turning, np.random.default_rng(seed), tree)
+        growth.grow(tell)
+        drafts = _drafted(growth, samples, moved)
+        more = () if known else that_slide(drafts[0], samples)
+        if not more:
+            break
+        # What was taken to turn has bent all directions beyond it.
+        sliding += more
+    best, *others = (_motion_tree(d, growth, samples, sampled, moved) for d in drafts)
+    notes = (*best.tree.notes, *(_doubt(best.tree, other.tree) for other in others))
+    return replace(best, tree=replace(best.tree, notes=notes)), *others
+
+
+def _drafted(growth: Growth, samples: Along, moved: Bool) -> list[Draft]:
+    """What has grown with joints that gravity does not show, best first.
+
+    Raises:
+        StructureError: no SU feels any joint move, or no chain of joints explains what any feels.
+    """
     if (growth.n > 0).any() and not (growth.explained() & (growth.n > 0)).any():
         raise StructureError(
             "no order of the joints explains the gravity that the SUs feel: too many joints move "
@@ -166,11 +192,7 @@ def _grown_from(
             "check that the joints moved during the log, and that the SUs sit on moving segments",
         )
     draft, reordered = in_best_order(draft, samples)
-    best, *others = (
-        _motion_tree(d, growth, samples, sampled, moved) for d in (draft, *reordered, *otherwise)
-    )
-    notes = (*best.tree.notes, *(_doubt(best.tree, other.tree) for other in others))
-    return replace(best, tree=replace(best.tree, notes=notes)), *others
+    return [draft, *reordered, *otherwise]
 
 
 def _known(tree: KinematicTree, windows: GravityWindows) -> Known:

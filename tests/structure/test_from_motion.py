@@ -14,7 +14,7 @@ from skin2urdf.notes import of_kind
 from skin2urdf.recording.records import Recording
 from skin2urdf.recording.retiming import retimed
 from skin2urdf.signals.features import extract_features
-from skin2urdf.signals.sampling import Sampled, sample_recording
+from skin2urdf.signals.sampling import Sampled, sample_recording, sampled_together
 from skin2urdf.simulation import SimulationSettings, load_robot, simulate
 from skin2urdf.simulation.robots import GivenSu, SkinLayout
 from skin2urdf.structure.activity import activity
@@ -75,6 +75,24 @@ def test_vertical_and_sliding_joints_show_in_accelerations(tmp_path: Path) -> No
     # 0.4 rad about the axis of the URDF's second joint's x, which is square to both.
     assert abs(found.axes[1] @ found.axes[2]) == pytest.approx(np.cos(0.4), abs=0.02)
     assert found.misfit < 0.01
+
+
+def test_a_push_is_not_taken_for_a_swing_about_a_far_axis(tmp_path: Path) -> None:
+    """Moves that never rest: gravity and accelerations are seen together from the beginning."""
+    joints = (
+        Joint("first", -1, "revolute", limits=(-0.2, 0.2)),
+        Joint("slides", 0, "prismatic", (0.02, 0.03, 0.25), (0.3, 0.2, 0.0), (1.0, 0.0, 0.0),
+              limits=(-0.15, 0.15)),
+        Joint("turns", 1, "revolute", rpy=(0.5, 0.3, 0.0)),
+    )  # fmt: skip
+    settings = SimulationSettings(
+        excite="series", minutes=0.5, seed=3, imu_rate=100.0, joint_rate=50.0
+    )
+    simulation = simulate(robot_of(joints, tmp_path, SkinLayout(1, 1)), settings)
+    logs, names = sampled_together([retimed(simulation.recording)], must_rest=False)
+    found, *_ = trees_from_motion(logs, names)
+    assert found.tree.joint_types == ("revolute", "prismatic", "revolute")
+    assert found.tree.parent.tolist() == [-1, 0, 1]
 
 
 def test_an_su_that_two_sliding_joints_push_and_none_turns_is_found(tmp_path: Path) -> None:

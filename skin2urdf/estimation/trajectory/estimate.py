@@ -38,6 +38,7 @@ from skin2urdf.estimation.trajectory.products import NEAR, fit_with_products
 from skin2urdf.estimation.trajectory.publishers import Late, with_deviations, with_publishers
 from skin2urdf.estimation.trajectory.records import Gyros
 from skin2urdf.estimation.trajectory.rounded import rounded_off_again
+from skin2urdf.estimation.trajectory.senses import in_likelier_sense
 from skin2urdf.estimation.trajectory.shaken import Shaken
 from skin2urdf.estimation.trajectory.slack import lacking
 from skin2urdf.estimation.trajectory.state import MotionState
@@ -282,8 +283,9 @@ def _of_a_rigid_robot(
 def _led(
     problem: MotionProblem, begin: MotionState, iterations: int, tell: Callable[[float], None]
 ) -> tuple[MotionProblem, Fitted]:
-    """The fit from where it begins, and then with products of motions."""
+    """The fit from where it begins, with joints in the likelier sense, and products of motions."""
     fitted = fit(problem, begin, iterations=iterations, tolerance=NEAR, tell=tell)
+    fitted = in_likelier_sense(problem, fitted, iterations)
     return fit_with_products(problem, fitted, iterations)
 
 

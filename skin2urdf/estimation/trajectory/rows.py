@@ -79,13 +79,16 @@ class Beyond:
             by_motion: (m, 3, c, K) derivatives of c series in the motion of each of them.
 
         Yields:
-            The samples, (s,) columns of the joint part and (s, c, k) derivatives.
+            The samples, (s,) columns of the joint part and (s, c, k) derivatives; none where no
+            number moves any of these joints, as in the limb of another publisher.
         """
         if not len(joints):
             return
         for begin, counts in self._counting:
             at = slice(begin, min(begin + _BLOCK, by_motion.shape[3]))
-            yield at, *self._derivatives(joints, by_motion[..., at], at, counts)
+            numbers, derivatives = self._derivatives(joints, by_motion[..., at], at, counts)
+            if len(numbers):
+                yield at, numbers, derivatives
 
     def derivatives(self, joints: Int, by_motion: F64) -> tuple[Int, F64]:
         """Columns (s,) of all numbers that count, and derivatives (s, c, K) in these."""

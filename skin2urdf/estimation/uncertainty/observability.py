@@ -50,7 +50,8 @@ class Observability(Record):
             the directions that are not observable.
         su_unobservable: per SU (k, 6) orthonormal directions (linear [m], angular times ARM)
             along which the log says nothing about the SU's placement on its joint.
-        su_verdict: per SU.
+        su_verdict: per SU; of what recordings tell, which the turn that cross-axis errors hide
+            is not.
         joint_covariance: (D, 4, 4) covariance of each joint's local coordinates tx, ty, rx, ry.
         joint_verdict: per joint; "not observable" for those that an open direction moves.
         open_directions: independent ways in which branches may sit elsewhere relative to the rest
@@ -165,39 +166,49 @@ def _judged(
     free_joint = np.concatenate([free.joints.ravel(), free.logs.ravel()])
     inverse = np.zeros((U, N_SU, N_SU))
     known = np.tile(np.eye(N_SU), (U, 1, 1))
-    directions = []
+    open_of_su = []
     learnt = _information(subject.priors) - _information(subject.given)
     for u in range(U):
         inverse[u] = _su_inverse(equations.su[u], free.sus[u])
         # What only the likeness of other sensors tells is no observation.
         unseen = _open_directions(equations.su[u] - learnt, free.sus[u], scale)
         known[u, :N_PLACEMENT, :N_PLACEMENT] -= unseen.T @ unseen
-        directions.append(np.linalg.qr((unseen * np.r_[1, 1, 1, ARM, ARM, ARM]).T)[0].T)
+        open_of_su.append(unseen)
     columns = equations.columns
     mixed = equations.mixed * free_joint[columns][:, None]
     lean = -inverse @ mixed
     H = equations.joint * free_joint[:, None] * free_joint
     np.add.at(H, (columns[:, :, None], columns[:, None, :]), np.swapaxes(mixed, 1, 2) @ lean)
     joint_inverse, null = _joint_inverse(H, free_joint, scale)
+    # The antisymmetric part of a cross-axis error is a rotation of the sensor's frame: it can not
+    # be seen, and is as large as the symmetric part.
+    weights = ArrowCovariance(joint_inverse, columns, lean, inverse)
+    full, widening = widened(weights)
+    beyond = _known_in_part(full, known).su()[:, :N_PLACEMENT, :N_PLACEMENT]
+    for u in range(U):
+        # What noise alone would let the data tell, other errors may hide.
+        lam, V = np.linalg.eigh(beyond[u])
+        unseen = V[:, lam > UNKNOWN**2].T
+        known[u, :N_PLACEMENT, :N_PLACEMENT] -= unseen.T @ unseen
+        open_of_su[u] = np.concatenate([open_of_su[u], unseen])
+    lengths = np.r_[1, 1, 1, ARM, ARM, ARM]
+    directions = [np.linalg.qr((unseen * lengths).T)[0].T for unseen in open_of_su]
     open_ = open_directions(
         tree, subject.state, subject.q, equations, null, known @ lean, directions,
         least=scale / UNKNOWN**2, arm=ARM,
     )  # fmt: skip
     moving = {name for direction in open_ for name in _moving(direction)}
-
-    # The antisymmetric part of a cross-axis error is a rotation of the sensor's frame: it can not
-    # be seen, and is as large as the symmetric part.
-    weights = ArrowCovariance(joint_inverse, columns, lean, inverse)
-    full, widening = widened(weights)
     hidden = hidden_by(full)
     turns = np.zeros(N_SU)
     turns[3:N_PLACEMENT] = hidden**2
-    own = known @ full.own @ known + np.diag(turns)
-    covariance = replace(full, lean=known @ full.lean, own=own)
+    covariance = _known_in_part(full, known)
+    covariance = replace(covariance, own=covariance.own + np.diag(turns))
     su_covariance = covariance.su()[:, :N_PLACEMENT, :N_PLACEMENT]
     blocks = covariance.joint[: N_JOINT * D, : N_JOINT * D].reshape(D, N_JOINT, D, N_JOINT)
     joint_covariance = np.einsum("dadb->dab", blocks)
-    su_verdict = tuple(_verdict(su_covariance[u], len(directions[u])) for u in range(U))
+    # No recording tells what they hide; a verdict is about what this one does not tell.
+    told = su_covariance - turns[:N_PLACEMENT, None] * np.eye(N_PLACEMENT)
+    su_verdict = tuple(_verdict(told[u], len(directions[u])) for u in range(U))
     joint_verdict = tuple(
         _verdict(joint_covariance[j], int(name in moving))
         for j, name in enumerate(tree.joint_names)
@@ -216,6 +227,11 @@ def _judged(
         covariance=covariance,
         widening=widening,
     )
+
+
+def _known_in_part(full: ArrowCovariance, known: F64) -> ArrowCovariance:
+    """A covariance without the directions of SUs that projectors known (U, 15, 15) lack."""
+    return replace(full, lean=known @ full.lean, own=known @ full.own @ known)
 
 
 def _of_the_data(estimate: Estimate) -> NormalEquations:

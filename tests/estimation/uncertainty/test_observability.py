@@ -15,6 +15,7 @@ from skin2urdf.estimation.problem.state import State
 from skin2urdf.estimation.solve.estimate import Estimate, EstimationSettings, estimate
 from skin2urdf.estimation.uncertainty.observability import (
     ARM,
+    WEAK,
     Observability,
     aligned_deviations,
     observability,
@@ -123,6 +124,19 @@ def test_an_sus_offset_along_axis_1_takes_the_shortest_way() -> None:
     estimated, _ = found(robot(1, 0.6), 1)
     # The truth is 0.1 m off; a weak prior pulls to the nearest place, until that gains no more.
     assert abs(estimated.state.T_joint_su[1, 2, 3]) < 0.03
+
+
+def test_what_cross_axis_errors_hide_is_stated_and_no_lack_of_the_recording() -> None:
+    """No recording tells it: else verdicts would hang on how well other SUs tell its size."""
+    known = replace(SENSORS, priors=replace(SENSORS.priors, cross=0.01))
+    state = robot(2, 0.6)
+    shape = np.zeros_like(state.shape)
+    shape[:, 3:] = 0.01 * np.random.default_rng(3).standard_normal((len(shape), 3))
+    seen = found(replace(state, shape=shape), setting=known, noise=1e-3)[1]
+    assert seen.hidden_rotation > WEAK
+    turn = np.einsum("uii->ui", seen.su_covariance)[:, 3:]
+    assert (turn >= seen.hidden_rotation**2).all()
+    assert seen.su_verdict[-1] == "determined"
 
 
 def test_little_data_is_weak_or_unknown_and_said_so() -> None:

@@ -57,7 +57,8 @@ def blocks_of(found: Calibration, truth: Truth) -> dict[str, Block]:
         parts["joint axis, offset"].append(normalised(e[:2], C[:2, :2]))
 
     covariance = seen.covariance.su()
-    prior = estimate.cost.priors.deviations**2
+    sensors = found.along.problem.priors.sensors if found.along else estimate.cost.priors
+    prior = sensors.deviations**2
     for u, (x, C) in enumerate(zip(off.sus, covariance, strict=True)):
         placed = x[:6] - _projection(seen.su_unobservable[u]) @ x[:6]
         parts["SU position"].append(normalised(placed[:3], C[:3, :3]))

@@ -24,7 +24,10 @@ from skin2urdf.report.notes import note_words
 from skin2urdf.simulation import Truth
 
 CONFIGURATIONS = 60
-NORMALISED = ("SU position", "SU orientation", "joint axis, offset", "joint axis, direction")
+NORMALISED = (
+    "SU position", "SU orientation", "SU orientation, felt", "joint axis, offset",
+    "joint axis, direction",
+)  # fmt: skip
 """Blocks whose errors are held against stated variances. Sensors' own errors and clocks are not
 among them: some defects are about these."""
 

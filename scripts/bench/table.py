@@ -27,8 +27,9 @@ LEGEND = (
     "True and stated errors are root mean squares over recordings, SUs and configurations. Ratio: "
     f"true over stated, the\nlargest of the recordings; ! beyond {LIMIT:g}. None: refused, or bad. "
     "SUs not known: stated to be not determined.\nKnown: true error of the others' orientations. "
-    "NEES: squared errors over stated variances of the SUs' positions and\norientations, per "
-    "direction of all recordings of a row.\n"
+    "NEES: squared errors over stated variances of the SUs' positions and\norientations, these "
+    "without what is stated of rotations that cross-axis errors hide, per direction of all\n"
+    "recordings of a row.\n"
 )
 
 
@@ -108,7 +109,7 @@ def cells(outcomes: Sequence[Figures | Failure]) -> tuple[str, ...]:
         figures.short(_largest([f.orientation_ratio for f in done]), LIMIT),
         figures.short(figures.rms(f.known_deg for f in done)),
         figures.short(_nees(done, "SU position")),
-        figures.short(_nees(done, "SU orientation")),
+        figures.short(_nees(done, "SU orientation, felt")),
         f"{verdicts['good']}/{verdicts['fair']}/{verdicts['none']}",
         str(sum(f.n_undetermined for f in done)),
         figures.short(figures.rms(f.seconds for f in done)),

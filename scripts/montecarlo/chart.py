@@ -8,7 +8,7 @@ joint's frame lies) is taken over from the estimate on the way from the base out
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import polar
@@ -75,6 +75,18 @@ def true_robot(truth: Truth, tree: KinematicTree) -> TrueRobot:
         bias=truth.bias[rows],
         sensor_matrix=truth.sensor_matrix[rows],
     )
+
+
+def as_felt(true: TrueRobot) -> TrueRobot:
+    """The robot with SU frames turned as their sensors are by cross-axis errors.
+
+    A sensitivity is a symmetric matrix times a rotation, of which a log shows the first and takes
+    the second for a part of the placement.
+    """
+    turned = true.T_base_su.copy()
+    for T, M in zip(turned, true.sensor_matrix, strict=True):
+        T[:3, :3] = T[:3, :3] @ polar(M, side="left")[0].T
+    return replace(true, T_base_su=turned)
 
 
 def _check(tree: KinematicTree, truth: Truth, parent_of: dict[str, str]) -> None:

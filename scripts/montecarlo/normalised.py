@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from montecarlo.chart import displacement, true_robot
+from montecarlo.chart import as_felt, displacement, true_robot
 from montecarlo.records import BLOCKS, Block
 from skin2urdf.arrays import F64
 from skin2urdf.calibration.result import Calibration
@@ -36,7 +36,10 @@ def blocks_of(found: Calibration, truth: Truth) -> dict[str, Block]:
 
     Where priors decide, errors over stated uncertainties only tell whether the simulated sensors
     are as the priors say. So orientation, bias, scale and cross-axis errors are those of SUs whose
-    sensor the log determines (not on the base or on a first joint).
+    sensor the log determines (not on the base or on a first joint). What is stated of orientations
+    allows for rotations that cross-axis errors hide, of which the same holds: sensors without any
+    are better than that, and their orientations as they are felt are held against what the log
+    shows alone.
 
     Raises:
         ValueError: its tree is not the true one.
@@ -44,7 +47,11 @@ def blocks_of(found: Calibration, truth: Truth) -> dict[str, Block]:
     estimate, seen, features = found.estimate, found.observability, found.features
     assert features is not None  # noqa: S101 - the recordings have poses
     tree = estimate.tree
-    off = _as_it_stands(displacement(estimate.state, tree, true_robot(truth, tree)), found)
+    true = true_robot(truth, tree)
+    off, felt = (
+        _as_it_stands(displacement(estimate.state, tree, robot), found)
+        for robot in (true, as_felt(true))
+    )
     parts: dict[str, list[Block]] = {name: [] for name in BLOCKS}
 
     free = estimate.free.joints.ravel()
@@ -58,13 +65,18 @@ def blocks_of(found: Calibration, truth: Truth) -> dict[str, Block]:
         parts["joint axis, offset"].append(normalised(e[:2], C[:2, :2]))
 
     covariance = seen.covariance.su()
-    prior = estimate.cost.priors.deviations**2
+    sensors = found.along.problem.priors.sensors if found.along else estimate.cost.priors
+    prior = sensors.deviations**2
     for u, (x, C) in enumerate(zip(off.sus, covariance, strict=True)):
-        placed = x[:6] - _projection(seen.su_unobservable[u]) @ x[:6]
+        shown = np.eye(6) - _projection(seen.su_unobservable[u])
+        placed = shown @ x[:6]
         parts["SU position"].append(normalised(placed[:3], C[:3, :3]))
         if not (np.diag(C)[6:] < DETERMINED * prior).all():
             continue
         parts["SU orientation"].append(normalised(placed[3:], C[3:6, 3:6]))
+        without = C[3:6, 3:6] - seen.hidden_rotation**2 * np.eye(3)
+        as_read = shown @ felt.sus[u, :6]
+        parts["SU orientation, felt"].append(normalised(as_read[3:], without))
         for kind, name in enumerate(("bias", "scale", "cross-axis")):
             at = slice(6 + 3 * kind, 9 + 3 * kind)
             parts[name].append(normalised(x[at], C[at, at], _OBSERVABLE.get(name, 0.0)))

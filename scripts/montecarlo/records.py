@@ -11,7 +11,7 @@ from skin2urdf.simulation.settings import Excitation
 
 BLOCKS = (
     "joint axis, direction", "joint axis, offset", "SU position", "SU orientation",
-    "bias", "scale", "cross-axis", "latency",
+    "SU orientation, felt", "bias", "scale", "cross-axis", "latency",
 )  # fmt: skip
 """Blocks of parameters, in the order of the table."""
 

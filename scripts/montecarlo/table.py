@@ -48,7 +48,8 @@ def _group(name: str, runs: Sequence[Run]) -> str:
     lines = [f"{name}: {len(good)} recordings, cost per degree of freedom {_cost(good)}"]
     lines += [f"  {run.case.key}: {run.failure}" for run in runs if run.failure]
     lines.append(f"{'':24}{'NEES':>6}{'':10}{'in 2 sigma':>12}{'rms where observable':>24}")
-    lines += [_line(block, [figures.blocks[block] for figures in good]) for block in BLOCKS if good]
+    for name in BLOCKS if good else ():
+        lines.append(_line(name, [one.blocks[name] for one in good if name in one.blocks]))
     return "\n".join(lines) + "\n"
 
 

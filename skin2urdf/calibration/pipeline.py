@@ -10,7 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from skin2urdf.arrays import F64, Bool
-from skin2urdf.calibration.beginning import begin
+from skin2urdf.calibration.at_rest import estimate_at_rest
+from skin2urdf.calibration.beginning import Beginning, begin
 from skin2urdf.calibration.clock import Clock, Progress, Tell
 from skin2urdf.calibration.gravity_of_slides import with_gravity_of_slides
 from skin2urdf.calibration.result import (
@@ -39,7 +40,7 @@ from skin2urdf.calibration.samples import (
     without_false_hits,
 )
 from skin2urdf.calibration.settings import CalibrationSettings
-from skin2urdf.errors import BadFitError, InsufficientDataError
+from skin2urdf.errors import BadFitError, InsufficientDataError, Skin2UrdfError
 from skin2urdf.estimation.solve.estimate import Estimate
 from skin2urdf.estimation.trajectory.estimate import MotionEstimate
 from skin2urdf.estimation.uncertainty.goodness import Goodness, goodness
@@ -134,6 +135,9 @@ def calibrate(
                 "all samples",
                 lambda tell: without_false_hits(solution, fitted, sampled, first, tell),
             )
+            if begun.of_patterns and along.misfit > GOOD_FIT:
+                n_sus = solution.found.tree.n_sus
+                solution, along = _of_moves(begun, n_sus, clock) or (solution, along)
     # Of features, so that each pose can be predicted from the others.
     fit = clock.run("goodness of fit", lambda _: goodness(solution.found))
     if along is not None:
@@ -156,6 +160,22 @@ def _look(first: Solution | None, clock: Clock) -> MotionEstimate | None:
     # What is bent by more is first to be mended.
     along = clock.run("all samples", lambda tell: fit_samples(first, tell, most=BAD_MISFIT))
     return along if along is not None and along.misfit <= BAD_MISFIT else None
+
+
+def _of_moves(begun: Beginning, n_sus: int, clock: Clock) -> tuple[Solution, MotionEstimate] | None:
+    """What rests and moves say, where that explains all samples of as many SUs.
+
+    Moves of single joints look like patterns, and may be too slow to show which SUs feel a joint:
+    where what patterns say leaves the readings unexplained, they may have been none.
+    """
+    try:
+        solution = estimate_at_rest(begun.logs, begun.structure, clock)
+    except Skin2UrdfError:
+        return None
+    if solution.found.tree.n_sus < n_sus:
+        return None
+    along = clock.run("all samples", lambda tell: fit_samples(solution, tell, most=BAD_MISFIT))
+    return None if along is None or along.misfit > GOOD_FIT else (solution, along)
 
 
 def _what_stands_out(along: MotionEstimate | None, sampled: Sequence[Sampled]) -> StandsOut:

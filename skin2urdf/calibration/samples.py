@@ -93,6 +93,7 @@ def fit_samples(
     return estimate_along(
         trajectories, tree, found.state, priors, latency, tell,
         most=most, without=without, look_further=look_further,
+        alike=settings.estimation.intrinsics,
     )  # fmt: skip
 
 

@@ -65,8 +65,9 @@ def rms(values: F64) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
-@pytest.mark.parametrize("seed", [1, 5])
+@pytest.mark.parametrize("seed", [1, 4])
 def test_its_joints_are_in_order_and_errors_as_stated(seed: int, tmp_path: Path) -> None:
+    """Rests and moves show different trees, or moves pass for patterns that no tree explains."""
     rng = np.random.default_rng(seed)
     plan = moves(rng)
     settings = SimulationSettings(

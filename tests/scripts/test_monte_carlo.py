@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from batch.records import Failure, Record
 from monte_carlo import main
-from montecarlo.chart import TrueRobot, displacement, true_robot
+from montecarlo.chart import TrueRobot, as_felt, displacement, true_robot
 from montecarlo.normalised import normalised, summed, without_open
 from montecarlo.records import BLOCKS, Block, Case, Run
 from montecarlo.table import nees, report
@@ -55,6 +55,16 @@ def test_the_truth_in_the_chart_feels_what_the_true_robot_feels() -> None:
         np.testing.assert_allclose(own[:, 0], rows[:, 0], atol=1e-9)
         np.testing.assert_allclose(own[:, 1 : 1 + n], rows[:, 1 + dof], atol=1e-9)
         np.testing.assert_allclose(own[:, 1 + L : 1 + L + n], rows[:, 1 + D + dof], atol=1e-9)
+
+
+def test_frames_as_they_are_felt_leave_sensors_nothing_but_symmetric_errors() -> None:
+    true = true_robot(recorded().truth, calibration().estimate.tree)
+    felt = as_felt(true)
+    for T, turned, M in zip(true.T_base_su, felt.T_base_su, true.sensor_matrix, strict=True):
+        left = M @ T[:3, :3].T @ turned[:3, :3]
+        np.testing.assert_allclose(left, left.T, atol=1e-12)
+        np.testing.assert_allclose(turned[:3, 3], T[:3, 3])
+        assert 1e-4 < np.abs(turned[:3, :3] - T[:3, :3]).max() < 0.02
 
 
 def test_from_the_truth_a_displacement_gives_back_itself() -> None:

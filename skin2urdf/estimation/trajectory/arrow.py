@@ -33,7 +33,11 @@ class Eliminated:
 
 
 def eliminated(
-    equations: Equations, free_joint: Bool, free_su: Bool, damping: float = 0.0
+    equations: Equations,
+    free_joint: Bool,
+    free_su: Bool,
+    damping: float = 0.0,
+    nothing: float = NOTHING,
 ) -> Eliminated:
     """Eliminate every SU.
 
@@ -42,6 +46,7 @@ def eliminated(
         free_joint: (J,), and
         free_su: (U, n), the coordinates that may move.
         damping: share of each coordinate's own information that is added to it.
+        nothing: share by which directions without any information are held.
     """
     both = free_su[:, :, None] & free_su[:, None, :]
     su = np.where(both, equations.su, 0.0)
@@ -49,8 +54,8 @@ def eliminated(
     size = np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
     unit = su / size[:, :, None] / size[:, None, :]
     index = np.arange(su.shape[1])
-    unit[:, index, index] = np.where(free_su, 1 + damping + NOTHING, 1.0)
-    inverse = _inverse(unit) / size[:, :, None] / size[:, None, :]
+    unit[:, index, index] = np.where(free_su, 1 + damping + nothing, 1.0)
+    inverse = _inverse(unit, nothing) / size[:, :, None] / size[:, None, :]
     inverse = np.where(both, 0.5 * (inverse + np.swapaxes(inverse, 1, 2)), 0.0)
     mixed = np.where(free_su[:, :, None] & free_joint, equations.mixed, 0.0)
     lean = -inverse @ mixed
@@ -64,24 +69,24 @@ def eliminated(
     return Eliminated(inverse, lean, schur, gradient, own)
 
 
-def _inverse(unit: F64) -> F64:
+def _inverse(unit: F64, nothing: float) -> F64:
     """(..., n, n) inverses of information matrices whose diagonals are 1."""
     try:
         return np.asarray(np.linalg.inv(unit))
     except np.linalg.LinAlgError:
         # Rounding has taken more from what hardly shows than what holds it.
         lam, V = np.linalg.eigh(unit)
-        return np.asarray((V / np.maximum(lam, NOTHING)[..., None, :]) @ np.swapaxes(V, -1, -2))
+        return np.asarray((V / np.maximum(lam, nothing)[..., None, :]) @ np.swapaxes(V, -1, -2))
 
 
-def joint_inverse(schur: F64, free: Bool) -> F64:
+def joint_inverse(schur: F64, free: Bool, nothing: float = NOTHING) -> F64:
     """(J, J) inverse of a Schur complement over its free coordinates."""
     diagonal = np.diag(schur)
     size = np.sqrt(np.where(free & (diagonal > 0), diagonal, 1.0))
     unit = np.where(free[:, None] & free, schur / size[:, None] / size, 0.0)
     index = np.arange(len(unit))
-    unit[index, index] = np.where(free, np.maximum(np.diag(unit), 0.0) + NOTHING, 1.0)
-    inverse = _inverse(unit) / size[:, None] / size
+    unit[index, index] = np.where(free, np.maximum(np.diag(unit), 0.0) + nothing, 1.0)
+    inverse = _inverse(unit, nothing) / size[:, None] / size
     return np.asarray(np.where(free[:, None] & free, 0.5 * (inverse + inverse.T), 0.0))
 
 

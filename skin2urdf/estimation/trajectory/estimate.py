@@ -39,6 +39,7 @@ from skin2urdf.estimation.trajectory.publishers import Late, with_deviations, wi
 from skin2urdf.estimation.trajectory.records import Gyros
 from skin2urdf.estimation.trajectory.rounded import rounded_off_again
 from skin2urdf.estimation.trajectory.senses import in_likelier_sense
+from skin2urdf.estimation.trajectory.sensors import with_sensors_alike
 from skin2urdf.estimation.trajectory.shaken import Shaken
 from skin2urdf.estimation.trajectory.slack import lacking
 from skin2urdf.estimation.trajectory.state import MotionState
@@ -199,6 +200,7 @@ def estimate_along(
     most: float = np.inf,
     iterations: int = 30,
     lengths: bool = True,
+    alike: bool = False,
 ) -> MotionEstimate:
     """Fit all samples of all logs.
 
@@ -216,6 +218,7 @@ def estimate_along(
         most: misfit beyond which they are not tried either.
         iterations: linearisations, at most, of a first fit and of the last.
         lengths: whether what the noise of encoders does to lengths is taken off.
+        alike: whether what the samples show of some sensors tells how good the others are.
     """
     U, G = tree.n_sus, len(logs)
     problem = MotionProblem(tree, logs, priors)
@@ -243,6 +246,8 @@ def estimate_along(
             without = {*without, "elastic", "base"}
         found = explained(problem, fitted, most, only_known=only_known, without=without)
         problem, fitted = found.problem, found.fitted
+    if alike:
+        problem, fitted = with_sensors_alike(problem, fitted)
     corrected = []
     if lengths:
         fitted, shortening = without_shortening(problem, fitted)

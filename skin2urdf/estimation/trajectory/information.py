@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from skin2urdf.arrays import F64, Int
-from skin2urdf.estimation.problem.cost import NormalEquations
+from skin2urdf.estimation.problem.cost import NormalEquations, Priors
 from skin2urdf.estimation.problem.residuals import columns_of
 from skin2urdf.estimation.problem.state import N_JOINT, N_SU
 from skin2urdf.estimation.trajectory.arrow import eliminated, newton_step
@@ -55,6 +55,7 @@ class MotionInformation:
         shares: (S, J), (S, U, 15) and (S, Z) share of the information on each coordinate that a
             part has.
         prior_joint: (J + Z,) information on x and z that is known before.
+        sensors: what is known of the sensors, which is part of the information on y.
     """
 
     equations: NormalEquations
@@ -72,6 +73,7 @@ class MotionInformation:
     kinds: tuple[Int, Int, Int]
     shares: tuple[F64, F64, F64]
     prior_joint: F64
+    sensors: Priors
 
     def along(self, axes: F64) -> MotionInformation:
         """The same with other numbers that all share: axes (Z, Z) times these are the former."""
@@ -197,6 +199,7 @@ def motion_information(
         kinds=_kinds(layout, tree.n_sus),
         shares=shares,
         prior_joint=np.where(free_joint, joint_prior, 0.0),
+        sensors=problem.priors.sensors,
     )
 
 

@@ -92,7 +92,7 @@ def observability(estimate: Estimate, along: MotionInformation | None = None) ->
         state=estimate.state,
         free=estimate.free,
         q=estimate.cost.blocks.q,
-        priors=estimate.cost.priors,
+        priors=along.sensors if along else estimate.cost.priors,
         given=estimate.given,
     )
 

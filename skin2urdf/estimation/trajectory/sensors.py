@@ -1,0 +1,58 @@
+"""How good the sensors of one robot are, learnt from what all samples show of each.
+
+An SU that only one joint turns can not tell its tilt from a bias or a cross-axis error, so that its
+orientation is known as well as its sensor is. What is known of it is what the other SUs show of
+theirs. All samples show that far better than the features did that a fit begins with, most of all
+in logs without patterns, in which these are rests.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from skin2urdf.arrays import F64
+from skin2urdf.estimation.problem.cost import Priors
+from skin2urdf.estimation.problem.state import N_PLACEMENT, N_SU
+from skin2urdf.estimation.solve.spread import narrowed
+from skin2urdf.estimation.trajectory.arrow import eliminated, joint_inverse
+from skin2urdf.estimation.trajectory.fit import Fitted, fit
+from skin2urdf.estimation.trajectory.problem import MotionProblem
+
+_NOTHING = 1e-13
+"""Share by which directions without any information are held: a thousand times rounding. What is
+known of a bias before has 1e-10 of the information that an hour at rest has on a tilt, and must
+not pass for nothing."""
+
+
+def with_sensors_alike(problem: MotionProblem, fitted: Fitted) -> tuple[MotionProblem, Fitted]:
+    """The fit with sensors that are taken to be as good as the samples show others to be.
+
+    Args:
+        problem: what was fitted.
+        fitted: its fit.
+    """
+    learnt = _learnt(problem, fitted)
+    if learnt == problem.priors.sensors:
+        return problem, fitted
+    problem = problem.again(priors=replace(problem.priors, sensors=learnt))
+    return problem, fit(problem, fitted.state, near=True, predicted=fitted.predicted)
+
+
+def _learnt(problem: MotionProblem, fitted: Fitted) -> Priors:
+    """What is known of the sensors, narrowed to the errors that the samples show."""
+    of = slice(N_PLACEMENT, N_SU)
+    places = fitted.state.placements
+    error = np.concatenate([places.bias, places.shape], axis=1)
+    variance = _variances(problem, fitted)[:, of]
+    return narrowed(problem.priors.sensors, error, variance, problem.free_su[:, of])
+
+
+def _variances(problem: MotionProblem, fitted: Fitted) -> F64:
+    """(U, n) variances of the SUs' coordinates, whatever the joints are."""
+    free = problem.free_joint, problem.free_su
+    system = eliminated(fitted.equations, *free, nothing=_NOTHING)
+    joint = joint_inverse(system.schur, free[0], _NOTHING)
+    by_joint = np.einsum("unj,jk,unk->un", system.lean, joint, system.lean, optimize=True)
+    return np.asarray(np.einsum("unn->un", system.su_inverse) + by_joint)

@@ -144,9 +144,10 @@ def information(truth: Truth, settings: SimulationSettings, held: int) -> F64:
     U, D = len(truth.sus), robot_.model.njoints - 1
     begin, end = truth.motion.time[[0, -1]] + 0.5
     time = np.arange(begin, end - 1.0, 1 / RATE)
-    motion = tuple(x[:, robot_.columns] for x in truth.motion.at(time))
+    q, v, a = (x[:, robot_.columns] for x in truth.motion.at(time))
+    motion = q, v, a
     plain = robot_.states(motion)
-    moved: list[F64] = []
+    moved: list[tuple[F64, F64]] = []
     for j in range(D):
         for coordinate in (0, 1, 3, 4):
             ways = []
@@ -246,9 +247,9 @@ def errors(truth: Truth, C: F64, own: int, chosen: Sequence[int]) -> tuple[float
             rows.append(world @ G)
             p = T.translation
             frames.append(np.block([[np.eye(3), -pin.skew(p)], [np.zeros((3, 3)), np.eye(3)]]))
-    G, A = np.array(rows), np.array(frames)
-    lengths = G[:, :3].reshape(-1, G.shape[2]), A[:, :3].reshape(-1, 6)
-    turns = G[:, 3:].reshape(-1, G.shape[2]), A[:, 3:, 3:].reshape(-1, 3)
+    moves, A = np.array(rows), np.array(frames)
+    lengths = moves[:, :3].reshape(-1, moves.shape[2]), A[:, :3].reshape(-1, 6)
+    turns = moves[:, 3:].reshape(-1, moves.shape[2]), A[:, 3:, 3:].reshape(-1, 3)
     out, each = [], np.zeros(0)
     for (error, frame), unit in ((lengths, 1e3), (turns, float(np.rad2deg(1.0)))):
         left = error - frame @ np.linalg.lstsq(frame, error, rcond=None)[0]

@@ -163,8 +163,14 @@ def not_to_be_saved(calibration: Calibration, path: str | Path) -> BadFitError:
     stays = "; the file that is there stays as it was" if Path(path).exists() else ""
     what = f"the result is bad, and {path} was not written{stays}"
     remedy = "record more poses and moves with the default method"
-    found = calibration.physics
-    if found is not None:
+    found, unexplained = calibration.physics, calibration.unexplained
+    if unexplained:
+        what = f"{what}; the tree does not explain what {', '.join(unexplained)} feel"
+        remedy = (
+            "move from rest to rest, one joint at a time now and then, with an SU on every "
+            "segment, and see whether clocks, axes and names of these SUs are right"
+        )
+    elif found is not None:
         what, remedy = f"{what}; the readings show {found[0]}", f"{found[1]}, and record again"
     return BadFitError(
         what,

@@ -176,14 +176,15 @@ class Calibration(Record):
         else be off by more than is stated. It is bad where the readings are not explained, or only
         in part while no SU that a recording could place is determined, or where most
         of these are not and most would need errors that no sensor has: then it is the model that is
-        wrong, which SUs on the base fit whatever it is. What no recording can tell must not spoil
+        wrong, which SUs on the base fit whatever it is; and so it is where an SU feels motion that
+        its place in the tree does not explain. What no recording can tell must not spoil
         it, such as where branches that meet in one joint sit along its axis.
         """
         if not self.misfit <= self.largest_misfit:
             return "bad"
         if self.misfit > GOOD_FIT and self._placed and "determined" not in self._placed:
             return "bad"
-        if self.mostly_open and self.mostly_implausible:
+        if self.unexplained or (self.mostly_open and self.mostly_implausible):
             return "bad"
         goodness, seen = self.goodness, self.observability
         explained = max(self.misfit, goodness.prediction, seen.widening) <= GOOD_FIT
@@ -200,6 +201,15 @@ class Calibration(Record):
         """SUs that were left out because no place in the tree explains their readings."""
         left_out = of_kind(self.notes, "su left out")
         return tuple(su for note in left_out if note.detail == "no chain" for su in note.sus)
+
+    @property
+    def unexplained(self) -> tuple[str, ...]:
+        """SUs without a fault that feel motion which their place in the tree does not explain."""
+        if self.along is None:
+            return ()
+        names = self.along.problem.tree.su_names
+        known = {fault.subject for fault in self.faults}
+        return tuple(n for u, n in enumerate(names) if self.along.unexplained[u] and n not in known)
 
     @property
     def physics(self) -> tuple[str, str] | None:

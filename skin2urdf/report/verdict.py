@@ -20,15 +20,15 @@ _NAMED = 3
 
 
 DoubtKind = Literal[
-    "faults", "SUs unplaced", "soft base", "SUs misfit", "poses misfit", "prediction",
-    "errors come back", "sensors", "no such sensors", "weak joints", "open limbs", "joints open",
-    "SUs open",
+    "faults", "SUs unplaced", "SUs unexplained", "soft base", "SUs misfit", "poses misfit",
+    "prediction", "errors come back", "sensors", "no such sensors", "weak joints", "open limbs",
+    "joints open", "SUs open",
 ]  # fmt: skip
-"""What speaks against a result: things found wrong, SUs whose readings fit no place, a base that
-gives way, SUs and poses that fit worse than the rest, poses that are predicted worse than stated,
-what is left of the readings and comes back with the motion, sensors that are worse than the options
-say, or than any, axes that are known weakly, limbs whose places are open, and what of the joints
-and SUs the log does not determine."""
+"""What speaks against a result: things found wrong, SUs whose readings fit no place, or not the one
+that they have, a base that gives way, SUs and poses that fit worse than the rest, poses that are
+predicted worse than stated, what is left of the readings and comes back with the motion, sensors
+that are worse than the options say, or than any, axes that are known weakly, limbs whose places are
+open, and what of the joints and SUs the log does not determine."""
 
 
 @dataclass(frozen=True)
@@ -120,6 +120,14 @@ def _doubts(calibration: Calibration) -> list[Doubt]:
             "may be wrong with them, or with names or joints (see the notes)"
         )
         found.append(Doubt("SUs unplaced", words, lost))
+    unexplained = calibration.unexplained
+    if unexplained:
+        feel = "feels" if len(unexplained) == 1 else "feel"
+        words = (
+            f"{shortened(list(unexplained), _NAMED)} {feel} motion that the tree does not explain: "
+            "an SU hangs on a wrong joint, or its clock, its axes or its name are wrong"
+        )
+        found.append(Doubt("SUs unexplained", words, unexplained))
     if calibration.base_gives_way:
         words = (
             "the base gives way: lengths along the first axis may be off by more than is stated "

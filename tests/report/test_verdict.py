@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -10,6 +11,7 @@ import numpy as np
 import pytest
 from calibrated import calibration
 
+from skin2urdf.arrays import F64
 from skin2urdf.calibration.pipeline import check_fit
 from skin2urdf.calibration.result import Calibration
 from skin2urdf.errors import BadFitError
@@ -89,6 +91,29 @@ def test_a_base_that_gives_way_makes_a_good_fit_fair() -> None:
     found = replace(calibration(), along=replace(along, causes=("base",)))
     assert found.quality == "fair"
     assert against(found) == [("soft base", ()), missing()]
+
+
+def leaving(what: Callable[[F64], F64], scale: float) -> Calibration:
+    """The calibration with residuals of its last SU that are made of the joints' positions."""
+    found, along = calibration(), calibration().along
+    assert along is not None
+    (log,), (predicted,) = along.problem.logs, along.fitted.predicted
+    residual = predicted.residual.copy()
+    residual[:, -1, :3] += scale * what(log.q[log.kept])
+    changed = replace(along.fitted, predicted=(replace(predicted, residual=residual),))
+    return replace(found, along=replace(along, fitted=changed))
+
+
+def test_an_su_that_feels_motion_its_place_does_not_explain_makes_it_bad() -> None:
+    """What is left passes for noise of its sensor, which does not follow the motion."""
+    name = calibration().model.tree.su_names[-1]
+    noise = np.random.default_rng(3)
+    wrong = leaving(lambda q: np.sin(q[:, [1, 2, 3]]), 5.0)
+    assert (wrong.quality, wrong.unexplained) == ("bad", (name,))
+    assert ("SUs unexplained", (name,)) in against(wrong)
+    assert replace(wrong, faults=(Fault("loose", name),)).unexplained == ()
+    assert leaving(lambda q: noise.normal(size=(len(q), 3)), 5.0).unexplained == ()
+    assert leaving(lambda q: np.sin(q[:, [1, 2, 3]]), 0.2).unexplained == ()
 
 
 def test_an_su_unlike_the_rest_makes_it_fair() -> None:

@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from skin2urdf.arrays import F64
+from skin2urdf.arrays import F64, Bool
 from skin2urdf.estimation.problem.cost import Priors
 from skin2urdf.estimation.problem.state import State
 from skin2urdf.estimation.trajectory.causes import SPAN, Explained, explained, misfit_of
@@ -21,6 +21,7 @@ from skin2urdf.estimation.trajectory.doubtful_fronts import (
 from skin2urdf.estimation.trajectory.elastic import Elasticity
 from skin2urdf.estimation.trajectory.encoder_noise import without_shortening
 from skin2urdf.estimation.trajectory.fit import Fitted, fit, held, leading
+from skin2urdf.estimation.trajectory.following import follow_motion
 from skin2urdf.estimation.trajectory.front_end import begin_front, droop, droop_variance
 from skin2urdf.estimation.trajectory.gyro import gyro_deviations
 from skin2urdf.estimation.trajectory.information import MotionInformation, motion_information
@@ -111,6 +112,11 @@ class MotionEstimate:
     def misfit_of_sus(self) -> F64:
         """(U,) the misfit of each SU alone; NaN for one without samples."""
         return misfit_of_sus(*self._span_means)
+
+    @cached_property
+    def unexplained(self) -> Bool:
+        """(U,) SUs of which is left what follows the joints' motion, see :mod:`following`."""
+        return follow_motion(self.fitted, self.problem.tree.prismatic)
 
     @property
     def scatter(self) -> float:

@@ -1,0 +1,78 @@
+"""SUs of which a fit leaves readings that follow the robot's motion: they hang in a wrong place.
+
+The noise of a fit is that which its residuals show. An SU that hangs on a wrong joint, or whose
+clock is far off, leaves what changes as fast as the robot moves, which passes for a noisy sensor.
+Noise, vibration and hits do not follow positions of joints, though, and what gears and links yield
+by does so by far less than gravity turns: what is left is held against functions of the positions
+of all joints, as gravity and levers beyond them are made of.
+"""
+
+from __future__ import annotations
+
+from itertools import combinations
+
+import numpy as np
+
+from skin2urdf.arrays import F64, Bool
+from skin2urdf.estimation.trajectory.fit import Fitted
+from skin2urdf.signals.trajectory import Trajectory
+
+_SHARE = 0.1
+"""Share of what changes in the readings from which what is left of them and follows the motion is
+no matter of physics: sensors' scale errors are 0.03, what yields by 20 mrad leaves 0.02, and an SU
+on a wrong joint 0.3 and more."""
+_LEAN = 0.1
+"""Turn [rad] against gravity below which an SU counts as hardly moved: what is left of it is held
+against what that turn would change."""
+_ENOUGH = 10
+"""Samples to each function, at least."""
+_STRETCH = 1.0
+"""Length of stretches of time [s], of which every other one is predicted from the rest: longer than
+noise lasts that is low-passed, and shorter than a robot stays in one place."""
+
+
+def follow_motion(fitted: Fitted, prismatic: Bool) -> Bool:
+    """(U,) True for SUs of which the fit leaves what follows the motion of the joints.
+
+    Args:
+        fitted: the fit.
+        prismatic: (D,) True for joints that slide.
+    """
+    problem = fitted.problem
+    n_sus = problem.tree.n_sus
+    left, changed, count = np.zeros(n_sus), np.zeros(n_sus), np.zeros(n_sus)
+    for log, predicted in zip(problem.logs, fitted.predicted, strict=True):
+        readings = log.readings[log.kept]
+        for u in range(n_sus):
+            use = predicted.measured[:, u]
+            if not use.any():
+                continue
+            residual, y = predicted.residual[use, u, :3], readings[use, u]
+            y = y - y.mean(axis=0)
+            count[u] += len(y)
+            changed[u] += (y**2).sum()
+            if (residual**2).sum() > _SHARE**2 * (y**2).sum():
+                left[u] += _explained(log, use, residual, prismatic)
+    about = changed + count * (_LEAN * fitted.state.gravity) ** 2
+    return np.asarray(left > _SHARE**2 * about)
+
+
+def _explained(log: Trajectory, use: Bool, residual: F64, prismatic: Bool) -> float:
+    """Sum of squares of residuals (n, 3) that functions of the joints' positions predict."""
+    q = log.q[log.kept[use]]
+    functions = [
+        (q[:, [j]] - q[:, j].mean()) if slides else np.stack([np.sin(q[:, j]), np.cos(q[:, j])], 1)
+        for j, slides in enumerate(prismatic)
+    ]
+    pairs = [
+        (a[:, :, None] * b[:, None]).reshape(len(q), -1) for a, b in combinations(functions, 2)
+    ]
+    columns = np.hstack([np.ones((len(q), 1)), *functions, *pairs])
+    columns = columns[:, : max(1, len(q) // (2 * _ENOUGH))]
+    even = (log.time[use] // _STRETCH) % 2 == 0
+    explained = 0.0
+    for here in (even, ~even):
+        x = np.linalg.lstsq(columns[~here], residual[~here], rcond=None)[0]
+        rest = residual[here] - columns[here] @ x
+        explained += float((residual[here] ** 2).sum() - (rest**2).sum())
+    return max(0.0, explained)

@@ -94,13 +94,19 @@ def test_a_base_that_gives_way_makes_a_good_fit_fair() -> None:
 
 
 def leaving(what: Callable[[F64], F64], scale: float) -> Calibration:
-    """The calibration with residuals of its last SU that are made of the joints' positions."""
+    """The calibration with readings of its last SU that hold more, made of joints' positions."""
     found, along = calibration(), calibration().along
     assert along is not None
     (log,), (predicted,) = along.problem.logs, along.fitted.predicted
-    residual = predicted.residual.copy()
-    residual[:, -1, :3] += scale * what(log.q[log.kept])
-    changed = replace(along.fitted, predicted=(replace(predicted, residual=residual),))
+    residual, readings = predicted.residual.copy(), log.readings.copy()
+    more = scale * what(log.q[log.kept])
+    residual[:, -1, :3] += more
+    readings[log.kept, -1] += more
+    changed = replace(
+        along.fitted,
+        problem=along.problem.again(logs=[replace(log, readings=readings)]),
+        predicted=(replace(predicted, residual=residual),),
+    )
     return replace(found, along=replace(along, fitted=changed))
 
 

@@ -4,7 +4,8 @@ The noise of a fit is that which its residuals show. An SU that hangs on a wrong
 clock is far off, leaves what changes as fast as the robot moves, which passes for a noisy sensor.
 Noise, vibration and hits do not follow positions of joints, though, and what gears and links yield
 by does so by far less than gravity turns: what is left is held against functions of the positions
-of all joints, as gravity and levers beyond them are made of.
+of all joints, as gravity and levers beyond them are made of, and against the prediction as it would
+be with any one joint more, or less, before the SU.
 """
 
 from __future__ import annotations
@@ -15,7 +16,6 @@ import numpy as np
 
 from skin2urdf.arrays import F64, Bool
 from skin2urdf.estimation.trajectory.fit import Fitted
-from skin2urdf.signals.trajectory import Trajectory
 
 _SHARE = 0.1
 """Share of what changes in the readings from which what is left of them and follows the motion is
@@ -48,31 +48,37 @@ def follow_motion(fitted: Fitted, prismatic: Bool) -> Bool:
             if not use.any():
                 continue
             residual, y = predicted.residual[use, u, :3], readings[use, u]
+            ahead = y - residual
             y = y - y.mean(axis=0)
             count[u] += len(y)
             changed[u] += (y**2).sum()
             if (residual**2).sum() > _SHARE**2 * (y**2).sum():
-                left[u] += _explained(log, use, residual, prismatic)
+                left[u] += _explained(
+                    log.q[log.kept[use]], log.time[use], residual, ahead, prismatic
+                )
     about = changed + count * (_LEAN * fitted.state.gravity) ** 2
     return np.asarray(left > _SHARE**2 * about)
 
 
-def _explained(log: Trajectory, use: Bool, residual: F64, prismatic: Bool) -> float:
-    """Sum of squares of residuals (n, 3) that functions of the joints' positions predict."""
-    q = log.q[log.kept[use]]
+def _explained(q: F64, time: F64, residual: F64, ahead: F64, prismatic: Bool) -> float:
+    """Sum of squares of residuals (n, 3) that functions of positions and predictions foretell."""
     functions = [
         (q[:, [j]] - q[:, j].mean()) if slides else np.stack([np.sin(q[:, j]), np.cos(q[:, j])], 1)
         for j, slides in enumerate(prismatic)
     ]
-    pairs = [
-        (a[:, :, None] * b[:, None]).reshape(len(q), -1) for a, b in combinations(functions, 2)
-    ]
-    columns = np.hstack([np.ones((len(q), 1)), *functions, *pairs])
+    turned = [_products(each, ahead) for each in functions]
+    pairs = [_products(a, b) for a, b in combinations(functions, 2)]
+    columns = np.hstack([np.ones((len(q), 1)), *functions, *turned, *pairs])
     columns = columns[:, : max(1, len(q) // (2 * _ENOUGH))]
-    even = (log.time[use] // _STRETCH) % 2 == 0
+    even = (time // _STRETCH) % 2 == 0
     explained = 0.0
     for here in (even, ~even):
         x = np.linalg.lstsq(columns[~here], residual[~here], rcond=None)[0]
         rest = residual[here] - columns[here] @ x
         explained += float((residual[here] ** 2).sum() - (rest**2).sum())
     return max(0.0, explained)
+
+
+def _products(a: F64, b: F64) -> F64:
+    """(n, k m) products of all columns of (n, k) and (n, m)."""
+    return np.asarray((a[:, :, None] * b[:, None]).reshape(len(a), -1))

@@ -14,6 +14,7 @@ import numpy as np
 
 from skin2urdf.calibration.at_rest import estimate_at_rest
 from skin2urdf.calibration.clock import Clock
+from skin2urdf.calibration.gravity_of_slides import with_gravity_of_slides
 from skin2urdf.calibration.rounds import (
     Logs,
     Solution,
@@ -83,6 +84,15 @@ def begin(
         InsufficientDataError: the logs lack what a calibration needs.
         StructureError: no SU feels any joint move.
     """
+    begun = _on_time(recordings, settings, clock)
+    of_slides = with_gravity_of_slides(begun.first, clock)
+    return begun if of_slides is None else _on_time(recordings, of_slides, clock)
+
+
+def _on_time(
+    recordings: Sequence[Recording], settings: CalibrationSettings, clock: Clock
+) -> Beginning:
+    """The beginning, with clocks of publishers as all samples show them."""
     rough = clock.run("clocks", lambda _: tuple(map(joint_clocks, recordings)))
     begun = _begun(recordings, ((),) * len(recordings), settings, clock)
     if settings.method == "paper" or not _has_several(begun.logs.sampled):

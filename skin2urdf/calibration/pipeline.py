@@ -4,61 +4,32 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 
 import numpy as np
 
 from skin2urdf.arrays import F64, Bool
-from skin2urdf.calibration.at_rest import estimate_at_rest
 from skin2urdf.calibration.beginning import Beginning, begin
 from skin2urdf.calibration.clock import Clock, Progress, Tell
-from skin2urdf.calibration.gravity_of_slides import with_gravity_of_slides
-from skin2urdf.calibration.result import (
-    BAD_FIT,
-    BAD_MISFIT,
-    GOOD_FIT,
-    HOPELESS_FIT,
-    Calibration,
-    Source,
-    SuSource,
-)
-from skin2urdf.calibration.rounds import (
-    Logs,
-    Solution,
-    Structure,
-)
-from skin2urdf.calibration.samples import (
-    clocks_in_all,
-    fit_samples,
-    is_explained_by_physics,
-    is_play,
-    late_publishers,
-    rejected,
-    stands_out,
-    with_samples,
-    without_false_hits,
-)
+from skin2urdf.calibration.explanation import explained
+from skin2urdf.calibration.refusal import check_fit
+from skin2urdf.calibration.result import Calibration, Source, SuSource
+from skin2urdf.calibration.rounds import Solution
+from skin2urdf.calibration.samples import clocks_in_all, late_publishers, with_samples
 from skin2urdf.calibration.settings import CalibrationSettings
-from skin2urdf.errors import BadFitError, InsufficientDataError, Skin2UrdfError
-from skin2urdf.estimation.solve.estimate import Estimate
+from skin2urdf.errors import BadFitError, InsufficientDataError
 from skin2urdf.estimation.trajectory.estimate import MotionEstimate
 from skin2urdf.estimation.uncertainty.goodness import Goodness, goodness
-from skin2urdf.estimation.uncertainty.health import health_notes, why_bad
+from skin2urdf.estimation.uncertainty.health import health_notes
 from skin2urdf.estimation.uncertainty.narrow import narrow_priors
 from skin2urdf.estimation.uncertainty.observability import Observability, observability
-from skin2urdf.estimation.uncertainty.physics import why_unexplained
 from skin2urdf.faults import distinct, without_slips
-from skin2urdf.hypotheses.kinds import KINDS
-from skin2urdf.hypotheses.search import StandsOut, explain
 from skin2urdf.model.canonical import canonical
 from skin2urdf.recording.progress import Share
 from skin2urdf.recording.records import Recording
 from skin2urdf.signals.filters import eroded, low_pass, noise_bandwidth
-from skin2urdf.signals.publishers import (
-    all_that_are_off,
-)
-from skin2urdf.signals.records import Features, JointClock
+from skin2urdf.signals.publishers import all_that_are_off
+from skin2urdf.signals.records import JointClock
 from skin2urdf.signals.sampling import Sampled
 from skin2urdf.structure.records import KinematicTree
 from skin2urdf.structure.unknown_positions import unknown_position_notes
@@ -90,131 +61,22 @@ def calibrate(
     settings = settings or CalibrationSettings()
     clock = Clock(progress)
     recordings = clock.run("reading", lambda tell: recordings_of(logs, tell))
+    # Clocks, samples on grids, their features, the tree that these show, and a first estimate.
     begun = begin(recordings, settings, clock)
-    of_slides = with_gravity_of_slides(begun.first, clock)
-    if of_slides is not None:
-        settings = of_slides
-        begun = begin(recordings, settings, clock)
-    sampled, structure, first = begun.logs, begun.structure, begun.first
-    along = looked = plain = None
-    in_vain: frozenset[str] = frozenset()
-    if settings.method == "paper":
-        solution = _estimate_by_the_paper(sampled, begun.features, structure, clock)
-    else:
-        looked = plain = _look(first, clock) if begun.of_patterns else None
-        explained = looked is not None and is_explained_by_physics(looked)
-        if first is not None and (explained or not begun.of_patterns):
-            solution = first
-        else:
-            solution = clock.run(
-                "what is wrong",
-                partial(
-                    explain,
-                    begun.recordings,
-                    begun.leaps,
-                    (sampled, structure, first),
-                    KINDS,
-                    clock,
-                    stands_out=_what_stands_out(looked, sampled.sampled),
-                ),
-            )
-            _refuse_beyond(HOPELESS_FIT, solution.found.cost_per_dof, solution.found)
-            in_vain = rejected(looked)
-            looked = looked if first is not None and _untouched(first, solution) else None
-    if settings.method != "paper" and settings.motion == "all":
-        # No physics leaves so much in the features of any SU, be it weighed down or not.
-        most = np.inf if solution.found.misfit <= HOPELESS_FIT else 0.0
-        along = looked or clock.run(
-            "all samples", lambda tell: fit_samples(solution, tell, without=in_vain, most=most)
-        )
-        if along is not None and first is not None and is_play(solution, along, plain):
-            solution, along = first, plain
-        if along is not None:
-            fitted = along
-            solution, along = clock.run(
-                "all samples",
-                lambda tell: without_false_hits(solution, fitted, sampled, first, tell),
-            )
-            if begun.of_patterns and along.misfit > GOOD_FIT:
-                n_sus = solution.found.tree.n_sus
-                solution, along = _of_moves(begun, n_sus, clock) or (solution, along)
+    by_the_paper = settings.method == "paper"
+    # Physics of real robots, or what is wrong, and what all samples say of either.
+    solution, along = (_by_the_paper if by_the_paper else explained)(begun, clock)
     # Of features, so that each pose can be predicted from the others.
     fit = clock.run("goodness of fit", lambda _: goodness(solution.found))
     if along is not None:
         solution = replace(solution, found=with_samples(solution.found, along))
-    if settings.method != "paper":
+    if not by_the_paper:
         check_fit(solution.found, along)
     information = clock.run("all samples", lambda _: along.information) if along else None
     seen = clock.run("observability", lambda _: observability(solution.found, information))
     late = late_publishers(along, solution.logs.sampled)
     off = all_that_are_off(begun.publishers, late)
     return _calibration(recordings, solution, along, fit, seen, off, clock)
-
-
-def _look(first: Solution | None, clock: Clock) -> MotionEstimate | None:
-    """What all samples say of a first estimate that does not explain its features; None if none."""
-    if first is None or first.logs.settings.motion != "all":
-        return None
-    if not (first.found.cost_per_dof > GOOD_FIT and first.found.misfit <= BAD_FIT):
-        return None
-    # What is bent by more is first to be mended.
-    along = clock.run("all samples", lambda tell: fit_samples(first, tell, most=BAD_MISFIT))
-    return along if along is not None and along.misfit <= BAD_MISFIT else None
-
-
-def _of_moves(begun: Beginning, n_sus: int, clock: Clock) -> tuple[Solution, MotionEstimate] | None:
-    """What rests and moves say, where that explains all samples of as many SUs.
-
-    Moves of single joints look like patterns, and may be too slow to show which SUs feel a joint:
-    where what patterns say leaves the readings unexplained, they may have been none.
-    """
-    try:
-        solution = estimate_at_rest(begun.logs, begun.structure, clock)
-    except Skin2UrdfError:
-        return None
-    if solution.found.tree.n_sus < n_sus:
-        return None
-    along = clock.run("all samples", lambda tell: fit_samples(solution, tell, most=BAD_MISFIT))
-    return None if along is None or along.misfit > GOOD_FIT else (solution, along)
-
-
-def _what_stands_out(along: MotionEstimate | None, sampled: Sequence[Sampled]) -> StandsOut:
-    """What tells hits from the play of gears; where samples are not explained, all are hits."""
-    if along is None or not along.misfit <= GOOD_FIT:
-        return lambda *_: True
-    return partial(stands_out, along, sampled)
-
-
-def _untouched(first: Solution, solution: Solution) -> bool:
-    """Whether a search has left the logs and the structure as they were."""
-    same_logs = solution.logs.sampled is first.logs.sampled
-    return same_logs and solution.found.tree is first.found.tree and not solution.faults
-
-
-def check_fit(found: Estimate, along: MotionEstimate | None) -> None:
-    """Refuse an estimate that does not explain the readings.
-
-    Args:
-        found: the estimate.
-        along: what all samples say, which decides where there is any.
-
-    Raises:
-        BadFitError: it does not.
-    """
-    cost, limit = (found.cost_per_dof, BAD_FIT) if along is None else (along.misfit, BAD_MISFIT)
-    _refuse_beyond(limit, cost, found, along)
-
-
-def _refuse_beyond(
-    limit: float, cost: float, found: Estimate, along: MotionEstimate | None = None
-) -> None:
-    """Refuse an estimate that leaves more of the readings than a limit."""
-    if cost <= limit:  # NaN is none
-        return
-    what, remedy = why_bad(found, limit)
-    if along is not None and along.tried:
-        what, remedy = why_unexplained(along.tried, along.misfit, what, remedy)
-    raise BadFitError(what, remedy, cost_per_dof=cost)
 
 
 def _calibration(
@@ -286,14 +148,12 @@ def su_sources(recordings: Sequence[Recording], sampled: Sequence[Sampled]) -> d
     return found
 
 
-def _estimate_by_the_paper(
-    logs: Logs, features: Features, structure: Structure, clock: Clock
-) -> Solution:
+def _by_the_paper(begun: Beginning, clock: Clock) -> tuple[Solution, None]:
     """The paper's own estimator (Algorithm 2), judged like any other estimate."""
     from skin2urdf.paper.method import PaperSettings, as_estimate, estimate_paper
 
-    tree = structure.certain_tree
-    gravity = logs.settings.estimation.priors.gravity
+    tree, features = begun.structure.certain_tree, begun.features
+    gravity = begun.logs.settings.estimation.priors.gravity
     result = clock.run(
         "estimation", lambda _: estimate_paper(features, tree, PaperSettings(gravity=gravity))
     )
@@ -303,7 +163,8 @@ def _estimate_by_the_paper(
             f"the paper's method did not reach its stop value for {', '.join(open_)}",
             "calibrate with the default method, or record more poses",
         )
-    return Solution(logs, structure.seen, as_estimate(result, features, gravity), features)
+    found = as_estimate(result, features, gravity)
+    return Solution(begun.logs, begun.structure.seen, found, features), None
 
 
 def recordings_of(

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from random_robots import chain, robot_of, small_arm
 from simulated import PATTERNS, held_against
 
-from skin2urdf.calibration import pipeline
+from skin2urdf.calibration import explanation
 from skin2urdf.calibration.clock import Clock
 from skin2urdf.calibration.pipeline import calibrate
 from skin2urdf.calibration.result import HOPELESS_FIT, Calibration
@@ -205,7 +205,7 @@ def test_a_slip_explains_the_pose_in_which_it_happened() -> None:
 
 def test_no_physics_is_tried_for_what_leaves_more_than_any(monkeypatch: pytest.MonkeyPatch) -> None:
     """Where a search has not found what is wrong, fits with gears that yield take minutes."""
-    monkeypatch.setattr(pipeline, "KINDS", ())
+    monkeypatch.setattr(explanation, "KINDS", ())
     injected = FAULTS["loose"](sound(five=True), np.random.default_rng([2, *b"loose"]))
     found = calibrate([retimed(recording) for recording in injected.recordings])
     assert found.estimate.misfit > HOPELESS_FIT
@@ -238,7 +238,7 @@ def test_all_that_is_told_is_of_an_su_that_did_not_slip(monkeypatch: pytest.Monk
         assert slipped.earlier in solution.found.tree.su_names
         return replace(solution, faults=(Fault("loose", name, sus=(name, slipped.earlier)),))
 
-    monkeypatch.setattr(pipeline, "explain", explained)
+    monkeypatch.setattr(explanation, "explain", explained)
     found = calibrate(retimed(sound(five=True).recording))
     assert found.faults == ()
     assert found.goodness.by_su.dof.shape == (found.model.tree.n_sus,)

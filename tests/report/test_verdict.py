@@ -12,7 +12,7 @@ import pytest
 from calibrated import calibration
 
 from skin2urdf.arrays import F64
-from skin2urdf.calibration.pipeline import check_fit
+from skin2urdf.calibration.refusal import check_fit
 from skin2urdf.calibration.result import Calibration
 from skin2urdf.errors import BadFitError
 from skin2urdf.estimation.uncertainty.goodness import Share

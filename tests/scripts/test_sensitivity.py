@@ -9,7 +9,7 @@ from sensitive.table import changes
 from sensitive.trials import Case, Figures, Trial
 from sensitivity import cases_of, parser
 
-from skin2urdf.calibration import pipeline, result
+from skin2urdf.calibration import explanation, result
 from skin2urdf.errors import UsageError
 
 CLEAR = Constant("signals/leaps", "_CLEAR")
@@ -31,8 +31,8 @@ def test_a_constant_is_another_one_wherever_it_is_used_and_only_for_a_while() ->
     of_result = Constant("calibration/result", "HOPELESS_FIT")
     before = result.HOPELESS_FIT
     with another(of_result, 0.5) as value:
-        assert pipeline.HOPELESS_FIT == result.HOPELESS_FIT == value == before / 2
-    assert pipeline.HOPELESS_FIT == result.HOPELESS_FIT == before
+        assert explanation.HOPELESS_FIT == result.HOPELESS_FIT == value == before / 2
+    assert explanation.HOPELESS_FIT == result.HOPELESS_FIT == before
 
 
 def test_whole_numbers_stay_whole_and_become_others() -> None:

@@ -1,0 +1,148 @@
+"""What explains the readings: physics that real robots have, or something that is wrong.
+
+A first estimate whose features leave more than noise is looked at with all samples. Where elastic
+gears, slow sensors and their like explain these, nothing is wrong. Otherwise a search finds what
+is, and all samples have the last word about that as well.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import partial
+
+import numpy as np
+
+from skin2urdf.calibration.at_rest import estimate_at_rest
+from skin2urdf.calibration.beginning import Beginning
+from skin2urdf.calibration.clock import Clock
+from skin2urdf.calibration.refusal import check_hope
+from skin2urdf.calibration.result import BAD_FIT, BAD_MISFIT, GOOD_FIT, HOPELESS_FIT
+from skin2urdf.calibration.rounds import Solution
+from skin2urdf.calibration.samples import (
+    fit_samples,
+    is_explained_by_physics,
+    is_play,
+    rejected,
+    stands_out,
+    without_false_hits,
+)
+from skin2urdf.errors import Skin2UrdfError
+from skin2urdf.estimation.trajectory.estimate import MotionEstimate
+from skin2urdf.hypotheses.kinds import KINDS
+from skin2urdf.hypotheses.search import StandsOut, explain
+from skin2urdf.signals.sampling import Sampled
+
+
+def explained(begun: Beginning, clock: Clock) -> tuple[Solution, MotionEstimate | None]:
+    """The robot, with all that was found wrong, and what all samples say of it.
+
+    Args:
+        begun: logs, structure and first estimate.
+        clock: runs the stages.
+
+    Returns:
+        The estimate of features, and that of all samples; None where features alone count.
+
+    Raises:
+        BadFitError: no model explains the features.
+        StructureError: the SUs' activity contradicts every kinematic tree.
+    """
+    first = begun.first
+    looked = _look(first, clock) if begun.of_patterns else None
+    trusted = not begun.of_patterns or (looked is not None and is_explained_by_physics(looked))
+    if first is not None and trusted:
+        return _along(begun, first, looked, looked, frozenset(), clock)
+    solution = clock.run(
+        "what is wrong",
+        partial(
+            explain,
+            begun.recordings,
+            begun.leaps,
+            (begun.logs, begun.structure, first),
+            KINDS,
+            clock,
+            stands_out=_what_stands_out(looked, begun.logs.sampled),
+        ),
+    )
+    check_hope(solution.found)
+    known = looked if first is not None and _untouched(first, solution) else None
+    return _along(begun, solution, known, looked, rejected(looked), clock)
+
+
+def _look(first: Solution | None, clock: Clock) -> MotionEstimate | None:
+    """What all samples say of a first estimate that does not explain its features; None if none."""
+    if first is None or first.logs.settings.motion != "all":
+        return None
+    if not (first.found.cost_per_dof > GOOD_FIT and first.found.misfit <= BAD_FIT):
+        return None
+    # What is bent by more is first to be mended.
+    along = clock.run("all samples", lambda tell: fit_samples(first, tell, most=BAD_MISFIT))
+    return along if along is not None and along.misfit <= BAD_MISFIT else None
+
+
+def _what_stands_out(along: MotionEstimate | None, sampled: Sequence[Sampled]) -> StandsOut:
+    """What tells hits from the play of gears; where samples are not explained, all are hits."""
+    if along is None or not along.misfit <= GOOD_FIT:
+        return lambda *_: True
+    return partial(stands_out, along, sampled)
+
+
+def _untouched(first: Solution, solution: Solution) -> bool:
+    """Whether a search has left the logs and the structure as they were."""
+    same_logs = solution.logs.sampled is first.logs.sampled
+    return same_logs and solution.found.tree is first.found.tree and not solution.faults
+
+
+def _along(
+    begun: Beginning,
+    solution: Solution,
+    known: MotionEstimate | None,
+    plain: MotionEstimate | None,
+    in_vain: frozenset[str],
+    clock: Clock,
+) -> tuple[Solution, MotionEstimate | None]:
+    """What all samples say of a solution, and what they leave of its faults.
+
+    Args:
+        begun: logs, structure and first estimate.
+        solution: what features say.
+        known: the fit of all samples, where there is one already.
+        plain: that of the logs in which nothing was mended, where there is one.
+        in_vain: causes that need not be tried.
+        clock: runs the stages.
+    """
+    if begun.logs.settings.motion != "all":
+        return solution, None
+    # No physics leaves so much in the features of any SU, be it weighed down or not.
+    most = np.inf if solution.found.misfit <= HOPELESS_FIT else 0.0
+    along = known or clock.run(
+        "all samples", lambda tell: fit_samples(solution, tell, without=in_vain, most=most)
+    )
+    if along is None:
+        return solution, None
+    first = begun.first
+    if first is not None and plain is not None and is_play(solution, along, plain):
+        solution, along = first, plain
+    fitted = along
+    solution, along = clock.run(
+        "all samples", lambda tell: without_false_hits(solution, fitted, begun.logs, first, tell)
+    )
+    if begun.of_patterns and along.misfit > GOOD_FIT:
+        return _of_moves(begun, solution.found.tree.n_sus, clock) or (solution, along)
+    return solution, along
+
+
+def _of_moves(begun: Beginning, n_sus: int, clock: Clock) -> tuple[Solution, MotionEstimate] | None:
+    """What rests and moves say, where that explains all samples of as many SUs.
+
+    Moves of single joints look like patterns, and may be too slow to show which SUs feel a joint:
+    where what patterns say leaves the readings unexplained, they may have been none.
+    """
+    try:
+        solution = estimate_at_rest(begun.logs, begun.structure, clock)
+    except Skin2UrdfError:
+        return None
+    if solution.found.tree.n_sus < n_sus:
+        return None
+    along = clock.run("all samples", lambda tell: fit_samples(solution, tell, most=BAD_MISFIT))
+    return None if along is None or along.misfit > GOOD_FIT else (solution, along)

@@ -1,0 +1,45 @@
+"""The refusal of estimates that do not explain the readings."""
+
+from __future__ import annotations
+
+from skin2urdf.calibration.result import BAD_FIT, BAD_MISFIT, HOPELESS_FIT
+from skin2urdf.errors import BadFitError
+from skin2urdf.estimation.solve.estimate import Estimate
+from skin2urdf.estimation.trajectory.estimate import MotionEstimate
+from skin2urdf.estimation.uncertainty.health import why_bad
+from skin2urdf.estimation.uncertainty.physics import why_unexplained
+
+
+def check_hope(found: Estimate) -> None:
+    """Refuse an estimate of features that nothing found in all samples could mend.
+
+    Raises:
+        BadFitError: it leaves too much of the readings.
+    """
+    _refuse_beyond(HOPELESS_FIT, found.cost_per_dof, found)
+
+
+def check_fit(found: Estimate, along: MotionEstimate | None) -> None:
+    """Refuse an estimate that does not explain the readings.
+
+    Args:
+        found: the estimate.
+        along: what all samples say, which decides where there is any.
+
+    Raises:
+        BadFitError: it does not.
+    """
+    cost, limit = (found.cost_per_dof, BAD_FIT) if along is None else (along.misfit, BAD_MISFIT)
+    _refuse_beyond(limit, cost, found, along)
+
+
+def _refuse_beyond(
+    limit: float, cost: float, found: Estimate, along: MotionEstimate | None = None
+) -> None:
+    """Refuse an estimate that leaves more of the readings than a limit."""
+    if cost <= limit:  # NaN is none
+        return
+    what, remedy = why_bad(found, limit)
+    if along is not None and along.tried:
+        what, remedy = why_unexplained(along.tried, along.misfit, what, remedy)
+    raise BadFitError(what, remedy, cost_per_dof=cost)

@@ -33,7 +33,7 @@ from skin2urdf.hypotheses.search import StandsOut, explain
 from skin2urdf.signals.sampling import Sampled
 
 
-def explained(begun: Beginning, clock: Clock) -> tuple[Solution, MotionEstimate | None]:
+def explain_readings(begun: Beginning, clock: Clock) -> tuple[Solution, MotionEstimate | None]:
     """The robot, with all that was found wrong, and what all samples say of it.
 
     Args:
@@ -51,7 +51,7 @@ def explained(begun: Beginning, clock: Clock) -> tuple[Solution, MotionEstimate 
     looked = _look(first, clock) if begun.of_patterns else None
     trusted = not begun.of_patterns or (looked is not None and is_explained_by_physics(looked))
     if first is not None and trusted:
-        return _along(begun, first, looked, looked, frozenset(), clock)
+        return _fit_along(begun, first, looked, looked, frozenset(), clock)
     solution = clock.run(
         "what is wrong",
         partial(
@@ -66,7 +66,7 @@ def explained(begun: Beginning, clock: Clock) -> tuple[Solution, MotionEstimate 
     )
     check_hope(solution.found)
     known = looked if first is not None and _untouched(first, solution) else None
-    return _along(begun, solution, known, looked, rejected(looked), clock)
+    return _fit_along(begun, solution, known, looked, rejected(looked), clock)
 
 
 def _look(first: Solution | None, clock: Clock) -> MotionEstimate | None:
@@ -93,7 +93,7 @@ def _untouched(first: Solution, solution: Solution) -> bool:
     return same_logs and solution.found.tree is first.found.tree and not solution.faults
 
 
-def _along(
+def _fit_along(
     begun: Beginning,
     solution: Solution,
     known: MotionEstimate | None,

@@ -11,7 +11,7 @@ import numpy as np
 from skin2urdf.arrays import F64, Bool
 from skin2urdf.calibration.beginning import Beginning, begin
 from skin2urdf.calibration.clock import Clock, Progress, Tell
-from skin2urdf.calibration.explanation import explained
+from skin2urdf.calibration.explanation import explain_readings
 from skin2urdf.calibration.refusal import check_fit
 from skin2urdf.calibration.result import Calibration, Source, SuSource
 from skin2urdf.calibration.rounds import Solution
@@ -65,7 +65,7 @@ def calibrate(
     begun = begin(recordings, settings, clock)
     by_the_paper = settings.method == "paper"
     # Physics of real robots, or what is wrong, and what all samples say of either.
-    solution, along = (_by_the_paper if by_the_paper else explained)(begun, clock)
+    solution, along = (_follow_the_paper if by_the_paper else explain_readings)(begun, clock)
     # Of features, so that each pose can be predicted from the others.
     fit = clock.run("goodness of fit", lambda _: goodness(solution.found))
     if along is not None:
@@ -148,7 +148,7 @@ def su_sources(recordings: Sequence[Recording], sampled: Sequence[Sampled]) -> d
     return found
 
 
-def _by_the_paper(begun: Beginning, clock: Clock) -> tuple[Solution, None]:
+def _follow_the_paper(begun: Beginning, clock: Clock) -> tuple[Solution, None]:
     """The paper's own estimator (Algorithm 2), judged like any other estimate."""
     from skin2urdf.paper.method import PaperSettings, as_estimate, estimate_paper
 

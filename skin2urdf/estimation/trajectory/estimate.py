@@ -11,6 +11,7 @@ import numpy as np
 from skin2urdf.arrays import F64, Bool
 from skin2urdf.estimation.problem.cost import Priors
 from skin2urdf.estimation.problem.state import State
+from skin2urdf.estimation.trajectory.ahead import Ahead, step_ahead
 from skin2urdf.estimation.trajectory.causes import SPAN, Explained, explained, misfit_of
 from skin2urdf.estimation.trajectory.deviations import su_covariances
 from skin2urdf.estimation.trajectory.doubtful_fronts import (
@@ -103,10 +104,15 @@ class MotionEstimate:
             rounding = seen.pulls(len(groups) - 1) if again is not None else None
         end = self.problem.layout.unseen.stop
         none = np.zeros(problem.layout.unseen.stop - end)
-        defects += [
-            (UNSURE * np.insert(joint, end, none), UNSURE * own) for joint, own in self.corrected
-        ]
+        lacks = [(UNSURE * joint, UNSURE * own) for joint, own in self.corrected]
+        lacks.append((self.ahead.joint, self.ahead.su))
+        defects += [(np.insert(joint, end, none), own) for joint, own in lacks]
         return motion_information(problem, fitted, defects, rounding, misfit=self.misfit)
+
+    @cached_property
+    def ahead(self) -> Ahead:
+        """The step that the fit did not take."""
+        return step_ahead(self.fitted, self.corrected[0] if self.corrected else None)
 
     @property
     def misfit_of_sus(self) -> F64:

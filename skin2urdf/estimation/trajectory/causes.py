@@ -191,14 +191,19 @@ def _of_any_cause(rigid: _Attempt, without: Collection[str]) -> tuple[_Attempt, 
 
 
 def _with_physics(rigid: _Attempt, without: Collection[str]) -> tuple[_Attempt, list[_Attempt]]:
-    """The best of what drifts and bends, one cause after the other, and all that was tried."""
+    """The best of what drifts and bends, one cause after the other, and all that was tried.
+
+    One that explains the readings may leave slack that another one would explain: to slack, its
+    deflections are of another size in every place and of none on the way.
+    """
     left = [cause for cause in (_DRIFT, *BENDS) if cause not in without]
-    if _DRIFT in left and (rigid.misfit <= _EXPLAINED or rigid.problem.priors.sensors.bias == 0):
+    if _DRIFT in left and rigid.problem.priors.sensors.bias == 0:
         left.remove(_DRIFT)
     best, tried = rigid, []
-    while left:
+    while left and best.lacks:
         further: list[_Attempt] = []
-        for cause in (*(c for c in left if c == _DRIFT), *best.likely(left)):
+        drifts = [_DRIFT] if _DRIFT in left and best.misfit > _EXPLAINED else []
+        for cause in (*drifts, *best.likely(left)):
             further.append(best.adding(cause))
             tried.append(further[-1])
             if not further[-1].lacks and _explains_most(further[-1], best):
@@ -212,8 +217,6 @@ def _with_physics(rigid: _Attempt, without: Collection[str]) -> tuple[_Attempt, 
             break
         best = other
         left.remove(best.causes[-1])
-        if best.misfit <= _EXPLAINED:
-            break
     return best, tried
 
 

@@ -41,6 +41,7 @@ from skin2urdf.estimation.trajectory.gears import find_ripples, harmonics, rippl
 from skin2urdf.estimation.trajectory.known_torque import known_elasticity
 from skin2urdf.estimation.trajectory.misfit import misfit, span_means
 from skin2urdf.estimation.trajectory.on_the_base import turned_as_the_base
+from skin2urdf.estimation.trajectory.play import deflections_saturate
 from skin2urdf.estimation.trajectory.problem import MotionProblem
 from skin2urdf.estimation.trajectory.shaken import Shaken
 from skin2urdf.estimation.trajectory.slack import (
@@ -109,8 +110,8 @@ deviations. Slack of gears in a log of 15 s has 8, rounding that 200 SUs see 4."
 _NEGATIVE = 10.0
 """Deviations below zero at which a compliance is none: what torques lack in truth, as those of
 cables and tools that a model leaves out, makes small ones wrong by several."""
-BENDS, _DRIFT = ("elastic", "base"), "drift"
-"""Causes of deflections, and that of biases."""
+BENDS, PLAY, _DRIFT = ("elastic", "base"), "play", "drift"
+"""Causes of deflections, what is followed as the first of them and is none, and that of biases."""
 _KNOTS = 15.0
 """Time between the moments that a drifting bias is given at [s]; sensors warm up in minutes."""
 
@@ -194,17 +195,21 @@ def _with_physics(rigid: _Attempt, without: Collection[str]) -> tuple[_Attempt, 
     """The best of what drifts and bends, one cause after the other, and all that was tried.
 
     One that explains the readings may leave slack that another one would explain: to slack, its
-    deflections are of another size in every place and of none on the way.
+    deflections are of another size in every place and of none on the way. Of play nothing else that
+    bends explains what it leaves.
     """
     left = [cause for cause in (_DRIFT, *BENDS) if cause not in without]
     if _DRIFT in left and rigid.problem.priors.sensors.bias == 0:
         left.remove(_DRIFT)
-    best, tried = rigid, []
+    best, tried = rigid, list[_Attempt]()
     while left and best.lacks:
         further: list[_Attempt] = []
         drifts = [_DRIFT] if _DRIFT in left and best.misfit > _EXPLAINED else []
         for cause in (*drifts, *best.likely(left)):
             further.append(best.adding(cause))
+            if further[-1].has_play:
+                play = replace(further[-1], causes=(*best.causes, PLAY))
+                return play, [*tried, play]
             tried.append(further[-1])
             if not further[-1].lacks and _explains_most(further[-1], best):
                 return further[-1], tried
@@ -277,6 +282,12 @@ class _Attempt:
         if self.misfit > _EXPLAINED:
             return True
         return self.slack_size is not None and self.slack_size.gain > _CERTAIN
+
+    @cached_property
+    def has_play(self) -> bool:
+        """Whether it has joints that yield, of which what is lacking shows that they have play."""
+        yields = self.causes[-1:] == BENDS[:1] and self.lacks
+        return yields and deflections_saturate(self.problem, self.fitted, _CERTAIN)
 
     def uneven(self) -> list[tuple[str, Unseen | None]]:
         """Errors of gears by name, of those that it has not yet."""

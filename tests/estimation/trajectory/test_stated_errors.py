@@ -207,6 +207,10 @@ def test_errors_that_come_back_with_the_motion_do_not_average_out() -> None:
     np.testing.assert_allclose(by_noise[1] / by_noise[0], 3**-0.5, rtol=0.25)
     assert by_place[1] / by_place[0] > 0.85
     assert _found(excess=1e-2)[1].widening > 2
+    # Twenty times as much is taken for noise of the samples, and does not pass for it.
+    louder, seen = _found(excess=0.2)
+    assert louder.fitted.noise[0].mean() > 10 * _found()[0].fitted.noise[0].mean()
+    assert louder.misfit < 2 < seen.widening
 
 
 def _widening_of_many(slack: float = 0.0) -> tuple[float, float]:

@@ -12,7 +12,7 @@ from skin2urdf.arrays import F64, Bool
 from skin2urdf.estimation.problem.cost import Priors
 from skin2urdf.estimation.problem.state import State
 from skin2urdf.estimation.trajectory.ahead import Ahead, step_ahead
-from skin2urdf.estimation.trajectory.causes import SPAN, Explained, explained, misfit_of
+from skin2urdf.estimation.trajectory.causes import Explained, explained
 from skin2urdf.estimation.trajectory.deviations import su_covariances
 from skin2urdf.estimation.trajectory.doubtful_fronts import (
     UNSURE,
@@ -29,7 +29,9 @@ from skin2urdf.estimation.trajectory.information import MotionInformation, motio
 from skin2urdf.estimation.trajectory.leaning import with_leaning_base
 from skin2urdf.estimation.trajectory.listening import found_gyros, listened
 from skin2urdf.estimation.trajectory.misfit import (
+    SPAN,
     misfit,
+    misfit_of,
     misfit_of_links,
     misfit_of_sus,
     span_means,

@@ -15,14 +15,9 @@ from functools import cached_property
 
 import numpy as np
 
-from skin2urdf.estimation.trajectory.bending import (
-    bending,
-)
+from skin2urdf.estimation.trajectory.balance import bending
 from skin2urdf.estimation.trajectory.elastic import Elasticity
-from skin2urdf.estimation.trajectory.fit import (
-    Fitted,
-    fit,
-)
+from skin2urdf.estimation.trajectory.fit import Fitted, fit
 from skin2urdf.estimation.trajectory.gears import find_ripples, harmonics, ripples
 from skin2urdf.estimation.trajectory.known_torque import with_known_torque, yields
 from skin2urdf.estimation.trajectory.misfit import MOST_OF_IT, SPAN, misfit_of, span_means

@@ -12,20 +12,9 @@ from typing import cast
 
 import numpy as np
 
-from skin2urdf.estimation.trajectory.bending import (
-    Bending,
-    balanced,
-    bending,
-    unsettled,
-)
-from skin2urdf.estimation.trajectory.fit import (
-    Fitted,
-    Led,
-    cost_with,
-    fit,
-    fit_following,
-    held,
-)
+from skin2urdf.estimation.trajectory.balance import balanced, bending, unsettled
+from skin2urdf.estimation.trajectory.bending import Bending
+from skin2urdf.estimation.trajectory.fit import Fitted, Led, cost_with, fit, fit_following, held
 from skin2urdf.estimation.trajectory.misfit import MOST_OF_IT, SPAN, misfit_of
 from skin2urdf.estimation.trajectory.on_the_base import turned_as_the_base
 from skin2urdf.estimation.trajectory.problem import MotionProblem

@@ -17,7 +17,8 @@ from synthetic import RATE, random_state, sampled_trajectory, serial_tree, stays
 from skin2urdf.arrays import F64
 from skin2urdf.estimation.problem.cost import Priors
 from skin2urdf.estimation.problem.state import State
-from skin2urdf.estimation.trajectory.bending import Bending, bending, followed
+from skin2urdf.estimation.trajectory.balance import bending, followed
+from skin2urdf.estimation.trajectory.bending import Bending
 from skin2urdf.estimation.trajectory.estimate import MotionEstimate, estimate_along, motion_priors
 from skin2urdf.estimation.trajectory.problem import MotionProblem
 from skin2urdf.estimation.trajectory.state import MotionState

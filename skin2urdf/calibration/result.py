@@ -170,15 +170,15 @@ class Calibration(Record):
         """How far the result can be trusted: whether the model explains the readings, and more.
 
         It is good only if poses are predicted as well as stated, errors do not come back where the
-        robot does the same, nothing is wrong with an SU, a pose or an encoder, no sensor would need
-        an error that none has, every SU with readings has a place, no joint is weak, half of the
-        joints are determined, and the base stands still, since lengths along the first axis may
-        else be off by more than is stated. It is bad where the readings are not explained, or only
-        in part while no SU that a recording could place is determined, or where most
-        of these are not and most would need errors that no sensor has: then it is the model that is
-        wrong, which SUs on the base fit whatever it is; and so it is where an SU feels motion that
-        its place in the tree does not explain. What no recording can tell must not spoil
-        it, such as where branches that meet in one joint sit along its axis.
+        robot does the same, the fit of all samples has arrived, nothing is wrong with an SU, a pose
+        or an encoder, no sensor would need an error that none has, every SU with readings has a
+        place, no joint is weak, half of the joints are determined, and the base stands still, since
+        lengths along the first axis may else be off by more than is stated. It is bad where the
+        readings are not explained, or only in part while no SU that a recording could place is
+        determined, or where most of these are not and most would need errors that no sensor has:
+        then it is the model that is wrong, which SUs on the base fit whatever it is; and so it is
+        where an SU feels motion that its place in the tree does not explain. What no recording can
+        tell must not spoil it, such as where branches that meet in one joint sit along its axis.
         """
         if not self.misfit <= self.largest_misfit:
             return "bad"
@@ -188,6 +188,7 @@ class Calibration(Record):
             return "bad"
         goodness, seen = self.goodness, self.observability
         explained = max(self.misfit, goodness.prediction, seen.widening) <= GOOD_FIT
+        explained &= not self.not_arrived
         alike = not (self.unlike_sus.odd.any() or self.unlike_poses.odd.any())
         verdicts = seen.joint_verdict
         known = "weak" not in verdicts and 2 * verdicts.count("determined") >= len(verdicts)
@@ -210,6 +211,11 @@ class Calibration(Record):
         names = self.along.problem.tree.su_names
         known = {fault.subject for fault in self.faults}
         return tuple(n for u, n in enumerate(names) if self.along.unexplained[u] and n not in known)
+
+    @property
+    def not_arrived(self) -> bool:
+        """Whether the fit of all samples ended where more is still to change than noise leaves."""
+        return self.along is not None and self.along.ahead.is_most
 
     @property
     def physics(self) -> tuple[str, str] | None:

@@ -14,7 +14,7 @@ from skin2urdf.calibration.rounds import Logs, Solution
 from skin2urdf.calibration.settings import CalibrationSettings
 from skin2urdf.estimation.problem.cost import Priors
 from skin2urdf.estimation.solve.estimate import Estimate
-from skin2urdf.estimation.trajectory.causes import BENDS
+from skin2urdf.estimation.trajectory.causes import BENDS, PLAY
 from skin2urdf.estimation.trajectory.estimate import (
     MotionEstimate,
     estimate_along,
@@ -270,7 +270,7 @@ def without_false_hits(
         return solution, along
     # An SU that did leaves so much that every cause would be tried in vain. So would they be where
     # the logs without the hits leave only noise to a stiff robot: what yields shows there as well.
-    stiff = not set(along.causes) & set(BENDS) and (loose or leaves_only_noise(along))
+    stiff = not set(along.causes) & {*BENDS, PLAY} and (loose or leaves_only_noise(along))
     most = 0.0 if stiff else np.inf
     again = fit_samples(everything, tell, without=rejected(along), most=most)
     if again is None or (loose and not leaves_only_noise(again)):

@@ -278,6 +278,7 @@ def _samples(calibration: Calibration) -> dict[str, Any] | None:
     of_clocks = np.array([deviations[:, layout.clock(g)] for g in range(len(state.clock))])
     return {
         "misfit": along.misfit,
+        "step_ahead": along.ahead.share,
         "causes": list(along.causes),
         "slack": along.slack,
         "base_motion": along.base_motion,

@@ -236,6 +236,12 @@ def sensor_notes(along: MotionEstimate | None, of: Sequence[str] | None = None) 
             "reads motor positions sees links off by these deflections (stiffness takes known "
             "torques)"
         )
+    if "play" in along.causes:
+        notes.append(
+            "joints have play: links lie on one side of a gap or on the other, which their "
+            f"encoders, before the gears, do not see: at most {largest}; it was followed in part: "
+            "have the gears' play taken up"
+        )
     if "base" in along.causes:
         turned = number(along.base_motion[3:].max() * _MM)
         notes.append(

@@ -21,12 +21,13 @@ _NAMED = 3
 
 DoubtKind = Literal[
     "faults", "SUs unplaced", "SUs unexplained", "soft base", "SUs misfit", "poses misfit",
-    "prediction", "errors come back", "sensors", "no such sensors", "weak joints", "open limbs",
-    "joints open", "SUs open",
+    "prediction", "errors come back", "not arrived", "sensors", "no such sensors", "weak joints",
+    "open limbs", "joints open", "SUs open",
 ]  # fmt: skip
 """What speaks against a result: things found wrong, SUs whose readings fit no place, or not the one
 that they have, a base that gives way, SUs and poses that fit worse than the rest, poses that are
-predicted worse than stated, what is left of the readings and comes back with the motion, sensors
+predicted worse than stated, what is left of the readings and comes back with the motion, a fit that
+ended before it arrived, sensors
 that are worse than the options say, or than any, axes that are known weakly, limbs whose places are
 open, and what of the joints and SUs the log does not determine."""
 
@@ -156,6 +157,14 @@ def _doubts(calibration: Calibration) -> list[Doubt]:
             f"errors are {times:.1f} times those of noise"
         )
         found.append(Doubt("errors come back", words, number=times))
+    if calibration.along is not None and calibration.not_arrived:
+        times = calibration.along.ahead.share
+        words = (
+            "the fit of all samples ended before it arrived: a further step would change the "
+            f"result by {times:.1f} times its noise, which stated errors count (record more "
+            "motion, or give the robot's own URDF by --model)"
+        )
+        found.append(Doubt("not arrived", words, number=times))
     by_the_paper = calibration.settings.method == "paper"
     narrow = not by_the_paper and narrow_priors(calibration.estimate)
     if narrow and calibration.misfit > GOOD_FIT:

@@ -15,6 +15,7 @@ from skin2urdf.arrays import F64
 from skin2urdf.calibration.refusal import check_fit
 from skin2urdf.calibration.result import Calibration
 from skin2urdf.errors import BadFitError
+from skin2urdf.estimation.trajectory.fit import held
 from skin2urdf.estimation.uncertainty.goodness import Share
 from skin2urdf.estimation.uncertainty.physics import physics_found, why_unexplained
 from skin2urdf.faults import Fault
@@ -154,6 +155,21 @@ def test_errors_that_come_back_make_it_fair() -> None:
     lacking = with_observability(widening=4.0)
     assert lacking.quality == "fair"
     assert "2.0 times" in line(lacking)
+
+
+def test_a_fit_that_has_not_arrived_makes_it_fair() -> None:
+    found = calibration()
+    assert found.along is not None
+    problem, fitted = found.along.problem, found.along.fitted
+    places = fitted.state.placements
+    elsewhere = replace(fitted.state, placements=replace(places, bias=places.bias + 0.01))
+    along = replace(found.along, fitted=held(problem, elsewhere))
+    off = replace(found, along=along)
+    assert off.quality == "fair"
+    ((kind, _), *_) = against(off)
+    assert kind == "not arrived"
+    assert f"{along.ahead.share:.1f} times" in line(off)
+    assert found.along.ahead.share < 1 < along.ahead.share
 
 
 def test_poses_that_can_not_be_predicted_are_no_fault() -> None:

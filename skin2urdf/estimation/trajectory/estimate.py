@@ -11,7 +11,8 @@ import numpy as np
 from skin2urdf.arrays import F64, Bool
 from skin2urdf.estimation.problem.cost import Priors
 from skin2urdf.estimation.problem.state import State
-from skin2urdf.estimation.trajectory.causes import SPAN, Explained, explained, misfit_of
+from skin2urdf.estimation.trajectory.ahead import Ahead, step_ahead
+from skin2urdf.estimation.trajectory.causes import Explained, explained
 from skin2urdf.estimation.trajectory.deviations import su_covariances
 from skin2urdf.estimation.trajectory.doubtful_fronts import (
     UNSURE,
@@ -28,7 +29,9 @@ from skin2urdf.estimation.trajectory.information import MotionInformation, motio
 from skin2urdf.estimation.trajectory.leaning import with_leaning_base
 from skin2urdf.estimation.trajectory.listening import found_gyros, listened
 from skin2urdf.estimation.trajectory.misfit import (
+    SPAN,
     misfit,
+    misfit_of,
     misfit_of_links,
     misfit_of_sus,
     span_means,
@@ -64,8 +67,8 @@ class MotionEstimate:
             where the model explains the readings.
         gyros: what was found of gyroscopes; None where no SU has one.
         causes: what was added to a rigid robot with steady sensors: ``elastic`` joints, a ``base``
-            that gives way, ``drift`` of biases, ``harmonics`` and ``ripples`` of gears, ``slack``
-            from place to place.
+            that gives way, ``play`` of joints, ``drift`` of biases, ``harmonics`` and ``ripples``
+            of gears, ``slack`` from place to place.
         tried: misfit with each cause that was tried, chosen or not.
         under_known: what joints yield under torques that are known, the first of what encoders do
             not see; None where none do, or torques are not known.
@@ -103,10 +106,15 @@ class MotionEstimate:
             rounding = seen.pulls(len(groups) - 1) if again is not None else None
         end = self.problem.layout.unseen.stop
         none = np.zeros(problem.layout.unseen.stop - end)
-        defects += [
-            (UNSURE * np.insert(joint, end, none), UNSURE * own) for joint, own in self.corrected
-        ]
+        lacks = [(UNSURE * joint, UNSURE * own) for joint, own in self.corrected]
+        lacks.append((self.ahead.joint, self.ahead.su))
+        defects += [(np.insert(joint, end, none), own) for joint, own in lacks]
         return motion_information(problem, fitted, defects, rounding, misfit=self.misfit)
+
+    @cached_property
+    def ahead(self) -> Ahead:
+        """The step that the fit did not take."""
+        return step_ahead(self.fitted, self.corrected[0] if self.corrected else None)
 
     @property
     def misfit_of_sus(self) -> F64:

@@ -14,6 +14,11 @@ _PHYSICS = {
         "a base that gives way",
         "put an SU on the base, and fix it more stiffly",
     ),
+    "play": (
+        "joints with play",
+        "have the gears' play taken up, or log the positions of the links if the robot has "
+        "encoders behind its gears",
+    ),
     "drift": (
         "biases that drift",
         "let the sensors warm up before recording",

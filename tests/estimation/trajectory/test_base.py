@@ -18,7 +18,8 @@ from skin2urdf.arrays import F64
 from skin2urdf.estimation.problem.cost import Priors
 from skin2urdf.estimation.problem.state import State, identifiable
 from skin2urdf.estimation.trajectory.azimuth import turned
-from skin2urdf.estimation.trajectory.bending import Bending, bending, followed
+from skin2urdf.estimation.trajectory.balance import bending, followed
+from skin2urdf.estimation.trajectory.bending import Bending
 from skin2urdf.estimation.trajectory.estimate import MotionEstimate, estimate_along, motion_priors
 from skin2urdf.estimation.uncertainty.observability import Subject, observability_along
 from skin2urdf.geometry.so3 import rotation_exp, rotation_log

@@ -12,17 +12,19 @@ from functools import cache
 import numpy as np
 import pinocchio as pin
 import pytest
-from synthetic import RATE, random_state, sampled_trajectory, serial_tree
+from synthetic import RATE, random_state, sampled_trajectory, serial_tree, stays
 
 from skin2urdf.arrays import F64
 from skin2urdf.estimation.problem.cost import Priors
 from skin2urdf.estimation.problem.state import State
-from skin2urdf.estimation.trajectory.bending import Bending, bending, followed
+from skin2urdf.estimation.trajectory.balance import bending, followed
+from skin2urdf.estimation.trajectory.bending import Bending
 from skin2urdf.estimation.trajectory.estimate import MotionEstimate, estimate_along, motion_priors
 from skin2urdf.estimation.trajectory.problem import MotionProblem
 from skin2urdf.estimation.trajectory.state import MotionState
 from skin2urdf.model.kinematics import to_pinocchio
 from skin2urdf.model.specific_force import specific_forces
+from skin2urdf.signals.filters import first_derivative, second_derivative
 from skin2urdf.signals.trajectory import Trajectory
 
 _N = 5000
@@ -83,6 +85,22 @@ def _trajectory(
     return sampled_trajectory(q + deflection, read).without_first(4.0)
 
 
+def _from_place_to_place(compliance: F64, gap: float) -> Trajectory:
+    """Forty seconds between sixteen places, with gears that yield and have play [rad]."""
+    rng = np.random.default_rng(4)
+    q = stays(rng.uniform(-1.5, 1.5, (16, 2)), 130, 170)
+    qd, qdd = first_derivative(q, RATE), second_derivative(q, RATE)
+    torque = _torques(q, qd, qdd)
+    # A link takes a moment to fall across its gap.
+    side = np.tanh(torque / (0.2 * torque.std(axis=0)))
+    truth = _truth()
+    ideal = specific_forces(truth.model(_TREE), q, qd, qdd, 9.81 * _UP)
+    read = np.einsum("uij,kuj->kui", truth.sensor_matrix(), ideal) + truth.bias
+    read = read + 7e-3 * rng.standard_normal(read.shape)
+    motors = q + compliance * torque + 0.5 * gap * side
+    return sampled_trajectory(motors, read, still_below=1e-3)
+
+
 def _fit(log: Trajectory) -> MotionEstimate:
     priors = motion_priors(Priors(), gravity=0.0, front=(np.zeros(2), np.zeros(2)))
     return estimate_along([log], _TREE, _truth(), priors, np.zeros(2))
@@ -115,6 +133,17 @@ def test_joints_that_yield_are_followed() -> None:
     assert _reading_errors(soft.state) < 0.025
     for part in (soft.information.shared, soft.information.shared_su):
         assert np.isfinite(part).all()
+
+
+def test_play_is_told_from_springs() -> None:
+    loose, soft = (
+        _fit(_from_place_to_place(compliance, gap))
+        for compliance, gap in ((0.0 * _SOFT, 2e-3), (_SOFT, 2e-4))
+    )
+    assert "play" in loose.causes
+    assert "elastic" not in loose.causes
+    assert "elastic" in soft.causes
+    assert "play" not in soft.causes
 
 
 def test_what_yields_passes_the_low_pass_as_motion_does() -> None:

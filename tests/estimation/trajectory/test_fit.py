@@ -13,6 +13,7 @@ from skin2urdf.arrays import F64
 from skin2urdf.estimation.problem.cost import Priors
 from skin2urdf.estimation.problem.state import State
 from skin2urdf.estimation.trajectory.estimate import MotionEstimate, estimate_along, motion_priors
+from skin2urdf.estimation.trajectory.fit import fit
 from skin2urdf.estimation.trajectory.front_end import droop as front_droop
 from skin2urdf.estimation.trajectory.problem import MotionProblem
 from skin2urdf.estimation.trajectory.state import MotionState
@@ -214,3 +215,13 @@ def test_a_part_of_the_samples_is_predicted_as_all_are() -> None:
         strict=True,
     ):
         np.testing.assert_allclose(of_part, of_all[::3], atol=1e-12)
+
+
+def test_a_fit_goes_on_while_clocks_do() -> None:
+    found = _fit(_trajectory(np.random.default_rng(6), pole=0.004), _truth())
+    at = found.fitted.state
+    late = replace(at, clock=at.clock + np.array([0.03, 0.0]))
+    # Placements are where they belong, and the first step is as short as the last may be.
+    again = fit(found.problem, late, near=True, tolerance=30.0)
+    assert again.chi2 < found.fitted.chi2 + 100.0
+    np.testing.assert_allclose(again.state.clock[0, :, 0], at.clock[0, :, 0], atol=1e-4)

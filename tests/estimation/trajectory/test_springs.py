@@ -12,7 +12,8 @@ import pinocchio as pin
 import pytest
 from synthetic import RATE, random_state, sampled_trajectory, serial_tree
 
-from skin2urdf.estimation.trajectory.bending import Bending, balanced, followed
+from skin2urdf.estimation.trajectory.balance import balanced, followed
+from skin2urdf.estimation.trajectory.bending import Bending
 from skin2urdf.estimation.trajectory.skeleton import N_HINGES
 from skin2urdf.estimation.trajectory.springs import Springs
 from skin2urdf.estimation.trajectory.torques import bodies, joint_inertias, loads_of, regressors

@@ -20,6 +20,7 @@ from skin2urdf.estimation.problem.cost import Priors
 from skin2urdf.estimation.problem.state import State, identifiable
 from skin2urdf.estimation.trajectory.clusters import CLUSTERS, clusters
 from skin2urdf.estimation.trajectory.estimate import MotionEstimate, estimate_along, motion_priors
+from skin2urdf.estimation.trajectory.fit import fit
 from skin2urdf.estimation.trajectory.information import motion_information
 from skin2urdf.estimation.uncertainty.observability import (
     Observability,
@@ -27,6 +28,7 @@ from skin2urdf.estimation.uncertainty.observability import (
     aligned_deviations,
     observability_along,
 )
+from skin2urdf.geometry.so3 import rotation_exp
 from skin2urdf.model.kinematics import to_pinocchio
 from skin2urdf.model.specific_force import specific_forces
 from skin2urdf.signals.filters import first_derivative, second_derivative
@@ -147,6 +149,28 @@ def test_what_is_left_beyond_noise_makes_all_stated_errors_larger() -> None:
         assert stated / plain == pytest.approx(times, rel=0.15)
 
 
+def _stopped(steps: int) -> MotionEstimate:
+    """A fit that begins centimetres and degrees off, and may take so many steps."""
+    rng, (found, _) = np.random.default_rng(8), _found()
+    places = found.state
+    for name in ("T_parent_joint", "T_joint_su"):
+        off = np.array(getattr(places, name))
+        off[:, :3, :3] @= rotation_exp(0.05 * rng.standard_normal((3, 3)))
+        off[:, :3, 3] += 0.05 * rng.standard_normal((3, 3))
+        places = replace(places, **{name: off})
+    begin = replace(found.fitted.state, placements=places)
+    fitted = fit(found.problem, begin, near=True, iterations=steps)
+    return replace(found, fitted=fitted, corrected=())
+
+
+@pytest.mark.parametrize("steps", [1, 2, 3, 30])
+def test_stated_errors_hold_a_fit_that_ran_out_of_steps(steps: int) -> None:
+    stopped = _stopped(steps)
+    stated = _stated(stopped, observability_along(_subject(stopped), stopped.information))
+    assert 0.4 < _true(stopped) / stated < 2
+    assert stopped.ahead.is_most == (steps < 3)
+
+
 @cache
 def _rounded() -> MotionEstimate:
     """One joint swings at a time, others yield to it by a step of their encoders or so."""
@@ -183,6 +207,10 @@ def test_errors_that_come_back_with_the_motion_do_not_average_out() -> None:
     np.testing.assert_allclose(by_noise[1] / by_noise[0], 3**-0.5, rtol=0.25)
     assert by_place[1] / by_place[0] > 0.85
     assert _found(excess=1e-2)[1].widening > 2
+    # Twenty times as much is taken for noise of the samples, and does not pass for it.
+    louder, seen = _found(excess=0.2)
+    assert louder.fitted.noise[0].mean() > 10 * _found()[0].fitted.noise[0].mean()
+    assert louder.misfit < 2 < seen.widening
 
 
 def _widening_of_many(slack: float = 0.0) -> tuple[float, float]:

@@ -1,0 +1,61 @@
+"""The step that a fit of all samples did not take.
+
+A fit ends where its next step would be short, but also where it may take no more steps, or none
+leads on. What the next step would change is in its normal equations all the same: the gradient that
+is left, through the information. Where it was not taken, that is an error of the estimate like any
+other, and is stated as one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from skin2urdf.arrays import F64, Record
+from skin2urdf.estimation.problem.state import N_SU
+from skin2urdf.estimation.trajectory.arrow import eliminated, newton_step
+from skin2urdf.estimation.trajectory.fit import Fitted
+from skin2urdf.estimation.trajectory.shaken import Shaken
+
+
+@dataclass(frozen=True, eq=False)
+class Ahead(Record):
+    """The step that a fit did not take.
+
+    Attributes:
+        joint: (J,) and
+        su: (U, n) the gradient that is left.
+        share: its length, over that of the error which noise alone makes of an estimate.
+    """
+
+    joint: F64
+    su: F64
+    share: float
+
+    @property
+    def is_most(self) -> bool:
+        """Whether more of the estimate's error is due to it than to noise: it has not arrived."""
+        return not self.share <= 1.0
+
+
+def step_ahead(fitted: Fitted, taken_off: tuple[F64, F64] | None = None) -> Ahead:
+    """The step that a fit did not take.
+
+    Args:
+        fitted: the fit.
+        taken_off: parts (J,) and (U, n) of the gradient by which it is off its optimum on purpose.
+    """
+    problem, state = fitted.problem, fitted.state
+    free_joint, free_su = problem.free_joint, problem.free_su
+    shaken = Shaken.of(problem.tree, problem.logs, state, fitted.weights)
+    equations = shaken.taken_off(fitted.equations, problem.layout, state.front)
+    on_purpose = (0.0, 0.0) if taken_off is None else taken_off
+    joint = np.where(free_joint, equations.joint_gradient + on_purpose[0], 0.0)
+    su = np.where(free_su, equations.su_gradient + on_purpose[1], 0.0)
+    left = replace(equations, joint_gradient=joint, su_gradient=su)
+    steps = newton_step(eliminated(left, free_joint, free_su), free_joint)
+    # By noise alone chi-squared is lower at an estimate than at the truth: by 1 per coordinate.
+    fall = float(joint @ steps[0] + (su * steps[1]).sum())
+    count = free_joint[: problem.layout.gravity].sum() + free_su[:, :N_SU].sum()
+    return Ahead(joint, su, float(np.sqrt(max(fall, 0.0) / max(count, 1))))

@@ -1,0 +1,248 @@
+"""Loads in balance with the deflections that they make.
+
+Loads go with the motion of the links, of which deflections are a part, and deflections with the
+loads: both are solved for by Newton's method.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from skin2urdf.arrays import F64
+from skin2urdf.estimation.problem.state import State
+from skin2urdf.estimation.trajectory.bending import PAIRS, SPINDLE, UNLIKE, Bending
+from skin2urdf.estimation.trajectory.coarser import coarser, on_grid
+from skin2urdf.estimation.trajectory.loaded import Loaded
+from skin2urdf.estimation.trajectory.skeleton import N_HINGES, shift, turn
+from skin2urdf.estimation.trajectory.springs import Springs, roots
+from skin2urdf.estimation.trajectory.torques import inertial_sizes, regressors
+from skin2urdf.signals.filters import noise_bandwidth
+from skin2urdf.signals.trajectory import Trajectory
+from skin2urdf.structure.records import KinematicTree
+
+_SHOWS = 1e-3
+"""Least share of the largest deflection that a direction of the parameters is kept for: of
+milliradians, microradians, less than encoders and sensors tell."""
+_MOST = 100
+"""Loads at most, the largest: time goes with their square, and memory with their number."""
+_NEWTON = 8
+"""Steps at most to the deflections; each leaves a tenth or less of the error."""
+_EXACT = 3e-4
+"""Length of a step, over the largest deflection, from which the next would change nothing that
+shows."""
+_BALANCE = 1e-2
+"""Length of a step, over the largest deflection, up to which loads and deflections are in balance
+where no further step becomes shorter."""
+_PER_CUTOFF = 7.0
+"""Samples per second over the cutoff that deflections are worked out at: there differences of
+eighth order are exact to 1e-4."""
+
+
+def bending(
+    tree: KinematicTree,
+    logs: Sequence[Trajectory],
+    state: State,
+    gravity: float,
+    *,
+    joints: bool,
+    base: bool,
+) -> Bending:
+    """The deflections that the motion of the logs can make, as encoders have that motion.
+
+    Args:
+        tree: the structure.
+        logs: trajectories.
+        state: placements, and gravity's direction per log.
+        gravity: its magnitude [m/s^2].
+        joints: whether joints yield.
+        base: whether the base does.
+
+    Returns:
+        Deflections of parts that all yield alike, by loads of none.
+    """
+    D = tree.n_joints
+    turns = [turn(tree, axis) for axis in range(3)]
+    parts = np.array([*(range(D) if joints else ()), *(turns if base else ())], dtype=np.int64)
+    # What slides is as stiff as what turns, at the lever of a spindle.
+    lever = np.where(np.append(tree.prismatic, np.zeros(N_HINGES, dtype=bool)), SPINDLE, 1.0)[parts]
+    unit = lever**2
+    size = inertial_sizes(state)
+    square = np.zeros((len(parts), len(size), len(size)))
+    count = 0
+    for g, log in enumerate(logs):
+        for Y, _ in regressors(tree, state, g, gravity, log, base=base):
+            deflection = Y[:, parts] * size * unit[:, None]
+            square += np.einsum("nri,nrj->rij", deflection, deflection, optimize=True)
+            count += len(Y)
+    lam, V = np.linalg.eigh(np.einsum("r,rij->ij", lever**-2, square) / count)
+    largest = max(float(lam[-1]), 1e-300)
+    shows = np.flatnonzero(lam > _SHOWS**2 * largest)[::-1][:_MOST]
+    basis = (size[:, None] * V[:, shows] / np.sqrt(largest)).T
+    still = Bending(
+        np.zeros(0, dtype=np.int64),
+        tuple(np.zeros((len(log.q), 0)) for log in logs),
+        number=np.zeros(0, dtype=np.int64),
+        parts=parts,
+        compliance=np.diag(unit),
+        basis=basis,
+    )
+    return followed(still, tree, logs, state, gravity, np.zeros(still.n_numbers))[0]
+
+
+def unsettled(found: Bending, logs: Sequence[Trajectory]) -> Bending:
+    """The same deflections by the same loads of other logs, of which nothing is known yet."""
+    none = np.zeros(0, dtype=np.int64)
+    motions = tuple(np.zeros((len(log.q), 0)) for log in logs)
+    return replace(found, joint=none, number=none, motions=motions, settled=(), every=())
+
+
+def followed(
+    found: Bending,
+    tree: KinematicTree,
+    logs: Sequence[Trajectory],
+    state: State,
+    gravity: float,
+    x: F64,
+) -> tuple[Bending, F64]:
+    """The same deflections along the motion of the links, which is what torques go with.
+
+    Args:
+        found: deflections along some motion, by which the links' is nearly known.
+        tree: the structure.
+        logs: trajectories as the encoders have them.
+        state: placements, and gravity's direction per log.
+        gravity: its magnitude [m/s^2].
+        x: (S,) its numbers.
+
+    Returns:
+        The deflections about these numbers, and the numbers: what the parts were found to yield is
+        in ``compliance``.
+    """
+    there = balanced(found, tree, logs, state, gravity, x)
+    return there.moved_by_numbers(), there.x
+
+
+def balanced(
+    found: Bending,
+    tree: KinematicTree,
+    logs: Sequence[Trajectory],
+    state: State,
+    gravity: float,
+    x: F64,
+) -> Balance:
+    """Loads and deflections in balance; arguments as those of :func:`followed`.
+
+    Loads go with the motion of the links, of which deflections are a part. They are solved for by
+    Newton's method, with :class:`~skin2urdf.estimation.trajectory.springs.Springs` as its
+    derivative.
+    """
+    P, R = len(found.basis), len(found.parts)
+    before = [_beyond(tree, log, found.moved(log, g, x)) for g, log in enumerate(logs)]
+    about = replace(found, compliance=_compliance(found, x))
+    x = np.array(x)
+    x[P : P + R + 3 * found.base] = 0.0
+    about = replace(about, origin=x)
+    sizes, of_logs, bent, all_springs, every, holds = [], [], [], [], [], True
+    for g, (log, beyond) in enumerate(zip(logs, before, strict=True)):
+        step = max(1, int(log.rate / (_PER_CUTOFF * noise_bandwidth(log.taps, log.rate))))
+        within = slice(int(log.kept[0]) // step, int(log.kept[-1]) // step + 1)
+        of_log = Loaded(tree, state, g, gravity, coarser(log, step), about, within)
+        beyond = beyond[::step]
+        springs = of_log.springs(beyond)
+        last = np.inf
+        for _ in range(_NEWTON):
+            nearer, change = of_log.nearer(beyond, springs)
+            if not change < last:
+                holds = holds and last < _BALANCE
+                break
+            beyond, last = nearer, change
+            if change < _EXACT:
+                break
+        sizes.append(len(log.q))
+        of_logs.append(of_log)
+        bent.append(beyond)
+        all_springs.append(springs)
+        every.append(step)
+    moved = [*found.parts.tolist(), *((shift(tree, i) for i in range(3)) if found.base else ())]
+    deflections = replace(
+        about,
+        joint=np.array(moved),
+        motions=tuple(np.zeros((len(beyond), len(moved))) for beyond in bent),
+        number=np.zeros(len(moved), dtype=np.int64),
+        settled=tuple(map(on_grid, bent, every, sizes)),
+        every=tuple(every),
+        holds=holds,
+    )
+    return Balance(deflections, x, tuple(of_logs), tuple(bent), tuple(all_springs))
+
+
+@dataclass(frozen=True, eq=False)
+class Balance:
+    """Deflections in balance with their loads, before it is asked what numbers do to them.
+
+    They tell whether a step leads nearer. Half of the steps that are tried do not, and what each
+    number does is twice the work.
+
+    Attributes:
+        deflections: about the numbers, of which none moves anything.
+        x: (S,) the numbers.
+        of_logs: per log, what loads do along it.
+        bent: per log (M, D + 6) deflections at each so many-th sample [rad or m].
+        springs: per log, how these follow their loads.
+    """
+
+    deflections: Bending
+    x: F64
+    of_logs: tuple[Loaded, ...]
+    bent: tuple[F64, ...]
+    springs: tuple[Springs, ...]
+
+    def moved_by_numbers(self) -> Bending:
+        """The deflections with what each number does to them."""
+        still = self.deflections
+        motions = [
+            of_log.motions(beyond, springs).reshape(len(beyond), -1)
+            for of_log, beyond, springs in zip(self.of_logs, self.bent, self.springs, strict=True)
+        ]
+        numbers = np.arange(still.n_numbers)
+        most = int(
+            np.argmax(np.max([np.ptp(e[:, still.parts], axis=0) for e in still.settled], axis=0))
+        )
+        held = np.ones((len(still.joint), len(numbers)), dtype=bool)
+        held[:, len(still.basis) + most] = False  # what one part yields is the scale of all
+        shows = held & (np.max([np.abs(m).max(axis=0) for m in motions], axis=0) > 0).reshape(
+            held.shape
+        )
+        joint, number = np.broadcast_arrays(still.joint[:, None], numbers)
+        return replace(
+            still,
+            joint=joint[shows],
+            motions=tuple(m[:, shows.ravel()] for m in motions),
+            number=number[shows],
+        )
+
+
+def _beyond(tree: KinematicTree, log: Trajectory, moved: Trajectory) -> F64:
+    """(N, D + 6) by how much joints, and the base, are beyond what encoders say."""
+    beyond = np.zeros((len(log.q), tree.n_joints + N_HINGES))
+    beyond[:, : moved.q.shape[1]] = moved.q
+    beyond[:, : tree.n_joints] -= log.q
+    return beyond
+
+
+def _compliance(found: Bending, x: F64) -> F64:
+    """(R, R) what parts yield by the numbers that were found; none yields against its load."""
+    P, R = len(found.basis), len(found.parts)
+    C = np.array(found.compliance)
+    root = np.sqrt(np.diag(C))
+    if found.base:
+        for n, (i, j) in enumerate(PAIRS):
+            a, b = R - 3 + i, R - 3 + j
+            C[a, b] += root[a] * root[b] * x[P + R + n]
+            C[b, a] = C[a, b]
+    grown = np.exp(0.5 * np.clip(x[P : P + R], -UNLIKE, UNLIKE))
+    root, _ = roots(C * grown[:, None] * grown)
+    return np.asarray(root @ root)

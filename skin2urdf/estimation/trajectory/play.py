@@ -1,0 +1,50 @@
+"""Whether joints yield as springs do, or lie on one side of a gap, as gears with play do.
+
+A spring gives way by as much as its load is; a gear with play lies on one side of its gap or on the
+other, whatever its load is, and falls across where that changes its sense. Fitted as a spring it
+has deflections that go with the load; what a function of them that rises at first, and then stays,
+would explain beside them is more than they are. Of springs it is a few hundredths.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from skin2urdf.arrays import F64
+from skin2urdf.estimation.trajectory.fit import Fitted
+from skin2urdf.estimation.trajectory.problem import MotionProblem
+from skin2urdf.estimation.trajectory.slack import size_of
+from skin2urdf.estimation.trajectory.unseen import Unseen
+from skin2urdf.signals.filters import filtered
+
+
+def deflections_saturate(problem: MotionProblem, fitted: Fitted, certain: float) -> bool:
+    """Whether joints that were fitted as springs have play instead.
+
+    Args:
+        problem: of joints that yield.
+        fitted: its fit.
+        certain: logarithm of the likelihood that play has to gain.
+    """
+    if problem.unseen is None:
+        return False
+    x, n_joints = fitted.state.unseen, problem.tree.n_joints
+    bent = [
+        problem.unseen.moved(log, g, x).q[:, :n_joints] - log.q[:, :n_joints]
+        for g, log in enumerate(problem.logs)
+    ]
+    size = np.sqrt(np.mean(np.concatenate(bent) ** 2, axis=0))
+    yields = np.flatnonzero(size > 0)
+    if not len(yields):
+        return False
+    # The spring that is nearest to a gap has the same mean square: half the gap's.
+    motions = tuple(
+        filtered(np.tanh(each[:, yields] / size[yields]), log.taps)
+        for each, log in zip(bent, problem.logs, strict=True)
+    )
+    found = size_of(problem, fitted, Unseen(yields, motions))
+    return found.gain > certain and _norm(found.numbers) > _norm(size[yields])
+
+
+def _norm(x: F64) -> float:
+    return float(np.linalg.norm(x))

@@ -1,0 +1,136 @@
+"""Fits of joints and bases that yield under loads which nobody knows.
+
+Torques go with the motion of the links, which is known once the deflections are, and with the
+masses, which are known once the stiffness is. Far below resonances links deflect by the motion that
+encoders have, or nearly so: there a fit begins, and follows deflections up to all of the band.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import cast
+
+import numpy as np
+
+from skin2urdf.estimation.trajectory.balance import balanced, bending, unsettled
+from skin2urdf.estimation.trajectory.bending import Bending
+from skin2urdf.estimation.trajectory.fit import Fitted, Led, cost_with, fit, fit_following, held
+from skin2urdf.estimation.trajectory.misfit import MOST_OF_IT, SPAN, misfit_of
+from skin2urdf.estimation.trajectory.on_the_base import turned_as_the_base
+from skin2urdf.estimation.trajectory.problem import MotionProblem
+from skin2urdf.estimation.trajectory.shaken import Shaken
+from skin2urdf.estimation.trajectory.slack import learnt_size
+from skin2urdf.estimation.trajectory.state import MotionState
+from skin2urdf.signals.trajectory import Trajectory
+
+_PROMISING_STEPS, _STEPS = 12, 24
+"""Steps at most until it shows whether there is anything to a cause, and until it is fitted: gears
+at 4.4 Hz take 20, what is stiffer 3 to 8."""
+NEARLY = 0.3
+"""Length of the last step of a turn in standard deviations: what is followed from where a fit has
+not arrived leads to another place."""
+_ROUGHLY = 3.0
+"""The same of what only leads near."""
+_MEMORY = 4.0
+"""Time in which what yields forgets how it swung before [s]: a gear at 5 Hz with 5 % of the
+critical damping then swings by a hundredth, of which half a second is the low-pass's."""
+_ON_ITS_WAY = 1e-2
+"""Speed of a joint, over its highest, from which a log begins in motion: what swings is a part of
+that, and a hundredth of that part is less than is followed."""
+_SLOWER = (3, 2)
+"""By how many times slower the motion is that deflections are looked for in, one after the other:
+patterns of 2 to 3 Hz are left of those up to 5 Hz, beside gears that resonate at 4.4 Hz and more.
+Nearer to a resonance deflections change so fast with what they are made of that only a state close
+by leads on."""
+
+
+def fit_yielding(
+    problem: MotionProblem, fitted: Fitted, *, elastic: bool, base: bool
+) -> tuple[MotionProblem, Fitted]:
+    """The fit with joints, a base or both that yield under loads that nobody knows.
+
+    Torques go with the motion of the links, which is known once the deflections are, and with the
+    masses, which are known once the stiffness is: every step follows what it has found.
+    """
+    tree, state = problem.tree, fitted.state
+    logs = [_at_rest_before(log) for log in problem.logs]
+    n_knots = problem.layout.n_knots
+    promised = 1 + MOST_OF_IT * (misfit_of(problem, fitted, SPAN) - 1)
+
+    def follow(before: MotionProblem, at: MotionState) -> Led:
+        bends = cast(Bending, before.unseen)
+        there = balanced(bends, tree, before.logs, at.placements, at.gravity, at.unseen)
+
+        def about(bends: Bending) -> MotionProblem:
+            return MotionProblem(tree, before.logs, before.priors, n_knots, bends)
+
+        led = about(there.deflections), replace(at, unseen=there.x)
+        return Led(*led, lambda: about(there.moved_by_numbers()))
+
+    def follow_where_it_holds(before: MotionProblem, at: MotionState) -> Led | None:
+        led = follow(before, at)
+        return led if cast(Bending, led.problem.unseen).holds else None
+
+    # How SUs on the base are turned is known when its motion is.
+    moved = [replace(log, valid=log.valid & ((tree.su_joint >= 0) | (not base))) for log in logs]
+    first = moved if base else [log.slower(_SLOWER[0]) for log in moved]
+    bends = bending(tree, first, state.placements, state.gravity, joints=elastic, base=base)
+    state = replace(state, unseen=np.zeros(bends.n_numbers))
+    priors = replace(problem.priors, unseen=bends.spread)
+    yielding = MotionProblem(tree, first, priors, n_knots, bends)
+    if not base:
+        # Far below resonances links deflect by the motion that encoders have, or nearly so.
+        state = fit(yielding, state, tolerance=NEARLY, iterations=_PROMISING_STEPS).state
+        led = follow(yielding, state)
+        yielding, state = led.whole(), led.state
+        ways = []
+        for slower in (*_SLOWER[1:], 1):
+            yielding, near = fit_following(
+                yielding,
+                state,
+                follow_where_it_holds,
+                iterations=_PROMISING_STEPS,
+                tolerance=_ROUGHLY,
+            )
+            ways.append((cast(Bending, yielding.unseen), near.state))
+            if slower > 1:
+                faster = [log.slower(slower) for log in moved]
+                bends = unsettled(ways[-1][0], faster)
+                led = follow(MotionProblem(tree, faster, priors, n_knots, bends), near.state)
+                yielding, state = led.whole(), led.state
+        # Where swings are all of one frequency, one of the two bands holds nothing of them.
+        leads = [
+            follow(MotionProblem(tree, moved, priors, n_knots, unsettled(bends, moved)), at)
+            for bends, at in ways
+        ]
+        ends = [held(led.problem, led.state) for led in leads]
+        shaken = Shaken.of(tree, moved, ends[0].state, ends[0].weights)
+        costs = [cost_with(ends[0].weights, shaken, end) for end in ends]
+        led = leads[int(np.argmin(costs))]
+        bends, yielding, state = cast(Bending, led.problem.unseen), led.whole(), led.state
+    stages = (
+        ((_PROMISING_STEPS, NEARLY), (_STEPS, NEARLY)) if base else ((_PROMISING_STEPS, _ROUGHLY),)
+    )
+    for steps, enough in stages:
+        yielding, fitted = fit_following(
+            yielding, state, follow_where_it_holds, iterations=steps, tolerance=enough
+        )
+        keeps = misfit_of(yielding, fitted, SPAN) <= promised
+        yielding = yielding.again(logs=logs)
+        state = turned_as_the_base(yielding, fitted.state, SPAN)
+        if not keeps:
+            return yielding, held(yielding, state)
+    loads = slice(0, len(bends.basis))
+    spread = np.array(bends.spread)
+    spread[loads] = learnt_size(yielding, fitted, loads).size
+    yielding = yielding.again(priors=replace(priors, unseen=spread))
+    return fit_following(
+        yielding, state, follow_where_it_holds, iterations=_STEPS, tolerance=NEARLY
+    )
+
+
+def _at_rest_before(log: Trajectory) -> Trajectory:
+    """A log in which nothing swings that has begun to before it, as a robot on its way may."""
+    speed, first = np.abs(log.qd), len(log.taps) // 2
+    moves = (speed[first] > _ON_ITS_WAY * speed.max(axis=0)).any()
+    return log.without_first(_MEMORY) if moves else log

@@ -24,7 +24,7 @@ from skin2urdf.hypotheses.records import Amendment, Attempt, Candidate
 from skin2urdf.hypotheses.search import Search, excess
 from skin2urdf.hypotheses.suspicions import gross_scales, suspicions
 from skin2urdf.recording.records import Recording
-from skin2urdf.signals.encoders import corrected, corrected_features, leaps
+from skin2urdf.signals.encoders import corrected, corrected_features, leaps, turning_for
 from skin2urdf.signals.records import EncoderError, Features
 
 _STEPS = 8
@@ -111,11 +111,22 @@ class Encoders:
         among = len(suspected) // max(1, found.tree.n_joints)
         for each in suspected:
             error = each.error
+            turn = _turn_at(error, now.amendments, features)
             new = (with_another(now.amendments, error, features),)
             # What is left of an error that is known may be small.
-            if error.dof in seen or (_small(error, now.solution.logs) and new[0].key not in known):
+            unknown = turn is None and new[0].key not in known
+            if error.dof in seen or (_small(error, now.solution.logs) and unknown):
                 continue
             seen.add(error.dof)
+            later = None if turn is None else _turned_later(search, now, turn, error.size)
+            if turn is not None and later is not None:
+                out.append(
+                    Candidate(
+                        "encoder turn", (error.dof,), (later,), each.gain, among=among,
+                        instead=(turn,),
+                    )
+                )  # fmt: skip
+                continue
             out.append(
                 Candidate(
                     f"encoder {error.kind}",
@@ -138,6 +149,30 @@ class Encoders:
     def finish(self, last: Attempt, clock: Clock) -> Attempt:
         """The errors as the fit says, once it is known which encoders are wrong."""
         return timed_by_the_moves(sized_by_the_fit(last, clock))
+
+
+def _turn_at(
+    offset: EncoderError, amendments: Sequence[Amendment], features: Features
+) -> Corrected | None:
+    """The change of sense in a log that an offset would be part of, where it is known."""
+    for each in amendments:
+        if not (isinstance(each, Corrected) and each.error.kind == "sign"):
+            continue
+        within = offset.kind == "offset" and np.isfinite(each.error.begin)
+        if within and _at_once(offset, each.error, features):
+            return each
+    return None
+
+
+def _turned_later(search: Search, now: Attempt, turn: Corrected, size: float) -> Corrected | None:
+    """A change of sense at the time that makes later positions smaller by a size; None for none."""
+    recordings = list(search.recordings)
+    for each in now.amendments[: now.amendments.index(turn)]:
+        recordings = each.of_recordings(recordings)
+    error = turn.error
+    (track,) = (j for j in recordings[error.log].joints if j.name == error.dof)
+    at = turning_for(track, error.begin, size)
+    return None if at is None or at == error.begin else Corrected(replace(error, begin=at))
 
 
 def with_another(

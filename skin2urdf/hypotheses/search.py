@@ -339,10 +339,16 @@ def _only_a_part(now: Attempt | None, candidate: Candidate) -> bool:
 
 
 def _nearly_all(now: Attempt | None, after: Attempt) -> bool:
-    """Whether an attempt leaves so little that nothing more costly need be looked for."""
+    """Whether an attempt leaves so little that nothing more costly need be looked for.
+
+    One SU may have most of the misfit: if what is not weighed down fits no better without that, the
+    cause is another one.
+    """
     found = after.solution.found
-    much = now is not None and found.misfit < _LEFT * now.solution.found.misfit
-    return much or explains(found)
+    if now is None or explains(found):
+        return explains(found)
+    before = now.solution.found
+    return found.misfit < _LEFT * before.misfit and found.cost_per_dof <= before.cost_per_dof
 
 
 def _tried(search: Search, now: Attempt | None, candidate: Candidate) -> Attempt | None:

@@ -27,6 +27,7 @@ from skin2urdf.calibration.rounds import (
     Solution,
     Structure,
     find_structure,
+    is_hopeless,
     leads_nowhere,
     relinearise,
     sample_logs,
@@ -35,6 +36,7 @@ from skin2urdf.calibration.rounds import (
 )
 from skin2urdf.calibration.settings import CalibrationSettings
 from skin2urdf.errors import InsufficientDataError, StructureError
+from skin2urdf.estimation.problem.state import State
 from skin2urdf.estimation.solve.estimate import Estimate
 from skin2urdf.estimation.uncertainty.health import unlike_the_rest
 from skin2urdf.faults import Fault
@@ -164,10 +166,9 @@ class Search:
             known = dict(zip(features.su_names, features.latency, strict=True))
             latency = np.array([known.get(name, 0.0) for name in calm.su_names])
             features = take_features(calm, clock, latency=latency)
-        other = None if beside is None else beside.solution.found
         found, refined = relinearise(
             calm, tree, features, clock,
-            start=None if other is None or not _is_the_same(tree, other.tree) else other.state,
+            start=None if beside is None else _start_for(tree, beside.solution.found),
             hopeless=leads_nowhere,
         )  # fmt: skip
         found, refined = _settled(calm, found, refined, clock)
@@ -213,6 +214,11 @@ def _settled(
 ) -> tuple[Estimate, Features]:
     """An estimate that explains the logs, with joints found that no SU seemed to feel."""
     return settle(logs, found, features, clock) if explains(found) else (found, features)
+
+
+def _start_for(tree: KinematicTree, known: Estimate) -> State | None:
+    """The state of an estimate that explains something, where it fits a tree."""
+    return None if is_hopeless(known) or not _is_the_same(tree, known.tree) else known.state
 
 
 def _is_the_same(a: KinematicTree, b: KinematicTree) -> bool:
@@ -341,14 +347,11 @@ def _only_a_part(now: Attempt | None, candidate: Candidate) -> bool:
 def _nearly_all(now: Attempt | None, after: Attempt) -> bool:
     """Whether an attempt leaves so little that nothing more costly need be looked for.
 
-    One SU may have most of the misfit: if what is not weighed down fits no better without that, the
-    cause is another one.
+    What still leads nowhere is none to go on from: one SU may have most of any misfit.
     """
     found = after.solution.found
-    if now is None or explains(found):
-        return explains(found)
-    before = now.solution.found
-    return found.misfit < _LEFT * before.misfit and found.cost_per_dof <= before.cost_per_dof
+    much = now is not None and found.misfit < _LEFT * now.solution.found.misfit
+    return (much and not leads_nowhere(found)) or explains(found)
 
 
 def _tried(search: Search, now: Attempt | None, candidate: Candidate) -> Attempt | None:

@@ -49,8 +49,9 @@ from skin2urdf.estimation.uncertainty.narrow import narrow_priors
 from skin2urdf.estimation.uncertainty.observability import Observability, observability
 from skin2urdf.estimation.uncertainty.physics import why_unexplained
 from skin2urdf.faults import distinct, without_slips
+from skin2urdf.hypotheses.attempts import StandsOut
 from skin2urdf.hypotheses.kinds import KINDS
-from skin2urdf.hypotheses.search import StandsOut, explain
+from skin2urdf.hypotheses.search import explain
 from skin2urdf.model.canonical import canonical
 from skin2urdf.recording.progress import Share
 from skin2urdf.recording.records import Recording

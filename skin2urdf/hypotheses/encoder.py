@@ -19,9 +19,10 @@ from skin2urdf.calibration.rounds import Logs, Solution, estimate_once, is_hopel
 from skin2urdf.estimation.solve.estimate import Estimate
 from skin2urdf.faults import Fault
 from skin2urdf.hypotheses.arising import narrowed
+from skin2urdf.hypotheses.attempts import Search
 from skin2urdf.hypotheses.encoder_score import unweighted
+from skin2urdf.hypotheses.measure import excess
 from skin2urdf.hypotheses.records import Amendment, Attempt, Candidate
-from skin2urdf.hypotheses.search import Search, excess
 from skin2urdf.hypotheses.suspicions import gross_scales, suspicions
 from skin2urdf.recording.records import Recording
 from skin2urdf.signals.encoders import corrected, corrected_features, leaps, turning_for

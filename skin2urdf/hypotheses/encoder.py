@@ -23,7 +23,7 @@ from skin2urdf.hypotheses.attempts import Search
 from skin2urdf.hypotheses.encoder_score import unweighted
 from skin2urdf.hypotheses.measure import excess
 from skin2urdf.hypotheses.records import Amendment, Attempt, Candidate
-from skin2urdf.hypotheses.suspicions import gross_scales, suspicions
+from skin2urdf.hypotheses.suspicions import Suspicion, gross_scales, suspicions
 from skin2urdf.recording.records import Recording
 from skin2urdf.signals.encoders import corrected, corrected_features, leaps, turning_for
 from skin2urdf.signals.records import EncoderError, Features
@@ -112,22 +112,18 @@ class Encoders:
         among = len(suspected) // max(1, found.tree.n_joints)
         for each in suspected:
             error = each.error
+            if error.dof in seen:
+                continue
             turn = _turn_at(error, now.amendments, features)
+            if turn is not None:
+                out.append(_turned_otherwise(search, now, turn, each, among))
+                seen.add(error.dof)
+                continue
             new = (with_another(now.amendments, error, features),)
             # What is left of an error that is known may be small.
-            unknown = turn is None and new[0].key not in known
-            if error.dof in seen or (_small(error, now.solution.logs) and unknown):
+            if _small(error, now.solution.logs) and new[0].key not in known:
                 continue
             seen.add(error.dof)
-            later = None if turn is None else _turned_later(search, now, turn, error.size)
-            if turn is not None and later is not None:
-                out.append(
-                    Candidate(
-                        "encoder turn", (error.dof,), (later,), each.gain, among=among,
-                        instead=(turn,),
-                    )
-                )  # fmt: skip
-                continue
             out.append(
                 Candidate(
                     f"encoder {error.kind}",
@@ -165,15 +161,32 @@ def _turn_at(
     return None
 
 
-def _turned_later(search: Search, now: Attempt, turn: Corrected, size: float) -> Corrected | None:
-    """A change of sense at the time that makes later positions smaller by a size; None for none."""
+def _turned_otherwise(
+    search: Search, now: Attempt, turn: Corrected, offset: Suspicion, among: int
+) -> Candidate:
+    """What is left of a change of sense: it was at another time, or the zero changed with it.
+
+    Args:
+        search: has the recordings.
+        now: the attempt in which it is left.
+        turn: the change of sense as it is known.
+        offset: by how much positions after it are too large.
+        among: number of hypotheses about the joint.
+    """
+    known, dof = turn.error, turn.error.dof
     recordings = list(search.recordings)
     for each in now.amendments[: now.amendments.index(turn)]:
         recordings = each.of_recordings(recordings)
-    error = turn.error
-    (track,) = (j for j in recordings[error.log].joints if j.name == error.dof)
-    at = turning_for(track, error.begin, size)
-    return None if at is None or at == error.begin else Corrected(replace(error, begin=at))
+    (track,) = (j for j in recordings[known.log].joints if j.name == dof)
+    # A leap tells when it was.
+    leapt = any(e.kind == "offset" and e.begin == known.begin for e in errors_of(now.amendments))
+    at = None if leapt else turning_for(track, known.begin, offset.error.size)
+    if at is None:
+        beside = replace(offset.error, begin=known.begin, spread=0.0)
+        new = with_another(now.amendments, beside, now.solution.features)
+        return Candidate("encoder offset", (dof,), (new,), offset.gain, among)
+    new = Corrected(replace(known, begin=at))
+    return Candidate("encoder turn", (dof,), (new,), offset.gain, among, instead=(turn,))
 
 
 def with_another(

@@ -19,7 +19,7 @@ from skin2urdf.estimation.solve.estimate import Estimate
 from skin2urdf.faults import Fault
 from skin2urdf.hypotheses.arising import turning_between
 from skin2urdf.hypotheses.attempts import Search, imitations, of_logs
-from skin2urdf.hypotheses.encoder import Corrected, errors_of
+from skin2urdf.hypotheses.corrected import Corrected, errors_of
 from skin2urdf.hypotheses.measure import excess, explains
 from skin2urdf.hypotheses.names import columns_of, names_in
 from skin2urdf.hypotheses.parts import sound_part

@@ -40,13 +40,8 @@ from skin2urdf.calibration.settings import CalibrationSettings
 from skin2urdf.faults import Fault
 from skin2urdf.hypotheses.arising import narrowed, turning_between
 from skin2urdf.hypotheses.changes import turns_within
-from skin2urdf.hypotheses.encoder import (
-    Corrected,
-    errors_of,
-    sharpened,
-    sized_by_the_fit,
-    with_another,
-)
+from skin2urdf.hypotheses.corrected import Corrected, errors_of, with_another
+from skin2urdf.hypotheses.encoder import sharpened, sized_by_the_fit
 from skin2urdf.hypotheses.records import Attempt
 from skin2urdf.hypotheses.sense import TURNED, felt_at_rest
 from skin2urdf.hypotheses.suspicions import suspicions

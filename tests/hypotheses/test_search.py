@@ -26,7 +26,7 @@ from skin2urdf.calibration.settings import CalibrationSettings
 from skin2urdf.faults import Fault
 from skin2urdf.hypotheses.attempts import Search
 from skin2urdf.hypotheses.changes import Changes
-from skin2urdf.hypotheses.encoder import Corrected
+from skin2urdf.hypotheses.corrected import Corrected
 from skin2urdf.hypotheses.kinds import KINDS
 from skin2urdf.hypotheses.measure import added, gain, price
 from skin2urdf.hypotheses.mirrored import Mirrored, Negated

@@ -29,7 +29,7 @@ from skin2urdf.calibration.settings import CalibrationSettings
 from skin2urdf.errors import InsufficientDataError, Skin2UrdfError
 from skin2urdf.estimation.trajectory.estimate import MotionEstimate
 from skin2urdf.estimation.trajectory.publishers import likelihood
-from skin2urdf.hypotheses.encoder import Corrected, evident_errors
+from skin2urdf.hypotheses.corrected import Corrected, evident_errors
 from skin2urdf.recording.records import Recording
 from skin2urdf.signals.encoders import corrected
 from skin2urdf.signals.motion import publishers_beyond_first

@@ -28,8 +28,9 @@ from skin2urdf.calibration.samples import (
 )
 from skin2urdf.errors import Skin2UrdfError
 from skin2urdf.estimation.trajectory.estimate import MotionEstimate
+from skin2urdf.hypotheses.attempts import StandsOut
 from skin2urdf.hypotheses.kinds import KINDS
-from skin2urdf.hypotheses.search import StandsOut, explain
+from skin2urdf.hypotheses.search import explain
 from skin2urdf.signals.sampling import Sampled
 
 

@@ -17,7 +17,8 @@ from skin2urdf.calibration.rounds import (
 from skin2urdf.errors import InsufficientDataError
 from skin2urdf.estimation.solve.estimate import Estimate
 from skin2urdf.estimation.uncertainty.health import mirrored_sus
-from skin2urdf.hypotheses.search import Search, explains
+from skin2urdf.hypotheses.attempts import Search
+from skin2urdf.hypotheses.measure import explains
 from skin2urdf.signals.records import Features
 from skin2urdf.signals.sampling import Sampled
 

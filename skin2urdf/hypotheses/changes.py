@@ -18,11 +18,12 @@ from skin2urdf.calibration.rounds import Logs
 from skin2urdf.estimation.solve.estimate import Estimate
 from skin2urdf.faults import Fault
 from skin2urdf.hypotheses.arising import turning_between
-from skin2urdf.hypotheses.encoder import Corrected, errors_of
+from skin2urdf.hypotheses.attempts import Search, imitations, of_logs
+from skin2urdf.hypotheses.corrected import Corrected, errors_of
+from skin2urdf.hypotheses.measure import excess, explains
 from skin2urdf.hypotheses.names import columns_of, names_in
 from skin2urdf.hypotheses.parts import sound_part
 from skin2urdf.hypotheses.records import Amendment, Attempt, Candidate
-from skin2urdf.hypotheses.search import Search, excess, explains, imitations, of_logs
 from skin2urdf.hypotheses.sense import FOLLOWED, TURNED, felt_at_rest, felt_in_patterns
 from skin2urdf.signals.encoders import reversal, standstill
 from skin2urdf.signals.mending import computed

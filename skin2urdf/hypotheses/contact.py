@@ -13,8 +13,8 @@ from skin2urdf.calibration.clock import Clock, Tell
 from skin2urdf.calibration.rounds import Logs, Solution, is_hopeless, predicted_curvature
 from skin2urdf.estimation.solve.estimate import Estimate
 from skin2urdf.faults import Fault
+from skin2urdf.hypotheses.attempts import Search
 from skin2urdf.hypotheses.records import Amendment, Attempt, Candidate
-from skin2urdf.hypotheses.search import Search
 from skin2urdf.model.prediction import Chains
 from skin2urdf.signals.contact import Disturbance, disturbances, without
 from skin2urdf.signals.records import Features

@@ -8,8 +8,8 @@ themselves are corrected.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Literal
 
 import numpy as np
@@ -19,69 +19,32 @@ from skin2urdf.calibration.rounds import Logs, Solution, estimate_once, is_hopel
 from skin2urdf.estimation.solve.estimate import Estimate
 from skin2urdf.faults import Fault
 from skin2urdf.hypotheses.arising import narrowed
+from skin2urdf.hypotheses.attempts import Search
+from skin2urdf.hypotheses.corrected import (
+    SMALL,
+    Corrected,
+    are_alike,
+    errors_of,
+    is_small,
+    of_one_turn,
+    step_of,
+    together,
+    turn_at,
+    with_another,
+)
 from skin2urdf.hypotheses.encoder_score import unweighted
-from skin2urdf.hypotheses.records import Amendment, Attempt, Candidate
-from skin2urdf.hypotheses.search import Search, excess
-from skin2urdf.hypotheses.suspicions import gross_scales, suspicions
-from skin2urdf.recording.records import Recording
-from skin2urdf.signals.encoders import corrected, corrected_features, leaps
+from skin2urdf.hypotheses.measure import excess
+from skin2urdf.hypotheses.records import Attempt, Candidate
+from skin2urdf.hypotheses.suspicions import Suspicion, gross_scales, suspicions
+from skin2urdf.signals.encoders import corrected_features, turning_for
 from skin2urdf.signals.records import EncoderError, Features
 
 _STEPS = 8
 """How often, at most, features are corrected and estimated again."""
 _CERTAIN = 5.0
 """Standard deviations from which an encoder's error is reported."""
-_SMALL = 1e-3
-"""Offset [rad or m] or scale error [1] that sound gears and encoders have as well."""
 _WHOLE_TURN = 1e-3
 """Part of a turn by which a leap may miss whole turns, and still be one of counting."""
-
-
-@dataclass(frozen=True)
-class Corrected(Amendment):
-    """An encoder whose error is taken off.
-
-    Attributes:
-        error: the error.
-    """
-
-    error: EncoderError
-
-    @property
-    def key(self) -> Hashable:
-        """The encoder and the change, whatever its size."""
-        e = self.error
-        return ("scale", e.dof) if e.kind == "scale" else (e.kind, e.dof, e.log, e.begin)
-
-    @property
-    def subject(self) -> str:
-        """The joint."""
-        return self.error.dof
-
-    def of_recordings(self, recordings: list[Recording]) -> list[Recording]:
-        """The recordings with the error taken off."""
-        return corrected(recordings, [self.error])
-
-    def left_out(self, logs: Logs) -> Logs:
-        """The logs without the samples in which the error arises."""
-        e = self.error
-        if e.spread <= 0:
-            return logs
-        sampled = list(logs.sampled)
-        s = sampled[e.log]
-        whole = s.valid & (np.abs(s.motion.grid.time - e.begin) >= e.spread)[:, None]
-        sampled[e.log] = replace(s, valid=whole)
-        return logs.of(sampled)
-
-
-def evident_errors(recordings: Sequence[Recording]) -> tuple[Corrected, ...]:
-    """The leaps that are seen in the tracks alone."""
-    return tuple(Corrected(e) for log, r in enumerate(recordings) for e in leaps(r, log))
-
-
-def errors_of(amendments: Sequence[Amendment]) -> list[EncoderError]:
-    """The errors that amendments take off, in their order."""
-    return [a.error for a in amendments if isinstance(a, Corrected)]
 
 
 class Encoders:
@@ -111,9 +74,16 @@ class Encoders:
         among = len(suspected) // max(1, found.tree.n_joints)
         for each in suspected:
             error = each.error
+            if error.dof in seen:
+                continue
+            turn = turn_at(error, now.amendments, features)
+            if turn is not None:
+                out.append(_turned_otherwise(search, now, turn, each, among))
+                seen.add(error.dof)
+                continue
             new = (with_another(now.amendments, error, features),)
             # What is left of an error that is known may be small.
-            if error.dof in seen or (_small(error, now.solution.logs) and new[0].key not in known):
+            if is_small(error, now.solution.logs) and new[0].key not in known:
                 continue
             seen.add(error.dof)
             out.append(
@@ -140,31 +110,32 @@ class Encoders:
         return timed_by_the_moves(sized_by_the_fit(last, clock))
 
 
-def with_another(
-    amendments: Sequence[Amendment], error: EncoderError, features: Features
-) -> Corrected:
-    """An error with an earlier error of the same place, as the one that takes its place.
+def _turned_otherwise(
+    search: Search, now: Attempt, turn: Corrected, offset: Suspicion, among: int
+) -> Candidate:
+    """What is left of a change of sense: it was at another time, or the zero changed with it.
 
     Args:
-        amendments: what was taken off before.
-        error: as seen in the corrected recordings.
-        features: tell which times lie between the same two poses.
+        search: has the recordings.
+        now: the attempt in which it is left.
+        turn: the change of sense as it is known.
+        offset: by how much positions after it are too large.
+        among: number of hypotheses about the joint.
     """
-    errors = errors_of(amendments)
-    turned = [i for i, e in enumerate(errors) if (e.kind, e.dof) == ("sign", error.dof)]
-    for i, old in enumerate(errors):
-        # What was taken off before a track was mirrored is of the other sense.
-        if (old.kind, old.dof) != (error.kind, error.dof) or i < max(turned, default=0):
-            continue
-        if error.kind == "scale":
-            return Corrected(replace(old, size=old.size * error.size))
-        if old.log == error.log and _same_change(old, error, features):
-            # A leap that is not the whole change leaves open when the rest of it came.
-            known = abs(error.size) < _SMALL
-            reach = 0.0 if known else error.spread + abs(error.begin - old.begin)
-            spread = max(old.spread, reach)
-            return Corrected(replace(old, size=old.size + error.size, spread=spread))
-    return Corrected(error)
+    known, dof = turn.error, turn.error.dof
+    recordings = list(search.recordings)
+    for each in now.amendments[: now.amendments.index(turn)]:
+        recordings = each.of_recordings(recordings)
+    (track,) = (j for j in recordings[known.log].joints if j.name == dof)
+    # A leap tells when it was.
+    leapt = any(e.kind == "offset" and e.begin == known.begin for e in errors_of(now.amendments))
+    at = None if leapt else turning_for(track, known.begin, offset.error.size)
+    if at is None:
+        beside = replace(offset.error, begin=known.begin, spread=0.0)
+        new = with_another(now.amendments, beside, now.solution.features)
+        return Candidate("encoder offset", (dof,), (new,), offset.gain, among)
+    new = Corrected(replace(known, begin=at))
+    return Candidate("encoder turn", (dof,), (new,), offset.gain, among, instead=(turn,))
 
 
 def _sharpening(
@@ -220,7 +191,7 @@ def sharpened(now: Attempt, errors: Sequence[EncoderError], clock: Clock) -> lis
             for known, rest in zip(best, left, strict=True)
         ]
         steps = [rest for rest in left if rest is not None]
-        if not any(_amount(rest) >= max(rest.deviation, _SMALL / 10) for rest in steps):
+        if not any(_amount(rest) >= max(rest.deviation, SMALL / 10) for rest in steps):
             break
     return best
 
@@ -232,7 +203,9 @@ def _amount(error: EncoderError) -> float:
 def _left_of(error: EncoderError, found: Estimate, features: Features) -> EncoderError | None:
     """What the score test says is left of an error; None where the readings do not tell."""
     alike = [
-        s.error for s in suspicions(unweighted(found), features) if _same(s.error, error, features)
+        s.error
+        for s in suspicions(unweighted(found), features)
+        if are_alike(s.error, error, features)
     ]
     left = min(alike, key=lambda e: e.deviation, default=None)
     return left if left is not None and np.isfinite(left.deviation) else None
@@ -248,11 +221,13 @@ def sized_by_the_fit(last: Attempt, clock: Clock) -> Attempt:
         clock: runs the stages.
     """
     found, features, amendments = last.solution.found, last.solution.features, last.amendments
-    for known in _together(errors_of(amendments), features):
+    for known in together(errors_of(amendments), features):
         error = _with_a_size(known, last.solution.logs)
         if error is None:
             continue
-        alike = [s.error for s in suspicions(found, features) if _same(s.error, error, features)]
+        alike = [
+            s.error for s in suspicions(found, features) if are_alike(s.error, error, features)
+        ]
         left = min(alike, key=lambda e: e.deviation, default=None)
         if left is None or not np.isfinite(left.deviation):
             continue
@@ -280,7 +255,7 @@ def _with_a_size(error: EncoderError, logs: Logs) -> EncoderError | None:
     if error.kind == "sign":
         within = np.isfinite(error.begin)
         return EncoderError("offset", error.dof, 0.0, error.log, error.begin) if within else None
-    return None if _small(error, logs) else error
+    return None if is_small(error, logs) else error
 
 
 def timed_by_the_moves(last: Attempt) -> Attempt:
@@ -292,19 +267,6 @@ def timed_by_the_moves(last: Attempt) -> Attempt:
         for a in last.amendments
     )  # fmt: skip
     return replace(last, amendments=amendments)
-
-
-def _small(error: EncoderError, logs: Logs) -> bool:
-    """Whether sound gears and encoders have as much; one step of an encoder is rounding."""
-    if error.kind == "scale":
-        return abs(error.size - 1) < _SMALL
-    return abs(error.size) < max(_SMALL, _step(error, logs))
-
-
-def _step(error: EncoderError, logs: Logs) -> float:
-    """Step of an encoder [rad or m], by which two rests may differ for its rounding alone."""
-    motion = logs.sampled[error.log].motion
-    return float(motion.resolution[motion.dof_names.index(error.dof)])
 
 
 def _faults(errors: Sequence[EncoderError], last: Solution) -> tuple[Fault, ...]:
@@ -319,48 +281,15 @@ def _faults(errors: Sequence[EncoderError], last: Solution) -> tuple[Fault, ...]
     known = [s.error for s in suspicions(last.found, last.features)]
     out = []
     turned = [e for e in errors if e.kind == "sign"]
-    for error in _together(errors, last.features):
-        if error.kind == "offset" and any(_at_once(error, e, last.features) for e in turned):
+    for error in together(errors, last.features):
+        if error.kind == "offset" and any(of_one_turn(error, e, last.features) for e in turned):
             continue
-        same = [k for k in known if _same(k, error, last.features)]
+        same = [k for k in known if are_alike(k, error, last.features)]
         deviation = min((k.deviation for k in same), default=np.inf)
         if _stands_out(error, deviation, last.logs):
             turns = not prismatic.get(error.dof, False)
             out.append(_fault(replace(error, deviation=deviation), turns))
     return tuple(out)
-
-
-def _together(errors: Sequence[EncoderError], features: Features) -> list[EncoderError]:
-    """Errors with those of one change added up: a zero may need several samples for its way."""
-    out: list[EncoderError] = []
-    for error in errors:
-        for i, other in enumerate(out):
-            if error.kind == "offset" and _same(error, other, features):
-                larger = max(error, other, key=lambda e: abs(e.size))
-                out[i] = replace(larger, size=error.size + other.size)
-                break
-        else:
-            out.append(error)
-    return out
-
-
-def _same(a: EncoderError, b: EncoderError, features: Features) -> bool:
-    """Whether two errors are of one encoder and one change of it."""
-    if (a.kind, a.dof) != (b.kind, b.dof):
-        return False
-    return a.kind == "scale" or (a.log == b.log and _same_change(a, b, features))
-
-
-def _same_change(a: EncoderError, b: EncoderError, features: Features) -> bool:
-    """Whether no pose lies between the beginnings of two offsets in one log."""
-    middle = features.span[features.log == a.log].mean(axis=1)
-    first, last = sorted((a.begin, b.begin))
-    return not ((middle > first) & (middle < last)).any()
-
-
-def _at_once(offset: EncoderError, sign: EncoderError, features: Features) -> bool:
-    """Whether an offset is part of a change of sense: which value a track is mirrored about."""
-    return (offset.dof, offset.log) == (sign.dof, sign.log) and _same_change(offset, sign, features)
 
 
 def _stands_out(error: EncoderError, deviation: float, logs: Logs) -> bool:
@@ -369,13 +298,13 @@ def _stands_out(error: EncoderError, deviation: float, logs: Logs) -> bool:
     if error.kind == "scale":
         return abs(error.size - 1) > _CERTAIN * deviation
     # A joint that is hit leaps, and leaps back.
-    if _small(error, logs):
+    if is_small(error, logs):
         return False
     turns = error.size / (2 * np.pi)
     # A turn more or less is how a continuous joint is counted.
     whole = round(turns) != 0 and abs(turns - round(turns)) < _WHOLE_TURN
     return not whole and (
-        not np.isfinite(deviation) or abs(error.size) - _step(error, logs) > _CERTAIN * deviation
+        not np.isfinite(deviation) or abs(error.size) - step_of(error, logs) > _CERTAIN * deviation
     )
 
 

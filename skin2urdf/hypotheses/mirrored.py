@@ -10,8 +10,9 @@ from skin2urdf.calibration.rounds import Logs
 from skin2urdf.estimation.uncertainty.health import mirrored_sus
 from skin2urdf.faults import Fault
 from skin2urdf.hypotheses.alone import negated
+from skin2urdf.hypotheses.attempts import Search
+from skin2urdf.hypotheses.measure import excess, explains
 from skin2urdf.hypotheses.records import Amendment, Attempt, Candidate
-from skin2urdf.hypotheses.search import Search, excess, explains
 
 
 @dataclass(frozen=True)

@@ -23,8 +23,9 @@ from skin2urdf.estimation.solve.estimate import Estimate
 from skin2urdf.estimation.start.starts import felt_up
 from skin2urdf.faults import Fault
 from skin2urdf.hypotheses.alone import alone, negated
+from skin2urdf.hypotheses.attempts import Search, imitations
+from skin2urdf.hypotheses.measure import excess, explains
 from skin2urdf.hypotheses.records import Amendment, Attempt, Candidate
-from skin2urdf.hypotheses.search import Search, excess, explains, imitations
 from skin2urdf.signals.records import Features
 from skin2urdf.signals.sampling import Sampled
 from skin2urdf.structure.activity import CERTAIN, Activity

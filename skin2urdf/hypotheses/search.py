@@ -7,53 +7,30 @@ beyond its price is attempted from the raw logs, together with all amendments so
 the drop comes true. The search ends when none pays; then every amendment is left out once, and what
 the others explain as well goes.
 
-One measure: chi-squared of everything, nothing weighed down. One price: each parameter costs the
-logarithm of the number of measurements, as Schwarz (1978) has it, and the choice among candidates
-twice the logarithm of their number, as Bonferroni has it for a maximum of chi-squared.
+What an attempt brings, and what it costs, is in :mod:`skin2urdf.hypotheses.measure`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Sequence
-from dataclasses import dataclass, replace
-from typing import Literal, Protocol, TypeVar, runtime_checkable
-
-import numpy as np
+from collections.abc import Hashable, Sequence
+from dataclasses import replace
+from typing import Literal, Protocol, runtime_checkable
 
 from skin2urdf.calibration.clock import Clock, Tell
-from skin2urdf.calibration.result import BAD_FIT, GOOD_FIT
-from skin2urdf.calibration.rounds import (
-    Logs,
-    Solution,
-    Structure,
-    find_structure,
-    leads_nowhere,
-    relinearise,
-    sample_logs,
-    settle,
-    take_features,
-)
-from skin2urdf.calibration.settings import CalibrationSettings
+from skin2urdf.calibration.rounds import Logs, Solution, Structure, leads_nowhere
 from skin2urdf.errors import InsufficientDataError, StructureError
-from skin2urdf.estimation.solve.estimate import Estimate
-from skin2urdf.estimation.uncertainty.health import unlike_the_rest
 from skin2urdf.faults import Fault
+from skin2urdf.hypotheses.attempts import Search, StandsOut, settled
+from skin2urdf.hypotheses.measure import brought, excess, explains, gain, price, promise
 from skin2urdf.hypotheses.records import Amendment, Attempt, Candidate
 from skin2urdf.recording.records import Recording
-from skin2urdf.signals.records import Features
-from skin2urdf.structure.records import KinematicTree
-
-T = TypeVar("T")
-StandsOut = Callable[[int, float, float], bool]
-"""Of a log, a time and a later one [s]."""
 
 _RANKS = (0, 1, 2, 3)
 _MOST = 12
 """Attempts of a search: a log with more to amend is better recorded again."""
 _LEFT = 0.1
 """Share of the misfit that may stay where its cause was found. Of two causes the larger one goes
-first; what imitates another cause leaves a fifth or more of it."""
-
+first; what imitates another cause leaves a fifth or more of it, or what leads nowhere."""
 _PART = 0.4
 """Share of the misfit below which a candidate waits until all kinds have looked. It decides about
 time alone: where no other kind explains more, the candidate is tried. In 93 recordings with one
@@ -63,10 +40,6 @@ these below 0.4."""
 _HALVED = 0.5
 """Misfit that may stay for a candidate to be looked at again: it has a share in the cause, and its
 size may be what is wrong with it still."""
-_CHANCE = 3.0
-"""Standard deviations of chi-squared of the measurements that one of two estimates lacks."""
-_TINY = 1e-9
-"""Share of chi-squared that any candidate leaves, however much it promises."""
 
 
 class Kind(Protocol):
@@ -100,132 +73,6 @@ class Finishing(Protocol):
         """The attempt with its amendments as large as its estimate says."""
 
 
-@dataclass
-class Search:
-    """A search under way.
-
-    Attributes:
-        recordings: the logs as read.
-        settings: choices.
-        clock: runs the stages.
-        evident: amendments that need no estimate, such as leaps that no joint can make.
-        plain: the logs with those alone, on their grids.
-        tell: told how many of all ranks of kinds were looked at since the last finding.
-        stands_out: whether all samples show more between two times of a log [s] than the play of
-            gears makes; always, where they were not looked at.
-        tried: number of hypotheses that were compared so far.
-        attempts: number of attempts so far.
-    """
-
-    recordings: Sequence[Recording]
-    settings: CalibrationSettings
-    clock: Clock
-    evident: tuple[Amendment, ...]
-    plain: Logs
-    tell: Tell = lambda _: None
-    stands_out: StandsOut = lambda *_: True
-    tried: int = 0
-    attempts: int = 0
-
-    def __post_init__(self) -> None:
-        self._known: dict[Hashable, object] = {}
-
-    def once(self, key: Hashable, work: Callable[[], T]) -> T:
-        """What some work gives that is worth keeping for later looks, done once."""
-        if key not in self._known:
-            self._known[key] = work()
-        return self._known[key]  # type: ignore[return-value]
-
-    def attempt(self, amendments: tuple[Amendment, ...], beside: Attempt | None) -> Attempt:
-        """Explain the raw logs with some amendments.
-
-        Args:
-            amendments: what is allowed for.
-            beside: an attempt where this one may start if it is of the same structure.
-
-        Raises:
-            InsufficientDataError: the logs lack what a calibration needs.
-            StructureError: the SUs' activity contradicts every kinematic tree.
-        """
-        self.attempts += 1
-        clock = self.clock
-        logs = self._mended(amendments)
-        calm = _calm(logs, amendments)
-        features, structure = self._first_look(calm)
-        for each in amendments:
-            structure = replace(structure, tree=each.of_structure(structure.tree))
-        whole, tree = logs, structure.certain_tree
-        for each in amendments:
-            whole, tree = each.of_placements(whole, tree)
-        # A structure that was found beside a slip knows SUs that are none without it.
-        tree = of_logs(tree, whole)
-        if whole is not logs:
-            calm = _calm(whole, amendments)
-            known = dict(zip(features.su_names, features.latency, strict=True))
-            latency = np.array([known.get(name, 0.0) for name in calm.su_names])
-            features = take_features(calm, clock, latency=latency)
-        other = None if beside is None else beside.solution.found
-        found, refined = relinearise(
-            calm, tree, features, clock,
-            start=None if other is None or not _is_the_same(tree, other.tree) else other.state,
-            hopeless=leads_nowhere,
-        )  # fmt: skip
-        found, refined = _settled(calm, found, refined, clock)
-        return Attempt(amendments, Solution(calm, structure.seen, found, refined), whole)
-
-    def _mended(self, amendments: Sequence[Amendment]) -> Logs:
-        """The recordings without what was wrong, on their grids."""
-        recordings, changing = list(self.recordings), list[Amendment]()
-        for each in amendments:
-            changed = each.of_recordings(recordings)
-            changing += [each] if changed is not recordings else []
-            recordings = changed
-        # Most kinds amend what was sampled: then the grids that the search began with will do.
-        known = tuple(changing) == self.evident
-        logs = self.plain if known else sample_logs(recordings, self.settings, self.clock)
-        for each in amendments:
-            logs = each.of_logs(logs)
-        return logs
-
-    def _first_look(self, logs: Logs) -> tuple[Features, Structure]:
-        """First features of logs and what they show; where nothing is amended, taken once."""
-
-        def look() -> tuple[Features, Structure]:
-            features = take_features(logs, self.clock)
-            return features, find_structure(logs, features, self.clock)
-
-        return self.once("first look", look) if logs is self.plain else look()
-
-    def finished(self, last: Attempt, kind: Finishing) -> Attempt:
-        """An attempt with amendments as large as its estimate says, in its logs as well."""
-        new = kind.finish(last, self.clock)
-        if new.amendments == last.amendments:
-            return new
-        whole, tree = self._mended(new.amendments), new.solution.found.tree
-        for each in new.amendments:
-            whole, _ = each.of_placements(whole, tree)
-        logs = _calm(whole, new.amendments)
-        return replace(new, solution=replace(new.solution, logs=logs), whole=whole)
-
-
-def _settled(
-    logs: Logs, found: Estimate, features: Features, clock: Clock
-) -> tuple[Estimate, Features]:
-    """An estimate that explains the logs, with joints found that no SU seemed to feel."""
-    return settle(logs, found, features, clock) if explains(found) else (found, features)
-
-
-def _is_the_same(a: KinematicTree, b: KinematicTree) -> bool:
-    """Whether two trees are alike down to the order of joints and SUs, so that states fit both."""
-    return a.is_like(b) and (a.joint_names, a.su_names) == (b.joint_names, b.su_names)
-
-
-def _calm(logs: Logs, amendments: Sequence[Amendment]) -> Logs:
-    for each in amendments:
-        logs = each.left_out(logs)
-    return logs
-
-
 def explain(
     recordings: Sequence[Recording],
     evident: tuple[Amendment, ...],
@@ -256,14 +103,14 @@ def explain(
     search = Search(recordings, logs.settings, clock, evident, logs, tell, stands_out)
     begin = None
     if solution is not None:
-        found, features = _settled(logs, solution.found, solution.features, clock)
+        found, features = settled(logs, solution.found, solution.features, clock)
         begin = Attempt(evident, replace(solution, found=found, features=features), logs)
     last = _pruned(search, begin, _grown(search, begin, kinds))
     if last is None:
         raise structure.contradiction or StructureError("there is no tree", "record more moves")
     for kind in kinds:
         if isinstance(kind, Finishing):
-            last = search.finished(last, kind)
+            last = search.resized(last, kind.finish(last, clock))
     faults = [fault for kind in kinds for fault in kind.findings(last)]
     return replace(last.solution, faults=tuple(faults))
 
@@ -311,7 +158,7 @@ def _better(
                 waiting.append(candidate)
                 continue
             after = _sharpened(search, now, _tried(search, now, candidate), candidate)
-            worth = 0.0 if after is None else _worth(now, after, candidate, search.tried)
+            worth = 0.0 if after is None else brought(now, after, candidate, search.tried)
             if after is None or worth <= 0:
                 failed.add(candidate.key)
                 continue
@@ -339,10 +186,13 @@ def _only_a_part(now: Attempt | None, candidate: Candidate) -> bool:
 
 
 def _nearly_all(now: Attempt | None, after: Attempt) -> bool:
-    """Whether an attempt leaves so little that nothing more costly need be looked for."""
+    """Whether an attempt leaves so little that nothing more costly need be looked for.
+
+    What still leads nowhere is none to go on from: one SU may have most of any misfit.
+    """
     found = after.solution.found
     much = now is not None and found.misfit < _LEFT * now.solution.found.misfit
-    return much or explains(found)
+    return (much and not leads_nowhere(found)) or explains(found)
 
 
 def _tried(search: Search, now: Attempt | None, candidate: Candidate) -> Attempt | None:
@@ -417,100 +267,3 @@ def _pruned(search: Search, first: Attempt | None, last: Attempt | None) -> Atte
         if worth <= price(after, each.parameters, search.tried, of_poses=True):
             last = without
     return last
-
-
-def of_logs(tree: KinematicTree, logs: Logs) -> KinematicTree:
-    """A tree without the SUs that logs do not have: those that stand for earlier placements."""
-    own = np.flatnonzero([name in logs.su_names for name in tree.su_names])
-    return replace(tree, su_names=tuple(tree.su_names[u] for u in own), su_joint=tree.su_joint[own])
-
-
-def promise(now: Attempt | None, candidate: Candidate, tried: int) -> float:
-    """What a candidate promises beyond its price."""
-    if now is None:
-        return np.inf
-    found = now.solution.found
-    chi2 = found.misfit * _count(found)
-    left = max(chi2 - candidate.drop, _TINY * chi2) / _count(found)
-    expected = _gain(found.misfit, left, _count(found), _looks(found))
-    looks = _count(found) if left <= GOOD_FIT else _looks(found)
-    return expected + candidate.apart - _price(looks, added(now, candidate), tried)
-
-
-def _worth(now: Attempt | None, after: Attempt, candidate: Candidate, tried: int) -> float:
-    """What a candidate has brought beyond its price."""
-    if now is None:
-        return 1 / after.solution.found.misfit
-    before, found = now.solution.found, after.solution.found
-    return gain(before, found) + candidate.apart - price(found, added(now, candidate), tried)
-
-
-def added(now: Attempt, candidate: Candidate) -> int:
-    """Parameters that a candidate adds: none where it takes the place of what has as many."""
-    known = {a.key for a in now.amendments}
-    return sum(a.parameters for a in candidate.amendments if a.key not in known)
-
-
-def gain(before: Estimate, after: Estimate, *, of_poses: bool = False) -> float:
-    """How much better an estimate explains the logs than another, in chi-squared.
-
-    What noise leaves is counted in measurements, over the noise that is left. What remains beyond
-    it where nothing explains the readings is no noise: it is as if each SU in each pose were
-    wrong as a whole, so that these are counted, each by the logarithm of the ratio (of a normal
-    error whose variance is not known); at the end poses alone, which all SUs feel together.
-    """
-    looks = len(after.count) if of_poses else _looks(after)
-    better = _gain(before.misfit, after.misfit, _count(after), looks)
-    if after.misfit > GOOD_FIT:
-        return better
-    # What is measured no longer, or only then, differs from the rest by chance.
-    other = abs(_count(after) - _count(before))
-    return better - _CHANCE * float(np.sqrt(2 * other))
-
-
-def _gain(before: float, after: float, count: int, looks: int) -> float:
-    if after <= GOOD_FIT:
-        return (before - after) * count / max(1.0, after)
-    return looks * float(np.log(before / after))
-
-
-def price(found: Estimate, parameters: int, tried: int, *, of_poses: bool = False) -> float:
-    """Chi-squared that parameters and the choice among candidates cost."""
-    looks = len(found.count) if of_poses else _looks(found)
-    return _price(_count(found) if found.misfit <= GOOD_FIT else looks, parameters, tried)
-
-
-def _price(looks: int, parameters: int, tried: int) -> float:
-    return parameters * float(np.log(max(2, looks))) + 2 * float(np.log(max(1, tried)))
-
-
-def _count(found: Estimate) -> int:
-    """Measurements."""
-    return max(1, int(found.count.sum()))
-
-
-def _looks(found: Estimate) -> int:
-    """SUs in poses."""
-    return int((found.count > 0).sum())
-
-
-def excess(found: Estimate) -> float:
-    """Chi-squared beyond what noise makes of it: no hypothesis explains more."""
-    return max(0.0, (found.misfit - 1) * _count(found))
-
-
-def imitations(
-    search: Search, now: Attempt | None, subjects: Sequence[str]
-) -> tuple[Amendment, ...]:
-    """Amendments of an attempt that may imitate what is wrong with the same joints or SUs.
-
-    Two poses after a joint has turned look as if its zero had changed as well.
-    """
-    known = () if now is None else now.amendments
-    return tuple(a for a in known if a.subject in subjects and a not in search.evident)
-
-
-def explains(found: Estimate) -> bool:
-    """Whether an estimate leaves nothing to explain, nor weighs down what it does not explain."""
-    fits = found.cost_per_dof <= GOOD_FIT and found.misfit <= BAD_FIT
-    return fits and not unlike_the_rest(found)

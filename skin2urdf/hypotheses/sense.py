@@ -23,9 +23,10 @@ from skin2urdf.estimation.solve.estimate import Estimate
 from skin2urdf.faults import Fault
 from skin2urdf.geometry.so3 import cross
 from skin2urdf.hypotheses.alone import alone, negated
-from skin2urdf.hypotheses.encoder import Corrected
+from skin2urdf.hypotheses.attempts import Search, imitations
+from skin2urdf.hypotheses.corrected import Corrected
+from skin2urdf.hypotheses.measure import excess, explains
 from skin2urdf.hypotheses.records import Attempt, Candidate
-from skin2urdf.hypotheses.search import Search, excess, explains, imitations
 from skin2urdf.model.specific_force import specific_forces
 from skin2urdf.signals.records import EncoderError, Features
 

@@ -15,9 +15,9 @@ from skin2urdf.estimation.solve.arrow import factor
 from skin2urdf.estimation.solve.estimate import Estimate
 from skin2urdf.faults import Fault
 from skin2urdf.geometry.so3 import rotation_log
+from skin2urdf.hypotheses.attempts import Search
 from skin2urdf.hypotheses.loose import Slip, slips
 from skin2urdf.hypotheses.records import Amendment, Attempt, Candidate
-from skin2urdf.hypotheses.search import Search
 from skin2urdf.signals.records import Features
 from skin2urdf.signals.sampling import Sampled
 from skin2urdf.structure.records import KinematicTree

@@ -12,8 +12,9 @@ from typing import Literal
 
 from skin2urdf.calibration.rounds import settle
 from skin2urdf.faults import Fault
+from skin2urdf.hypotheses.attempts import Search
+from skin2urdf.hypotheses.measure import explains
 from skin2urdf.hypotheses.records import Amendment, Attempt, Candidate
-from skin2urdf.hypotheses.search import Search, explains
 from skin2urdf.structure.records import KinematicTree
 
 

@@ -123,6 +123,36 @@ def standstill(joint: JointStream, between: tuple[float, float]) -> float:
     return float(joint.time[low + begin : low + end + 1].mean())
 
 
+def turning_for(joint: JointStream, begin: float, size: float) -> float | None:
+    """Time from which a track is mirrored if later positions are to be other ones, the nearest.
+
+    Where a joint hardly moves, a track may turn round unseen in many places, each with another
+    value about which it is mirrored.
+
+    Args:
+        joint: the track, as reported.
+        begin: time from which it was taken for mirrored [s].
+        size: by how much the positions after it come out too large so [rad or m].
+
+    Returns:
+        The time [s]; None where no place gives such positions to a step of the encoder.
+    """
+    about = _about(joint.position)
+    i = int(np.searchsorted(joint.time, begin)) - 2
+    if not 0 <= i < len(about):
+        return None
+    off = about - (about[i] - size)
+    passed = np.flatnonzero(off[:-1] * off[1:] <= 0)
+    if len(passed):
+        near = int(passed[np.argmin(np.abs(passed - i))])
+        best = min(near, near + 1, key=lambda k: abs(off[k]))
+    else:
+        best = int(np.argmin(np.abs(off)))
+        if abs(off[best]) > _finest(np.diff(joint.position)):
+            return None
+    return float(joint.time[best + 1 : best + 3].mean())
+
+
 def _inside(joint: JointStream, between: tuple[float, float]) -> tuple[int, int]:
     """First step of a track between two times, and one past the last, that has neighbours."""
     first, last = np.searchsorted(joint.time, between)
@@ -185,8 +215,16 @@ def _mirrored(time: F64, x: F64, begin: float) -> F64:
     i = int(np.searchsorted(time, begin))
     if not 2 <= i < len(x) - 1:
         return -x if i < 2 else x
-    step = ((x[i - 1] - x[i - 2]) - (x[i + 1] - x[i])) / 2
-    return np.concatenate([x[:i], x[i - 1] + step + x[i] - x[i:]])
+    return np.concatenate([x[:i], _about(x)[i - 2] - x[i:]])
+
+
+def _about(x: F64) -> F64:
+    """(N - 3,) sum of positions before and after, were a track (N,) mirrored from each sample on.
+
+    The first of them is of the third sample: a track goes on as it did before.
+    """
+    step = ((x[1:-2] - x[:-3]) - (x[3:] - x[2:-1])) / 2
+    return x[1:-2] + step + x[2:-1]
 
 
 def corrected_features(features: Features, error: EncoderError) -> Features:

@@ -78,20 +78,9 @@ def trees_from_motion(
     seed: int = 0,
     tell: Callable[[float], None] = lambda _: None,
 ) -> tuple[MotionTree, ...]:
-    """Trees that explain what the SUs feel, best first.
+    """Of the trees by rests and by moves those of the kind that leaves less, best first.
 
-    Args:
-        sampled: the logs on their grids, with the same joints and SUs.
-        su_names: U SU names.
-        known: a tree that is right, where there is one: none other is then tried.
-        seed: of the random axes from which chains are searched where segments carry no SU.
-        tell: told the share of the work that is done.
-
-    Returns:
-        The best tree, and those that the log does not tell from it for certain.
-
-    Raises:
-        StructureError: no SU feels any joint move, or no chain of joints explains what any feels.
+    See :func:`trees_of_both_kinds` for what it takes and raises.
     """
     return trees_of_both_kinds(sampled, su_names, known, seed, tell)[0]
 

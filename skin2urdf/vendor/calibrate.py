@@ -17,7 +17,7 @@ from skin2urdf.calibration.samples import clocks_in_all, late_publishers
 from skin2urdf.calibration.settings import CalibrationSettings
 from skin2urdf.errors import InsufficientDataError
 from skin2urdf.faults import Fault, distinct
-from skin2urdf.hypotheses.encoder import Corrected, evident_errors
+from skin2urdf.hypotheses.corrected import Corrected, evident_errors
 from skin2urdf.recording.records import Recording
 from skin2urdf.signals.encoders import corrected
 from skin2urdf.signals.publishers import all_that_are_off

@@ -40,20 +40,22 @@ from skin2urdf.calibration.settings import CalibrationSettings
 from skin2urdf.faults import Fault
 from skin2urdf.hypotheses.arising import narrowed, turning_between
 from skin2urdf.hypotheses.changes import turns_within
-from skin2urdf.hypotheses.encoder import (
-    Corrected,
-    errors_of,
-    sharpened,
-    sized_by_the_fit,
-    with_another,
-)
+from skin2urdf.hypotheses.corrected import Corrected, errors_of, with_another
+from skin2urdf.hypotheses.encoder import sharpened, sized_by_the_fit
 from skin2urdf.hypotheses.records import Attempt
 from skin2urdf.hypotheses.sense import TURNED, felt_at_rest
 from skin2urdf.hypotheses.suspicions import suspicions
 from skin2urdf.recording.records import JointStream, Recording
 from skin2urdf.recording.retiming import retimed
 from skin2urdf.signals.contact import disturbances
-from skin2urdf.signals.encoders import corrected, corrected_features, leaps, reversal, standstill
+from skin2urdf.signals.encoders import (
+    corrected,
+    corrected_features,
+    leaps,
+    reversal,
+    standstill,
+    turning_for,
+)
 from skin2urdf.signals.records import EncoderError
 from skin2urdf.simulation import Simulation, SimulationSettings
 from skin2urdf.simulation.faults import Sound
@@ -443,6 +445,23 @@ def test_of_several_standstills_the_longest_counts() -> None:
     joint = JointStream("j", t, 0.8 * smooth**2 * (3 - 2 * smooth))
     assert standstill(joint, (5.0, 12.0)) == pytest.approx(10.0, abs=0.1)
     assert standstill(joint, (5.0, 7.0)) == pytest.approx(5.5, abs=0.1)
+
+
+def test_what_later_positions_are_off_by_tells_when_a_track_was_mirrored() -> None:
+    step, t = 5e-5, np.arange(0.0, 20.0, 0.004)
+    # It stands at 0 for a second, creeps by 1 mrad, and stands at that for two.
+    x = 1e-3 * np.clip(t - 6.0, 0.0, 1.0) + 0.1 * np.clip(5.0 - t, 0.0, 5.0)
+    x = np.round((x + 0.1 * np.clip(t - 9.0, 0.0, 11.0)) / step) * step
+    n = int(np.searchsorted(t, 6.6))
+    seen = JointStream("j", t, np.concatenate([x[:n], 2 * x[n - 1] - x[n:]]))
+    (off,) = corrected([Recording((seen,), ())], [EncoderError("sign", "j", -1.0, 0, 8.0)])
+    size = float(off.joints[0].position[-1] - x[-1])
+    assert abs(size) > 3e-4
+    at = turning_for(seen, 8.0, size)
+    assert at == pytest.approx(t[n], abs=0.1)
+    (mended,) = corrected([Recording((seen,), ())], [EncoderError("sign", "j", -1.0, 0, at)])
+    assert np.abs(mended.joints[0].position - x).max() < 2.1 * step
+    assert turning_for(seen, 8.0, 5.0) is None
 
 
 def test_what_an_encoder_reports_while_it_slips_is_left_out() -> None:

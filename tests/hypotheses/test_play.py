@@ -15,9 +15,9 @@ from skin2urdf.calibration.rounds import (
 from skin2urdf.calibration.samples import fit_samples, is_play, stands_out
 from skin2urdf.calibration.settings import CalibrationSettings
 from skin2urdf.faults import Fault
+from skin2urdf.hypotheses.attempts import Search
 from skin2urdf.hypotheses.contact import Contact
 from skin2urdf.hypotheses.records import Attempt
-from skin2urdf.hypotheses.search import Search
 from skin2urdf.recording.retiming import retimed
 from skin2urdf.simulation import SimulationSettings, load_robot, simulate
 from skin2urdf.simulation.defects import Backlash

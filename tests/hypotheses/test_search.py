@@ -24,12 +24,14 @@ from skin2urdf.calibration.rounds import (
 )
 from skin2urdf.calibration.settings import CalibrationSettings
 from skin2urdf.faults import Fault
+from skin2urdf.hypotheses.attempts import Search
 from skin2urdf.hypotheses.changes import Changes
-from skin2urdf.hypotheses.encoder import Corrected
+from skin2urdf.hypotheses.corrected import Corrected
 from skin2urdf.hypotheses.kinds import KINDS
+from skin2urdf.hypotheses.measure import added, gain, price
 from skin2urdf.hypotheses.mirrored import Mirrored, Negated
 from skin2urdf.hypotheses.records import Amendment, Attempt, Candidate
-from skin2urdf.hypotheses.search import Kind, Search, added, explain, gain, price
+from skin2urdf.hypotheses.search import Kind, explain
 from skin2urdf.hypotheses.slip import Moment, Slipped
 from skin2urdf.hypotheses.structure import Known
 from skin2urdf.recording.records import Recording

@@ -32,10 +32,10 @@ from skin2urdf.calibration.rounds import (
 )
 from skin2urdf.calibration.settings import CalibrationSettings
 from skin2urdf.faults import Fault, distinct, without_slips
+from skin2urdf.hypotheses.attempts import Search
 from skin2urdf.hypotheses.loose import slips
 from skin2urdf.hypotheses.names import named_as_felt
 from skin2urdf.hypotheses.records import Amendment
-from skin2urdf.hypotheses.search import Search
 from skin2urdf.hypotheses.slip import Moment, Slipped
 from skin2urdf.notes import Note
 from skin2urdf.recording.records import JointStream, Recording, SuStream

@@ -130,3 +130,12 @@ def with_all_sus(
     ]
     R, information, handed, left = (np.array(part) for part in zip(*found, strict=True))
     return Orientations(axes, R, up, information, handed, left)
+
+
+def axes_at_zero(tree: KinematicTree, state: State) -> F64:
+    """(D, 3) unit joint axes of a state with the robot at position zero, in the base frame."""
+    R = np.empty((tree.n_joints, 3, 3))
+    for j, parent in enumerate(tree.parent):
+        own = state.T_parent_joint[j, :3, :3]
+        R[j] = R[parent] @ own if parent >= 0 else own
+    return R[:, :, 2]

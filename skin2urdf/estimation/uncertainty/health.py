@@ -8,6 +8,7 @@ from skin2urdf.arrays import Bool
 from skin2urdf.estimation.problem.state import State
 from skin2urdf.estimation.solve.estimate import Estimate
 from skin2urdf.estimation.start.inward import inward_starts
+from skin2urdf.estimation.start.orientation import axes_at_zero, with_all_sus
 from skin2urdf.estimation.uncertainty.goodness import Goodness, by_block
 from skin2urdf.estimation.uncertainty.narrow import narrow_priors
 from skin2urdf.estimation.uncertainty.outliers import poses_unlike_the_rest, sus_unlike_the_rest
@@ -32,21 +33,21 @@ def mirrored_sus(estimate: Estimate) -> tuple[int, ...]:
     """SUs whose readings are negated or in a left-handed frame, against the majority's.
 
     A reflection is a rotation times -1, and no rotation maps gravity and slopes onto their mirror
-    image. The axes are taken from one SU at the tip of each limb, for in an estimate a mirrored SU
-    may have bent them. That all SUs are mirrored can not be told from accelerometers.
+    image. A mirrored SU may have bent the axes of the estimate; those that the SU at the tip of a
+    limb shows by itself are noisier. Of both, the axes count from which the readings of all SUs, or
+    their mirror images, follow best. That all SUs are mirrored can not be told from accelerometers.
 
     Args:
         estimate: an estimate, however bad; its tree, its blocks and its sensor matrices count.
     """
-    blocks = estimate.cost.blocks
-    start = next(inward_starts(estimate.tree, blocks, estimate.given), None)
-    handed, left = np.zeros((2, estimate.tree.n_sus))
-    if start is not None:
-        handed, left = start.handed, start.left
-    turned = np.linalg.det(estimate.state.sensor_matrix()) < 0
+    tree, blocks, state, given = estimate.tree, estimate.cost.blocks, estimate.state, estimate.given
+    own = with_all_sus(tree, blocks, axes_at_zero(tree, state), state.up, given)
+    best = min((*inward_starts(tree, blocks, given), own), key=lambda o: float(o.left.sum()))
+    handed, left = best.handed, best.left
+    turned = np.linalg.det(state.sensor_matrix()) < 0
     tells = np.abs(handed) > _HANDED
     unexplained = tells & (left > _LEFT * (left + np.abs(handed)))
-    told = (estimate.tree.su_joint >= 0) & ~unexplained
+    told = (tree.su_joint >= 0) & ~unexplained
     mirrored = np.where(tells, handed < 0, turned) & told
     if mirrored.sum() * 2 > told.sum():
         mirrored = told & ~mirrored

@@ -9,8 +9,14 @@ import pytest
 from calibrated import calibration
 
 from skin2urdf.arrays import F64
+from skin2urdf.estimation.problem.cost import Cost
 from skin2urdf.estimation.uncertainty.goodness import Goodness, Share
-from skin2urdf.estimation.uncertainty.health import are_plausible, health_notes, unlike_the_rest
+from skin2urdf.estimation.uncertainty.health import (
+    are_plausible,
+    health_notes,
+    mirrored_sus,
+    unlike_the_rest,
+)
 from skin2urdf.notes import Note, of_kind
 
 
@@ -63,6 +69,18 @@ def test_no_result_with_a_sensor_that_counts_one_axis_the_other_way_is_good() ->
     state = replace(sound.estimate.state, shape=shape)
     assert np.flatnonzero(~are_plausible(state)).tolist() == [2]
     assert replace(sound, estimate=replace(sound.estimate, state=state)).quality == "fair"
+
+
+def test_a_mirrored_su_is_told_where_the_tip_of_its_limb_shows_no_axes() -> None:
+    found = calibration().estimate
+    tip, mirrored = (int(np.argsort(found.tree.su_joint)[i]) for i in (-1, -2))
+    coefficients = np.array(found.cost.blocks.coefficients)
+    coefficients[:, mirrored] *= -1
+    of_tip = coefficients[:, tip, 1:]
+    of_tip += np.random.default_rng(0).normal(0.0, 3.0, of_tip.shape)
+    blocks = replace(found.cost.blocks, coefficients=coefficients)
+    cost = Cost(found.tree, blocks, found.cost.priors)
+    assert mirrored_sus(replace(found, cost=cost)) == (mirrored,)
 
 
 @pytest.mark.parametrize(

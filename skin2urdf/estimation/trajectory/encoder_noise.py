@@ -126,9 +126,7 @@ def _predicted(problem: MotionProblem, state: MotionState) -> list[Predicted]:
 def _never_in_one_chain(tree: KinematicTree) -> list[list[int]]:
     """The joints, in groups of which no SU feels more than one: those as far from the ground."""
     depth = [len(tree.chain(d)) for d in range(tree.n_joints)]
-    return [
-        [d for d in range(tree.n_joints) if depth[d] == level] for level in sorted(set(depth))
-    ]
+    return [[d for d in range(tree.n_joints) if depth[d] == level] for level in sorted(set(depth))]
 
 
 def _posed(problem: MotionProblem, pushed: Sequence[int]) -> MotionProblem:

@@ -386,8 +386,10 @@ class MotionProblem(Derivatives):
         rng, beyond = np.random.default_rng(0), self.beyond()
         for rows in self._rows(state, predicted, weights):
             own, A = rows.whole(beyond[rows.log] if beyond else None)
-            noise = rng.standard_normal((n_draws, *rows.residual.shape))
-            yield Versions(rows.log, rows.su, own, A, np.concatenate([rows.residual[None], noise]))
+            residuals = np.empty((1 + n_draws, *rows.residual.shape))
+            residuals[0] = rows.residual
+            rng.standard_normal(out=residuals[1:])
+            yield Versions(rows.log, rows.su, own, A, residuals)
 
     def pulls_of_joints(
         self, state: MotionState, predicted: Sequence[Predicted], weights: Sequence[F64]

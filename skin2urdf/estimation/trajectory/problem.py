@@ -21,7 +21,7 @@ from skin2urdf.estimation.trajectory.derivatives import (
     compared,
     fixed_path,
 )
-from skin2urdf.estimation.trajectory.front_end import front_end
+from skin2urdf.estimation.trajectory.front_end import Spectrum, front_end
 from skin2urdf.estimation.trajectory.gyro import predicted_turning
 from skin2urdf.estimation.trajectory.heights import rise
 from skin2urdf.estimation.trajectory.kinematics import (
@@ -161,9 +161,10 @@ class MotionProblem(Derivatives):
         matrices, splines = places.sensor_matrix(), self.logs[g].splines
         within, rate, margin = compared(log)
         for link in self.points(state):
+            of_points = Spectrum.of(link.series(felt[:, :3]), rate, margin)
             for some in link.parts():
-                read = some.read(matrices[some.sus], felt[:, :3])
-                read = front_end(read, state.front[some.sus], rate, margin)[..., within]
+                heard = of_points.mixed(some.sensed(matrices[some.sus]))
+                read = front_end(heard, state.front[some.sus])[..., within]
                 for u, mine in zip(some.sus, read, strict=True):
                     bias = places.bias[u] + shares @ state.knots[g][:, u]
                     residual[:, u] = splines[u].at(at[:, u]) - mine.T - bias

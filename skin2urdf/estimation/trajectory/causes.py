@@ -4,7 +4,8 @@ A rigid robot with steady sensors is fitted first. Where it leaves more than noi
 are off their encoders from place to place, causes are tried: uneven gears, joints that yield, a
 base that gives way, biases that drift, several of these; slack of a learnt size takes up what none
 of them explains. Slack no larger than half an encoder's step needs no cause: rounding makes it
-wherever a robot rests, and many joints and SUs show what one of them hides in noise.
+wherever a robot rests, and many joints and SUs show what one of them hides in noise. What rounding
+makes on the way from rest to rest is told from slack by drawing it anew.
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ from skin2urdf.estimation.trajectory.known_torque import with_known_torque, yiel
 from skin2urdf.estimation.trajectory.misfit import MOST_OF_IT, SPAN, misfit_of, span_means
 from skin2urdf.estimation.trajectory.play import deflections_saturate
 from skin2urdf.estimation.trajectory.problem import MotionProblem
+from skin2urdf.estimation.trajectory.rounded import rounded_off_again
 from skin2urdf.estimation.trajectory.slack import (
     Lacking,
     Size,
@@ -292,14 +294,26 @@ class _Attempt:
         if self.shown is None or self.slack_size is None or self.slack_size.gain <= _CERTAIN:
             return None
         rounding = rounded_off(self.problem.tree, self.problem.logs)
-        if self.slack_size.gain_beyond(rounding) > _DOUBTED:
+        size = self.slack_size
+        if size.gain_beyond(rounding) > _DOUBTED:
+            size = self._size_beside_rounding() or size
+        if size.gain_beyond(rounding) > _DOUBTED:
             return None
-        problem, equations = self.shown.begun(0, self.slack_size.size)
+        if size.gain <= _CERTAIN:
+            return self
+        problem, equations = self.shown.begun(0, size.size)
         before = self.fitted
         none = np.zeros(problem.layout.n_unseen - len(before.state.unseen))
         state = replace(before.state, unseen=np.concatenate([before.state.unseen, none]))
         fitted = fit(problem, state, near=True, predicted=before.predicted, equations=equations)
         return replace(self, problem=problem, fitted=fitted, causes=(*self.causes, "slack"))
+
+    def _size_beside_rounding(self) -> Size | None:
+        """Slack beyond what encoders round off while joints move; None where they round nothing."""
+        again = rounded_off_again(self.problem.logs)
+        if again is None or self.places is None:
+            return None
+        return lacking(self.problem, self.fitted, [self.places, again]).size(0, drawn=1)
 
     def with_slack(self) -> _Attempt:
         """With slack of the size that the readings show."""

@@ -16,7 +16,7 @@ from skin2urdf.estimation.problem.state import (
     N_SU,
 )
 from skin2urdf.estimation.trajectory.blueprint import ALONG_AXIS, further_columns, turn_axes
-from skin2urdf.estimation.trajectory.front_end import front_end_slopes
+from skin2urdf.estimation.trajectory.front_end import Spectrum, front_end_slopes
 from skin2urdf.estimation.trajectory.gyro import rate_columns, with_gyros
 from skin2urdf.estimation.trajectory.kinematics import (
     FrameMotion,
@@ -209,8 +209,17 @@ class Derivatives:
         """Of some SUs of a link at a time, by their places there, derivatives (s, n, 3, K)."""
         placements = self.skeleton.su_placements(state.placements.T_joint_su)
         first, K = 0, link.weights.shape[2]
+        predicted, (within, rate, margin) = carried.predicted, compared(self.logs[link.log])
+        of_points = [
+            Spectrum.of(carried.link.series(x), rate, margin)
+            for x in np.split(predicted.felt, 2, axis=1)
+            if predicted.rates is None
+        ]
         for some in carried.link.parts():
-            rates = self._rates(state, link.log, some, carried.predicted)
+            if predicted.rates is not None:
+                rates = predicted.rates[:, :, some.sus].transpose(2, 0, 3, 1)
+            else:
+                rates = self._rates(state, some, of_points)[..., within]
             own = np.empty((len(some.sus), self.layout.n_su, 3, K))
             for u, rate, out in zip(some.sus.tolist(), rates, own, strict=True):
                 here = placed(carried.frames[1][some.joint], placements[u])
@@ -228,15 +237,18 @@ class Derivatives:
         none = np.zeros(0, dtype=np.int64), np.zeros((0, 3, 3, root.shape[1]))
         yield Rows(g, u, self._all_columns(u, g), A * root, turned.residual[:, u].T * root, *none)
 
-    def _rates(self, state: MotionState, g: int, some: SharedPoints, predicted: Predicted) -> F64:
-        """(S, 3, 3, K) derivatives of the readings of some SUs in time and in their front ends."""
-        if predicted.rates is not None:
-            return predicted.rates[:, :, some.sus].transpose(2, 0, 3, 1)
-        within, rate, margin = compared(self.logs[g])
-        matrices, front = state.placements.sensor_matrix()[some.sus], state.front[some.sus]
-        read, slope = (some.read(matrices, x) for x in np.split(predicted.felt, 2, axis=1))
-        in_time, by_front = front_end_slopes(read, slope, front, rate, margin)
-        return np.concatenate([in_time[None], by_front])[..., within].swapaxes(0, 1)
+    def _rates(self, state: MotionState, some: SharedPoints, of_points: Sequence[Spectrum]) -> F64:
+        """(S, 3, 3, M) derivatives of the readings of some SUs in time and in their front ends.
+
+        Args:
+            state: where.
+            some: the SUs.
+            of_points: what the points of their link feel, and its derivative in time.
+        """
+        sensed = some.sensed(state.placements.sensor_matrix()[some.sus])
+        read, slope = (each.mixed(sensed) for each in of_points)
+        in_time, by_front = front_end_slopes(read, slope, state.front[some.sus])
+        return np.concatenate([in_time[None], by_front]).swapaxes(0, 1)
 
     def _joint_columns(self, u: int, g: int) -> list[int]:
         """Columns of the joint part that an SU's readings depend on, but for what is unseen."""

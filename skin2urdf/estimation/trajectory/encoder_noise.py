@@ -21,6 +21,7 @@ from skin2urdf.estimation.trajectory.problem import MotionProblem
 from skin2urdf.estimation.trajectory.records import Predicted
 from skin2urdf.estimation.trajectory.state import MotionState
 from skin2urdf.signals.trajectory import Trajectory
+from skin2urdf.structure.records import KinematicTree
 
 _EVERY = 10
 """Kept samples of which one stands for all: some three a second, in which a robot hardly turns."""
@@ -55,32 +56,33 @@ def without_shortening(
         knots=tuple(k[:0] for k in fitted.state.knots),
         gyro=np.zeros((tree.n_sus, 0)),
     )
-    still = _posed(problem, None)
+    still = _posed(problem, [])
     at_rest = _predicted(still, state)
     shared = slice(0, layout.gravity + 1)
     # What is steady shows nothing of clocks and front ends; of these the fit itself takes it off.
     own = slice(0, layout.front.start)
     joint, su = np.zeros(still.layout.n_joint), np.zeros((tree.n_sus, still.layout.n_su))
     of_all = [np.zeros_like(p.residual) for p in at_rest]
-    for d in range(tree.n_joints):
-        pushed = _posed(problem, d)
-        driven = _predicted(pushed, state)
-        beyond = np.array([d in tree.chain(int(k)) for k in tree.su_joint])
+    for pushed in _never_in_one_chain(tree):
+        driven_by = _posed(problem, pushed)
+        driven = _predicted(driven_by, state)
+        active = tree.activity()[:, pushed]
+        beyond, felt = active.any(axis=1), np.array(pushed)[active.argmax(axis=1)]
         # Residuals are readings less predictions, so this is what a unit of acceleration does.
         tau = [
             np.where((a.measured & beyond)[..., None], a.residual - b.residual, 0.0)
             for a, b in zip(at_rest, driven, strict=True)
         ]
         weights = [
-            w[::_EVERY, :, :3] * (_EVERY * (log.moving[::_EVERY, d, None] & beyond)[..., None])
+            w[::_EVERY, :, :3] * (_EVERY * (log.moving[::_EVERY, felt] & beyond)[..., None])
             for w, log in zip(fitted.weights, problem.logs, strict=True)
         ]
-        louder = [w * n[d] for w, n in zip(weights, noise, strict=True)]
-        of_joint, of_su = _gradients(pushed, state, driven, tau, louder)
+        louder = [w * n[felt, None] for w, n in zip(weights, noise, strict=True)]
+        of_joint, of_su = _gradients(driven_by, state, driven, tau, louder)
         joint += of_joint
         su += of_su
-        for n, w, t, every in zip(noise, weights, tau, of_all, strict=True):
-            every += n[d] * w * t
+        for w, t, every in zip(louder, tau, of_all, strict=True):
+            every += w * t
     # What stands still has the same derivatives whichever joint is pushed.
     ones = [np.ones_like(each) for each in of_all]
     of_joint, of_su = _gradients(still, state, at_rest, of_all, ones)
@@ -121,18 +123,23 @@ def _predicted(problem: MotionProblem, state: MotionState) -> list[Predicted]:
     return [problem.predict(state, g) for g in range(len(problem.logs))]
 
 
-def _posed(problem: MotionProblem, pushed: int | None) -> MotionProblem:
-    """A problem whose logs stand still in some of its positions, one joint accelerating by 1."""
+def _never_in_one_chain(tree: KinematicTree) -> list[list[int]]:
+    """The joints, in groups of which no SU feels more than one: those as far from the ground."""
+    depth = [len(tree.chain(d)) for d in range(tree.n_joints)]
+    return [[d for d in range(tree.n_joints) if depth[d] == level] for level in sorted(set(depth))]
+
+
+def _posed(problem: MotionProblem, pushed: Sequence[int]) -> MotionProblem:
+    """A problem whose logs stand still in some of its positions, some joints accelerating by 1."""
     priors = replace(problem.priors, unseen=np.zeros(0))
     logs = [_posed_log(log, pushed) for log in problem.logs]
     return MotionProblem(problem.tree, logs, priors)
 
 
-def _posed_log(log: Trajectory, pushed: int | None) -> Trajectory:
+def _posed_log(log: Trajectory, pushed: Sequence[int]) -> Trajectory:
     q = log.q[log.kept[::_EVERY]]
     qdd = np.zeros_like(q)
-    if pushed is not None:
-        qdd[:, pushed] = 1.0
+    qdd[:, pushed] = 1.0
     return replace(
         log,
         rate=log.rate / float(np.median(np.diff(log.kept))) / _EVERY,

@@ -13,10 +13,12 @@ instead, ``r > b^2`` or p below zero, does so by a factor ``1 - (r - b^2) s^2``:
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
+
 import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
 
-from skin2urdf.arrays import F64
+from skin2urdf.arrays import F64, Complex
 
 N_FRONT = 2
 """Coordinates of a front end: p, the square of b, and r, both in s^2."""
@@ -29,63 +31,82 @@ _SMALL = 1e-12
 """Square of a lag below which it is none [s^2]: a microsecond."""
 
 
-def front_end(read: F64, front: F64, rate: float, margin: int) -> F64:
-    """Readings behind their sensors' front ends.
+def front_end(read: Spectrum, front: F64) -> F64:
+    """Readings (U, C, N) behind their sensors' front ends.
 
     Args:
-        read: (U, C, N) readings without a front end, N samples at one rate.
+        read: readings without a front end.
         front: (U, 2) p and r of each SU [s^2].
-        rate: samples per second [Hz].
-        margin: samples by which the ends are carried on.
     """
-    spectrum = _Spectrum(read, rate, margin)
-    return spectrum.line + spectrum.times(gain(spectrum.w, front))
+    return read.line + read.times(gain(read.w, front))
 
 
-def front_end_slopes(
-    read: F64, in_time: F64, front: F64, rate: float, margin: int
-) -> tuple[F64, F64]:
+def front_end_slopes(read: Spectrum, in_time: Spectrum, front: F64) -> tuple[F64, F64]:
     """Derivatives of :func:`front_end` in time and in the coordinates.
 
     Args:
-        read: (U, C, N) readings without a front end, and
-        in_time: (U, C, N) their derivatives.
-        front: as above, and
-        rate: the same, and
-        margin: the same.
+        read: readings without a front end, and
+        in_time: their derivatives.
+        front: as above.
 
     Returns:
         (U, C, N) and (2, U, C, N) [1/s and 1/s^2 times the unit].
     """
-    slopes, spectrum = _Spectrum(in_time, rate, margin), _Spectrum(read, rate, margin)
-    H, by_front = transfer(spectrum.w, front)
-    return slopes.line + slopes.times(H), np.stack([spectrum.times(each) for each in by_front])
+    H, by_front = transfer(read.w, front)
+    return in_time.line + in_time.times(H), np.stack([read.times(each) for each in by_front])
 
 
-class _Spectrum:
-    """Signals (U, C, N) as straight lines, which no front end changes, and Fourier series.
+@dataclass(frozen=True, eq=False)
+class Spectrum:
+    """Signals (..., N) as straight lines, which no front end changes, and Fourier series.
 
-    Without its line a signal would step from its end to its beginning, and ring about both.
+    Without its line a signal would step from its end to its beginning, and ring about both. Both
+    are linear in the signals, so that what many SUs read of a few points of a link is transformed
+    with these.
 
     Attributes:
-        line: (U, C, N) the lines.
+        line: (..., N) the lines.
+        series: (..., F) the series of what is left, carried on beyond both ends.
         w: (F,) angular frequencies of the series [rad/s].
+        size: samples of what they stand for.
+        inner: which of these the signals have.
     """
 
-    def __init__(self, signals: F64, rate: float, margin: int) -> None:
+    line: F64
+    series: Complex
+    w: F64
+    size: int
+    inner: slice
+
+    @staticmethod
+    def of(signals: F64, rate: float, margin: int) -> Spectrum:
+        """Those of signals (..., N).
+
+        Args:
+            signals: N samples at one rate.
+            rate: samples per second [Hz].
+            margin: samples by which the ends are carried on.
+        """
         n = signals.shape[-1]
-        self._size = next_fast_len(n + 2 * margin, real=True)
-        self._inner = slice(margin, margin + n)
-        ends = ((0, 0), (0, 0), (margin, self._size - n - margin))
+        size = next_fast_len(n + 2 * margin, real=True)
+        inner = slice(margin, margin + n)
+        ends = [(0, 0)] * (signals.ndim - 1) + [(margin, size - n - margin)]
         padded = np.pad(signals, ends, mode="reflect", reflect_type="odd")
         first, last = padded[..., :1], padded[..., -1:]
-        line = first + (last - first) * np.linspace(0.0, 1.0, self._size)
-        self.line, self._series = line[..., self._inner], rfft(padded - line)
-        self.w = 2 * np.pi * rfftfreq(self._size, 1 / rate)
+        line = first + (last - first) * np.linspace(0.0, 1.0, size)
+        w = 2 * np.pi * rfftfreq(size, 1 / rate)
+        return Spectrum(line[..., inner], rfft(padded - line), w, size, inner)
+
+    def mixed(self, weight: F64) -> Spectrum:
+        """Those of the signals that weights (U, C, p) make of p signals."""
+        shape, flat = weight.shape[:-1], weight.reshape(-1, weight.shape[-1])
+        series = (flat @ self.series.view(np.float64)).view(np.complex128)
+        line = (flat @ self.line).reshape(*shape, -1)
+        return replace(self, line=line, series=series.reshape(*shape, -1))
 
     def times(self, gains: F64) -> F64:
-        """(U, C, N) the series with gains (F, U)."""
-        return np.asarray(irfft(self._series * gains.T[:, None], self._size)[..., self._inner])
+        """(U, C, N) the series (U, C, F) with gains (F, U)."""
+        return np.asarray(irfft(self.series * gains.T[:, None], self.size)[..., self.inner])
 
 
 def gain(w: F64, front: F64) -> F64:

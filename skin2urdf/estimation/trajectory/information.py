@@ -264,10 +264,8 @@ def _steps(problem: MotionProblem, fitted: Fitted) -> tuple[F64, F64]:
     su = np.tile(full.su_gradient, (1 + _DRAWS, 1, 1))
     joint[1:], su[1:] = 0.0, 0.0
     for rows in problem.versions(fitted.state, fitted.predicted, fitted.weights, _DRAWS):
-        drawn, nj = (
-            np.tensordot(rows.residuals[1:], rows.derivatives, ((1, 2), (1, 2))),
-            len(rows.columns),
-        )
+        A, nj = rows.derivatives, len(rows.columns)
+        drawn = rows.residuals[1:].reshape(_DRAWS, -1) @ A.reshape(len(A), -1).T
         joint[1:, rows.columns] += drawn[:, :nj]
         su[1:, rows.su] += drawn[:, nj:]
     system = eliminated(full, free_joint, problem.free_su)

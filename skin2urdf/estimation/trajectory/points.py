@@ -58,6 +58,10 @@ class SharedPoints:
         weight = np.einsum("sp,sij->sipj", self.shares, turn)
         return np.asarray(weight.reshape(len(self.sus), 3, -1))
 
+    def series(self, felt: F64) -> F64:
+        """(3 p, M) what the link's own points feel, of (P, 3, M) that those of all links do."""
+        return felt[self.at].reshape(3 * len(self.arms), -1)
+
     def read(self, matrices: F64, felt: F64) -> F64:
         """(S, 3, M) readings of the SUs.
 
@@ -65,7 +69,7 @@ class SharedPoints:
             matrices: as above.
             felt: (P, 3, M) what the points of all links feel.
         """
-        here = felt[self.at].reshape(3 * len(self.arms), -1)
+        here = self.series(felt)
         weight = self.sensed(matrices).reshape(-1, len(here))
         return np.asarray((weight @ here).reshape(len(self.sus), 3, -1))
 

@@ -21,7 +21,7 @@ from skin2urdf.estimation.trajectory.derivatives import (
     compared,
     fixed_path,
 )
-from skin2urdf.estimation.trajectory.front_end import front_end
+from skin2urdf.estimation.trajectory.front_end import Spectrum, front_end
 from skin2urdf.estimation.trajectory.gyro import predicted_turning
 from skin2urdf.estimation.trajectory.heights import rise
 from skin2urdf.estimation.trajectory.kinematics import (
@@ -161,9 +161,10 @@ class MotionProblem(Derivatives):
         matrices, splines = places.sensor_matrix(), self.logs[g].splines
         within, rate, margin = compared(log)
         for link in self.points(state):
+            of_points = Spectrum.of(link.series(felt[:, :3]), rate, margin)
             for some in link.parts():
-                read = some.read(matrices[some.sus], felt[:, :3])
-                read = front_end(read, state.front[some.sus], rate, margin)[..., within]
+                heard = of_points.mixed(some.sensed(matrices[some.sus]))
+                read = front_end(heard, state.front[some.sus])[..., within]
                 for u, mine in zip(some.sus, read, strict=True):
                     bias = places.bias[u] + shares @ state.knots[g][:, u]
                     residual[:, u] = splines[u].at(at[:, u]) - mine.T - bias
@@ -386,8 +387,10 @@ class MotionProblem(Derivatives):
         rng, beyond = np.random.default_rng(0), self.beyond()
         for rows in self._rows(state, predicted, weights):
             own, A = rows.whole(beyond[rows.log] if beyond else None)
-            noise = rng.standard_normal((n_draws, *rows.residual.shape))
-            yield Versions(rows.log, rows.su, own, A, np.concatenate([rows.residual[None], noise]))
+            residuals = np.empty((1 + n_draws, *rows.residual.shape))
+            residuals[0] = rows.residual
+            rng.standard_normal(out=residuals[1:])
+            yield Versions(rows.log, rows.su, own, A, residuals)
 
     def pulls_of_joints(
         self, state: MotionState, predicted: Sequence[Predicted], weights: Sequence[F64]

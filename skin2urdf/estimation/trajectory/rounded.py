@@ -31,8 +31,12 @@ def rounded_off_again(logs: Sequence[Trajectory]) -> Unseen | None:
     if not any(log.resolution.any() for log in logs):
         return None
     rng = np.random.default_rng(0)
-    motions = tuple(np.hstack([_off(log, rng) for _ in range(DRAWS)]) for log in logs)
     D = logs[0].q.shape[1]
+    motions = tuple(np.empty((len(log.q), DRAWS * D)) for log in logs)
+    for log, drawn in zip(logs, motions, strict=True):
+        for first in range(0, DRAWS * D, D):
+            drawn[:, first : first + D] = _off(log, rng)
+        drawn.flags.writeable = False  # of which the record then needs no copy
     joint, number = np.tile(np.arange(D), DRAWS), np.repeat(np.arange(DRAWS), D)
     return Unseen(joint, motions, number=number)
 

@@ -115,6 +115,9 @@ class Beyond:
             place = np.searchsorted(numbers, self.unseen.number[entries])
             each = motions[:, columns[entries]] * units[entries, None]
             added = np.einsum("dck,dsk->sck", of_joint, each)
+            if np.array_equal(place, np.arange(len(numbers))):
+                out += added
+                continue
             # A number may move a joint in more than one way.
             for s, each in zip(place, added, strict=True):
                 out[s] += each

@@ -5,6 +5,12 @@ from pose to pose) leaves the link off by some amount that is the same whenever 
 same place. Numbers for every joint in every place where the robot stays, of a common size that is
 learnt from the readings (a variance component), take that up: the estimate weighs it as it
 deserves, and its stated errors know of it.
+
+What encoders round off while joints move is felt by all SUs beyond them alike, so that weights,
+which take SUs as independent, know the joints the better the more SUs there are: with 28 SUs on
+every link, and encoders of 13 bits, squared pulls of noise alone are some forty times what weights
+say, and look like slack. How much of it rounding makes is known from what encoders round off, drawn
+anew (:mod:`rounded`), whatever the readings are: no error of a gear hides in it.
 """
 
 from __future__ import annotations
@@ -39,6 +45,8 @@ _WIDE = 1e-2
 """Size that stands for any, where only information is wanted [rad]."""
 _SIZES = np.geomspace(1e-7, 3e-2, 111)
 """Sizes that are compared [rad]: from what no encoder tells to two degrees, by 12 %."""
+
+_NOTHING = np.zeros(0, dtype=np.int64)
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,13 +155,22 @@ class Lacking:
     equations: Equations
     groups: tuple[Int, ...]
 
-    def size(self, group: int) -> Size:
-        """The size that the readings give to a group, by their likelihood."""
-        at = self.groups[group]
-        kept = np.setdiff1d(np.arange(self.problem.layout.n_joint), self._but(group))
+    def size(self, group: int, drawn: int | None = None) -> Size:
+        """The size that the readings give to a group, by their likelihood.
+
+        Args:
+            group: whose size.
+            drawn: another group, each of whose numbers is a draw of noise that SUs share; None
+                where their noise is independent.
+        """
+        both = [group] if drawn is None else [group, drawn]
+        others = [at for i, at in enumerate(self.groups) if i not in both]
+        every = np.arange(self.problem.layout.n_joint)
+        kept = np.setdiff1d(every, np.concatenate(others)) if others else every
         free = self.problem.free_joint[kept], self.problem.free_su
-        place, wide = np.searchsorted(kept, at), np.full(len(at), _WIDE)
-        return _likeliest(self.equations.of_joint(kept), free, place, wide, np.zeros(len(at)))
+        at, *noise = (np.searchsorted(kept, self.groups[each]) for each in both)
+        wide, none = np.full(len(at), _WIDE), np.zeros(len(at))
+        return _likeliest(self.equations.of_joint(kept), free, at, wide, none, *noise)
 
     def pull(self, group: int) -> tuple[F64, F64]:
         """What a group of that size does to the estimate.
@@ -195,11 +212,6 @@ class Lacking:
         spread[at - first] = size
         priors = replace(self.problem.priors, unseen=spread)
         return self.problem.again(priors=priors), replace(self.equations, joint=joint)
-
-    def _but(self, group: int) -> Int:
-        """Coordinates of all groups but one."""
-        others = [at for i, at in enumerate(self.groups) if i != group]
-        return np.concatenate(others) if others else np.zeros(0, dtype=np.int64)
 
 
 def lacking(problem: MotionProblem, fitted: Fitted, groups: Sequence[Unseen]) -> Lacking:
@@ -247,7 +259,14 @@ def learnt_size(problem: MotionProblem, fitted: Fitted, numbers: slice) -> Size:
     return _likeliest(fitted.equations, (problem.free_joint, problem.free_su), at, spread, x)
 
 
-def _likeliest(equations: Equations, free: tuple[Bool, Bool], at: Int, spread: F64, x: F64) -> Size:
+def _likeliest(
+    equations: Equations,
+    free: tuple[Bool, Bool],
+    at: Int,
+    spread: F64,
+    x: F64,
+    drawn: Int = _NOTHING,
+) -> Size:
     """The size of some coordinates of the joint part that makes the readings most likely.
 
     All else follows them to first order, as the normal equations say (restricted maximum
@@ -259,6 +278,8 @@ def _likeliest(equations: Equations, free: tuple[Bool, Bool], at: Int, spread: F
         at: (S,) which coordinates.
         spread: (S,) standard deviations that the equations have of them.
         x: (S,) where they are.
+        drawn: coordinates that stand for draws of noise that SUs share, which makes pulls beside
+            the independent noise of each.
     """
     free_joint, free_su = free
     system = eliminated(equations, free_joint, free_su)
@@ -268,15 +289,20 @@ def _likeliest(equations: Equations, free: tuple[Bool, Bool], at: Int, spread: F
     g[at] += spread**-2 * x
     g += H[:, at] @ x
     others = free_joint.copy()
-    others[at] = False
-    follow = joint_inverse(H, others) @ np.column_stack([H[:, at], g])
-    left = H[np.ix_(at, at)] - H[at] @ follow[:, :-1]
-    pull = g[at] - H[at] @ follow[:, -1]
+    others[np.concatenate([at, drawn])] = False
+    S = len(at)
+    follow = joint_inverse(H, others) @ np.column_stack([H[:, at], g, H[:, drawn]])
+    left = H[np.ix_(at, at)] - H[at] @ follow[:, :S]
+    pull = g[at] - H[at] @ follow[:, S]
     lam, V = np.linalg.eigh(0.5 * (left + left.T))
     lam, pull = np.maximum(lam, 0.0), V.T @ pull
     known = lam > 1e-9 * max(float(lam[-1]), 1e-300)
     v = _SIZES[:, None] ** 2
     lam, pull, V = lam[known], pull[known], V[:, known]
+    # Pulls have variances c + v lam^2, where those of independent noise are c = lam.
+    by_noise = V.T @ (H[np.ix_(at, drawn)] - H[at] @ follow[:, S + 1 :])
+    less = lam / (lam + (by_noise**2).sum(axis=1) / max(1, len(drawn)))
+    lam, pull = less * lam, less * pull
     gain = 0.5 * (v * pull**2 / (1 + v * lam) - np.log1p(v * lam)).sum(axis=1)
     best = int(np.argmax(gain))
     numbers = V @ (pull / (lam + 1 / v[best]))

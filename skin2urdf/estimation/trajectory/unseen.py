@@ -125,12 +125,14 @@ def together(several: Sequence[Unseen]) -> Unseen:
     """The numbers of several, one after the other."""
     first = np.cumsum([0, *(each.n_numbers for each in several)])
     columns = np.cumsum([0, *(each.motions[0].shape[1] for each in several)])
+    motions = tuple(
+        np.concatenate(parts, axis=1) for parts in zip(*(e.on_grid for e in several), strict=True)
+    )
+    for each in motions:
+        each.flags.writeable = False  # of which the record then needs no copy
     return Unseen(
         np.concatenate([each.joint for each in several]),
-        tuple(
-            np.concatenate(parts, axis=1)
-            for parts in zip(*(e.on_grid for e in several), strict=True)
-        ),
+        motions,
         column=np.concatenate([e.columns + n for e, n in zip(several, columns[:-1], strict=True)]),
         unit=np.concatenate([each.units for each in several]),
         number=np.concatenate([e.number + n for e, n in zip(several, first[:-1], strict=True)]),

@@ -6,7 +6,12 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from skin2urdf.estimation.trajectory.front_end import front_end, front_end_slopes, transfer
+from skin2urdf.estimation.trajectory.front_end import (
+    Spectrum,
+    front_end,
+    front_end_slopes,
+    transfer,
+)
 
 GRID = 2 * np.pi * np.linspace(0.5, 62.0, 200)
 """Angular frequencies of a log's grid [rad/s]."""
@@ -46,8 +51,8 @@ def test_nothing_steps_where_a_log_begins_and_ends() -> None:
     """A reading that only grows goes through, from the first sample to the last."""
     line = 9.8 - 0.1 * np.arange(400.0).reshape(1, 1, -1)
     front = np.array([[5e-5, 2e-5]])
-    np.testing.assert_allclose(front_end(line, front, 30.0, 20), line, atol=1e-9)
-    by_front = front_end_slopes(line, line, front, 30.0, 20)[1]
+    np.testing.assert_allclose(front_end(Spectrum.of(line, 30.0, 20), front), line, atol=1e-9)
+    by_front = front_end_slopes(*[Spectrum.of(line, 30.0, 20)] * 2, front)[1]
     np.testing.assert_allclose(by_front, 0.0, atol=1e-5)
 
 
@@ -57,7 +62,7 @@ def test_what_swings_is_as_the_transfer_function_says() -> None:
     front = np.array([[5e-5, 2e-5]])
     H = transfer(np.array([2 * np.pi * f]), front)[0][0, 0]
     swing = np.exp(2j * np.pi * f * t)
-    found = front_end(np.stack([swing.real, swing.imag])[None], front, rate, 20)[0]
+    found = front_end(Spectrum.of(np.stack([swing.real, swing.imag])[None], rate, 20), front)[0]
     inside = slice(100, -100)
     np.testing.assert_allclose(found[0, inside], (H * swing).real[inside], atol=1e-4)
     np.testing.assert_allclose(found[1, inside], (H * swing).imag[inside], atol=1e-4)

@@ -16,8 +16,9 @@ from skin2urdf.estimation.trajectory.estimate import MotionEstimate, estimate_al
 from skin2urdf.estimation.trajectory.fit import fit
 from skin2urdf.estimation.trajectory.gears import find_ripples, harmonics, ripples
 from skin2urdf.estimation.trajectory.problem import MotionProblem
-from skin2urdf.estimation.trajectory.slack import lacking, size_of, slack
+from skin2urdf.estimation.trajectory.slack import Lacking, lacking, size_of, slack
 from skin2urdf.estimation.trajectory.state import MotionState
+from skin2urdf.estimation.trajectory.unseen import Unseen
 from skin2urdf.model.specific_force import specific_forces
 from skin2urdf.signals.filters import filtered, first_derivative, second_derivative
 from skin2urdf.signals.trajectory import Trajectory
@@ -136,6 +137,41 @@ def test_slack_that_rounding_may_have_made_is_asked_for_no_cause() -> None:
     assert not rounded.tried
     assert rounded.problem.unseen is not None
     assert "slack" in _fit("slack", _STEP).causes
+
+
+def _of_many(size: float) -> Lacking:
+    """What 60 SUs on two links show of slack, and of draws of noise like that of their encoders.
+
+    Args:
+        size: of slack [rad].
+    """
+    rng, names = np.random.default_rng(4), tuple(f"su{u}" for u in range(60))
+    tree = replace(_TREE, su_names=names, su_joint=np.repeat([0, 1], 30))
+    truth = replace(random_state(rng, tree, 1, 0.3), up=_UP[None])
+    theta = stays(rng.uniform(-1.5, 1.5, (_PLACES, 2)), _STAY, _MOVE)
+    q = theta + stays(size * rng.standard_normal((_PLACES, 2)), _STAY, _MOVE)
+    speed, push = first_derivative(q, RATE), second_derivative(q, RATE)
+    ideal = specific_forces(truth.model(tree), q, speed, push, 9.81 * _UP)
+    read = np.einsum("uij,kuj->kui", truth.sensor_matrix(), ideal) + truth.bias
+    read += 7e-3 * rng.standard_normal(read.shape)
+    noise = filtered(rng.standard_normal((len(theta), 34)), np.full(41, 3e-4 / 41**0.5))
+    log = sampled_trajectory(theta + noise[:, :2], read, still_below=1e-3)
+    priors = motion_priors(Priors(), gravity=0.0, front=(np.zeros(2), np.zeros(2)))
+    found = estimate_along([log], tree, truth, priors, np.zeros(60), look_further=False)
+    drawn = filtered(noise[:, 2:], log.taps)
+    joint, number = np.tile([0, 1], 16), np.repeat(np.arange(16), 2)
+    places = slack(tree, [log])
+    assert places is not None
+    groups = [places, Unseen(joint, (drawn,), number=number)]
+    return lacking(found.problem, found.fitted, groups)
+
+
+def test_noise_that_many_sus_share_is_no_slack() -> None:
+    sound, loose = _of_many(0.0), _of_many(3e-4)
+    assert sound.size(0).gain > 100
+    assert sound.size(0, drawn=1).gain < 3
+    assert loose.size(0, drawn=1).gain > 10
+    assert loose.size(0, drawn=1).size == pytest.approx(3e-4, rel=0.5)
 
 
 @pytest.mark.parametrize("unseen", ["harmonics", "ripples"])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from contextlib import nullcontext
 from typing import TypeVar
 
 from threadpoolctl import threadpool_limits
@@ -37,7 +38,8 @@ class Clock:
         self._inside.append(0.0)
         try:
             # The matrices are many and small: threads of linear algebra would wait for each other.
-            with threadpool_limits(1):
+            # To look for its libraries costs milliseconds; a stage inside another finds it done.
+            with threadpool_limits(1) if len(self._inside) == 2 else nullcontext():
                 result = work(lambda share: self._progress(stage, share))
         finally:
             whole = time.perf_counter() - begin

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -110,48 +111,85 @@ def nested(
     Raises:
         StructureError: a contradiction that rests on certain bits only.
     """
-    bits, sure = evidence > 0, np.abs(evidence)
-    notes: list[Note] = []
-    while True:
-        conflict = _cheapest_conflict(bits, sure)
+    # What mends one pair of columns most cheaply may leave another that nothing mends: the last
+    # bit that was changed then stays as it was.
+    waiting: list[tuple[Bool, F64, list[Note]]] = [(evidence > 0, np.abs(evidence), [])]
+    refused: list[_Conflict] = []
+    # Where there are more dead ends than DoFs, the bits contradict each other throughout.
+    while waiting and len(refused) <= len(dof_names):
+        bits, sure, notes = waiting.pop()
+        conflict = _conflict(bits, sure)
         if conflict is None:
             return bits, notes
-        cost, rows, column, d, e = conflict
-        if cost > CERTAIN:
-            sus = [su_names[u] for u in rows]
-            raise StructureError(
-                f"the activity of {dof_names[d]} and {dof_names[e]} contradicts a kinematic tree: "
-                f"some SUs move with either alone and some with both (least certain: "
-                f"{', '.join(sus)})",
-                "look for a DoF that moves along with another one (mimic or coupled joints), a "
-                "closed kinematic loop, or an SU that touches two segments; record one DoF at a "
-                "time from several poses",
-                sus=sus,
-                dofs=[dof_names[d], dof_names[e]],
-            )
-        for u in rows:
-            bits[u, column] = ~bits[u, column]
-            # Once changed for the sake of the rest it stays, or two repairs would undo each other.
-            sure[u, column] = np.inf
-            taken: Detail = "active" if bits[u, column] else "inactive"
-            notes.append(Note("undecided", (su_names[u],), (dof_names[column],), taken))
+        if conflict.certain:
+            refused.append(conflict)
+            continue
+        u, column = conflict.undecided
+        mended, decided = bits.copy(), sure.copy()
+        mended[u, column] = ~bits[u, column]
+        decided[u, column] = np.inf
+        taken: Detail = "active" if mended[u, column] else "inactive"
+        note = Note("undecided", (su_names[u],), (dof_names[column],), taken)
+        waiting += [(bits, decided, notes), (mended, decided, [*notes, note])]
+    (d, e), sus = refused[0].pair, [su_names[u] for u in refused[0].rows]
+    raise StructureError(
+        f"the activity of {dof_names[d]} and {dof_names[e]} contradicts a kinematic tree: "
+        f"some SUs move with either alone and some with both (least certain: {', '.join(sus)})",
+        "look for a DoF that moves along with another one (mimic or coupled joints), a closed "
+        "kinematic loop, or an SU that touches two segments; record one DoF at a time from several "
+        "poses",
+        sus=sus,
+        dofs=[dof_names[d], dof_names[e]],
+    )
 
 
-def _cheapest_conflict(bits: Bool, sure: F64) -> tuple[float, list[int], int, int, int] | None:
-    """The crossing pair of columns that is cheapest to mend: cost, rows, column, pair."""
-    best: tuple[float, list[int], int, int, int] | None = None
+@dataclass(frozen=True)
+class _Conflict:
+    """Two columns that cross, and the cheapest way to mend that.
+
+    Attributes:
+        pair: the columns.
+        rows: rows of which one bit has to change each.
+        undecided: row and column of the most certain of those bits.
+        cost: its certainty, then that of all of them together.
+    """
+
+    pair: tuple[int, int]
+    rows: tuple[int, ...]
+    undecided: tuple[int, int]
+    cost: tuple[float, float]
+
+    @property
+    def certain(self) -> bool:
+        """Whether it rests on certain bits alone, so that no other change mends it either."""
+        return self.cost[0] > CERTAIN
+
+
+def _conflict(bits: Bool, sure: F64) -> _Conflict | None:
+    """A crossing pair of columns that nothing mends, else the one that is cheapest to mend."""
     shared = bits.T.astype(np.int64) @ bits
     own = np.diag(shared)
     crossing = (shared > 0) & (shared < own[:, None]) & (shared < own)
-    for d, e in zip(*np.nonzero(np.triu(crossing)), strict=True):
-        a, b = bits[:, d], bits[:, e]
-        both, only_a, only_b = a & b, a & ~b, b & ~a
-        options = ((both, d), (both, e), (only_a, d), (only_a, e), (only_b, d), (only_b, e))
-        for rows, column in options:
-            cost = float(sure[rows, column].max() + 1e-3 * sure[rows, column].sum())
-            if best is None or cost < best[0]:
-                best = (cost, [int(u) for u in np.flatnonzero(rows)], int(column), int(d), int(e))
-    return best
+    found = [
+        _cheapest_of(bits, sure, (int(d), int(e)))
+        for d, e in zip(*np.nonzero(np.triu(crossing)), strict=True)
+    ]
+    return min(found, key=lambda c: (not c.certain, c.cost), default=None)
+
+
+def _cheapest_of(bits: Bool, sure: F64, pair: tuple[int, int]) -> _Conflict:
+    """How two columns that cross are mended most cheaply: no row with both, or with one alone."""
+    a, b = bits[:, pair].T
+    columns = np.array(pair)[sure[:, pair].argmin(axis=1)]
+    price = sure[:, pair].min(axis=1)
+    ways = []
+    for way in (a & b, a & ~b, b & ~a):
+        rows = np.flatnonzero(way)
+        u = rows[price[rows].argmax()]
+        cost = float(price[u]), float(price[rows].sum())
+        bit = int(u), int(columns[u])
+        ways.append(_Conflict(pair, tuple(int(u) for u in rows), bit, cost))
+    return min(ways, key=lambda c: c.cost)
 
 
 def _parents(bits: Bool) -> list[int]:

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import pytest
 from calibrated import calibration, run
+from threadpoolctl import threadpool_info, threadpool_limits
 
 from skin2urdf.calibration.clock import Clock, Tell
 from skin2urdf.report.document import as_document
@@ -57,6 +58,19 @@ def test_a_stage_that_fails_has_taken_its_time_all_the_same(time: Time) -> None:
         clock.run("failing", fail)
     clock.run("next", lambda _: time.sleep(3.0))
     assert clock.seconds == {"failing": 2.0, "next": 3.0}
+
+
+def test_linear_algebra_has_one_thread_in_every_stage_and_as_many_as_before_after_them() -> None:
+    def threads(_: Tell) -> set[int]:
+        return {library["num_threads"] for library in threadpool_info()}
+
+    def outer(tell: Tell) -> list[set[int]]:
+        return [threads(tell), clock.run("inner", threads), threads(tell)]
+
+    clock = Clock()
+    with threadpool_limits(2):
+        assert clock.run("outer", outer) == [{1}, {1}, {1}]
+        assert threads(lambda _: None) == {2}
 
 
 def test_all_time_of_a_run_lies_in_stages() -> None:

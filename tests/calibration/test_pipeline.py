@@ -184,12 +184,16 @@ def test_settings_reach_the_estimation() -> None:
     assert found.estimate.state.shape.any()
 
 
+@cache
+def of_small_arm() -> Recording:
+    return simulation_of(small_arm(3), **MEMS, excite="all").recording
+
+
 def test_biases_that_are_denied_make_a_bad_fit() -> None:
     """Five mg is fifty standard deviations of gravity in a pose."""
-    sim, _ = calibrated("so101")
     settings = CalibrationSettings(estimation=EstimationSettings(intrinsics=False))
     with pytest.raises(BadFitError):
-        calibrate(sim.recording, settings)
+        calibrate(of_small_arm(), settings)
 
 
 def test_the_package_offers_it_by_its_name() -> None:
@@ -306,7 +310,7 @@ def test_positions_in_degrees_give_no_robot() -> None:
 
 
 def test_a_joint_that_is_not_linear_is_a_bad_fit() -> None:
-    log = simulation_of(small_arm(3), **MEMS, excite="all").recording
+    log = of_small_arm()
     name = log.joints[1].name
 
     def bent(joint: JointStream) -> JointStream:

@@ -10,6 +10,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import NamedTuple
@@ -33,23 +34,27 @@ SHORT = ["--poses", "3", "--excite", "all", "--imu-rate", "100", "--joint-rate",
 
 
 class Files(NamedTuple):
-    """A log and its truth, an estimate and its JSON."""
+    """A log and its truth, an estimate and its JSON, and what the command told of them."""
 
     log: Path
     truth: Path
     urdf: Path
     json: Path
+    out: str
+    err: str
 
 
 @pytest.fixture(scope="module")
 def files(tmp_path_factory: pytest.TempPathFactory) -> Files:
     """A recording and what was made of it, all by the command line."""
     folder = tmp_path_factory.mktemp("cli")
-    made = Files(*(folder / n for n in ("log.mcap", "truth.urdf", "robot.urdf", "robot.json")))
-    to = ["-o", str(made.log), "--truth", str(made.truth)]
-    assert main(["simulate", "so101", *to, *SHORT]) == 0
-    assert main(["calibrate", str(made.log), "-o", str(made.urdf), "--quiet"]) == 0
-    return made
+    names = ("log.mcap", "truth.urdf", "robot.urdf", "robot.json")
+    log, truth, urdf, document = (folder / name for name in names)
+    assert main(["simulate", "so101", "-o", str(log), "--truth", str(truth), *SHORT]) == 0
+    out, err = io.StringIO(), io.StringIO()
+    with redirect_stdout(out), redirect_stderr(err):
+        assert main(["calibrate", str(log), "-o", str(urdf), "--name", "arm"]) == 0
+    return Files(log, truth, urdf, document, out.getvalue(), err.getvalue())
 
 
 Run = Callable[..., tuple[int, str, str]]
@@ -64,17 +69,14 @@ def run(capsys: pytest.CaptureFixture[str]) -> Run:
     return call
 
 
-def test_calibrate_tells_the_verdict_first_and_the_files_last(
-    files: Files, run: Run, tmp_path: Path
-) -> None:
-    status, out, err = run("calibrate", files.log, "-o", tmp_path / "a.urdf", "--name", "arm")
-    assert (status, err) == (0, "")
-    lines = out.splitlines()
+def test_calibrate_tells_the_verdict_first_and_the_files_last(files: Files) -> None:
+    assert files.err == ""
+    lines = files.out.splitlines()
     assert lines[0].startswith("good: 5 joints, 6 SUs;")
-    assert "a.urdf" in lines[-1]
-    assert "a.json" in lines[-1]
-    assert (tmp_path / "a.json").is_file()
-    assert '<robot name="arm">' in (tmp_path / "a.urdf").read_text()
+    assert files.urdf.name in lines[-1]
+    assert files.json.name in lines[-1]
+    assert files.json.is_file()
+    assert '<robot name="arm">' in files.urdf.read_text()
 
 
 def test_an_su_to_be_repaired_is_told_by_verdict_and_exit_status(

@@ -23,7 +23,7 @@ from simulated import (
 
 from skin2urdf.arrays import F64
 from skin2urdf.calibration import samples
-from skin2urdf.calibration.clock import Clock, Tell
+from skin2urdf.calibration.clock import Clock
 from skin2urdf.calibration.pipeline import calibrate
 from skin2urdf.calibration.result import Calibration
 from skin2urdf.calibration.rounds import (
@@ -37,6 +37,7 @@ from skin2urdf.calibration.rounds import (
 )
 from skin2urdf.calibration.samples import fit_samples, without_false_hits
 from skin2urdf.calibration.settings import CalibrationSettings
+from skin2urdf.estimation.trajectory.estimate import MotionEstimate
 from skin2urdf.faults import Fault
 from skin2urdf.hypotheses.arising import narrowed, turning_between
 from skin2urdf.hypotheses.changes import turns_within
@@ -127,6 +128,14 @@ def solved(log: Recording) -> Solution:
 def solved_panda() -> Solution:
     """An arm whose joints turn about every direction."""
     return solved(retimed(simulation("panda", **OPTIONS).recording))
+
+
+@cache
+def along_panda() -> MotionEstimate:
+    """The same by all samples."""
+    along = fit_samples(solved_panda(), lambda _: None)
+    assert along is not None
+    return along
 
 
 def test_rests_tell_from_when_on_a_joint_counts_the_other_way() -> None:
@@ -264,11 +273,9 @@ def test_all_samples_have_the_last_word_about_hits_alone() -> None:
     time = solution.logs.sampled[0].motion.grid.time
     begin, end = np.quantile(time, [0.5, 0.502])
     hit = Fault("contact", "panda_joint4", log=0, begin=begin, end=end)
-    along = fit_samples(solution, lambda _: None)
-    assert along is not None
     for fault, stays in ((hit, False), (replace(hit, kind="encoder jump"), True)):
         named = replace(solution, faults=(fault,))
-        kept, _ = without_false_hits(named, along, solution.logs, solution, lambda _: None)
+        kept, _ = without_false_hits(named, along_panda(), solution.logs, solution, lambda _: None)
         assert (kept.faults == (fault,)) == stays
 
 
@@ -278,13 +285,11 @@ def test_nothing_that_yields_is_tried_with_a_hit_in_a_log_that_leaves_only_noise
     """It takes twenty times as long, and explains no hit."""
     most = list[float]()
 
-    def watched(solution: Solution, tell: Tell, **options: Any) -> object:
+    def watched(*_: object, **options: Any) -> object:
         most.append(options["most"])
-        return fit_samples(solution, tell, **options)
+        return along
 
-    solution = solved_panda()
-    along = fit_samples(solution, lambda _: None)
-    assert along is not None
+    solution, along = solved_panda(), along_panda()
     monkeypatch.setattr(samples, "fit_samples", watched)
     named = replace(solution, faults=(Fault("contact", "panda_joint4", log=0, begin=9.0, end=9.3),))
     without_false_hits(named, along, solution.logs, solution, lambda _: None)

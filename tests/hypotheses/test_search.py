@@ -16,7 +16,9 @@ from simulated import simulation_of
 
 from skin2urdf.calibration.clock import Clock
 from skin2urdf.calibration.rounds import (
+    Logs,
     Solution,
+    Structure,
     estimate_robot,
     find_structure,
     sample_logs,
@@ -44,16 +46,43 @@ def simulation() -> Simulation:
     return simulation_of(small_arm(3), excite="all")
 
 
-def searched(recording: Recording, kinds: Sequence[Kind]) -> tuple[Solution, Counter[str]]:
-    """What a search finds in a recording, and how often it ran each stage; an attempt estimates."""
-    runs = Counter[str]()
+@dataclass(frozen=True)
+class Recorded:
+    """A recording, and what is known of it before any search."""
+
+    recording: Recording
+    logs: Logs
+    structure: Structure
+    first: Solution | None
+
+
+@cache
+def sound() -> Recorded:
+    return looked_at(simulation().recording)
+
+
+@cache
+def negated() -> Recorded:
+    """All readings of one SU, the last, are negated."""
+    recording = simulation().recording
+    *others, last = recording.sus
+    wrong = replace(last, specific_force=-last.specific_force)
+    return looked_at(replace(recording, sus=(*others, wrong)))
+
+
+def looked_at(recording: Recording) -> Recorded:
     logs = sample_logs([recording], CalibrationSettings(), Clock())
     features = take_features(logs, Clock())
     structure = find_structure(logs, features, Clock())
-    first = estimate_robot(logs, features, structure, Clock())
+    return Recorded(recording, logs, structure, estimate_robot(logs, features, structure, Clock()))
+
+
+def searched(given: Recorded, kinds: Sequence[Kind]) -> tuple[Solution, Counter[str]]:
+    """What a search finds in a recording, and how often it ran each stage; an attempt estimates."""
+    runs = Counter[str]()
     clock = Clock(lambda stage, share: runs.update([stage] if share == 0.0 else []))
-    found = explain([recording], (), (logs, structure, first), kinds, clock)
-    return found, runs
+    begun = (given.logs, given.structure, given.first)
+    return explain([given.recording], (), begun, kinds, clock), runs
 
 
 @dataclass(frozen=True)
@@ -80,64 +109,52 @@ class Proposing:
         return [Fault("noisy", type(a).__name__) for a in last.amendments]
 
 
-def with_su_negated(recording: Recording, name: str) -> Recording:
-    sus = tuple(
-        replace(su, specific_force=-su.specific_force) if su.name == name else su
-        for su in recording.sus
-    )
-    return replace(recording, sus=sus)
-
-
 def test_a_sound_log_costs_no_attempt() -> None:
-    found, runs = searched(simulation().recording, KINDS)
+    found, runs = searched(sound(), KINDS)
     assert runs["estimation"] == 0
     assert found.faults == ()
 
 
 def test_a_promise_that_does_not_come_true_is_tried_once_and_dropped() -> None:
     """Of what explains less than before there is one estimate."""
-    recording = simulation().recording
-    wrong = EncoderError("scale", recording.joints[2].name, 3.0)
-    found, runs = searched(recording, [Proposing((Corrected(wrong),))])
+    wrong = EncoderError("scale", sound().recording.joints[2].name, 3.0)
+    found, runs = searched(sound(), [Proposing((Corrected(wrong),))])
     assert (runs["sampling"], runs["estimation"]) == (1, 1)
     assert found.faults == ()
     assert found.found.misfit < 1.3
 
 
 def test_a_promise_below_its_price_is_not_tried() -> None:
-    found, runs = searched(simulation().recording, [Proposing((Idle(),), drop=1.0)])
+    found, runs = searched(sound(), [Proposing((Idle(),), drop=1.0)])
     assert runs["estimation"] == 0
     assert found.faults == ()
 
 
 def test_what_the_others_explain_goes_at_the_end() -> None:
-    name = simulation().recording.sus[-1].name
-    recording = with_su_negated(simulation().recording, name)
-    found, _ = searched(recording, [Proposing((Negated(name), Idle()))])
+    name = negated().recording.sus[-1].name
+    found, _ = searched(negated(), [Proposing((Negated(name), Idle()))])
     assert [fault.subject for fault in found.faults] == ["Negated"]
     assert found.found.misfit < 1.3
 
 
 def test_a_structure_that_was_found_beside_a_slip_is_one_without_it() -> None:
     """It has an SU for the earlier placement, which no log has."""
-    name = simulation().recording.sus[-1].name
-    recording = with_su_negated(simulation().recording, name)
-    logs = sample_logs([recording], CalibrationSettings(), Clock())
-    tree = find_structure(logs, take_features(logs, Clock()), Clock()).certain_tree
+    name = negated().recording.sus[-1].name
+    tree = negated().structure.certain_tree
     joint = tree.su_joint[tree.su_names.index(name)]
     known = replace(
         tree,
         su_names=(*tree.su_names, f"{name}_before"),
         su_joint=np.append(tree.su_joint, joint),
     )
-    found, _ = searched(recording, [Proposing((Negated(name), Known(known)))])
+    found, _ = searched(negated(), [Proposing((Negated(name), Known(known)))])
     assert found.found.tree.su_names == tree.su_names
     assert found.found.misfit < 1.3
 
 
 def test_a_mirrored_su_is_found_and_one_that_only_looks_so_beside_it_is_not() -> None:
-    name = simulation().recording.sus[-1].name
-    found, runs = searched(with_su_negated(simulation().recording, name), [Mirrored()])
+    name = negated().recording.sus[-1].name
+    found, runs = searched(negated(), [Mirrored()])
     assert found.faults == (Fault("mirrored", name),)
     # The readings are negated on the grids that they are on.
     assert runs["sampling"] == 0

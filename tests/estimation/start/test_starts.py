@@ -81,15 +81,24 @@ def only(features: Features, tree: KinematicTree, sus: list[int]) -> tuple[Featu
     return cut, replace(tree, su_names=names, su_joint=tree.su_joint[sus])
 
 
+EXPLAINED = 1.1
+"""Chi-squared per measurement of the global optimum: chance adds less to the mean of 1."""
+
+
 def best_after(starts: Starts, features: Features, tree: KinematicTree) -> float:
-    """Lowest chi-squared per measurement that Gauss-Newton reaches from any of the starts."""
+    """Lowest chi-squared per measurement that Gauss-Newton reaches from the starts.
+
+    Those after one that explains the features are not tried.
+    """
     cost = Cost(tree, feature_blocks(features, tree), PRIORS)
     free = identifiable(tree, 1, intrinsics=False)
-    reached = []
+    best = np.inf
     for start in starts(tree, cost.blocks, PRIORS):
         state = placed(cost, start, free)
-        reached.append(gauss_newton(cost, state, free, iterations=15)[1])
-    return min(reached) / cost.n_data
+        best = min(best, gauss_newton(cost, state, free, iterations=15)[1] / cost.n_data)
+        if best < EXPLAINED:
+            break
+    return best
 
 
 @pytest.mark.parametrize("tilt", TILTS)
@@ -98,7 +107,7 @@ def test_the_papers_chain_is_found_from_either_end(starts: Starts, tilt: str) ->
     for seed in range(6):
         features = paper_features(TILTS[tilt], seed, slopes=starts is inward_starts)
         # 66 parameters take 4 to 11 % off the mean of 1.
-        assert 0.8 < best_after(starts, features, paper_tree()) < 1.1
+        assert 0.8 < best_after(starts, features, paper_tree()) < EXPLAINED
 
 
 @pytest.mark.parametrize("tilt", TILTS)
@@ -113,7 +122,7 @@ def test_the_estimate_takes_the_start_that_the_data_allow(tilt: str, slopes: boo
 def test_one_su_at_the_tip_determines_the_whole_chain(tilt: str) -> None:
     for seed in range(4):
         features, tree = only(paper_features(TILTS[tilt], seed, True), paper_tree(), [6])
-        assert 0.7 < best_after(inward_starts, features, tree) < 1.1
+        assert 0.7 < best_after(inward_starts, features, tree) < EXPLAINED
         found = estimate(features, tree, SETTINGS)
         assert found.cost_per_dof == pytest.approx(1.0, abs=0.25)
 
@@ -147,7 +156,7 @@ def test_branching_trees_with_sliding_joints_are_found_inwards(seed: int) -> Non
         tree = replace(tree, su_names=tuple(f"su{i}" for i in range(7)), su_joint=np.arange(7))
         state = random_state(rng, tree, intrinsics=0.0)
     features = random_features(rng, tree, state, 12, noise=0.05)
-    assert best_after(inward_starts, features, tree) < 1.1
+    assert best_after(inward_starts, features, tree) < EXPLAINED
 
 
 def test_both_senses_of_a_vertical_axis_are_tried() -> None:

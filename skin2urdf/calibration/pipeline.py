@@ -43,6 +43,7 @@ from skin2urdf.calibration.settings import CalibrationSettings
 from skin2urdf.errors import BadFitError, InsufficientDataError, Skin2UrdfError
 from skin2urdf.estimation.solve.estimate import Estimate
 from skin2urdf.estimation.trajectory.estimate import MotionEstimate
+from skin2urdf.estimation.trajectory.vertical import notes_on_vertical_joints
 from skin2urdf.estimation.uncertainty.goodness import Goodness, goodness
 from skin2urdf.estimation.uncertainty.health import health_notes, why_bad
 from skin2urdf.estimation.uncertainty.narrow import narrow_priors
@@ -255,6 +256,7 @@ def _calibration(
                     *tree.notes,
                     *unknown_position_notes(features, tree),
                     *health_notes(found, fit),
+                    *notes_on_vertical_joints(tree, found.state, along),
                     *narrow,
                 )
             )

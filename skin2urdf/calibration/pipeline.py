@@ -34,6 +34,7 @@ from skin2urdf.calibration.samples import (
     is_explained_by_physics,
     is_play,
     late_publishers,
+    late_sus,
     rejected,
     stands_out,
     with_samples,
@@ -262,7 +263,14 @@ def _calibration(
             )
         ),
         seconds=clock.seconds,
-        clocks=clocks_in_all([s.clocks for s in sampled], along),
+        clocks=tuple(
+            (*found_before, *others)
+            for found_before, others in zip(
+                clocks_in_all([s.clocks for s in sampled], along),
+                late_sus(along, sampled, features),
+                strict=True,
+            )
+        ),
         su_sources=su_sources(recordings, sampled),
         publishers=publishers,
     )

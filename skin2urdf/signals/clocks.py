@@ -55,6 +55,10 @@ _PRIOR_FREEDOM = 4.0
 line: few moves scatter little about any line, and slow ones over large angles share one error."""
 MEDIAN_OF_SQUARES = 0.455
 """Median of the square of a standard normal variable."""
+_ONE_CLOCK = 0.01
+"""Probability that SUs on one clock show clocks as different as they do, below which each has its
+own: to take one for several costs no more than their mean's deviation, and the other way round what
+clocks differ by."""
 _LEAST_OFFSET = 5e-3
 """Offset [s] below which the search around the poses finds it as well, and better."""
 _LEAST_BEND = 5e-4
@@ -109,7 +113,7 @@ def su_clocks(sus: Sequence[SuStream], motion: Motion) -> tuple[SuClock, ...]:
         clocks[u] = min(clocks[u], *others, key=lambda c: c.latency_sd)
     known = [clock for clock in clocks if np.isfinite(clock.latency_sd)]
     told = _on_one_clock(known)
-    off = [clock for clock in told if _is_off(clock, motion)]
+    off = [clock for clock in told if is_off(clock, motion)]
     if off and len({clock.latency for clock in told}) == 1:
         quiet = [clock.su for clock in clocks if not np.isfinite(clock.latency_sd)]
         off += [replace(off[0], su=name, shared=True) for name in quiet]
@@ -260,7 +264,7 @@ def _by_few(freedom: float) -> float:
     return float(stdtrit(freedom, float(ndtr(SIGNIFICANT)))) / SIGNIFICANT
 
 
-def _is_off(clock: SuClock, motion: Motion) -> bool:
+def is_off(clock: SuClock, motion: Motion) -> bool:
     """Whether a clock is off significantly, and by more than the poses' own search mends."""
     half = motion.grid.size / motion.grid.rate / 2
     late = abs(clock.latency) > max(_LEAST_OFFSET, SIGNIFICANT * clock.latency_sd)
@@ -284,10 +288,9 @@ def _on_one_clock(clocks: Sequence[SuClock]) -> list[SuClock]:
             for c, m in zip(clocks, together, strict=True)
         ]
     ).ravel()
-    chance = 2 * float(ndtr(-SIGNIFICANT))
     freedom = max(len(apart) - 2, 1)
     one = np.abs(apart).max(initial=0.0) <= SIGNIFICANT
-    return together if one and chdtrc(freedom, float(apart @ apart)) > chance else list(clocks)
+    return together if one and chdtrc(freedom, float(apart @ apart)) > _ONE_CLOCK else list(clocks)
 
 
 def _together(clocks: Sequence[SuClock]) -> list[SuClock]:

@@ -66,7 +66,7 @@ def test_moves_show_which_sus_a_vertical_joint_carries(log: Recording) -> None:
 
 
 def test_where_noise_hides_the_arm_the_place_is_open(log: Recording) -> None:
-    found = calibrate(noisy(log, 1.0))
+    found = calibrate(noisy(log, 0.4))
     hidden = [arm for arm in told(found) if not arm.shown]
     assert hidden
     assert all(arm.reach > NEAREST for arm in hidden)

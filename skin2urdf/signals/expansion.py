@@ -46,21 +46,27 @@ class Expansion:
     def __init__(self, q: F64, rate: float) -> None:
         qd = slope(q, rate)
         turns = [np.stack([np.sin(x), np.cos(x)], axis=1) for x in (q - q.mean(axis=0)).T]
-        first = np.concatenate([np.ones((len(q), 1)), *turns], axis=1)
-        self._columns = [first, np.concatenate([slope(qd, rate), qd**2], axis=1)]
+        constant = np.ones((len(q), 1))
+        self._columns = [np.concatenate([constant, *turns, slope(qd, rate), qd**2], axis=1)]
         pairs = list(combinations(range(q.shape[1]), 2))
         if pairs:
             self._columns.append(np.stack([qd[:, a] * qd[:, b] for a, b in pairs], axis=1))
             products = [turns[a][:, :, None] * turns[b][:, None, :] for a, b in pairs]
             self._columns.append(np.concatenate([p.reshape(len(q), 4) for p in products], axis=1))
 
-    def terms(self, values: float, most: float = np.inf) -> F64:
+    def terms(self, values: float, most: float = np.inf) -> F64 | None:
         """(n, K) the first groups, as many as some independent values of a reading bear.
 
         Args:
             values: how many these are.
             most: terms that there are at most beyond the first group.
+
+        Returns:
+            None where they do not bear the first: what a poorer expansion leaves is alike at other
+            lags.
         """
+        if self._columns[0].shape[1] > values / _VALUES_PER_TERM:
+            return None
         most = min(most, values / _VALUES_PER_TERM)
         counts = np.cumsum([group.shape[1] for group in self._columns])
         taken = max(1, int((counts <= most).sum()))
@@ -101,7 +107,10 @@ def searched(
     most = int(np.ceil((reach + steep * n / (2 * rate)) * rate)) + 2
     lags = np.arange(-most, most + 1)
     values = independent(readings, valid)
-    basis = _basis(expansion.terms(values, _IN_SEARCH)[start : start + n])
+    terms = expansion.terms(values, _IN_SEARCH)
+    if terms is None:
+        return None
+    basis = _basis(terms[start : start + n])
     centred = np.where(valid[:, None], readings - readings[valid].mean(axis=0), 0.0)
     padded = np.pad(centred, ((most, most), (0, 0)))[start:]
     segment = np.stack([padded[w * length : (w + 1) * length + 2 * most] for w in range(count)])
@@ -147,6 +156,8 @@ def refined(
     n = len(readings)
     time = ((np.arange(n) - n / 2) / rate)[valid]
     terms = expansion.terms(independent(readings, valid))
+    if terms is None:
+        return None
     used = terms[valid]
     values, vectors = np.linalg.eigh(used.T @ used)
     kept = values > DEPENDENT * values[-1]

@@ -23,7 +23,7 @@ _DECISIVE = 0.5
 """Share of what any lag elsewhere leaves that the right one leaves at most. Of 34 SUs in pick and
 place, patterns and single moves it left 0.46 and less; wrong ones 0.73 and more, where all joints
 move on without rest and speeds explain little."""
-_ALIKE = 0.1
+_ALIKE = 0.15
 """Correlation of what speeds leave unexplained with what a lag makes, by which errors that come
 back with the motion may shift an offset. In 55 SUs of ten logs of five kinds of motion its root of
 the mean square was 0.10, and its largest 0.35, where motion repeats."""

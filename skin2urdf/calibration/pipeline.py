@@ -15,10 +15,16 @@ from skin2urdf.calibration.explanation import explain_readings
 from skin2urdf.calibration.refusal import check_fit
 from skin2urdf.calibration.result import Calibration, Source, SuSource
 from skin2urdf.calibration.rounds import Solution
-from skin2urdf.calibration.samples import clocks_in_all, late_publishers, with_samples
+from skin2urdf.calibration.samples import (
+    clocks_in_all,
+    late_publishers,
+    late_sus,
+    with_samples,
+)
 from skin2urdf.calibration.settings import CalibrationSettings
 from skin2urdf.errors import BadFitError, InsufficientDataError
 from skin2urdf.estimation.trajectory.estimate import MotionEstimate
+from skin2urdf.estimation.trajectory.vertical import notes_on_vertical_joints
 from skin2urdf.estimation.uncertainty.goodness import Goodness, goodness
 from skin2urdf.estimation.uncertainty.health import health_notes
 from skin2urdf.estimation.uncertainty.narrow import narrow_priors
@@ -117,12 +123,20 @@ def _calibration(
                     *tree.notes,
                     *unknown_position_notes(features, tree),
                     *health_notes(found, fit),
+                    *notes_on_vertical_joints(tree, found.state, along),
                     *narrow,
                 )
             )
         ),
         seconds=clock.seconds,
-        clocks=clocks_in_all([s.clocks for s in sampled], along),
+        clocks=tuple(
+            (*found_before, *others)
+            for found_before, others in zip(
+                clocks_in_all([s.clocks for s in sampled], along),
+                late_sus(along, sampled, features),
+                strict=True,
+            )
+        ),
         su_sources=su_sources(recordings, sampled),
         publishers=publishers,
     )

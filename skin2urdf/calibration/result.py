@@ -12,6 +12,7 @@ from skin2urdf.arrays import F64, Bool, Int, Record
 from skin2urdf.calibration.settings import CalibrationSettings
 from skin2urdf.estimation.solve.estimate import Estimate
 from skin2urdf.estimation.trajectory.estimate import MotionEstimate
+from skin2urdf.estimation.trajectory.vertical import NEAREST
 from skin2urdf.estimation.uncertainty.goodness import Goodness
 from skin2urdf.estimation.uncertainty.health import are_plausible
 from skin2urdf.estimation.uncertainty.observability import Observability
@@ -172,13 +173,16 @@ class Calibration(Record):
         It is good only if poses are predicted as well as stated, errors do not come back where the
         robot does the same, the fit of all samples has arrived, nothing is wrong with an SU, a pose
         or an encoder, no sensor would need an error that none has, every SU with readings has a
-        place, no joint is weak, half of the joints are determined, and the base stands still, since
-        lengths along the first axis may else be off by more than is stated. It is bad where the
-        readings are not explained, or only in part while no SU that a recording could place is
-        determined, or where most of these are not and most would need errors that no sensor has:
-        then it is the model that is wrong, which SUs on the base fit whatever it is; and so it is
-        where an SU feels motion that its place in the tree does not explain. What no recording can
-        tell must not spoil it, such as where branches that meet in one joint sit along its axis.
+        place, and one alone, no joint is weak, half of the joints are determined, and the base
+        stands still, since lengths along the first axis may else be off by more than is stated.
+
+        It is bad where the readings are not explained, or only in part while no SU that a recording
+        could place is determined, or where most of these are not and most would need errors that no
+        sensor has: then it is the model that is wrong, which SUs on the base fit whatever it is;
+        and so it is where an SU feels motion that its place in the tree does not explain.
+
+        What no recording can tell must not spoil it, such as where branches that meet in one joint
+        sit along its axis.
         """
         if not self.misfit <= self.largest_misfit:
             return "bad"
@@ -194,6 +198,7 @@ class Calibration(Record):
         known = "weak" not in verdicts and 2 * verdicts.count("determined") >= len(verdicts)
         known &= not self.mostly_open
         sound = not self.faults and not self.base_gives_way and not self.without_a_place
+        sound &= not self.of_two_places
         sound &= bool(are_plausible(self.estimate.state).all())
         return "good" if explained and alike and known and sound else "fair"
 
@@ -202,6 +207,16 @@ class Calibration(Record):
         """SUs that were left out because no place in the tree explains their readings."""
         left_out = of_kind(self.notes, "su left out")
         return tuple(su for note in left_out if note.detail == "no chain" for su in note.sus)
+
+    @property
+    def of_two_places(self) -> tuple[tuple[str, str], ...]:
+        """SUs that may sit on the base as well as on a joint, whichever the tree has, and it.
+
+        An SU on the base may always sit on a vertical axis itself; that does not count.
+        """
+        told = of_kind(self.notes, "vertical axis")
+        doubtful = [n for n in told if n.detail == "active" or n.size > NEAREST]
+        return tuple((su, note.joints[0]) for note in doubtful for su in note.sus)
 
     @property
     def unexplained(self) -> tuple[str, ...]:

@@ -24,7 +24,8 @@ from skin2urdf.estimation.trajectory.front_end import common_front_end
 from skin2urdf.estimation.trajectory.kinematics import levers
 from skin2urdf.estimation.trajectory.priors import MotionPriors
 from skin2urdf.estimation.uncertainty.health import are_plausible
-from skin2urdf.signals.records import JointClock, SuClock
+from skin2urdf.signals.clocks import is_off
+from skin2urdf.signals.records import Features, JointClock, SuClock
 from skin2urdf.signals.sampling import Sampled
 from skin2urdf.signals.trajectory import Trajectory, in_order, trajectory
 from skin2urdf.structure.ordering import places_of
@@ -187,6 +188,36 @@ def clocks_in_all(
         )
 
     return tuple(tuple(fitted(clock, g) for clock in of_log) for g, of_log in enumerate(clocks))
+
+
+def late_sus(
+    along: MotionEstimate | None, sampled: Sequence[Sampled], features: Features
+) -> tuple[tuple[SuClock, ...], ...]:
+    """Clocks of SUs that only all samples show to be off, by log.
+
+    Args:
+        along: the fit of all samples, if there is one.
+        sampled: the logs, which name the clocks that were set right before.
+        features: those around poses; a latency that they show is told as such.
+    """
+    out: list[list[SuClock]] = [[] for _ in sampled]
+    if along is None:
+        return tuple(tuple(each) for each in out)
+    layout, variances = along.problem.layout, np.einsum("uii->ui", along.su_covariances)
+    shown = dict(zip(features.su_names, np.isfinite(features.latency_sd), strict=True))
+    for g, s in enumerate(sampled):
+        time = along.problem.logs[g].time
+        middle = s.motion.grid.start + 0.5 * float(time[0] + time[-1])
+        known = {clock.su for clock in s.clocks}
+        for u, name in enumerate(along.problem.tree.su_names):
+            if name in known or shown.get(name, False):
+                continue
+            late, fast = map(float, along.fitted.state.clock[g, u])
+            late_sd, fast_sd = map(float, np.sqrt(variances[u, layout.clock(g)].clip(0.0)))
+            clock = SuClock(name, late, late_sd, fast, fast_sd, middle)
+            if is_off(clock, s.motion):
+                out[g].append(clock)
+    return tuple(tuple(each) for each in out)
 
 
 def is_explained_by_physics(along: MotionEstimate) -> bool:

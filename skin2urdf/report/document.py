@@ -8,7 +8,9 @@ from typing import Any
 
 import numpy as np
 
+from skin2urdf.arrays import F64
 from skin2urdf.calibration.result import Calibration
+from skin2urdf.estimation.trajectory.estimate import MotionEstimate
 from skin2urdf.estimation.uncertainty.goodness import Share
 from skin2urdf.faults import Fault
 from skin2urdf.geometry.dh import joint_placement, prismatic_placement
@@ -229,12 +231,15 @@ def _sensor(calibration: Calibration, u: int) -> dict[str, Any]:
     if source is None:
         keys = ("topic", "rate", "noise_density", "bias_random_walk", "gyro_noise_density")
         return dict.fromkeys(keys)
-    noise = _stream(calibration.features, name)["noise"]
+    noise, width = _stream(calibration.features, name)["noise"], source.bandwidth
+    if calibration.along is not None:
+        noise, width = noise_of_samples(calibration.along, u), source.twice_bandwidth
     drift = 0.0 if calibration.along is None else float(np.max(calibration.along.drifts[u]))
     return {
+        "noise": noise,
         "topic": source.topic,
         "rate": source.rate,
-        "noise_density": None if noise is None else noise / np.sqrt(2 * source.bandwidth),
+        "noise_density": None if noise is None else noise / np.sqrt(2 * width),
         "bias_random_walk": drift / np.sqrt(source.duration) if drift > 0 else None,
         "gyro_noise_density": (gyro_document(calibration.along, u) or {}).get("noise", np.nan)
         / np.sqrt(2 * source.twice_bandwidth),
@@ -253,6 +258,21 @@ def _stream(features: Features | None, su: str) -> dict[str, Any]:
         "latency_sd": features.latency_sd[heard],
         "noise": np.median(noise, axis=0) if len(noise) else None,
     }
+
+
+def noise_of_samples(along: MotionEstimate, u: int) -> F64 | None:
+    """(3,) noise of an SU's low-passed samples [m/s^2]: at rest, where encoders have no part in it.
+
+    Args:
+        along: the fit of all samples.
+        u: the SU's number in its tree.
+
+    Returns:
+        None without samples.
+    """
+    values = np.concatenate([noise[:, u, :3] for noise in along.fitted.noise])
+    values = values[np.isfinite(values).all(axis=1)]
+    return values.min(axis=0) if len(values) else None
 
 
 def fault_document(fault: Fault, n_logs: int) -> dict[str, Any]:

@@ -13,6 +13,7 @@ from skin2urdf.report.document import (
     SCHEMA,
     fault_document,
     name_of,
+    noise_of_samples,
     tree_document,
 )
 from skin2urdf.report.gyros import gyro_document
@@ -166,22 +167,16 @@ def _ranges(result: ModelCalibration) -> F64:
 
 
 def _sensor(result: ModelCalibration, u: int) -> dict[str, Any]:
-    """Where an SU's readings come from, and its noise, low-passed [m/s^2] and as densities.
-
-    The noise is that of samples at rest, where encoders have no part in it.
-    """
-    name, found = result.tree.su_names[u], result.along.fitted.noise
-    values = np.concatenate([noise[:, u, :3] for noise in found])
-    values = values[np.isfinite(values).all(axis=1)]
-    noise = values.min(axis=0) if len(values) else np.full(3, np.nan)
+    """Where an SU's readings come from, and its noise, low-passed [m/s^2] and as densities."""
+    name, noise = result.tree.su_names[u], noise_of_samples(result.along, u)
     source, drift = result.su_sources[name], float(np.max(result.along.drifts[u]))
     turning = (gyro_document(result.along, u) or {}).get("noise", np.nan)
     width = np.sqrt(2 * source.twice_bandwidth)
     return {
-        "noise": noise if len(values) else None,
+        "noise": noise,
         "topic": source.topic,
         "rate": source.rate,
-        "noise_density": noise / width if len(values) else None,
+        "noise_density": None if noise is None else noise / width,
         "bias_random_walk": drift / np.sqrt(source.duration) if drift > 0 else None,
         "gyro_noise_density": turning / width,
     }

@@ -6,6 +6,8 @@ from collections.abc import Iterable
 from dataclasses import asdict
 from typing import Any
 
+import numpy as np
+
 from skin2urdf.notes import Note, Noted, ReadingNote
 
 _LISTED = 6
@@ -113,15 +115,29 @@ def _of_the_fit(note: Note) -> str:
     )
 
 
+def _of_a_vertical_axis(note: Note) -> str:
+    """Where an SU is taken to sit, and where it may, and what to record."""
+    su, joint = " and ".join(note.sus), ", ".join(note.joints)
+    are, an = ("is", "it") if len(note.sus) == 1 else ("are", "they")
+    remedy = "record a log with the base tilted, or faster moves"
+    if note.detail == "active":
+        return (
+            f"{su} {are} taken to sit on {joint}, which is vertical, but {an} may sit on a base "
+            f"that gives way as well: {remedy}"
+        )
+    near = "on its axis" if np.isnan(note.size) else f"up to {1e3 * note.size:.2g} mm from its axis"
+    return (
+        f"{su} {are} taken to sit on the base, but {joint} is vertical: an SU {near} would look "
+        f"the same; {remedy}"
+    )
+
+
 def _of_an_order(note: Note) -> str:
     """What is taken in one way and may be in another, and what to record."""
     su, joint = " and ".join(note.sus), ", ".join(note.joints)
     match note.kind:
         case "vertical axis":
-            return (
-                f"{su} are taken to sit on the base, but {joint} is vertical: an SU within a "
-                "millimetre of its axis would look the same; record a log with the base tilted"
-            )
+            return _of_a_vertical_axis(note)
         case "placed by fit":
             taken = "to move" if note.detail == "active" else "not to move"
             return (

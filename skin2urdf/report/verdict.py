@@ -20,16 +20,16 @@ _NAMED = 3
 
 
 DoubtKind = Literal[
-    "faults", "SUs unplaced", "SUs unexplained", "soft base", "SUs misfit", "poses misfit",
-    "prediction", "errors come back", "not arrived", "sensors", "no such sensors", "weak joints",
-    "open limbs", "joints open", "SUs open",
+    "faults", "SUs unplaced", "SUs unexplained", "SUs of two places", "soft base", "SUs misfit",
+    "poses misfit", "prediction", "errors come back", "not arrived", "sensors", "no such sensors",
+    "weak joints", "open limbs", "joints open", "SUs open",
 ]  # fmt: skip
 """What speaks against a result: things found wrong, SUs whose readings fit no place, or not the one
-that they have, a base that gives way, SUs and poses that fit worse than the rest, poses that are
-predicted worse than stated, what is left of the readings and comes back with the motion, a fit that
-ended before it arrived, sensors
-that are worse than the options say, or than any, axes that are known weakly, limbs whose places are
-open, and what of the joints and SUs the log does not determine."""
+that they have, or another one as well, a base that gives way, SUs and poses that fit worse than the
+rest, poses that are predicted worse than stated, what is left of the readings and comes back with
+the motion, a fit that ended before it arrived, sensors that are worse than the options say, or than
+any, axes that are known weakly, limbs whose places are open, and what of the joints and SUs the log
+does not determine."""
 
 
 @dataclass(frozen=True)
@@ -129,6 +129,14 @@ def _doubts(calibration: Calibration) -> list[Doubt]:
             "an SU hangs on a wrong joint, or its clock, its axes or its name are wrong"
         )
         found.append(Doubt("SUs unexplained", words, unexplained))
+    two = calibration.of_two_places
+    if two:
+        sus, joints = (list(dict.fromkeys(names)) for names in zip(*two, strict=True))
+        words = (
+            f"the log does not tell whether {shortened(sus, _NAMED)} sit{'s' * (len(sus) == 1)} on "
+            f"the base or on {' and '.join(joints)}, which is vertical"
+        )
+        found.append(Doubt("SUs of two places", words, tuple(sus)))
     if calibration.base_gives_way:
         words = (
             "the base gives way: lengths along the first axis may be off by more than is stated "

@@ -17,13 +17,16 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import Protocol
 
 import numpy as np
-from scipy.special import ndtr, stdtrit
+from scipy.special import chdtrc, ndtr, stdtrit
 
 from skin2urdf.arrays import F64, Bool
 from skin2urdf.recording.records import SuStream
-from skin2urdf.signals.commotion import change, refined, searched, speeds
+from skin2urdf.signals import commotion, expansion
+from skin2urdf.signals.commotion import change, speeds
+from skin2urdf.signals.expansion import Expansion
 from skin2urdf.signals.motion import Motion
 from skin2urdf.signals.records import SuClock
 from skin2urdf.signals.stretches import (
@@ -52,6 +55,10 @@ _PRIOR_FREEDOM = 4.0
 line: few moves scatter little about any line, and slow ones over large angles share one error."""
 MEDIAN_OF_SQUARES = 0.455
 """Median of the square of a standard normal variable."""
+_ONE_CLOCK = 0.01
+"""Probability that SUs on one clock show clocks as different as they do, below which each has its
+own: to take one for several costs no more than their mean's deviation, and the other way round what
+clocks differ by."""
 _LEAST_OFFSET = 5e-3
 """Offset [s] below which the search around the poses finds it as well, and better."""
 _LEAST_BEND = 5e-4
@@ -101,12 +108,13 @@ def su_clocks(sus: Sequence[SuStream], motion: Motion) -> tuple[SuClock, ...]:
     for some in _in_parts(sus_heard):
         clocks += _clocks(some, motion, found, middle)
     vague = [u for u, clock in enumerate(clocks) if clock.latency_sd > _VAGUE]
-    rough = _by_commotion([sus_heard[u] for u in vague], motion, middle)
-    for u, clock in zip(vague, rough, strict=True):
-        clocks[u] = min(clocks[u], clock, key=lambda c: c.latency_sd)
-    groups = _groups([clock for clock in clocks if np.isfinite(clock.latency_sd)])
-    off = [clock for group in groups for clock in group if _is_off(clock, motion)]
-    if off and len(groups) == 1:
+    rough = _by_the_whole_log([sus_heard[u] for u in vague], motion, middle)
+    for u, others in zip(vague, rough, strict=True):
+        clocks[u] = min(clocks[u], *others, key=lambda c: c.latency_sd)
+    known = [clock for clock in clocks if np.isfinite(clock.latency_sd)]
+    told = _on_one_clock(known)
+    off = [clock for clock in told if is_off(clock, motion)]
+    if off and len({clock.latency for clock in told}) == 1:
         quiet = [clock.su for clock in clocks if not np.isfinite(clock.latency_sd)]
         off += [replace(off[0], su=name, shared=True) for name in quiet]
     return tuple(sorted(off, key=lambda clock: clock.su))
@@ -164,28 +172,79 @@ def _clocks(
     return clocks
 
 
-def _by_commotion(sus: Sequence[SuStream], motion: Motion, middle: float) -> list[SuClock]:
-    """The clock of each SU as how much it is moved when tells; infinite deviations where not."""
+def _by_the_whole_log(
+    sus: Sequence[SuStream], motion: Motion, middle: float
+) -> Iterator[list[SuClock]]:
+    """The clocks of each SU as its commotion and an expansion tell; infinite deviations where not.
+
+    Commotion tells more of moves that begin and end, an expansion of motion that goes on and on.
+    """
+    if not sus:
+        return
     rate = motion.grid.rate / EVERY
-    regressors = speeds(binned(motion.q)[:, motion.moved], rate)
-    return [_of_one(su, motion, regressors, middle) for su in sus]
+    q = binned(motion.q)[:, motion.moved]
+    ways = (_Commotion(speeds(q, rate), rate), _Expanded(Expansion(q, rate), rate))
+    for su in sus:
+        integral = Integral.of(su)
+        su.put_away()
+        nothing = SuClock(su.name, 0.0, np.inf, 0.0, np.inf, middle)
+        yield [_by_one_way(integral, nothing, motion, way) for way in ways]
 
 
-def _of_one(su: SuStream, motion: Motion, regressors: F64, middle: float) -> SuClock:
-    """The clock of one SU by its commotion."""
-    nothing = SuClock(su.name, 0.0, np.inf, 0.0, np.inf, middle)
-    integral, rate = Integral.of(su), motion.grid.rate / EVERY
-    su.put_away()
-    size = change(*integral.means(nothing, motion), rate)
-    if size is None:
-        return nothing
-    found = searched(size, regressors, rate, LARGEST_OFFSET, LARGEST_DRIFT)
+class _Way(Protocol):
+    """A way to find a clock from the means of an SU's readings (n, 3) and where they are whole."""
+
+    def search(self, means: F64, valid: Bool) -> tuple[float, float] | None:
+        """Offset [s] and drift, None where none stands out."""
+
+    def refine(self, means: F64, valid: Bool) -> tuple[F64, F64, int] | None:
+        """Change of both, their deviations, and the degrees of freedom of those."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Commotion:
+    """See :mod:`skin2urdf.signals.commotion`."""
+
+    regressors: F64
+    rate: float
+
+    def search(self, means: F64, valid: Bool) -> tuple[float, float] | None:
+        size = change(means, valid, self.rate)
+        if size is None:
+            return None
+        return commotion.searched(size, self.regressors, self.rate, LARGEST_OFFSET, LARGEST_DRIFT)
+
+    def refine(self, means: F64, valid: Bool) -> tuple[F64, F64, int] | None:
+        size = change(means, valid, self.rate)
+        return None if size is None else commotion.refined(size, self.regressors, self.rate)
+
+
+@dataclass(frozen=True, eq=False)
+class _Expanded:
+    """See :mod:`skin2urdf.signals.expansion`."""
+
+    expansion: Expansion
+    rate: float
+
+    def search(self, means: F64, valid: Bool) -> tuple[float, float] | None:
+        if change(means, valid, self.rate) is None:
+            return None
+        return expansion.searched(
+            means, valid, self.expansion, self.rate, LARGEST_OFFSET, LARGEST_DRIFT
+        )
+
+    def refine(self, means: F64, valid: Bool) -> tuple[F64, F64, int] | None:
+        return expansion.refined(means, valid, self.expansion, self.rate)
+
+
+def _by_one_way(integral: Integral, nothing: SuClock, motion: Motion, way: _Way) -> SuClock:
+    """The clock of one SU in one way."""
+    found = way.search(*integral.means(nothing, motion))
     if found is None:
         return nothing
     clock = replace(nothing, latency=found[0], drift=found[1])
     for _ in range(_PASSES):
-        size = change(*integral.means(clock, motion), rate)
-        step = None if size is None else refined(size, regressors, rate)
+        step = way.refine(*integral.means(clock, motion))
         if step is None:
             return nothing
         (late, fast), sds, freedom = step
@@ -194,8 +253,10 @@ def _of_one(su: SuStream, motion: Motion, regressors: F64, middle: float) -> SuC
             clock, latency=clock.latency + float(late), latency_sd=late_sd,
             drift=clock.drift + float(fast), drift_sd=fast_sd,
         )  # fmt: skip
-    far = abs(clock.latency - found[0]) > _NEAR or abs(clock.drift) > 1.1 * LARGEST_DRIFT
-    return nothing if far else clock
+        if abs(late) < _SETTLED:
+            break
+    far = abs(clock.latency - found[0]) > max(_NEAR, SIGNIFICANT * clock.latency_sd)
+    return nothing if far or abs(clock.drift) > 1.1 * LARGEST_DRIFT else clock
 
 
 def _by_few(freedom: float) -> float:
@@ -203,49 +264,48 @@ def _by_few(freedom: float) -> float:
     return float(stdtrit(freedom, float(ndtr(SIGNIFICANT)))) / SIGNIFICANT
 
 
-def _is_off(clock: SuClock, motion: Motion) -> bool:
+def is_off(clock: SuClock, motion: Motion) -> bool:
     """Whether a clock is off significantly, and by more than the poses' own search mends."""
     half = motion.grid.size / motion.grid.rate / 2
     late = abs(clock.latency) > max(_LEAST_OFFSET, SIGNIFICANT * clock.latency_sd)
-    least = max(_LEAST_BEND / half, SIGNIFICANT * clock.drift_sd)
-    return late or abs(clock.drift) > least
+    # A drift tells nothing of a clock whose offset may be anything.
+    at_the_ends = float(np.hypot(half * clock.drift_sd, clock.latency_sd))
+    return late or abs(clock.drift) * half > max(_LEAST_BEND, SIGNIFICANT * at_the_ends)
 
 
-def _groups(clocks: Sequence[SuClock]) -> list[list[SuClock]]:
-    """Clocks by what one publisher may run, each with what its group says together.
+def _on_one_clock(clocks: Sequence[SuClock]) -> list[SuClock]:
+    """Clocks with what they say together, where one may run all of them; else as they are.
 
-    SUs on one bus have one clock, and those that motion turns by little show it badly.
+    SUs on one bus have one clock, and those that motion turns by little show it badly. Where some
+    have clocks of their own, nothing tells whose clock such an SU has.
     """
-    groups: list[list[SuClock]] = []
-    for clock in sorted(clocks, key=lambda c: c.latency_sd):
-        mine = next((group for group in groups if _agree(clock, group[0])), None)
-        if mine is None:
-            groups.append([clock])
-        else:
-            mine.append(clock)
-    return [_together(group) for group in groups]
+    if not clocks:
+        return []
+    together = _together(clocks)
+    apart = np.array(
+        [
+            ((c.latency - m.latency) / c.latency_sd, (c.drift - m.drift) / c.drift_sd)
+            for c, m in zip(clocks, together, strict=True)
+        ]
+    ).ravel()
+    freedom = max(len(apart) - 2, 1)
+    one = np.abs(apart).max(initial=0.0) <= SIGNIFICANT
+    return together if one and chdtrc(freedom, float(apart @ apart)) > _ONE_CLOCK else list(clocks)
 
 
-def _agree(a: SuClock, b: SuClock) -> bool:
-    """Whether chance may make two clocks as different as they are."""
-    late = abs(a.latency - b.latency) <= SIGNIFICANT * float(np.hypot(a.latency_sd, b.latency_sd))
-    fast = abs(a.drift - b.drift) <= SIGNIFICANT * float(np.hypot(a.drift_sd, b.drift_sd))
-    return late and fast
-
-
-def _together(group: Sequence[SuClock]) -> list[SuClock]:
-    """The clocks of a group, each with the weighted mean of all."""
+def _together(clocks: Sequence[SuClock]) -> list[SuClock]:
+    """Clocks, each with the weighted mean of all."""
 
     def mean(values: F64, sds: F64) -> tuple[float, float]:
         # The SUs' errors come from the same motion, so that many are not better than the best.
         weight = 1 / sds**2
         return float(weight @ values / weight.sum()), float(sds.min())
 
-    latency, latency_sd = mean(*np.array([(c.latency, c.latency_sd) for c in group]).T)
-    drift, drift_sd = mean(*np.array([(c.drift, c.drift_sd) for c in group]).T)
+    latency, latency_sd = mean(*np.array([(c.latency, c.latency_sd) for c in clocks]).T)
+    drift, drift_sd = mean(*np.array([(c.drift, c.drift_sd) for c in clocks]).T)
     return [
         replace(c, latency=latency, latency_sd=latency_sd, drift=drift, drift_sd=drift_sd)
-        for c in group
+        for c in clocks
     ]
 
 

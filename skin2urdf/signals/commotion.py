@@ -14,7 +14,7 @@ from scipy.fft import irfft, next_fast_len, rfft
 
 from skin2urdf.arrays import F64, Bool
 
-_WINDOW = 8.0
+WINDOW = 8.0
 """Windows in which one lag stands for a drift [s]: its ends are 80 ms apart, a part of a move."""
 _SLOWEST = 0.5
 """Change of the readings [m/s^3 rms] that motion makes at the least: gravity at 0.05 rad/s, below
@@ -23,13 +23,13 @@ _DECISIVE = 0.5
 """Share of what any lag elsewhere leaves that the right one leaves at most. Of 34 SUs in pick and
 place, patterns and single moves it left 0.46 and less; wrong ones 0.73 and more, where all joints
 move on without rest and speeds explain little."""
-_ALIKE = 0.25
-"""Correlation of what speeds leave unexplained with what a lag makes, so that an offset is certain
-(four deviations) from where the whole of it would have to be alike. In 55 SUs of ten logs of five
-kinds of motion its root of the mean square was 0.10, and its largest 0.35, where motion repeats."""
+_ALIKE = 0.15
+"""Correlation of what speeds leave unexplained with what a lag makes, by which errors that come
+back with the motion may shift an offset. In 55 SUs of ten logs of five kinds of motion its root of
+the mean square was 0.10, and its largest 0.35, where motion repeats."""
 _LARGEST = 0.999
 """Quantile of the changes beyond which they are shocks."""
-_DEPENDENT = 1e-6
+DEPENDENT = 1e-6
 """Relative size of a combination of speeds that is none."""
 
 
@@ -87,7 +87,7 @@ def searched(
     Returns:
         None where no lag stands out.
     """
-    length = int(_WINDOW * rate)
+    length = int(WINDOW * rate)
     count = len(size) // length
     if count < 2:
         return None
@@ -95,7 +95,7 @@ def searched(
     most = int(np.ceil((reach + steep * n / (2 * rate)) * rate)) + 2
     lags = np.arange(-most, most + 1)
     values, vectors = np.linalg.eigh(regressors[:n].T @ regressors[:n])
-    kept = values > _DEPENDENT * values[-1]
+    kept = values > DEPENDENT * values[-1]
     basis = regressors[:n] @ (vectors[:, kept] / np.sqrt(values[kept]))
     padded = np.pad(size, most)
     segment = np.stack([padded[w * length : (w + 1) * length + 2 * most] for w in range(count)])
@@ -145,15 +145,18 @@ def refined(size: F64, regressors: F64, rate: float) -> tuple[F64, F64, int] | N
     """
     n = len(size)
     time = (np.arange(n) - n / 2) / rate
-    late = slope(size[:, None], rate)
+    # Of what speeds explain: the slope of readings is that of their noise as well, which would make
+    # an offset look far better known than it is, and every step too short.
+    explained = regressors @ (np.linalg.pinv(regressors, rcond=DEPENDENT) @ size)
+    late = slope(explained[:, None], rate)
     X = np.concatenate([late, late * time[:, None], regressors], axis=1)
     scale = np.sqrt((X**2).sum(axis=0))
     if not scale.all():
         return None
-    inverse = np.linalg.pinv((X / scale).T @ (X / scale), rcond=_DEPENDENT)
+    inverse = np.linalg.pinv((X / scale).T @ (X / scale), rcond=DEPENDENT)
     solution = inverse @ ((X / scale).T @ size)
     residual = size - (X / scale) @ solution
-    length = int(_WINDOW * rate)
+    length = int(WINDOW * rate)
     scores = np.add.reduceat((X / scale) * residual[:, None], np.arange(0, n, length), axis=0)
     freedom = max(len(scores) - 4, 1)
     covariance = inverse @ (scores.T @ scores) @ inverse * (len(scores) / freedom)

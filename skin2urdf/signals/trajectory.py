@@ -65,6 +65,7 @@ class Trajectory(Record):
             that is not known [m/s^2, rad/s].
         resolution: (D,) smallest step of each encoder [rad or m], 0 for none; (0,) where all have
             none.
+        left_out: (N, E) positions of joints that move and are none of these; (0, 0) for none.
         thin: of the samples that hold all that the low-pass lets through, one in so many is kept.
     """
 
@@ -87,6 +88,7 @@ class Trajectory(Record):
     positions: F64 = field(default_factory=lambda: np.zeros((0, 0)))
     beyond: F64 | None = None
     resolution: F64 = field(default_factory=lambda: np.zeros(0))
+    left_out: F64 = field(default_factory=lambda: np.zeros((0, 0)))
     thin: int = 1
 
     @property
@@ -286,8 +288,11 @@ def in_order(log: Trajectory, dofs: Int, sus: Int) -> Trajectory:
     if log.leaps is not None:
         log = replace(log, leaps=log.leaps.ordered(dofs, sus))
     if not np.array_equal(dofs, np.arange(log.q.shape[1])):
+        rest = np.setdiff1d(np.flatnonzero(log.moving.any(axis=0)), dofs)
+        left_out = log.q[:, rest]
         log = replace(
             log,
+            left_out=np.hstack([log.left_out, left_out]) if len(log.left_out) else left_out,
             q=log.q[:, dofs],
             positions=log.positions[:, dofs] if len(log.positions) else log.positions,
             qd=log.qd[:, dofs],

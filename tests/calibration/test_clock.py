@@ -107,7 +107,8 @@ def test_a_calibration_without_regressions_around_poses_can_be_told() -> None:
     with_, without = as_document(calibration()), as_document(found)
     assert as_text(found)
     for name, su in without["sus"].items():
-        assert su["latency"] is su["latency_sd"] is su["noise"] is None
+        assert su["latency"] is su["latency_sd"] is None
+        assert su["noise"] == with_["sus"][name]["noise"]
         assert su["T_joint_su"] == with_["sus"][name]["T_joint_su"]
     assert {k: v for k, v in without.items() if k != "sus"} == {
         k: v for k, v in with_.items() if k != "sus"

@@ -17,6 +17,7 @@ DETAILS: dict[NoteKind, tuple[Detail, ...]] = {
     ),
     "undecided": ("active", "inactive"),
     "placed by fit": ("active", "inactive"),
+    "vertical axis": ("active", "inactive"),
     "order from motion": ("", "weak"),
 }  # fmt: skip
 OF_NOTHING = {"bare base", "sense unknown", "second look", "poses misfit"}

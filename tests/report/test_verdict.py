@@ -123,6 +123,21 @@ def test_an_su_that_feels_motion_its_place_does_not_explain_makes_it_bad() -> No
     assert leaving(lambda q: np.sin(q[:, [1, 2, 3]]), 0.2).unexplained == ()
 
 
+def test_an_su_that_feels_a_joint_which_the_tree_lacks_makes_it_bad() -> None:
+    along = calibration().along
+    assert along is not None
+    (log,) = along.problem.logs
+    lacking = 1.5 * np.sin(2 * np.pi * 0.37 * np.arange(len(log.q)) / log.rate)[:, None]
+    wrong = leaving(lambda _: np.tile(np.sin(lacking[log.kept]), 3), 5.0)
+    assert wrong.unexplained == ()
+    assert wrong.along is not None
+    fitted = wrong.along.fitted
+    (readings,) = (log.readings for log in fitted.problem.logs)
+    known = fitted.problem.again(logs=[replace(log, readings=readings, left_out=lacking)])
+    told = replace(wrong, along=replace(wrong.along, fitted=replace(fitted, problem=known)))
+    assert told.unexplained == (calibration().model.tree.su_names[-1],)
+
+
 def test_an_su_unlike_the_rest_makes_it_fair() -> None:
     found = with_misfit(su=4)
     name = found.model.tree.su_names[4]

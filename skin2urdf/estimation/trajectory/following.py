@@ -4,8 +4,8 @@ The noise of a fit is that which its residuals show. An SU that hangs on a wrong
 clock is far off, leaves what changes as fast as the robot moves, which passes for a noisy sensor.
 Noise, vibration and hits do not follow positions of joints, though, and what gears and links yield
 by does so by far less than gravity turns: what is left is held against functions of the positions
-of all joints, as gravity and levers beyond them are made of, and against the prediction as it would
-be with any one joint more, or less, before the SU.
+of all joints, those that the tree lacks included, as gravity and levers beyond them are made of,
+and against the prediction as it would be with any one joint more, or less, before the SU.
 """
 
 from __future__ import annotations
@@ -43,6 +43,11 @@ def follow_motion(fitted: Fitted, prismatic: Bool) -> Bool:
     left, changed, count = np.zeros(n_sus), np.zeros(n_sus), np.zeros(n_sus)
     for log, predicted in zip(problem.logs, fitted.predicted, strict=True):
         readings = log.readings[log.kept]
+        q, slides = log.q, prismatic
+        if len(log.left_out):
+            # What an SU feels of a joint that the tree lacks is left of it.
+            q = np.hstack([q, log.left_out])
+            slides = np.append(prismatic, np.zeros(log.left_out.shape[1], dtype=bool))
         for u in range(n_sus):
             use = predicted.measured[:, u]
             if not use.any():
@@ -53,9 +58,7 @@ def follow_motion(fitted: Fitted, prismatic: Bool) -> Bool:
             count[u] += len(y)
             changed[u] += (y**2).sum()
             if (residual**2).sum() > _SHARE**2 * (y**2).sum():
-                left[u] += _explained(
-                    log.q[log.kept[use]], log.time[use], residual, ahead, prismatic
-                )
+                left[u] += _explained(q[log.kept[use]], log.time[use], residual, ahead, slides)
     about = changed + count * (_LEAN * fitted.state.gravity) ** 2
     return np.asarray(left > _SHARE**2 * about)
 

@@ -21,8 +21,6 @@ _LEFT = 0.1
 """Share of one image's chi-squared that the other leaves at most where that is the only cause.
 Right ones left up to 0.02 (so101 with four poses; panda with six 0.0001), and readings of which
 something else was wrong 0.5 to 1 (panda: names, gears and senses of encoders)."""
-_VERTICAL = 0.05
-"""Sine of the angle to gravity up to which an axis counts as vertical."""
 _IMPLAUSIBLE_SHAPE = 0.2
 """Scale or cross-axis error [1] that no working sensor has."""
 _IMPLAUSIBLE_BIAS = 4.0
@@ -78,7 +76,6 @@ def health_notes(estimate: Estimate, goodness: Goodness) -> tuple[Note, ...]:
     if len(odd):
         poses = tuple(int(p) for p in odd)
         notes.append(Note("poses misfit", numbers=poses, of=len(goodness.by_pose.dof)))
-    notes += _on_a_vertical_axis(estimate)
     for i, name in enumerate(tree.su_names):
         scale = float(np.abs(state.shape[i]).max())
         if scale > _IMPLAUSIBLE_SHAPE:
@@ -87,26 +84,6 @@ def health_notes(estimate: Estimate, goodness: Goodness) -> tuple[Note, ...]:
             bias = float(np.abs(state.bias[i]).max())
             notes.append(Note("implausible bias", (name,), size=bias))
     return tuple(notes)
-
-
-def _on_a_vertical_axis(estimate: Estimate) -> list[Note]:
-    """SUs that may sit on a vertical first axis instead of the base."""
-    tree, state = estimate.tree, estimate.state
-    on_base = [n for n, j in zip(tree.su_names, tree.su_joint, strict=True) if j < 0]
-    if len(on_base) < 2:
-        return []
-    sines = {
-        name: float(
-            np.linalg.norm(np.cross(state.up, state.T_parent_joint[j, :3, 2]), axis=1).max()
-        )
-        for j, name in enumerate(tree.joint_names)
-        if tree.parent[j] < 0 and not tree.prismatic[j]
-    }
-    return [
-        Note("vertical axis", tuple(on_base), (name,), size=sine)
-        for name, sine in sines.items()
-        if sine < _VERTICAL
-    ]
 
 
 def why_bad(found: Estimate, limit: float) -> tuple[str, str]:

@@ -264,7 +264,8 @@ def clipping(raw: F64, still: Bool) -> Bool:
 
     A clipped signal stays at its extreme: once for long and with steep sides, or time and again
     so that its extreme holds far more samples than the values next to it. That is judged while
-    the robot moves: a sensor without noise may rest at its extreme.
+    the robot moves where a sensor has less noise than a digit, for it may rest at its extreme; what
+    noise should have spread tells at rest as well.
     """
     # A value that is sent again is no measurement that stayed where it was.
     new = np.ones(len(raw), dtype=bool)
@@ -273,7 +274,11 @@ def clipping(raw: F64, still: Bool) -> Bool:
     moving, noise = values[~quiet], rest_noise(raw, still)
     if len(moving) < _MOVING:
         return np.zeros(len(raw), dtype=bool)
-    ends = [abs(end) for column in values.T for end in _ends(column, quiet, noise)]
+    ends = [
+        abs(end)
+        for column in values.T
+        for end in _ends(column, quiet & (noise <= _digit(column)), noise)
+    ]
     # One range for all axes: what another reads beyond is inside of it, but for what a driver
     # corrects of each axis, and for spikes.
     size = np.abs(values).max(axis=1)
@@ -284,8 +289,13 @@ def clipping(raw: F64, still: Bool) -> Bool:
     return np.asarray((np.abs(raw) >= limit).any(axis=1))
 
 
+def _digit(column: F64) -> float:
+    """The smallest step [m/s^2] between values of an axis (M,)."""
+    return float(np.diff(np.unique(column)).min(initial=np.inf))
+
+
 def _ends(column: F64, still: Bool, noise: float) -> list[float]:
-    """Ends of the range that one axis (M,) meets while the robot moves."""
+    """Ends of the range that one axis (M,) meets, but for samples at rest that say nothing."""
     moving = column[~still]
     low, high = moving.min(), moving.max()
     if high - low < _LEAST_NOISE:
@@ -345,6 +355,5 @@ def _steep(column: F64, begin: int, end: int) -> bool:
     half = (end - begin) // 2
     if begin - 1 - half < 0 or end + half >= len(column):
         return False
-    digit = float(np.diff(np.unique(column)).min())
     sides = column[[begin - 1 - half, end + half]]
-    return bool(np.abs(sides - column[begin]).min() > 2 * 4 * digit)
+    return bool(np.abs(sides - column[begin]).min() > 2 * 4 * _digit(column))

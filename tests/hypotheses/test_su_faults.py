@@ -9,8 +9,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from random_robots import chain, robot_of, small_arm
 from simulated import PATTERNS, held_against
 
@@ -40,7 +38,6 @@ from skin2urdf.hypotheses.slip import Moment, Slipped
 from skin2urdf.notes import Note
 from skin2urdf.recording.records import JointStream, Recording, SuStream
 from skin2urdf.recording.retiming import retimed
-from skin2urdf.signals.health import checked, clipping, rest_noise
 from skin2urdf.simulation import Simulation, SimulationSettings, load_robot, simulate
 from skin2urdf.simulation.faults import FAULTS, Faulty, Sound, in_two
 from skin2urdf.simulation.robots import GivenSu, SkinLayout
@@ -301,166 +298,6 @@ def test_two_logs_of_a_sound_robot_have_no_fault() -> None:
 
 
 # Streams alone.
-
-
-def stream(samples: np.ndarray, name: str = "su") -> SuStream:
-    return SuStream(name, np.arange(len(samples)) / 250.0, samples)
-
-
-def noise(n: int = 5000, sd: float = 0.01, seed: int = 0) -> np.ndarray:
-    return np.random.default_rng(seed).normal(0.0, sd, (n, 3))
-
-
-def kinds(*streams: SuStream) -> list[list[str]]:
-    spans = [(0.0, 20.0)]
-    return [[f.kind for f in c.faults] for c in checked(streams, spans, (0.0, 20.0))]
-
-
-def test_sensors_without_noise_are_not_frozen_while_the_robot_rests() -> None:
-    still = stream(np.ones((5000, 3)))
-    assert kinds(still, still, still) == [[], [], []]
-
-
-def test_a_constant_stream_among_noisy_ones_is_frozen() -> None:
-    constant = np.full((5000, 3), 5.7)  # gravity may be in it
-    assert kinds(stream(constant), stream(noise()), stream(noise(seed=1))) == [["frozen"], [], []]
-    assert kinds(stream(0 * constant), stream(noise()), stream(noise(seed=1)))[0] == ["dead"]
-
-
-def test_values_that_every_sensor_repeats_are_no_fault() -> None:
-    """A driver that publishes each sample five times."""
-    slow = [stream(np.repeat(noise(1000, seed=s), 5, axis=0)) for s in range(3)]
-    assert kinds(*slow) == [[], [], []]
-
-
-def test_a_spread_of_noise_is_no_fault() -> None:
-    alike = [stream(noise(sd=0.01 * f, seed=i)) for i, f in enumerate((0.5, 0.8, 1.0, 1.3, 2.0))]
-    assert kinds(*alike) == [[]] * 5
-    assert kinds(*alike, stream(noise(sd=0.1, seed=9)))[-1] == ["noisy"]
-
-
-def test_values_that_no_motion_made_cost_an_su_and_a_hit_does_not() -> None:
-    rests = [(2.0 * k, 2.0 * k + 1.5) for k in range(10)]
-    rng = np.random.default_rng(3)
-    filled = noise() + np.array([0.0, 4.4, 8.8])
-    filled[rng.random(len(filled)) < 0.1, 2] = 0.0
-    hit = noise(seed=1) + np.array([0.0, 4.4, 8.8])
-    hit[1100:1150] += 5.0 * rng.normal(size=(50, 3))
-    coarse = np.round(noise(sd=0.01, seed=2) / 0.04) * 0.04 + np.array([0.0, 0.0, 9.8])
-    found = checked([stream(filled), stream(hit), stream(coarse)], rests, (0.0, 20.0))
-    assert [[f.kind for f in c.faults] for c in found] == [["noisy"], [], []]
-    assert [len(c.stream.time) for c in found] == [0, 5000, 5000]
-
-
-def test_noise_is_measured_at_rest() -> None:
-    samples = noise(sd=0.02)
-    assert rest_noise(samples, np.ones(len(samples), dtype=bool)) == pytest.approx(0.02, rel=0.05)
-
-
-def test_a_few_lost_samples_are_no_fault_and_many_are() -> None:
-    rng = np.random.default_rng(0)
-    whole = stream(noise())
-
-    def losing(share: float) -> SuStream:
-        kept = rng.random(5000) > share
-        return replace(whole, time=whole.time[kept], specific_force=whole.specific_force[kept])
-
-    assert kinds(losing(0.02), losing(0.3)) == [[], ["intermittent"]]
-
-
-@pytest.mark.parametrize("scatter", [0.2, 0.4, 0.6])
-def test_stamps_that_scatter_tell_of_no_loss(scatter: float) -> None:
-    whole = stream(noise())
-    late = scatter / 250.0 * np.random.default_rng(0).standard_normal(len(whole.time))
-    stamps = np.maximum.accumulate(whole.time + late) + 1e-6 * np.arange(len(late))
-    assert kinds(replace(whole, time=stamps)) == [[]]
-
-
-def test_a_pause_of_the_whole_recording_is_no_loss() -> None:
-    whole = stream(noise())
-    kept = (whole.time % 4.0) < 2.5
-    torn = replace(whole, time=whole.time[kept], specific_force=whole.specific_force[kept])
-    pauses = [(4.0 * k + 2.5, 4.0 * k + 4.0) for k in range(5)]
-    spans = [(0.0, 1.0)]
-    (with_pauses,) = checked([torn], spans, (0.0, 10.0), pauses)
-    assert not with_pauses.faults
-    (without_pauses,) = checked([torn], spans, (0.0, 10.0))
-    assert [fault.kind for fault in without_pauses.faults] == ["intermittent"]
-
-
-def test_a_stream_that_ends_early_is_dead_from_then_on() -> None:
-    whole = stream(noise())
-    short = replace(whole, time=whole.time[:3000], specific_force=whole.specific_force[:3000])
-    assert kinds(short, whole) == [["dead"], []]
-
-
-def test_only_samples_at_the_end_of_the_range_are_clipped() -> None:
-    wave = 10 * np.sin(np.arange(5000) / 20.0)[:, None] + noise()
-    cut = np.clip(wave, -9.0, 9.0)
-    moving = np.zeros(5000, dtype=bool)
-    found = clipping(cut, moving)
-    assert found[(np.abs(cut) == 9.0).any(axis=1)].all()
-    assert not found[(np.abs(cut) < 0.997 * 9.0).all(axis=1)].any()
-    assert not clipping(wave, moving).any()
-
-
-@settings(max_examples=15, deadline=None)
-@given(st.integers(0, 2**32 - 1), st.floats(0.3, 1.2), st.floats(1.0, 3.0))
-def test_a_coarse_noisy_sensor_is_clipped_where_its_noise_ends_too_early(
-    seed: int, depth: float, digits: float
-) -> None:
-    """A motion of one amplitude whose peaks the range cuts within their own noise."""
-    rng, digit = np.random.default_rng(seed), 0.04
-    time = np.arange(60000) / 500
-    wave = 6 * np.sin(2 * np.pi * np.array([0.9, 1.3, 1.7]) * time[:, None])
-    wave[:5000] = wave[5000]
-    wave += rng.normal(scale=digits * digit, size=wave.shape)
-    still = time < 10.0
-    whole = np.round(wave / digit) * digit
-    assert not clipping(whole, still).any()
-    end = digit * np.round((6 - depth * digits * digit) / digit)
-    found = clipping(np.clip(whole, -end, end), still)
-    np.testing.assert_array_equal(found, (np.abs(whole) > end * (1 - 2.5e-3)).any(axis=1))
-
-
-def test_one_peak_that_is_cut_off_is_clipped_and_a_flat_one_is_not() -> None:
-    moving = np.zeros(4000, dtype=bool)
-    time = np.arange(4000) / 500
-    wave = 10 * np.sin(2 * np.pi * 0.3 * time) + 6 * np.exp(-(((time - 0.9) / 0.05) ** 2))
-    peaks = np.stack([wave, 0.5 * wave, 0.2 * wave], axis=1)
-    digital = np.round(peaks / 0.04) * 0.04
-    assert not clipping(digital, moving).any()
-    cut = np.minimum(digital, 13.0)
-    np.testing.assert_array_equal(clipping(cut, moving), (cut[:, 0] >= 13.0))
-    slow = np.round(10 * np.sin(2 * np.pi * 0.3 * time[:, None] + [0.0, 1.0, 2.0]) / 0.04) * 0.04
-    assert not clipping(slow, moving).any()
-
-
-def test_values_that_are_sent_again_are_no_plateau() -> None:
-    """Boards that are polled faster than they measure repeat all axes, at an extreme as well."""
-    time = np.arange(800) / 20
-    rng = np.random.default_rng(3)
-    wave = 9.8 * np.sin(0.7 * time[:, None] + [0.0, 1.0, 2.0])
-    wave += rng.normal(scale=0.03, size=wave.shape)
-    wave[400] = [11.5, -2.0, 3.0]
-    held = np.repeat(np.round(wave / 0.01) * 0.01, 7, axis=0)
-    assert not clipping(held, np.zeros(len(held), dtype=bool)).any()
-
-
-def test_no_axis_ends_where_another_reads_on() -> None:
-    """An axis along the joint's hardly moves, and stays at its extreme for long."""
-    time = np.arange(6000) / 500
-    wave = 9.8 * np.sin(np.pi * time[:, None] + [0.0, 1.5, 0.0])
-    wave[:, 2] = np.minimum(0.5 * np.sin(1.5 * time), 0.45)
-    digital = np.round(wave / 0.01) * 0.01
-    assert not clipping(digital, np.zeros(len(digital), dtype=bool)).any()
-
-
-@pytest.mark.parametrize(("value", "kind"), [(0.0, "dead"), (-6e-4, "dead"), (5.7, "frozen")])
-def test_one_value_throughout_is_dead_unless_gravity_may_be_in_it(value: float, kind: str) -> None:
-    whole = stream(noise())
-    same = replace(whole, specific_force=np.full_like(whole.specific_force, value))
-    assert kinds(same, whole, whole)[0] == [kind]
 
 
 def test_names_go_where_the_tree_says_what_their_sus_feel() -> None:

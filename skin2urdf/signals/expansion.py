@@ -171,7 +171,8 @@ def refined(
     J = np.stack([late, late * time[:, None]], axis=2)
     J -= np.einsum("nk,kap->nap", basis, np.einsum("nk,nap->kap", basis, J))
     normal = np.einsum("nap,naq->pq", J, J)
-    if not np.linalg.cond(normal / np.sqrt(np.outer(*2 * [np.diag(normal)]))) < 1 / DEPENDENT:
+    size = np.sqrt(np.diag(normal))
+    if not size.all() or not np.linalg.cond(normal / np.outer(size, size)) < 1 / DEPENDENT:
         return None
     inverse = np.linalg.inv(normal)
     solution = inverse @ np.einsum("nap,na->p", J, residual)

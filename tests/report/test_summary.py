@@ -102,7 +102,9 @@ def yielding(deflections: dict[int, float]) -> Calibration:
     state = replace(along.fitted.state, unseen=np.array(list(deflections.values())))
     fitted = replace(along.fitted, problem=bent, state=state)
     return replace(
-        calibration(), along=replace(along, problem=bent, fitted=fitted, causes=("elastic",))
+        calibration(),
+        # What was taken off belongs to the coordinates of a stiff robot.
+        along=replace(along, problem=bent, fitted=fitted, corrected=(), causes=("elastic",)),
     )
 
 

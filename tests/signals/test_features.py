@@ -163,7 +163,7 @@ def test_lags_of_up_to_30_ms_are_recovered(seed: int, options: dict[str, Any]) -
     allowed = np.array([2e-4 + 3 * doubt.get(n, 0.0) for n in names])
     assert sim.truth.lag.max() > 0.012
     assert (abs(error) < allowed)[moving].all()
-    assert allowed.max() < 3e-3
+    assert (abs(error) < 6e-4)[moving].all()
     assert (features.latency_sd[moving] < 2e-4).all()
 
 

@@ -230,6 +230,7 @@ def sampled_trajectory(
         kept=kept,
         valid=whole,
         moving=np.abs(velocity[kept]) >= still_below,
+        shaken=(np.abs(velocity[kept]) >= still_below).astype(np.float64),
         independence=0.5,
         rates=None if rates is None else filtered(filtered(rates, taps), taps),
         turning=None if rates is None else whole,

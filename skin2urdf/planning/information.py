@@ -340,5 +340,6 @@ def _samples(q: F64, qd: F64, qdd: F64, n_sus: int) -> Trajectory:
         log=0, rate=125.0, taps=np.ones(1), q=q, qd=qd, qdd=qdd,
         readings=np.zeros((N, n_sus, 3)), kept=np.arange(N),
         valid=np.ones((N, n_sus), dtype=bool), moving=np.ones(q.shape, dtype=bool),
+        shaken=np.ones(q.shape),
         independence=1.0,
     )  # fmt: skip

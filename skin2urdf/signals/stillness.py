@@ -20,7 +20,7 @@ _SPAN = 1.0
 short rest."""
 
 
-def without_toggling(motion: Motion, taps: F64) -> F64:
+def without_toggling(motion: Motion, taps: F64) -> tuple[F64, F64]:
     """Average positions over a second where a joint stays within its encoder's steps.
 
     Args:
@@ -28,17 +28,19 @@ def without_toggling(motion: Motion, taps: F64) -> F64:
         taps: the low-pass of the positions that a joint's speed is told from.
 
     Returns:
-        (N, D) positions [rad or m].
+        (N, D) positions [rad or m], and (N, D) the share of what encoders round off that is left in
+        them: all while a joint moves, and from there to where averages are whole ever less.
     """
     n = max(3, round(_SPAN * motion.grid.rate) | 1)
     window = np.hanning(n + 2)[1:-1]
     window /= window.sum()
     speed = np.abs(first_derivative(filtered(motion.q, taps), motion.grid.rate))
-    out = np.array(motion.q)
+    out, left = np.array(motion.q), np.ones(motion.q.shape)
     for d in np.flatnonzero(motion.resolution > 0):
         still = eroded(speed[:, d] < MOVING * motion.resolution[d], n)
         if still.any():
             share = filtered(still.astype(np.float64)[:, None], window)[:, 0]
             slow = filtered(motion.q[:, d : d + 1], window)[:, 0]
             out[:, d] += share * (slow - motion.q[:, d])
-    return out
+            left[:, d] -= share
+    return out, left

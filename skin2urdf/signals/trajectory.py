@@ -50,6 +50,8 @@ class Trajectory(Record):
         kept: (K,) grid samples that are compared.
         valid: (K, U) where the readings are whole.
         moving: (K, D) where a joint moves.
+        shaken: (K, D) share of ``noise`` that is in the prediction: of encoders that round, what is
+            left around a rest beside what averages take, at most; of others, where a joint moves.
         independence: independent measurements in one kept sample, at most 1.
         rates: (N, U, 3) what gyroscopes read, low-passed twice [rad/s]; None without any.
         turning: (K, U) where those are whole.
@@ -79,6 +81,7 @@ class Trajectory(Record):
     kept: Int
     valid: Bool
     moving: Bool
+    shaken: F64
     independence: float
     rates: F64 | None = None
     turning: Bool | None = None
@@ -169,6 +172,7 @@ class Trajectory(Record):
             kept=self.kept[which],
             valid=self.valid[which],
             moving=self.moving[which],
+            shaken=self.shaken[which],
             turning=None if self.turning is None else self.turning[which],
             leaps=None if self.leaps is None else self.leaps.only(which),
             beyond=None if self.beyond is None else self.beyond[which],
@@ -198,6 +202,7 @@ class Trajectory(Record):
             kept=self.kept[few],
             valid=whole[few],
             moving=self.moving[few],
+            shaken=self.shaken[few],
             independence=min(1.0, 2 * noise_bandwidth(twice, self.rate) * every * by / self.rate),
             rates=None,
             turning=None,
@@ -223,7 +228,7 @@ def trajectory(
     motion, rate = sampled.motion, sampled.motion.grid.rate
     taps = low_pass(sampled.cutoff, rate)
     half = len(taps) // 2
-    positions = without_toggling(motion, taps)
+    positions, left = without_toggling(motion, taps)
     q = filtered(positions, taps)
     every = max(1, int(rate / (_RATE_OVER_CUTOFF * sampled.cutoff)))
     kept = np.arange(half, motion.grid.size - half, every)
@@ -240,6 +245,11 @@ def trajectory(
         there = (sampled.turning.valid & motion.valid[:, None])[:, sus]
         turning = np.stack([eroded(column, margin)[kept] for column in there.T]).T
     twice = np.convolve(taps, taps)
+    moving = (np.abs(motion.qd) >= np.maximum(MOVING * motion.resolution, 1e-3))[kept]
+    # What passes both low-passes comes from as far as they reach.
+    around = np.abs(twice) / np.abs(twice).sum()
+    smeared = filtered(left**2, around)[kept].clip(0.0, 1.0)
+    shaken = np.where(motion.resolution > 0, smeared, moving)
     return Trajectory(
         log=log,
         rate=rate,
@@ -250,7 +260,8 @@ def trajectory(
         readings=readings,
         kept=kept,
         valid=valid,
-        moving=(np.abs(motion.qd) >= np.maximum(MOVING * motion.resolution, 1e-3))[kept],
+        moving=moving,
+        shaken=shaken,
         independence=min(1.0, 2 * noise_bandwidth(twice, rate) * every / rate),
         noise=_noise(motion, taps),
         rates=rates,
@@ -298,6 +309,7 @@ def in_order(log: Trajectory, dofs: Int, sus: Int) -> Trajectory:
             qd=log.qd[:, dofs],
             qdd=log.qdd[:, dofs],
             moving=log.moving[:, dofs],
+            shaken=log.shaken[:, dofs],
             publisher=log.publisher[dofs] if len(log.publisher) else log.publisher,
             noise=None if log.noise is None else log.noise[dofs],
             resolution=log.resolution[dofs] if len(log.resolution) else log.resolution,

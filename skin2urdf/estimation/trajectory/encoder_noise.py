@@ -74,7 +74,7 @@ def without_shortening(
             for a, b in zip(at_rest, driven, strict=True)
         ]
         weights = [
-            w[::_EVERY, :, :3] * (_EVERY * (log.moving[::_EVERY, felt] & beyond)[..., None])
+            w[::_EVERY, :, :3] * (_EVERY * (log.shaken[::_EVERY, felt] * beyond)[..., None])
             for w, log in zip(fitted.weights, problem.logs, strict=True)
         ]
         louder = [w * n[felt, None] for w, n in zip(weights, noise, strict=True)]
@@ -151,6 +151,7 @@ def _posed_log(log: Trajectory, pushed: Sequence[int]) -> Trajectory:
         kept=np.arange(len(q)),
         valid=log.valid[::_EVERY],
         moving=log.moving[::_EVERY],
+        shaken=log.shaken[::_EVERY],
         rates=None,
         turning=None,
         positions=q,

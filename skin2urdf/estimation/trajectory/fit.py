@@ -15,7 +15,7 @@ from skin2urdf.estimation.trajectory.gyro import rate_weights
 from skin2urdf.estimation.trajectory.kinematics import levers
 from skin2urdf.estimation.trajectory.problem import MotionProblem
 from skin2urdf.estimation.trajectory.records import Equations, Predicted
-from skin2urdf.estimation.trajectory.shaken import Shaken
+from skin2urdf.estimation.trajectory.shaken import Shaken, made_by_encoders
 from skin2urdf.estimation.trajectory.state import MotionState
 
 _HUBER = 3.0
@@ -343,8 +343,9 @@ def _noise(
 ) -> tuple[tuple[F64, ...], tuple[F64, ...]]:
     """Noise of each sample and weights.
 
-    It is what residuals of the SU show at rest and in motion, and what its sampling leaves open
-    where a joint on its way leaps.
+    It is what residuals of the SU show at rest and in motion, what encoders leave around a rest
+    beside what the most of it shows, and what its sampling leaves open where a joint on its way
+    leaps.
     """
     noise, weights = [], []
     arms = levers(problem.tree, state.placements)
@@ -352,12 +353,15 @@ def _noise(
         # By SU, as all axes have the same; which views give to each.
         shape = p.residual.shape
         sd = np.full(shape[1::-1], np.inf).T
+        around = made_by_encoders(problem.tree, log, state.placements)
         square = np.einsum("kuc,kuc->uk", p.residual, p.residual).T
         for u in range(problem.tree.n_sus):
             chain = list(problem.tree.chain(int(problem.tree.su_joint[u])))
             moves = log.moving[:, chain].any(axis=1)
             for which in (moves, ~moves):
                 sd[which, u] = _spread(square[:, u], which & p.measured[:, u])
+            if around is not None:
+                sd[~moves, u] = np.hypot(sd[~moves, u], np.sqrt(around[u, ~moves]))
         if log.leaps is not None:
             sd = np.hypot(sd, np.sqrt(log.leaps.variance(arms)))
         size = np.where(p.measured, np.sqrt(square / 3) / sd, 0.0)

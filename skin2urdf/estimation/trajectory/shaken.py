@@ -20,6 +20,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from skin2urdf.arrays import F64, Record
+from skin2urdf.estimation.problem.state import State
 from skin2urdf.estimation.trajectory.front_end import transfer
 from skin2urdf.estimation.trajectory.kinematics import felt_of_joints
 from skin2urdf.estimation.trajectory.records import Equations
@@ -60,10 +61,8 @@ class Shaken(Record):
             if log.noise is None:
                 continue
             frequencies, shares = log.noise_spectrum()
-            q = log.q[log.kept[::_EVERY], : tree.n_joints]
-            felt = felt_of_joints(tree, state.placements, q)
-            shaking = _EVERY * log.moving[::_EVERY] * log.noise
-            counted = np.einsum("ku,kd,udk->u", w[::_EVERY, :, 0], shaking, felt, optimize=True)
+            shaking = _squares_of_some(tree, log, log.noise, state.placements)
+            counted = _EVERY * np.einsum("ku,uk->u", w[::_EVERY, :, 0], shaking)
             parts.append((frequencies, shares[:, None] * counted))
         if not parts:
             return Shaken(np.zeros(0), np.zeros((0, tree.n_sus)))
@@ -91,3 +90,26 @@ class Shaken(Record):
         out = np.zeros((len(front), layout.n_su))
         out[:, layout.front] = np.einsum("fu,nfu->un", self.chi2, (H.conj() * slopes).real)
         return out
+
+
+def made_by_encoders(tree: KinematicTree, log: Trajectory, places: State) -> F64 | None:
+    """(U, K) variance of what encoders' noise makes of an axis of predicted readings [m^2/s^4].
+
+    None where positions are exact.
+
+    Args:
+        tree: the structure.
+        log: the trajectory.
+        places: where joints and SUs are.
+    """
+    if log.noise is None:
+        return None
+    some = _squares_of_some(tree, log, log.noise, places) / 3
+    return np.repeat(some, _EVERY, axis=1)[:, : len(log.kept)]
+
+
+def _squares_of_some(tree: KinematicTree, log: Trajectory, noise: F64, places: State) -> F64:
+    """(U, k) mean squares of what encoders' noise (D,) makes of every so manieth sample."""
+    q = log.q[log.kept[::_EVERY], : tree.n_joints]
+    shaking = log.shaken[::_EVERY] * noise
+    return np.asarray(np.einsum("kd,udk->uk", shaking, felt_of_joints(tree, places, q)))

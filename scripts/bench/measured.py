@@ -19,7 +19,7 @@ from skin2urdf.arrays import F64
 from skin2urdf.errors import Skin2UrdfError
 from skin2urdf.estimation.uncertainty.observability import aligned_deviations
 from skin2urdf.recording.records import Recording
-from skin2urdf.report.findings import findings
+from skin2urdf.report.findings import is_to_repair
 from skin2urdf.report.notes import note_words
 from skin2urdf.simulation import Truth
 
@@ -165,8 +165,7 @@ def _exit_status(found: Calibration) -> int:
     """What the command line exits with for a result."""
     if found.quality == "bad":
         return 1
-    missing = found.mostly_open and not findings(found).positions_open
-    return 3 if missing or any(fault.to_repair for fault in found.faults) else 0
+    return 3 if is_to_repair(found) else 0
 
 
 _DEG = float(np.rad2deg(1.0))

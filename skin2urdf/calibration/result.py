@@ -199,7 +199,7 @@ class Calibration(Record):
         known &= not self.mostly_open
         sound = not self.faults and not self.base_gives_way and not self.without_a_place
         sound &= not self.of_two_places
-        sound &= bool(are_plausible(self.estimate.state).all())
+        sound &= not self.implausible
         return "good" if explained and alike and known and sound else "fair"
 
     @property
@@ -247,6 +247,13 @@ class Calibration(Record):
         """Whether more than half of the SUs that a recording could place are not determined."""
         placed = self._placed
         return 2 * placed.count("determined") < len(placed)
+
+    @property
+    def implausible(self) -> tuple[str, ...]:
+        """SUs that would need errors that no working sensor has: that, or their place, is wrong."""
+        plausible = are_plausible(self.estimate.state)
+        names = self.estimate.tree.su_names
+        return tuple(name for name, may_be in zip(names, plausible, strict=True) if not may_be)
 
     @property
     def mostly_implausible(self) -> bool:

@@ -21,7 +21,7 @@ from skin2urdf.estimation.solve.estimate import Estimate, estimate
 from skin2urdf.estimation.start.from_rests import state_of
 from skin2urdf.estimation.start.order import ordered
 from skin2urdf.estimation.start.starts import felt_up
-from skin2urdf.estimation.uncertainty.health import unlike_the_rest
+from skin2urdf.estimation.uncertainty.health import are_plausible, unlike_the_rest
 from skin2urdf.faults import Fault
 from skin2urdf.model.specific_force import beyond_first_order, first_order
 from skin2urdf.notes import Note
@@ -181,6 +181,7 @@ def estimate_robot(
     if is_hopeless(found):
         led = _led_by_motion(logs, first, features, clock)
         found, refined = led or (found, refined)
+    found, refined = _with_likely_sensors(logs, found, refined, features, clock)
     return Solution(logs, structure.seen, found, refined)
 
 
@@ -258,21 +259,54 @@ def _with_an_su_elsewhere(
 
     Gaps may leave so little of an SU that the activity of its last joint is missed.
     """
-    odd = unlike_the_rest(found)
-    if not odd:
-        return found, refined
+    for place in _next_to(found.tree, unlike_the_rest(found)):
+        latest = _moved_by_one(logs, found, refined, features, place, clock)
+        if latest and latest[0].misfit <= GOOD_FIT and not unlike_the_rest(latest[0]):
+            return latest
+    return found, refined
+
+
+def _moved_by_one(
+    logs: Logs,
+    found: Estimate,
+    refined: Features,
+    features: Features,
+    place: tuple[str, str, bool],
+    clock: Clock,
+) -> tuple[Estimate, Features] | None:
+    """With an SU moved by one joint more or less; None where that is no other tree, or none."""
     seen = activity(refined, logs.settings.static_threshold)
-    for su, joint, moved in _next_to(found.tree, odd):
-        try:
-            again = ordered(kinematic_tree(seen.moved_by(su, joint, moved), refined), refined)
-            again = replace(again, notes=(*again.notes, _elsewhere(su, joint, moved)))
-            if again.is_like(found.tree):
+    try:
+        again = ordered(kinematic_tree(seen.moved_by(*place), refined), refined)
+        again = replace(again, notes=(*again.notes, _elsewhere(*place)))
+        if again.is_like(found.tree):
+            return None
+        return relinearise(logs, again, features, clock, hopeless=leads_nowhere)
+    except (StructureError, InsufficientDataError):
+        return None
+
+
+def _with_likely_sensors(
+    logs: Logs, found: Estimate, refined: Features, features: Features, clock: Clock
+) -> tuple[Estimate, Features]:
+    """With SUs whose sensors would be none that exist moved by a joint, where that explains more.
+
+    An SU on a base that sways feels the joint that moves all of it, and has too little of its
+    motion: on that joint its sensor would have to measure next to nothing.
+    """
+    for _ in found.tree.su_names:
+        unlikely = np.flatnonzero(~are_plausible(found.state)).tolist()
+        better = None
+        for su, joint, moved in _next_to(found.tree, unlikely):
+            latest = _moved_by_one(logs, found, refined, features, (su, joint, moved), clock)
+            if latest is None or latest[0].misfit >= found.misfit:
                 continue
-            latest, shown = relinearise(logs, again, features, clock, hopeless=leads_nowhere)
-        except (StructureError, InsufficientDataError):
-            continue
-        if latest.misfit <= GOOD_FIT and not unlike_the_rest(latest):
-            return latest, shown
+            if are_plausible(latest[0].state)[latest[0].tree.su_names.index(su)]:
+                better = latest
+                break
+        if better is None:
+            break
+        found, refined = better
     return found, refined
 
 

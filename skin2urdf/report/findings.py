@@ -103,6 +103,14 @@ def findings(calibration: Calibration) -> Findings:
     )
 
 
+def is_to_repair(calibration: Calibration) -> bool:
+    """Whether something has to be set right before the result is of use: most SUs, or one."""
+    # A log of rests alone leaves all positions open, and nothing is wrong with it.
+    missing = calibration.mostly_open and not findings(calibration).positions_open
+    faulty = any(fault.to_repair for fault in calibration.faults)
+    return missing or faulty or bool(calibration.implausible)
+
+
 def _no_place(rows: F64) -> bool:
     """Whether unobservable twists (k, 6) hold every shift."""
     return bool(np.linalg.matrix_rank(rows[:, :3], tol=0.5) == 3)

@@ -178,12 +178,19 @@ def _doubts(calibration: Calibration) -> list[Doubt]:
     if narrow and calibration.misfit > GOOD_FIT:
         words = "the sensors are worse than the options say of them (see the notes)"
         found.append(Doubt("sensors", words))
+    unlikely = [name for name in calibration.implausible if name not in known]
     if calibration.mostly_implausible:
         words = (
             "most SUs would need errors that no sensor has (see the notes): record more, on a base "
             "that stands still, or give the robot's own URDF by --model"
         )
-        found.append(Doubt("no such sensors", words))
+        found.append(Doubt("no such sensors", words, tuple(unlikely)))
+    elif unlikely:
+        words = (
+            f"{shortened(unlikely, _NAMED)} would need errors that no sensor has (see the notes): "
+            "it is broken, or sits elsewhere, where the order of joints may be wrong, too"
+        )
+        found.append(Doubt("no such sensors", words, tuple(unlikely)))
     weak = _with_verdict(tree.joint_names, seen.joint_verdict, ("weak",))
     if weak:
         words = f"the axis of {shortened(weak, _NAMED)} is known weakly"

@@ -162,7 +162,7 @@ class _Place:
 
 
 def with_unseen_joints(
-    draft: Draft, samples: Along, unplaced: Sequence[int]
+    draft: Draft, samples: Along, unplaced: Sequence[int], sliding: Sequence[int] = ()
 ) -> tuple[Draft, tuple[Draft, ...]]:
     """The draft with joints that gravity does not show, where accelerations do.
 
@@ -170,6 +170,7 @@ def with_unseen_joints(
         draft: what gravity shows.
         samples: the logs.
         unplaced: joints that moved and are not in it.
+        sliding: those of them that are known to slide; the others may turn about the vertical.
 
     Returns:
         The draft, and others that the log does not tell from it.
@@ -178,7 +179,7 @@ def with_unseen_joints(
     others: list[Draft] = []
     while left:
         now = [draft.judged(samples, u) if j >= -1 else None for u, j in enumerate(draft.su_joint)]
-        places = [p for d in left for p in _places(draft, samples, d, now, left)]
+        places = [p for d in left for p in _places(draft, samples, d, now, left, sliding)]
         if not places:
             break
         places.sort(key=lambda p: -p.gain)
@@ -277,8 +278,9 @@ def _log_ratio(now: F64, then: F64, count: F64, quiet: float) -> F64:
 
 
 def _places(
-    draft: Draft, samples: Along, dof: int, now: Sequence[Judged | None], left: Sequence[int]
-) -> Iterator[_Place]:
+    draft: Draft, samples: Along, dof: int, now: Sequence[Judged | None], left: Sequence[int],
+    sliding: Sequence[int],
+) -> Iterator[_Place]:  # fmt: skip
     """Everywhere that a joint may be, if that is worth its parameters."""
     price = _price(samples, len(left), len(draft.joints) + 1)
     others = [d for d in left if d != dof]
@@ -288,7 +290,7 @@ def _places(
             for j in draft.path(at)
         )
         kinds = [ChainJoint(dof, "prismatic", (0.0, 0.0, 1.0))]
-        if vertical:
+        if vertical and dof not in sliding:
             kinds += [ChainJoint(dof, "revolute", (0.0, 0.0, s)) for s in (1.0, -1.0)]
         for joint in kinds:
             place = _placed(draft, samples, joint, at, now, others, price)

@@ -148,7 +148,7 @@ def _grown_from(
         turning = tuple(int(d) for d in np.flatnonzero(moved) if d not in sliding)
         growth = Growth(windows, turning, np.random.default_rng(seed), tree)
         growth.grow(tell)
-        drafts = _drafted(growth, samples, moved)
+        drafts = _drafted(growth, samples, moved, sliding)
         more = () if known else that_slide(drafts[0], samples)
         if not more:
             break
@@ -159,7 +159,7 @@ def _grown_from(
     return replace(best, tree=replace(best.tree, notes=notes)), *others
 
 
-def _drafted(growth: Growth, samples: Along, moved: Bool) -> list[Draft]:
+def _drafted(growth: Growth, samples: Along, moved: Bool, sliding: Sequence[int]) -> list[Draft]:
     """What has grown with joints that gravity does not show, best first.
 
     Raises:
@@ -174,7 +174,7 @@ def _drafted(growth: Growth, samples: Along, moved: Bool) -> list[Draft]:
         )
     draft = _as_grown(growth)
     unplaced = [int(d) for d in np.flatnonzero(moved) if d not in {j.dof for j in draft.joints}]
-    draft, otherwise = with_unseen_joints(draft, samples, unplaced)
+    draft, otherwise = with_unseen_joints(draft, samples, unplaced, sliding)
     if not draft.joints:
         raise StructureError(
             "no SU feels any joint move",

@@ -175,7 +175,7 @@ def run(options: argparse.Namespace) -> int:
             _check_report(options.report)
         from skin2urdf.calibration.pipeline import calibrate
         from skin2urdf.report.document import as_document
-        from skin2urdf.report.findings import findings
+        from skin2urdf.report.findings import is_to_repair
         from skin2urdf.report.summary import as_text
 
         bar("starting", 1.0)
@@ -206,10 +206,7 @@ def run(options: argparse.Namespace) -> int:
         raise not_to_be_saved(calibration, options.output)
     if calibration.quality == "bad":
         return BadFitError.exit_status
-    # A log of rests alone leaves all positions open, and nothing is wrong with it.
-    missing = calibration.mostly_open and not findings(calibration).positions_open
-    to_do = missing or any(fault.to_repair for fault in calibration.faults)
-    return _TO_REPAIR if to_do else 0
+    return _TO_REPAIR if is_to_repair(calibration) else 0
 
 
 def _check_report(path: str) -> None:

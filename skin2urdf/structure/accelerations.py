@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from skin2urdf.arrays import F64, Bool, Int, Record
-from skin2urdf.geometry.so3 import axis_rotation, skew
+from skin2urdf.geometry.series import applied, cross, per_metre, rotations
 from skin2urdf.geometry.units import GRAVITY
 from skin2urdf.signals.filters import (
     eroded,
@@ -30,7 +30,7 @@ from skin2urdf.signals.filters import (
 )
 from skin2urdf.signals.sampling import Sampled
 from skin2urdf.signals.turning import Turning
-from skin2urdf.structure.chain_fit import PRIOR, SHAPE_INDEX, per_metre, tangent, turned
+from skin2urdf.structure.chain_fit import PRIOR, fill_shape_columns, sensor_matrix, tangent
 from skin2urdf.structure.records import JointType
 
 _CUTOFF = 4.0
@@ -213,8 +213,8 @@ def _held_out(
     """Fit columns to half of the stretches, predict the other half, and the other way round.
 
     Args:
-        A: (N, 3, n) columns.
-        y: (N, 3) what they have to explain.
+        A: (n, 3, N) columns.
+        y: (3, N) what they have to explain.
         stretch: (N,) which of the B stretches of time, rising.
         n_stretches: B.
         ridge: (n, n) information on the coefficients before.
@@ -223,13 +223,13 @@ def _held_out(
         (B,) squared errors of prediction and (B,) measurements, and (n, n) and (n,) the normal
         equations of all stretches together.
     """
-    B, n = n_stretches, A.shape[-1]
+    B, n = n_stretches, len(A)
     AtA, Aty, yty = np.zeros((B, n, n)), np.zeros((B, n)), np.zeros(B)
     edges = np.searchsorted(stretch, np.arange(B + 1))
     for b in range(B):
-        part = A[edges[b] : edges[b + 1]].reshape(-1, n)
-        left = y[edges[b] : edges[b + 1]].ravel()
-        AtA[b], Aty[b], yty[b] = part.T @ part, part.T @ left, left @ left
+        part = A[..., edges[b] : edges[b + 1]].reshape(n, -1)
+        left = y[:, edges[b] : edges[b + 1]].ravel()
+        AtA[b], Aty[b], yty[b] = part @ part.T, part @ left, left @ left
     loss = np.zeros(B)
     for fold in (0, 1):
         held = np.arange(B) % 2 == fold
@@ -249,30 +249,30 @@ def _turning(samples: Along, su: int, chain: Sequence[ChainJoint], R: F64) -> tu
     if samples.rates is None or samples.turning is None or not samples.turning[:, su].any():
         return np.zeros(B), np.zeros(B)
     use = samples.turning[:, su]
-    q, qd, qdd = samples.q[use], samples.qd[use], samples.qdd[use]
-    turn = np.tile(np.eye(3), (len(q), 1, 1))
-    omega, alpha = np.zeros((len(q), 3)), np.zeros((len(q), 3))
+    q, qd, qdd = (np.ascontiguousarray(x[use].T) for x in (samples.q, samples.qd, samples.qdd))
+    N = q.shape[1]
+    turn = np.repeat(np.eye(3)[..., None], N, axis=2)
+    omega, alpha = np.zeros((3, N)), np.zeros((3, N))
     for joint in chain:
         if joint.kind == "prismatic":
             continue
         d, axis = joint.dof, np.array(joint.axis)
-        a = turn @ axis
-        alpha = alpha + a * qdd[:, d, None] + np.cross(omega, a) * qd[:, d, None]
-        omega = omega + a * qd[:, d, None]
-        turn = turn @ axis_rotation(axis, q[:, d])
-    onto = R.T @ turn.swapaxes(1, 2)
-    w, slope = (np.einsum("nij,nj->ni", onto, x) for x in (omega, alpha))
+        a = np.tensordot(axis, turn, 1)
+        alpha = alpha + a * qdd[d] + cross(omega, a) * qd[d]
+        omega = omega + a * qd[d]
+        turn = np.einsum("ian,ijn->jan", turn, rotations(axis, q[d]))
+    w, slope = (R.T @ applied(turn, x) for x in (omega, alpha))
     # The gyroscope's bias, its clock, and nine numbers for its axes and for directions that are
     # not known any better yet.
-    by_axes = np.zeros((len(w), 3, 9))
+    A = np.zeros((14, 3, N))
+    A[range(3), range(3)] = 1.0
     for i in range(3):
-        by_axes[:, i, 3 * i : 3 * i + 3] = w
-    late = np.stack([slope, slope * samples.time[use, None]], axis=-1)
-    A = np.concatenate([np.tile(np.eye(3), (len(w), 1, 1)), by_axes, late], axis=-1)
+        A[3 + 3 * i : 6 + 3 * i, i] = w
+    A[12], A[13] = slope, slope * samples.time[use]
     prior = np.array([_RATE_BIAS] * 3 + [_TURN] * 9 + [_LAG] * 2)
     ridge = np.diag((_ROUGH_RATE / prior) ** 2)
     rows = samples.stretch[use]
-    loss, count, _, _ = _held_out(A, samples.rates[use, su] - w, rows, B, ridge)
+    loss, count, _, _ = _held_out(A, samples.rates[use, su].T - w, rows, B, ridge)
     return loss, count
 
 
@@ -285,18 +285,18 @@ def _regression(
     sensor: F64,
     up: F64,
 ) -> tuple[F64, F64, F64, list[int], tuple[int, F64]]:
-    """Columns (N, 3, n), what they have to explain (N, 3), and the columns' priors (n,).
+    """Columns (n, 3, N), what they have to explain (3, N), and the columns' priors (n,).
 
     Returns:
         These, where the directions of sliding joints begin, and where the last offset begins with
         the axis it turns about.
     """
-    q, qd, qdd = samples.q[use], samples.qd[use], samples.qdd[use]
-    N = len(q)
-    turn = np.tile(np.eye(3), (N, 1, 1))
-    omega, alpha = np.zeros((N, 3)), np.zeros((N, 3))
-    spin = np.zeros((N, 3, 3))
-    z = up[samples.log[use]] * GRAVITY
+    q, qd, qdd = (np.ascontiguousarray(x[use].T) for x in (samples.q, samples.qd, samples.qdd))
+    N = q.shape[1]
+    # All is in the base frame until it is seen from the SU: ``turn`` are the segment's axes there.
+    turn = np.repeat(np.eye(3)[..., None], N, axis=2)
+    omega, alpha, spin = np.zeros((3, N)), np.zeros((3, N)), np.zeros((3, 3, N))
+    upward = (up[samples.log[use]] * GRAVITY).T
     columns: list[F64] = []
     priors: list[float] = []
     slides: list[int] = []
@@ -306,48 +306,40 @@ def _regression(
     for i, joint in enumerate(chain):
         d, axis = joint.dof, np.array(joint.axis)
         if joint.kind == "prismatic":
-            moved = (
-                qdd[:, d, None, None] * np.eye(3)
-                + 2 * qd[:, d, None, None] * skew(omega)
-                + q[:, d, None, None] * spin
-            )
-            columns.append(moved @ turn)
+            along_offset = applied(spin.swapaxes(0, 1), turn)
+            columns.append(qdd[d] * turn + 2 * qd[d] * cross(omega, turn) + q[d] * along_offset)
             priors += [_OFFSET] * 3
             slides.append(at)
             at += 3
         else:
-            a = turn @ axis
-            alpha = alpha + a * qdd[:, d, None] + np.cross(omega, a) * qd[:, d, None]
-            omega = omega + a * qd[:, d, None]
+            a = np.tensordot(axis, turn, 1)
+            alpha = alpha + a * qdd[d] + cross(omega, a) * qd[d]
+            omega = omega + a * qd[d]
             spin = per_metre(omega, alpha)
-            turn = turn @ axis_rotation(axis, q[:, d])
-            before = z
-            z = turned(axis, q[:, d], before)
-            back = axis_rotation(axis, -q[:, d])
-            slopes = [back @ slope for slope in slopes]
-            slopes.append((back @ skew(before) - skew(z)) @ tangent(axis[None])[0])
+            before = turn
+            turn = np.einsum("ian,ijn->jan", before, rotations(axis, q[d]))
+            # Turning the axis turns all beyond it there and back: gravity is seen from between.
+            across = np.tensordot(tangent(axis[None])[0].T, before - turn, 1)
+            slopes.append(cross(upward, across))
         carried = i + 1 == len(chain) or chain[i + 1].kind == "revolute"
         if carried and omega.any():
-            columns.append(spin @ turn)
+            columns.append(applied(spin.swapaxes(0, 1), turn))
             priors += [_OFFSET] * 3
             last = (at, axis if joint.kind == "revolute" else last[1])
             at += 3
-    onto = R.T @ turn.swapaxes(1, 2)
-    M = np.eye(3)
-    by_shape = np.zeros((N, 3, 6))
-    g = z @ R
-    for c, (a_, b_) in enumerate(SHAPE_INDEX):
-        M[a_, b_] += sensor[3 + c]
-        by_shape[:, a_, c] += g[:, b_]
-        if a_ != b_:
-            M[b_, a_] += sensor[3 + c]
-            by_shape[:, b_, c] += g[:, a_]
-    felt = [M @ (onto @ column) for column in columns]
-    felt += [M @ (R.T @ slope) for slope in slopes]
-    felt += [M @ skew(g), np.tile(np.eye(3), (N, 1, 1)), by_shape]
-    late = samples.change[use, su]
-    felt.append(np.stack([late, late * samples.time[use, None]], axis=-1))
+    g = R.T @ applied(turn, upward)
+    M = sensor_matrix(sensor[3:])
+    n = sum(len(each) for each in (*columns, *slopes))
+    A = np.zeros((n + 14, 3, N))
+    if n:
+        np.matmul(M @ R.T, applied(turn, np.concatenate([*columns, *slopes])), out=A[:n])
+    by_tilt, by_bias, by_shape = A[n : n + 3], A[n + 3 : n + 6], A[n + 6 : n + 12]
+    np.matmul(M, cross(g, np.eye(3)[..., None]), out=by_tilt)
+    by_bias[range(3), range(3)] = 1.0
+    fill_shape_columns(by_shape, g)
+    A[n + 12] = samples.change[use, su].T
+    A[n + 13] = A[n + 12] * samples.time[use]
     turns = [_TURN] * (2 * len(slopes) + 3)
     prior = np.array([*priors, *turns, *PRIOR, _LAG, _LAG])
-    y = samples.readings[use, su] - sensor[:3] - g @ M.T
-    return np.concatenate(felt, axis=-1), y, prior, slides, last
+    y = samples.readings[use, su].T - sensor[:3, None] - M @ g
+    return A, y, prior, slides, last

@@ -12,7 +12,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from skin2urdf.arrays import F64, Record
-from skin2urdf.geometry.so3 import axis_rotation, cross, rotation_exp, skew, wahba
+from skin2urdf.geometry import series
+from skin2urdf.geometry.so3 import cross, rotation_exp, wahba
 
 PRIOR = np.array([0.5] * 3 + [0.03] * 3 + [0.01] * 3)
 """Standard deviations of bias [m/s^2], scale and cross-axis errors of common accelerometers."""
@@ -61,18 +62,40 @@ def turned(axis: F64, q: F64, x: F64) -> F64:
     return np.asarray(c * x - s * cross(k, x) + (1 - c) * along * k)
 
 
+def sensor_matrix(shape: F64) -> F64:
+    """(..., 3, 3) what makes readings of what is felt, by shape (..., 6)."""
+    M = np.broadcast_to(np.eye(3), (*shape.shape[:-1], 3, 3)).copy()
+    for c, (a, b) in enumerate(SHAPE_INDEX):
+        M[..., a, b] += shape[..., c]
+        if a != b:
+            M[..., b, a] += shape[..., c]
+    return M
+
+
+def fill_shape_columns(out: F64, g: F64) -> None:
+    """Write what each number of an SU's shape makes of what it feels.
+
+    Args:
+        out: (..., 6, 3, N) zeros; filled.
+        g: (..., 3, N) what it feels, in its own frame.
+    """
+    for c, (a, b) in enumerate(SHAPE_INDEX):
+        out[..., c, a, :] = g[..., b, :]
+        out[..., c, b, :] = g[..., a, :]
+
+
 @dataclass(frozen=True, eq=False)
 class Carried(Record):
     """How the known segments of K fits move in N samples, in their own frames.
 
     Attributes:
-        omega: (K, N, 3) angular velocity [rad/s], and
-        alpha: (K, N, 3) angular acceleration [rad/s^2].
-        columns: (K, N, 3, c) what a metre of each offset up to the segment, and of one on it, adds
+        omega: (K, 3, N) angular velocity [rad/s], and
+        alpha: (K, 3, N) angular acceleration [rad/s^2].
+        columns: (K, c, 3, N) what a metre of each offset up to the segment, and of one on it, adds
             to the specific force [1/s^2]; zero where a segment has fewer than others.
-        qd: (K, N, m) velocities of the joints beyond it [rad/s], and
-        qdd: (K, N, m) accelerations [rad/s^2].
-        change: (K, N, 3) derivatives of the readings [m/s^3].
+        qd: (K, m, N) velocities of the joints beyond it [rad/s], and
+        qdd: (K, m, N) accelerations [rad/s^2].
+        change: (K, 3, N) derivatives of the readings [m/s^3].
     """
 
     omega: F64
@@ -82,32 +105,27 @@ class Carried(Record):
     qdd: F64
     change: F64
 
-    def beyond(self, i: int, axis: F64, q: F64) -> Carried:
+    def beyond(self, i: int, axis: F64, back: F64) -> Carried:
         """How what joint number ``i`` carries moves.
 
         Args:
             i: the joint.
             axis: (K, 3) its unit axis, in the segment's frame at position zero.
-            q: (K, N) its positions [rad].
+            back: (K, 3, 3, N) what of the segment is seen beyond it.
         """
-        k = axis[:, None]
-        qd, qdd = self.qd[..., i, None], self.qdd[..., i, None]
-        alpha = self.alpha + k * qdd + cross(self.omega, k) * qd
+        k = axis[..., None]
+        qd, qdd = self.qd[:, i, None], self.qdd[:, i, None]
+        alpha = self.alpha + k * qdd + series.cross(self.omega, k) * qd
         omega = self.omega + k * qd
-        alpha, omega = turned(axis, q, alpha), turned(axis, q, omega)
-        back = np.swapaxes(axis_rotation(k, q), -1, -2)
-        columns = np.concatenate([back @ self.columns, per_metre(omega, alpha)], axis=-1)
+        alpha, omega = series.applied(back, alpha), series.applied(back, omega)
+        before = series.applied(back[:, None], self.columns)
+        columns = np.concatenate([before, series.per_metre(omega, alpha)], axis=1)
         return replace(self, omega=omega, alpha=alpha, columns=columns)
 
 
-def per_metre(omega: F64, alpha: F64) -> F64:
-    """(..., 3, 3) acceleration of a point per metre of its offset, on a segment that turns [1/s^2].
-
-    Args:
-        omega: (..., 3) angular velocity [rad/s], and
-        alpha: (..., 3) angular acceleration [rad/s^2], in the frame that is wanted.
-    """
-    return np.asarray(skew(alpha) + skew(omega) @ skew(omega))
+def seen_beyond(axis: F64, q: F64) -> F64:
+    """(..., 3, 3, N) what of a segment is seen beyond a joint at q (..., N) about axis (..., 3)."""
+    return series.rotations(axis, -q)
 
 
 def fit_gravity(
@@ -122,34 +140,37 @@ def fit_gravity(
     """Fit chains of m joints by Gauss-Newton, many at once.
 
     Args:
-        q: (K, N, m) positions of the joints [rad].
-        x: (K, N, 3) upward gravity in the known segment's frame [m/s^2].
-        y: (K, N, 3) readings [m/s^2].
+        q: (K, m, N) positions of the joints [rad].
+        x: (K, 3, N) upward gravity in the known segment's frame [m/s^2].
+        y: (K, 3, N) readings [m/s^2].
         weight: (K, N) inverse variances.
         axes: (K, m, 3) axes to begin from.
         iterations: number of steps at most.
         carried: how the segments move, where offsets and clocks are fitted as well; else what they
             add to gravity is noise.
     """
-    K, _, m = q.shape
+    K, m, _ = q.shape
     root = np.sqrt(weight)
-    offsets = 0 if carried is None else carried.columns.shape[-1] + 3 * m + 1
+    offsets = 0 if carried is None else carried.columns.shape[1] + 3 * m + 1
     # Bias, scale and cross-axis errors; offsets of the chain from its beginning; the clock.
     known = np.concatenate([PRIOR, [LEVER] * (offsets - 1), [LATE]]) if offsets else PRIOR
     linear = np.zeros((K, 9 + offsets))
     z = x
     for i in range(m):
-        z = turned(axes[:, i], q[..., i], z)
+        z = series.applied(seen_beyond(axes[:, i], q[:, i]), z)
     gamma = _centring(weight)
-    R, _ = wahba(_centred(y, weight, gamma), _centred(z, weight, gamma), weight)
-    data = q, x, y, root, carried, known
+    felt, seen = (_centred(v.swapaxes(1, 2), weight, gamma) for v in (y, z))
+    R, _ = wahba(felt, seen, weight)
+    data = q, x, y, root, carried
     r, J = _linearised(data, axes, R, linear)
-    cost = np.einsum("kn,kn->k", r, r)
+    cost = _chi2(r, linear, known)
     damping = np.full(K, 1e-4)
-    n = J.shape[-1]
+    n, first = J.shape[1], 2 * m + 3
     for _ in range(iterations):
-        H = np.swapaxes(J, 1, 2) @ J
-        g = (np.swapaxes(J, 1, 2) @ r[..., None])[..., 0]
+        H = J @ J.swapaxes(1, 2)
+        g = (J @ r[..., None])[..., 0]
+        H[:, range(first, n), range(first, n)] += known**-2
+        g[:, first:] += linear / known**2
         scale = np.maximum(np.einsum("kii->ki", H), 1e-9)
         H += (damping[:, None] * scale)[..., None] * np.eye(n)
         step = np.asarray(-np.linalg.solve(H, g[..., None])[..., 0])
@@ -161,22 +182,27 @@ def fit_gravity(
             ],
             axis=1,
         ) if m else axes  # fmt: skip
-        trial_R = R @ rotation_exp(step[:, 2 * m : 2 * m + 3])
-        trial_linear = linear + step[:, 2 * m + 3 :]
+        trial_R = R @ rotation_exp(step[:, 2 * m : first])
+        trial_linear = linear + step[:, first:]
         trial_r, trial_J = _linearised(data, trial_axes, trial_R, trial_linear)
-        trial_cost = np.einsum("kn,kn->k", trial_r, trial_r)
+        trial_cost = _chi2(trial_r, trial_linear, known)
         better = trial_cost < cost
         axes = np.where(better[:, None, None], trial_axes, axes)
         R = np.where(better[:, None, None], trial_R, R)
         linear = np.where(better[:, None], trial_linear, linear)
-        r = np.where(better[:, None], trial_r, r)
-        J = np.where(better[:, None, None], trial_J, J)
+        r[better], J[better] = trial_r[better], trial_J[better]
         gain = float(np.max((cost - trial_cost) / np.maximum(cost, 1e-300), initial=0.0))
         cost = np.where(better, trial_cost, cost)
         damping = np.where(better, damping / 10, damping * 10)
         if gain < 1e-4 and bool((damping < 1e2).all()):
             break
     return GravityFits(axes, R, linear[:, :9], cost)
+
+
+def _chi2(r: F64, linear: F64, known: F64) -> F64:
+    """(K,) of weighted residuals (K, 3 N), and of the linear coordinates by what was known."""
+    prior = linear / known
+    return np.asarray(np.einsum("kn,kn->k", r, r) + np.einsum("kp,kp->k", prior, prior))
 
 
 def _centring(weight: F64) -> F64:
@@ -199,65 +225,57 @@ def tangent(k: F64) -> F64:
     return np.stack([a, cross(k, a)], axis=2)
 
 
-_Data = tuple[F64, F64, F64, F64, Carried | None, F64]
-"""Positions, gravity, readings, roots of weights, motion, and standard deviations before."""
+_Data = tuple[F64, F64, F64, F64, Carried | None]
+"""Positions, gravity, readings, roots of weights, and motion."""
 
 
 def _linearised(data: _Data, axes: F64, R: F64, linear: F64) -> tuple[F64, F64]:
-    """Weighted residuals (K, 3 N + p) and their Jacobian in axes, rotation and the p linear ones.
+    """Weighted residuals (K, 3 N) and their slopes (K, n, 3 N) in axes, rotation and the rest.
 
     What turning an axis does to the accelerations that its own joint makes is left out of the
-    Jacobian: it is small beside what it does to gravity, and the cost is that of the whole model.
+    slopes: it is small beside what it does to gravity, and the cost is that of the whole model.
     """
-    q, x, y, root, moving, known = data
-    K, N, m = q.shape
+    q, x, y, root, moving = data
+    K, m, N = q.shape
     z = x
     offsets = linear[:, 9:-1]
     if moving is not None:
         z = x + _pushed(moving.columns, offsets)
-    slopes: list[F64] = []
+    slopes = np.zeros((K, 0, 3, N))
     for i in range(m):
         before, k = z, axes[:, i]
-        z = turned(k, q[..., i], before)
-        Rt = np.swapaxes(axis_rotation(k[:, None], q[..., i]), -1, -2)
-        slopes = [Rt @ slope for slope in slopes]
+        back, across = seen_beyond(k, q[:, i]), tangent(k).swapaxes(1, 2)[..., None]
+        z = series.applied(back, before)
         # Turning k by delta: exp(delta) Rot exp(-delta).
-        slopes.append((Rt @ skew(before) - skew(z)) @ tangent(k)[:, None])
+        new = series.cross(before[:, None], across)
+        slopes = series.applied(back[:, None], np.concatenate([slopes, new], axis=1))
+        slopes[:, -2:] -= series.cross(z[:, None], across)
         if moving is not None:
-            c = moving.columns.shape[-1]
-            moving = moving.beyond(i, k, q[..., i])
-            z = z + _pushed(moving.columns[..., c:], offsets[:, c : c + 3])
-    Rt = np.swapaxes(R, 1, 2)[:, None]
-    g = (Rt @ z[..., None])[..., 0]
-    M = np.tile(np.eye(3), (K, 1, 1))
-    by_shape = np.zeros((K, N, 3, 6))
-    for c, (a, b) in enumerate(SHAPE_INDEX):
-        M[:, a, b] += linear[:, 3 + c]
-        by_shape[:, :, a, c] += g[..., b]
-        if a != b:
-            M[:, b, a] += linear[:, 3 + c]
-            by_shape[:, :, b, c] += g[..., a]
-    predicted = (M[:, None] @ g[..., None])[..., 0] + linear[:, None, :3]
-    columns = [M[:, None] @ (Rt @ slope) for slope in slopes]
-    columns += [M[:, None] @ skew(g), np.broadcast_to(np.eye(3), (K, N, 3, 3)), by_shape]
+            c = moving.columns.shape[1]
+            moving = moving.beyond(i, k, back)
+            z = z + _pushed(moving.columns[:, c:], offsets[:, c : c + 3])
+    Rt, M = np.swapaxes(R, 1, 2), sensor_matrix(linear[:, 3:9])
+    g, seen = Rt @ z, (M @ Rt)[:, None]
+    predicted = M @ g + linear[:, :3, None]
+    s, c = 2 * m, 0 if moving is None else moving.columns.shape[1]
+    J = np.zeros((K, s + 12 + (c + 1 if moving is not None else 0), 3, N))
+    np.matmul(seen, slopes, out=J[:, :s])
+    np.matmul(M[:, None], series.cross(g[:, None], np.eye(3)[..., None]), out=J[:, s : s + 3])
+    J[:, range(s + 3, s + 6), range(3)] = 1.0
+    fill_shape_columns(J[:, s + 6 : s + 12], g)
     if moving is not None:
-        predicted = predicted + moving.change * linear[:, None, -1:]
-        columns += [M[:, None] @ (Rt @ moving.columns), moving.change[..., None]]
-    J = np.concatenate(columns, axis=-1) * root[..., None, None]
-    r = (predicted - y) * root[..., None]
-    p = len(known)
-    prior = np.zeros((K, p, J.shape[-1]))
-    prior[:, np.arange(p), J.shape[-1] - p + np.arange(p)] = 1 / known
-    return (
-        np.concatenate([r.reshape(K, -1), linear / known], axis=1),
-        np.concatenate([J.reshape(K, 3 * N, -1), prior], axis=1),
-    )
+        predicted = predicted + moving.change * linear[:, -1:, None]
+        np.matmul(seen, moving.columns, out=J[:, s + 12 : -1])
+        J[:, -1] = moving.change
+    J *= root[:, None, None]
+    r = (predicted - y) * root[:, None]
+    return r.reshape(K, -1), J.reshape(K, J.shape[1], -1)
 
 
 def _pushed(columns: F64, offsets: F64) -> F64:
-    """(K, N, 3) what offsets (K, c') add, the first c of them, by columns (K, N, 3, c)."""
-    c = columns.shape[-1]
-    return np.asarray((columns @ offsets[:, None, :c, None])[..., 0])
+    """(K, 3, N) what offsets (K, c') add, the first c of them, by columns (K, c, 3, N)."""
+    K, c, _, N = columns.shape
+    return np.asarray((offsets[:, None, :c] @ columns.reshape(K, c, 3 * N)).reshape(K, 3, N))
 
 
 def axis_losses(q: F64, x: F64, y: F64, weight: F64, axes: F64) -> F64:

@@ -235,11 +235,10 @@ def that_slide(draft: Draft, samples: Along) -> tuple[int, ...]:
         What each of them is among the joints of the logs.
     """
     found = []
+    now = [draft.judged(samples, u) if j >= 0 else None for u, j in enumerate(draft.su_joint)]
     for j, joint in enumerate(draft.joints):
         if joint.kind == "prismatic":
             continue
-        now = [draft.judged(samples, u) if u in draft.beyond(j) else None
-               for u in range(len(draft.su_joint))]  # fmt: skip
         moved = _moved(
             draft, draft.sliding(j), samples, draft.beyond(j), "prismatic", draft.parent[j], now,
             CERTAIN,

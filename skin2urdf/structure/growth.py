@@ -27,6 +27,7 @@ from skin2urdf.structure.chain_fit import (
     GravityFits,
     axis_losses,
     fit_gravity,
+    seen_beyond,
 )
 from skin2urdf.structure.gravity import GravityWindows
 
@@ -73,9 +74,9 @@ class Segment:
         dof: index of the joint that carries it; -1 for the RS.
         axis: (3,) the joint's axis at position zero, in the base frame.
         R: (W, 3, 3) rotation of the segment in the base frame, identity at position zero.
-        omega: (W, 3) its angular velocity, and
-        alpha: (W, 3) angular acceleration, in its own frame; zero where these are not modelled.
-        columns: (W, 3, c) what a metre of each offset up to here adds to the specific force there.
+        omega: (3, W) its angular velocity, and
+        alpha: (3, W) angular acceleration, in its own frame; zero where these are not modelled.
+        columns: (c, 3, W) what a metre of each offset up to here adds to the specific force there.
         fits: how well each of the U SUs would sit on it.
         misfit: (U,) what those fits leave, as :meth:`Growth.misfit`.
     """
@@ -240,7 +241,7 @@ class Growth:
     def _add(self, parent: int, dof: int, axis: F64) -> None:
         W, U = self.windows.sd.shape
         R = np.tile(np.eye(3), (W, 1, 1))
-        omega, alpha, columns = np.zeros((W, 3)), np.zeros((W, 3)), np.zeros((W, 3, 0))
+        omega, alpha, columns = np.zeros((3, W)), np.zeros((3, W)), np.zeros((0, 3, W))
         moving = self.windows.moving
         if dof >= 0:
             before, q = self.segments[parent], self.windows.q[:, dof]
@@ -248,25 +249,25 @@ class Growth:
             if moving is not None:
                 known = Carried(
                     before.omega[None], before.alpha[None], before.columns[None],
-                    moving.qd[None, :, [dof]], moving.qdd[None, :, [dof]], np.zeros((1, W, 3)),
-                ).beyond(0, axis[None], q[None])  # fmt: skip
+                    moving.qd[None, :, dof, None].swapaxes(1, 2),
+                    moving.qdd[None, :, dof, None].swapaxes(1, 2), np.zeros((1, 3, W)),
+                ).beyond(0, axis[None], seen_beyond(axis[None], q[None]))  # fmt: skip
                 omega, alpha, columns = known.omega[0], known.alpha[0], known.columns[0]
         carried = None
         if moving is not None:
-            none = np.zeros((U, W, 0))
+            none = np.zeros((U, 0, W))
             carried = Carried(
-                np.broadcast_to(omega, (U, W, 3)),
-                np.broadcast_to(alpha, (U, W, 3)),
+                np.broadcast_to(omega, (U, 3, W)),
+                np.broadcast_to(alpha, (U, 3, W)),
                 np.broadcast_to(columns, (U, *columns.shape)),
                 none,
                 none,
-                moving.change.swapaxes(0, 1),
+                np.ascontiguousarray(moving.change.transpose(1, 2, 0)),
             )
-        x = np.broadcast_to(self._gravity(R), (U, W, 3))
-        y = self.windows.reading.swapaxes(0, 1)
-        fits = fit_gravity(
-            np.zeros((U, W, 0)), x, y, self._weight.T, np.zeros((U, 0, 3)), carried=carried
-        )
+        x = np.broadcast_to(self._gravity(R).T, (U, 3, W))
+        y = np.ascontiguousarray(self.windows.reading.transpose(1, 2, 0))
+        weight = np.ascontiguousarray(self._weight.T)
+        fits = fit_gravity(np.zeros((U, 0, W)), x, y, weight, np.zeros((U, 0, 3)), carried=carried)
         misfit = self.misfit(fits.chi2)
         self.segments.append(Segment(parent, dof, axis, R, omega, alpha, columns, fits, misfit))
 
@@ -380,23 +381,24 @@ class Growth:
         ``roughly`` takes accelerations for noise, as the first of many starts may.
         """
         at = np.arange(len(self.windows.q)) if windows is None else windows
-        gravity = {s: self._gravity(self.segments[s].R)[at] for s in {s for _, s, _ in problems}}
+        known = {s for _, s, _ in problems}
+        gravity = {s: self._gravity(self.segments[s].R)[at].T for s in known}
         length = axes.shape[1]
         modelled = self.windows.moving is not None and not roughly
         weight = self._weight if modelled else self._rough
         width = 12 + 2 * length
         if modelled:
-            width += 3 * length + 1 + max(self.segments[s].columns.shape[-1] for s in gravity)
+            width += 3 * length + 1 + max(len(self.segments[s].columns) for s in gravity)
         chunk = max(1, _CHUNK // (3 * len(at) * width))
         chi2, found = [], []
         for first in range(0, len(problems), chunk):
             some = problems[first : first + chunk]
             sus = np.array([u for u, _, _ in some])
             fits = fit_gravity(
-                np.array([self.windows.q[np.ix_(at, np.array(dofs))] for _, _, dofs in some]),
+                np.array([self.windows.q[np.ix_(at, np.array(dofs))].T for _, _, dofs in some]),
                 np.array([gravity[s] for _, s, _ in some]),
-                self.windows.reading[np.ix_(at, sus)].swapaxes(0, 1),
-                weight[np.ix_(at, sus)].T,
+                np.ascontiguousarray(self.windows.reading[np.ix_(at, sus)].transpose(1, 2, 0)),
+                np.ascontiguousarray(weight[np.ix_(at, sus)].T),
                 axes[first : first + chunk],
                 iterations,
                 self._carried(some, at) if modelled else None,
@@ -411,17 +413,16 @@ class Growth:
         if moving is None:
             return None
         segments = [self.segments[s] for _, s, _ in problems]
-        widest = max(s.columns.shape[-1] for s in segments)
-        columns = np.zeros((len(problems), len(at), 3, widest))
+        columns = np.zeros((len(problems), max(len(s.columns) for s in segments), 3, len(at)))
         for k, segment in enumerate(segments):
-            columns[k, ..., : segment.columns.shape[-1]] = segment.columns[at]
+            columns[k, : len(segment.columns)] = segment.columns[..., at]
         return Carried(
-            np.array([s.omega[at] for s in segments]),
-            np.array([s.alpha[at] for s in segments]),
+            np.array([s.omega[:, at] for s in segments]),
+            np.array([s.alpha[:, at] for s in segments]),
             columns,
-            np.array([moving.qd[np.ix_(at, np.array(dofs))] for _, _, dofs in problems]),
-            np.array([moving.qdd[np.ix_(at, np.array(dofs))] for _, _, dofs in problems]),
-            np.array([moving.change[at, u] for u, _, _ in problems]),
+            np.array([moving.qd[np.ix_(at, np.array(dofs))].T for _, _, dofs in problems]),
+            np.array([moving.qdd[np.ix_(at, np.array(dofs))].T for _, _, dofs in problems]),
+            np.array([moving.change[at, u].T for u, _, _ in problems]),
         )
 
     def _longer(self, length: int) -> _Extension | None:

@@ -6,8 +6,11 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
+
+from skin2urdf.arrays import F64
 from skin2urdf.errors import Skin2UrdfError, UnreadableInputError
-from skin2urdf.recording.records import Recording
+from skin2urdf.recording.records import JointStream, Recording, SuStream
 from skin2urdf.recording.writing import write
 
 
@@ -26,6 +29,41 @@ def lines_of(path: Path) -> list[str]:
     except UnicodeDecodeError as error:
         raise UnreadableInputError(str(path), "is not text") from error
     return [line for line in text.splitlines() if line.strip()]
+
+
+def held(
+    position: dict[str, F64],
+    reading: dict[str, F64],
+    *,
+    start: float,
+    seconds: float,
+    rate: float,
+    between: float,
+) -> Recording:
+    """Make a log of rests of which one position and one reading each are known, and no times.
+
+    Args:
+        position: (P,) positions [rad] of each joint.
+        reading: (P, 3) readings [m/s^2] of each SU.
+        start: when the log begins [s since 1970].
+        seconds: how long each rest is held, made up where the data do not tell it [s].
+        rate: at which it is written again and again [Hz].
+        between: time without any message between two rests [s].
+
+    Returns:
+        Positions and readings on made-up times.
+    """
+    rests = len(next(iter(position.values())))
+    count = round(seconds * rate)
+    time = np.add.outer(np.arange(rests) * (seconds + between), np.arange(count) / rate).ravel()
+    of_time = np.repeat(np.arange(rests), count)
+    return Recording(
+        joints=tuple(JointStream(name, time, at[of_time]) for name, at in position.items()),
+        sus=tuple(
+            SuStream(name, time, felt[of_time], f"/{name}") for name, felt in reading.items()
+        ),
+        start=start,
+    )
 
 
 def adapt(read: Callable[[], Recording], log: Path) -> int:

@@ -32,11 +32,11 @@ import sys
 from pathlib import Path
 
 import numpy as np
-from common import adapt, lines_of
+from common import adapt, held, lines_of
 
 from skin2urdf.arrays import F64
 from skin2urdf.errors import UnreadableInputError
-from skin2urdf.recording.records import JointStream, Recording, SuStream
+from skin2urdf.recording.records import Recording
 
 JOINTS = tuple(f"panda_joint{k}" for k in range(1, 8))
 NO_SENSOR = "imu_link0"
@@ -63,17 +63,13 @@ def recording(folder: Path) -> Recording:
     """
     position = _positions(folder / "panda_positions.txt")
     start, means = _means(folder / "measured_static_acceleration.txt", len(position))
-    count = round(HELD * RATE)
-    time = np.add.outer(np.arange(len(position)) * (HELD + BETWEEN), np.arange(count) / RATE)
-    held = np.repeat(np.arange(len(position)), count)
-    return Recording(
-        joints=tuple(
-            JointStream(name, time.ravel(), position[held, k]) for k, name in enumerate(JOINTS)
-        ),
-        sus=tuple(
-            SuStream(name, time.ravel(), mean[held], f"/{name}") for name, mean in means.items()
-        ),
+    return held(
+        dict(zip(JOINTS, position.T, strict=True)),
+        means,
         start=start,
+        seconds=HELD,
+        rate=RATE,
+        between=BETWEEN,
     )
 
 

@@ -24,7 +24,7 @@ from skin2urdf.estimation.trajectory.front_end import common_front_end
 from skin2urdf.estimation.trajectory.kinematics import levers
 from skin2urdf.estimation.trajectory.priors import MotionPriors
 from skin2urdf.estimation.uncertainty.health import are_plausible
-from skin2urdf.signals.clocks import is_off
+from skin2urdf.signals.clocks import as_far_as_confirmed, is_off
 from skin2urdf.signals.records import Features, JointClock, SuClock
 from skin2urdf.signals.sampling import Sampled
 from skin2urdf.signals.trajectory import Trajectory, in_order, trajectory
@@ -214,7 +214,9 @@ def late_sus(
                 continue
             late, fast = map(float, along.fitted.state.clock[g, u])
             late_sd, fast_sd = map(float, np.sqrt(variances[u, layout.clock(g)].clip(0.0)))
-            clock = SuClock(name, late, late_sd, fast, fast_sd, middle)
+            clock = as_far_as_confirmed(
+                SuClock(name, late, late_sd, fast, fast_sd, middle), s.motion
+            )
             if is_off(clock, s.motion):
                 out[g].append(clock)
     return tuple(tuple(each) for each in out)

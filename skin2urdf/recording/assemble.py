@@ -146,7 +146,7 @@ def timed_sus(
         if samples is not None and samples.stamp.size < 2:
             few.append(f"SU {name} ({topic})")
         elif samples is not None:
-            held = measurements(samples.values)
+            held = measurements(samples.values, _span(samples))
             if held.times > 1.0:
                 repeating[name] = held.times
                 samples = samples.at(held.kept)
@@ -162,6 +162,12 @@ def timed_sus(
         words = f"left out, with fewer than two usable samples: {shortened(few)}"
         notes.append(ReadingNote("too few", words, tuple(few)))
     return sorted(streams, key=lambda stream: stream.name), notes
+
+
+def _span(samples: Samples) -> float:
+    """Time from the first to the last of some samples [s], by their stamps if they have any."""
+    clock = samples.stamp if (samples.stamp > 0).any() else samples.log_time
+    return float(np.ptp(clock)) / 1e9
 
 
 def _sound(

@@ -25,6 +25,9 @@ _SHARE = 0.05
 _FEWEST = 20
 # A value that stands longer than so many times the usual is a sensor that froze, for others to say.
 _FROZEN = 3.0
+# Measurements a second without which a sensor follows no pattern, whose slowest has 1 Hz. Values
+# that come more seldom are those of rests, of which whoever recorded them kept one each [Hz].
+_SLOWEST = 2.0
 
 
 class Held(NamedTuple):
@@ -39,7 +42,7 @@ class Held(NamedTuple):
     times: float
 
 
-def measurements(values: F64) -> Held:
+def measurements(values: F64, span: float) -> Held:
     """Find the samples that are measurements and no repetitions of the one before.
 
     Values stand still where nothing moves and the digits are coarse; that is no repetition. But one
@@ -48,9 +51,11 @@ def measurements(values: F64) -> Held:
 
     Args:
         values: (N, C) samples in their order.
+        span: time from the first to the last [s].
 
     Returns:
-        The measurements; all samples where the sensor's digits explain what repeats.
+        The measurements; all samples where the sensor's digits explain what repeats, or where each
+        value is that of a rest: it holds as long as it was sent, not when it first was.
     """
     count = len(values)
     changed = np.logical_or.reduce(values[1:] != values[:-1], axis=1)
@@ -68,6 +73,8 @@ def measurements(values: F64) -> Held:
     one &= length <= _FROZEN * np.median(length[one])
     times = float(length[one].mean())
     number = np.where(one, 1, np.maximum(np.rint(length / times), 1)).astype(np.int64)
+    if number.sum() < _SLOWEST * span:
+        return everything
     within = np.arange(number.sum()) - np.repeat(np.cumsum(number) - number, number)
     return Held(np.repeat(start, number) + np.rint(times * within).astype(np.int64), times)
 
@@ -84,7 +91,7 @@ def as_measured(sus: Iterable[SuStream]) -> tuple[list[SuStream], list[ReadingNo
     out: list[SuStream] = []
     repeating: dict[str, float] = {}
     for su in sus:
-        held = measurements(su.specific_force)
+        held = measurements(su.specific_force, float(np.ptp(su.time)) if len(su.time) else 0.0)
         if held.times > 1.0:
             repeating[su.name] = held.times
             su = su.at(held.kept)

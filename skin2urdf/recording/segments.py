@@ -77,7 +77,7 @@ def on_one_clock(
     clocks = [stamped_clock(s.stamp, s.log_time)[0] for s in streams]
     jumps = [_jumps(clock, s.log_time, origin) for clock, s in zip(clocks, streams, strict=True)]
     if not any(jumps):
-        return _without_pauses(streams, clocks, origin)
+        return _without_pauses(streams, clocks)
     common = _common(jumps, clocks, origin)
     events = [[_of_stream(event, found) for event in common] for found in jumps]
     pause = _pause(clocks)
@@ -104,12 +104,12 @@ def on_one_clock(
             moved = moved.at(np.arange(begin, end))
         out.append(moved)
     clocks = [stamped_clock(s.stamp, s.log_time)[0] for s in out]
-    out, closed = _without_pauses(out, clocks, origin)
+    out, closed = _without_pauses(out, clocks)
     return out, [*notes, *closed]
 
 
 def _without_pauses(
-    streams: Sequence[Samples], clocks: Sequence[Int], origin: int
+    streams: Sequence[Samples], clocks: Sequence[Int]
 ) -> tuple[list[Samples], list[ReadingNote]]:
     """Shorten what is left of pauses in which no stream has a sample.
 
@@ -119,7 +119,6 @@ def _without_pauses(
     Args:
         streams: samples of all joints and SUs.
         clocks: (N,) times of each [ns].
-        origin: when the log begins [ns].
     """
     edges = [np.zeros((0, 2), np.int64)]
     # A device may have a clock of its own; what all streams have in common is the log's.
@@ -148,12 +147,7 @@ def _without_pauses(
         shift = ahead[np.searchsorted(before, place)]
         stamp = np.where(samples.stamp > 0, samples.stamp - shift, samples.stamp)
         out.append(samples._replace(stamp=stamp, log_time=samples.log_time - shift))
-    notes = []
-    for one, other in zip(before, after, strict=True):
-        jump = Jump(0, (int(one) - origin) / NS_PER_S, (int(other) - origin) / NS_PER_S, True)
-        words = _words(jump, left)
-        notes.append(ReadingNote("clock jump", words))
-    return out, notes
+    return out, [_of_pauses((after - before) / NS_PER_S, left)]
 
 
 def _on_log_clock(log_time: Int, clock: Int) -> Int:
@@ -275,6 +269,15 @@ def _pause(clocks: Sequence[Int]) -> float:
     return max(SHORT_PAUSE, min(PERIODS * slow, LONG_PAUSE))
 
 
+def _of_pauses(lengths: F64, pause: float) -> ReadingNote:
+    """A note on pauses of the whole log, of so many seconds each."""
+    shortest, longest = float(lengths.min()), float(lengths.max())
+    what = f"there are no messages for {longest:.4g} s"
+    if len(lengths) > 1:
+        what = f"{len(lengths)} times there are no messages, for {shortest:.4g} to {longest:.4g} s"
+    return ReadingNote("clock jump", f"{what}: {_used(pause)}", number=len(lengths))
+
+
 def _words(event: Jump, pause: float) -> str:
     """A note on a jump of the common clock."""
     if event.follows:
@@ -282,7 +285,12 @@ def _words(event: Jump, pause: float) -> str:
     else:
         way = "forward" if event.size > 0 else "back"
         what = f"all stamps jump {way} by {abs(event.size):.4g} s"
+    return f"{what}: {_used(pause)}"
+
+
+def _used(pause: float) -> str:
+    """What is made of stretches of a log that are apart by a time nobody knows."""
     return (
-        f"{what}: the stretches before and after are used with a pause of {pause:.3g} s between "
-        "them, as nothing tells how far apart they are"
+        f"the stretches before and after are used with a pause of {pause:.3g} s between them, as "
+        "nothing tells how far apart they are"
     )

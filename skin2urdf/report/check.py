@@ -41,6 +41,12 @@ def _verdict(checked: Checked) -> str:
     same = n - len(changed) - len(open_)
     told = f"{same} of {count(n, 'SU')} {'is where it was' if same == 1 else 'are where they were'}"
     tail = f"; the log does not tell of {', '.join(open_)}" if open_ else ""
+    for kind, unseen in (
+        ("shifts", [su.name for su in checked.sus if np.isnan(su.off.shift)]),
+        ("turns", [su.name for su in checked.sus if np.isnan(su.off.turn)]),
+    ):
+        others = [name for name in unseen if name not in (*open_, *changed)]
+        tail += f"; it tells no {kind} of {', '.join(others)}" if others else ""
     left = f"(what is left of the readings is {checked.left.mean:.2g} times noise)"
     if not changed:
         return f"still true: {told} in {source} {left}{tail}"

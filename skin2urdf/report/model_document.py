@@ -152,6 +152,7 @@ def _model(result: ModelCalibration) -> dict[str, Any]:
         "mount": {
             "up": result.along.state.up[0],
             "tilt_deg": float(np.rad2deg(result.tilt)),
+            "tilt_sd_deg": float(np.rad2deg(result.tilt_sd)),
             "turned": result.turned,
         },
         "sus_that_fit_nowhere": result.odd,

@@ -66,7 +66,7 @@ class Unknown:
 NO_POSITIONS = Unknown(
     "position",
     "gravity alone",
-    "positions of all joints and SUs, which are zero in the URDF",
+    "positions of all joints and SUs, of which the figures in the URDF say nothing",
     "the log holds rests and slow motion, in which gravity alone is felt",
     "record moves of all joints at 0.5 rad/s or more, or patterns around the poses",
 )

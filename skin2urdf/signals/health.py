@@ -211,7 +211,8 @@ def _losses(su: SuStream, pauses: Sequence[tuple[float, float]]) -> list[Fault]:
     """The fault of losing samples again and again, but for pauses of the whole recording."""
     steps = np.diff(su.time)
     middle = su.time[:-1] + steps / 2
-    steps = np.where(_within(middle, pauses), 0.0, steps)
+    within = np.flatnonzero(~_within(middle, pauses))
+    steps = steps[within]
     if len(steps) < 8:
         return []
     period = float(np.quantile(steps, 0.25))
@@ -222,7 +223,7 @@ def _losses(su: SuStream, pauses: Sequence[tuple[float, float]]) -> list[Fault]:
     share = float(missing.sum() / (missing.sum() + len(su.time)))
     if share < _LOST:
         return []
-    longest = int(np.argmax(steps))
+    longest = int(within[np.argmax(steps)])
     begin, end = su.time[longest : longest + 2]
     return [Fault("intermittent", su.name, begin=float(begin), end=float(end), size=share)]
 

@@ -19,6 +19,7 @@ import numpy as np
 from skin2urdf.arrays import F64, Bool, Record
 from skin2urdf.errors import StructureError
 from skin2urdf.geometry.so3 import frame_with_z
+from skin2urdf.geometry.units import GRAVITY
 from skin2urdf.notes import Note
 from skin2urdf.signals.sampling import Sampled
 from skin2urdf.structure.accelerations import Along, ChainJoint, along
@@ -166,11 +167,14 @@ def _drafted(growth: Growth, samples: Along, moved: Bool, sliding: Sequence[int]
         StructureError: no SU feels any joint move, or no chain of joints explains what any feels.
     """
     if (growth.n > 0).any() and not (growth.explained() & (growth.n > 0)).any():
+        left = float(np.nanmin(growth.left()))
         raise StructureError(
-            "no order of the joints explains the gravity that the SUs feel: too many joints move "
-            "between one SU and the next",
+            "no order of the joints explains the gravity that the SUs feel: at best "
+            f"{left:.2g} m/s^2 of it is left ({np.rad2deg(left / GRAVITY):.2g} deg of its "
+            "direction), which is more than noise; either too many joints move between one SU and "
+            "the next, or joints are not where their positions say (play, servos that miss)",
             "put an SU on every segment, or move one joint at a time, or give the robot's own "
-            "URDF (--model)",
+            "URDF (--model); positions have to be measured ones, not commands",
         )
     draft = _as_grown(growth)
     unplaced = [int(d) for d in np.flatnonzero(moved) if d not in {j.dof for j in draft.joints}]

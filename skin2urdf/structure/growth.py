@@ -230,6 +230,12 @@ class Growth:
         noise, left = self._noise(), self.best()[1]
         return np.asarray(left <= noise + _MISSING * np.maximum(self.segments[0].misfit - noise, 0))
 
+    def left(self) -> F64:
+        """(U,) what the best segments leave of readings, rms per axis [m/s^2]; NaN where none."""
+        n = np.where(self.n > 0, self.n, np.nan)
+        chi2 = n * np.expm1(2 * self.best()[1] / n)
+        return np.asarray(np.sqrt(chi2 / (3.0 * self._weight.sum(axis=0))))
+
     def chain(self, segment: int) -> tuple[int, ...]:
         """Segments from the first moving one to the given one."""
         path: list[int] = []

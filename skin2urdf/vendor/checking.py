@@ -296,7 +296,9 @@ def _compared(found: Explained, before: Sequence[KnownSu], skin: KnownSkin) -> t
         twist = log(inverse(su.T_link_su) @ T)
         level = FALSE_ALARM / len(before)
         off = differing(twist, both, level, su.unobservable, seen.su_unobservable[u])
-        what: What = "open" if off.dof == 0 else "as it was"
+        # A log of which neither shift nor turn could be told says nothing of the SU.
+        silent = np.isnan(off.shift) and np.isnan(off.turn)
+        what: What = "open" if off.dof == 0 or silent else "as it was"
         if link != links[su.name]:
             what, off = "elsewhere", off._replace(chi2=np.inf, dof=6, probability=0.0)
         elif off.probability < level:

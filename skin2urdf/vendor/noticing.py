@@ -22,6 +22,10 @@ _FOUND = 0.99
 """Share of the slips that are found of those that are said to be."""
 
 
+_FARTHEST = 1.0
+"""Shift [m] beyond which none is looked for: an SU that is a metre off has left its link."""
+
+
 class Difference(NamedTuple):
     """Two placements of an SU, held against each other.
 
@@ -30,8 +34,8 @@ class Difference(NamedTuple):
         dof: number of these.
         probability: of as much by chance, of the three tests together.
         shift: smallest shift that such a test finds in 99 of 100 logs, whatever its direction among
-            those that are known [m]; NaN where none is, and
-        turn: the smallest turn [rad].
+            those that are known [m]; NaN where it finds none of a metre, and
+        turn: the smallest turn [rad]; NaN where it finds none of half a turn.
     """
 
     chi2: float
@@ -75,7 +79,13 @@ def differing(twist: F64, covariance: F64, level: float, *unknown: F64) -> Diffe
         _least(n, least, level / N_TESTS)
         for (_, n), least in zip(drops[1:], sizes[1:], strict=True)
     )
-    return Difference(chi2, dof, probability, shift, turn / ARM)
+    return Difference(
+        chi2,
+        dof,
+        probability,
+        shift if shift <= _FARTHEST else np.nan,
+        turn / ARM if turn / ARM <= np.pi else np.nan,
+    )
 
 
 def _least(n: int, information: float, level: float) -> float:

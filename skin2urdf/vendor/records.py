@@ -11,7 +11,7 @@ import numpy as np
 from skin2urdf.arrays import F64, Bool
 from skin2urdf.calibration.result import GOOD_FIT, Quality, Source, SuSource
 from skin2urdf.calibration.settings import CalibrationSettings
-from skin2urdf.estimation.trajectory.blueprint import Blueprint
+from skin2urdf.estimation.trajectory.blueprint import N_MOUNT, Blueprint, turn_axes
 from skin2urdf.estimation.trajectory.estimate import MotionEstimate
 from skin2urdf.estimation.trajectory.known_torque import compliances
 from skin2urdf.estimation.uncertainty.observability import Observability
@@ -200,9 +200,27 @@ class ModelCalibration:
         return float(np.arccos(np.clip(self.along.state.up[0, 2], -1.0, 1.0)))
 
     @property
+    def tilt_sd(self) -> float:
+        """Its standard deviation [rad]: about a radian where the log tells nothing of it."""
+        up, layout = self.along.state.up[0], self.along.problem.layout
+        mount = layout.further.start + np.arange(N_MOUNT)
+        C = self.observability.covariance.joint[np.ix_(mount, mount)]
+        about = np.array([up[1], -up[0], 0.0])
+        if np.linalg.norm(about) < TURNED:
+            # Level or upside down: any turn tilts.
+            return float(np.sqrt(max(np.linalg.eigvalsh(C)[-1], 0.0)))
+        along = turn_axes(up).T @ (about / np.linalg.norm(about))
+        return float(np.sqrt(max(along @ C @ along, 0.0)))
+
+    @property
     def turned(self) -> bool:
-        """Whether the robot is mounted otherwise than upright."""
-        return self.tilt > TURNED
+        """Whether the robot is mounted otherwise than upright, as the log tells."""
+        return self.tilt > max(TURNED, SIGNIFICANT * self.tilt_sd)
+
+    @property
+    def mount_open(self) -> bool:
+        """Whether the mount that was taken is not upright, and an upright one may be as true."""
+        return self.tilt > TURNED and not self.turned
 
     @property
     def to_repair(self) -> bool:

@@ -22,6 +22,12 @@ def model_notes(result: ModelCalibration, sampled: Sequence[Sampled]) -> list[st
 
 def _mount(result: ModelCalibration) -> list[str]:
     up, tilt = result.along.state.up[0], np.rad2deg(result.tilt)
+    if result.mount_open:
+        return [
+            "the log does not tell how the robot is mounted: its base's z axis was taken to be "
+            f"{tilt:.0f} deg off the vertical (sd {np.rad2deg(result.tilt_sd):.0f} deg), and an "
+            "upright one may be as true; move joints whose axes are not parallel"
+        ]
     if not result.turned:
         return []
     x, y, z = up

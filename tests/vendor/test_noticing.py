@@ -37,6 +37,13 @@ def test_slips_of_the_size_that_is_told_are_found_in_99_of_100(
     assert np.mean(half) < 0.5
 
 
+def test_slips_that_no_robot_can_make_are_not_told_as_found(covariance: F64) -> None:
+    vague = np.diag([0.25] * 3 + [0.0] * 3) + covariance
+    told = differing(np.zeros(6), vague, LEVEL)
+    assert np.isnan(told.shift)
+    assert told.turn < 0.1
+
+
 def test_chance_is_told_as_often_as_stated(covariance: F64) -> None:
     noise = np.random.default_rng(1).multivariate_normal(np.zeros(6), covariance, 2000)
     alarms = np.mean([differing(x, covariance, LEVEL).probability < 0.05 for x in noise])

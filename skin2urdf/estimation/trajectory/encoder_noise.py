@@ -26,6 +26,8 @@ from skin2urdf.structure.records import KinematicTree
 _EVERY = 10
 """Kept samples of which one stands for all: some three a second, in which a robot hardly turns."""
 
+LEVER = 0.5
+"""Offset of an SU from its joint [m] of which shares may be hidden: that of an arm."""
 _MOST = 1.25
 """Squared residuals of an SU over what they were, from which a step took off more than was there.
 Noise of variance C beside motion of S shortens by C / (S + C), which is at most half the noise
@@ -46,12 +48,71 @@ def without_shortening(
         led there; the same fit and None where one step would not take it off, as in a log of motion
         so slow that it is lost in the noise.
     """
+    shortening = _shortening(problem, fitted, fitted.state)
+    if shortening is None:
+        return fitted, None
+    to_joint, to_su = shortening
+    equations = replace(fitted.equations, joint_gradient=to_joint, su_gradient=to_su)
+    system = eliminated(equations, problem.free_joint, problem.free_su)
+    layout = problem.layout
+    taken_off = held(problem, layout.moved(fitted.state, *newton_step(system, problem.free_joint)))
+    left = _left(fitted, fitted)
+    small = bool((_left(taken_off, fitted) <= _MOST * left).all())
+    return (taken_off, shortening) if small else (fitted, None)
+
+
+def hidden_offsets(problem: MotionProblem, fitted: Fitted) -> list[tuple[F64, F64]]:
+    """What encoders' noise hides of SUs' offsets where their motion is lost in it.
+
+    Noise of variance C beside motion of S leaves S / (S + C) of an offset, whatever it is: what is
+    found of one says nothing then of the rest, which may be as long as an arm.
+
+    Args:
+        problem: what was fitted.
+        fitted: its optimum.
+
+    Returns:
+        Parts (J,) and (U, n) of the gradient, one for an offset of all SUs along each axis; none
+        where motion is more than the noise.
+    """
+    there = _shortening(problem, fitted, fitted.state) if _lost(problem.logs) else None
+    if there is None:
+        return []
+    out = []
+    for axis in range(3):
+        T = np.array(fitted.state.placements.T_joint_su)
+        T[:, axis, 3] += LEVER
+        placements = replace(fitted.state.placements, T_joint_su=T)
+        further = _shortening(problem, fitted, replace(fitted.state, placements=placements))
+        if further is not None:
+            # Directions are told by gravity, of which noise of accelerations hides nothing.
+            own = np.zeros_like(further[1])
+            own[:, :3] = (further[1] - there[1])[:, :3]
+            out.append((np.zeros_like(further[0]), own))
+    return out
+
+
+def _lost(logs: Sequence[Trajectory]) -> bool:
+    """Whether some joint's accelerations are noise for the most part."""
+    of_noise, of_all = 0.0, 0.0
+    for log in logs:
+        if log.noise is None:
+            return False
+        of_noise = of_noise + (log.shaken * log.noise).sum(axis=0)
+        of_all = of_all + (log.qdd[log.kept] ** 2).sum(axis=0)
+    return bool(np.any(2 * of_noise > of_all))
+
+
+def _shortening(
+    problem: MotionProblem, fitted: Fitted, where: MotionState
+) -> tuple[F64, F64] | None:
+    """Parts (J,) and (U, n) of the gradient that shorten lengths; None where no noise is known."""
     noise = [log.noise for log in problem.logs if log.noise is not None]
     if len(noise) < len(problem.logs):
-        return fitted, None
+        return None
     layout, tree = problem.layout, problem.tree
     state = replace(
-        fitted.state,
+        where,
         unseen=np.zeros(0),
         knots=tuple(k[:0] for k in fitted.state.knots),
         gyro=np.zeros((tree.n_sus, 0)),
@@ -90,12 +151,7 @@ def without_shortening(
     to_joint[shared] = (joint - of_joint)[shared]
     to_joint[layout.further] = (joint - of_joint)[still.layout.further]
     to_su[:, own] = (su - of_su)[:, own]
-    equations = replace(fitted.equations, joint_gradient=to_joint, su_gradient=to_su)
-    system = eliminated(equations, problem.free_joint, problem.free_su)
-    taken_off = held(problem, layout.moved(fitted.state, *newton_step(system, problem.free_joint)))
-    left = _left(fitted, fitted)
-    small = bool((_left(taken_off, fitted) <= _MOST * left).all())
-    return (taken_off, (to_joint, to_su)) if small else (fitted, None)
+    return to_joint, to_su
 
 
 def _left(found: Fitted, weighed: Fitted) -> F64:

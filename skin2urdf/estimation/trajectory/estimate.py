@@ -20,7 +20,7 @@ from skin2urdf.estimation.trajectory.doubtful_fronts import (
     without_doubtful_fronts,
 )
 from skin2urdf.estimation.trajectory.elastic import Elasticity
-from skin2urdf.estimation.trajectory.encoder_noise import without_shortening
+from skin2urdf.estimation.trajectory.encoder_noise import hidden_offsets, without_shortening
 from skin2urdf.estimation.trajectory.fit import Fitted, fit, held, leading
 from skin2urdf.estimation.trajectory.following import follow_motion
 from skin2urdf.estimation.trajectory.front_end import begin_front, droop, droop_variance
@@ -74,7 +74,8 @@ class MotionEstimate:
             not see; None where none do, or torques are not known.
         late: clocks of publishers of joint states; None where none is off.
         corrected: parts (J,) and (U, n) of the gradient, each of something that the noise of
-            encoders does to a fit and that was taken off.
+            encoders does to a fit and that was taken off, and
+        hidden: of something that it hides.
     """
 
     problem: MotionProblem
@@ -86,6 +87,7 @@ class MotionEstimate:
     under_known: Elasticity | None = None
     late: Late | None = None
     corrected: tuple[tuple[F64, F64], ...] = ()
+    hidden: tuple[tuple[F64, F64], ...] = ()
 
     @property
     def state(self) -> State:
@@ -107,6 +109,7 @@ class MotionEstimate:
         end = self.problem.layout.unseen.stop
         none = np.zeros(problem.layout.unseen.stop - end)
         lacks = [(UNSURE * joint, UNSURE * own) for joint, own in self.corrected]
+        lacks += self.hidden
         lacks.append((self.ahead.joint, self.ahead.su))
         defects += [(np.insert(joint, end, none), own) for joint, own in lacks]
         return motion_information(problem, fitted, defects, rounding, misfit=self.misfit)
@@ -262,17 +265,21 @@ def estimate_along(
         problem, fitted = found.problem, found.fitted
     if alike:
         problem, fitted = with_sensors_alike(problem, fitted)
-    corrected = []
+    corrected: list[tuple[F64, F64]] = []
+    hidden: list[tuple[F64, F64]] = []
     if lengths:
         fitted, shortening = without_shortening(problem, fitted)
         corrected = [] if shortening is None else [shortening, _shaking(problem, fitted)]
+        hidden = hidden_offsets(problem, fitted)
     left = misfit_of(problem, fitted, SPAN)
     if late is not None:
         late = with_deviations(late, problem, fitted, left)
     tell(1.0)
     gyros = found_gyros(problem, fitted, contradict)
     what = found.causes, found.tried, found.under_known
-    return MotionEstimate(problem, fitted, left, gyros, *what, late, tuple(corrected))
+    return MotionEstimate(
+        problem, fitted, left, gyros, *what, late, tuple(corrected), tuple(hidden)
+    )
 
 
 def _of_a_rigid_robot(

@@ -62,10 +62,14 @@ def no_static_segment(su_names: Sequence[str], always: Sequence[str]) -> Violati
         su_names: all SUs.
         always: DoFs that move all of them.
     """
-    also = f" ({_list(always)} moves all of them)" if always else ""
+    which = (
+        f"the only SU, {su_names[0]}," if len(su_names) == 1 else f"each of the {len(su_names)} SUs"
+    )
+    whom = "it" if len(su_names) == 1 else "all of them"
+    also = f" ({_list(always)} {'moves' if len(always) == 1 else 'move'} {whom})" if always else ""
     return Violation(
         "no static segment",
-        f"no static segment: each of the {len(su_names)} SUs is moved by some DoF{also}, so the "
+        f"no static segment: {which} is moved by some DoF{also}, so the "
         "reference segment carries no SU or does not keep still",
         "fix the base (the torso of a humanoid), and put an SU on it",
         tuple(su_names),

@@ -10,7 +10,7 @@ from simulated import held_against
 
 from skin2urdf import calibrate
 from skin2urdf.calibration.settings import CalibrationSettings
-from skin2urdf.estimation.trajectory.encoder_noise import without_shortening
+from skin2urdf.estimation.trajectory.encoder_noise import hidden_offsets, without_shortening
 from skin2urdf.estimation.trajectory.fit import fit
 from skin2urdf.model.canonical import canonical
 from skin2urdf.simulation import SimulationSettings, simulate
@@ -30,10 +30,19 @@ def test_noise_in_which_motion_is_lost_is_left_alone(tmp_path: Path) -> None:
     assert along is not None
     known = along.problem
     assert without_shortening(known, along.fitted)[0] is not along.fitted
+    assert hidden_offsets(known, along.fitted) == []
     logs = [
         replace(log, noise=None if log.noise is None else 1e5 * log.noise) for log in known.logs
     ]
-    assert without_shortening(known.again(logs=logs), along.fitted) == (along.fitted, None)
+    lost = known.again(logs=logs)
+    assert without_shortening(lost, along.fitted) == (along.fitted, None)
+    # Most of the accelerations is noise: what is found of offsets says nothing along any axis.
+    logs = [replace(log, noise=10 * (log.qdd[log.kept] ** 2).mean(axis=0)) for log in known.logs]
+    hidden = hidden_offsets(known.again(logs=logs), along.fitted)
+    assert len(hidden) == 3
+    beyond = along.problem.tree.su_joint >= 0
+    # One along the only axis that turns an SU moves nothing.
+    assert (sum(abs(own[beyond, :3]).max(axis=1) for _, own in hidden) > 0).all()
 
 
 def test_what_coarse_encoders_do_to_lengths_is_taken_off(tmp_path: Path) -> None:

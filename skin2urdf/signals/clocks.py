@@ -340,7 +340,7 @@ def _lines(
         steep: largest drift.
     """
     n, U = valid.shape
-    times, curves, counts, freedoms = [], [], [], []
+    times, shares, sizes, counts, felt, freedoms, values = [], [], [], [], [], [], []
     most = int(np.ceil((reach + steep * n / (2 * rate)) * rate)) + 2
     holes = np.cumsum(np.concatenate([np.zeros((1, U)), ~valid]), axis=0)
     for stretch in stretches:
@@ -349,29 +349,48 @@ def _lines(
         a, b = max(lo, 0), min(hi, n)
         if b - a < length + min(8, 2 * most):
             continue
+        # Beyond the log nothing is known, and a rest there tells nothing.
+        if stretch.rests and b - a < hi - lo:
+            continue
         heard = Heard(readings[a:b], length)
         inside = heard.inside(stretch.basis)
-        left, counted = heard.judged(inside.sum(axis=2), inside[..., 0])
-        # Beyond the log nothing is known: lags that reach there count as the worst.
-        curve = np.repeat(left.max(axis=0)[None], 2 * most + 1, axis=0)
-        curve[a - lo : a - lo + len(left)] = left
+        left = heard.judged(inside.sum(axis=2), inside[..., 0])
+        whole = holes[b] == holes[a]
         times.append((stretch.begin + length / 2 - n / 2) / rate)
-        curves.append(curve)
-        counts.append(counted & (holes[b] == holes[a]))
+        shares.append(_padded(left.share, a - lo, most))
+        sizes.append(_padded(left.size, a - lo, most))
+        counts.append(left.felt & left.explained & whole)
+        felt.append(left.felt & whole & (left.explained | stretch.rests))
         freedoms.append(heard.free(stretch.basis.shape[1]))
+        values.append(heard.values())
     if not times:
         return [None] * U
-    time, scores, counted = np.array(times), -np.array(curves), np.array(counts)
-    free = np.array(freedoms)
+    time, scores, counted, free = map(np.array, (times, shares, counts, freedoms))
+    scores = -scores
     lags = np.arange(-most, most + 1) / rate
     told = (counted.sum(axis=0) >= FEWEST) & ((free * counted).sum(axis=0) >= FEWEST)
-    best = best_lines(time, np.where(counted[:, None], scores, 0.0), lags, reach, steep, n / rate)
+    heard_in = np.array(felt)
+    best, lead = best_lines(
+        time, -np.array(sizes) * heard_in[:, None], lags, reach, steep, n / rate
+    )
+    # Chance changes half the logarithm of what is left of n values by the root of 1 / 2 n.
+    chance = np.sqrt((heard_in / (2 * np.array(values))).sum(axis=0))
     out: list[_Line | None] = [None] * U
-    for u in np.flatnonzero(told).tolist():
+    for u in np.flatnonzero(told & (lead > SIGNIFICANT * chance)).tolist():
         use = counted[:, u]
         line = _refined(time[use], scores[use, :, u], lags, *best[u])
         out[u] = line if line is None else line.wider(_by_few(float(free[use, u].sum())))
     return out
+
+
+def _padded(left: F64, first: int, most: int) -> F64:
+    """(2 most + 1, U) what is left at all lags, of lags from the first that is known on.
+
+    Beyond the log nothing is known: lags that reach there count as the worst.
+    """
+    curve = np.repeat(left.max(axis=0)[None], 2 * most + 1, axis=0)
+    curve[first : first + len(left)] = left
+    return curve
 
 
 def _refined(time: F64, score: F64, lags: F64, offset: float, drift: float) -> _Line | None:

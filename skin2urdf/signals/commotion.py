@@ -13,6 +13,7 @@ import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft
 
 from skin2urdf.arrays import F64, Bool
+from skin2urdf.signals.profiles import valley
 
 WINDOW = 8.0
 """Windows in which one lag stands for a drift [s]: its ends are 80 ms apart, a part of a move."""
@@ -120,16 +121,6 @@ def searched(
     first, last = valley(profile)
     elsewhere = np.delete(profile, np.s_[first : last + 1])
     return found if best < _DECISIVE * elsewhere.min(initial=np.inf) else None
-
-
-def valley(profile: F64) -> tuple[int, int]:
-    """First and last index of the valley around the lowest place of a profile."""
-    a = b = int(profile.argmin())
-    while a > 0 and profile[a - 1] >= profile[a]:
-        a -= 1
-    while b < len(profile) - 1 and profile[b + 1] >= profile[b]:
-        b += 1
-    return a, b
 
 
 def refined(size: F64, regressors: F64, rate: float) -> tuple[F64, F64, int] | None:

@@ -242,8 +242,9 @@ class _Profile:
             for columns in shifted:
                 more = _beside(basis, columns[part][:, np.tile(active[mine], 2)])
                 most_there = max(most_there, more.shape[1])
-                left, counts_here = heard.judged(inside + heard.inside(more).sum(axis=2), constant)
-                counted |= counts_here
+                judged = heard.judged(inside + heard.inside(more).sum(axis=2), constant)
+                left = judged.share
+                counted |= judged.felt & judged.explained
                 # Beyond the log nothing is known: lags that reach there count as the worst.
                 curve = np.repeat(-left.max(axis=0)[None], 2 * most + 1, axis=0)
                 first = about.start - (part.start - most)

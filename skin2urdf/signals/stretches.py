@@ -17,6 +17,7 @@ from scipy.fft import irfft, next_fast_len, rfft
 from skin2urdf.arrays import F64, Bool
 from skin2urdf.recording.records import SuStream
 from skin2urdf.signals.motion import Motion
+from skin2urdf.signals.profiles import valley
 from skin2urdf.signals.records import SuClock
 
 EVERY = 4
@@ -45,10 +46,18 @@ _FEW = 16
 
 @dataclass(frozen=True, eq=False)
 class Stretch:
-    """Joint motion in some seconds: first sample and (L, r) orthonormal basis, the constant in."""
+    """Joint motion in some seconds: first sample and (L, r) orthonormal basis, the constant in.
+
+    That of joints that rest is the constant alone.
+    """
 
     begin: int
     basis: F64
+
+    @property
+    def rests(self) -> bool:
+        """Whether all joints rest."""
+        return bool(self.basis.shape[1] == 1)
 
 
 def binned(values: F64) -> F64:
@@ -64,13 +73,13 @@ def whole_bins(valid: Bool) -> Bool:
 
 
 def stretches(motion: Motion) -> list[Stretch]:
-    """Stretches of the log in which joints move and are recorded throughout."""
+    """Stretches of the log in which joints are recorded throughout, whether they move or rest."""
     q, qdd, valid = binned(motion.q), binned(motion.qdd), whole_bins(motion.valid)
     still = motion.creep
     out = []
     for part in windows(len(q), motion):
         active = np.ptp(q[part], axis=0) > still
-        if not active.any() or not bool(valid[part].all()):
+        if not bool(valid[part].all()):
             continue
         columns = np.hstack([q[part][:, active], qdd[part][:, active]])
         out.append(Stretch(part.start, spanned(columns)))
@@ -136,33 +145,82 @@ class Heard:
             np.einsum("arc,arc->rc", product, product, out=su)
         return squares.transpose(2, 0, 1)
 
+    def values(self) -> F64:
+        """(U,) independent values of three axes in the stretch, as fast as the readings change."""
+        steps = (np.diff(self.segment, axis=0) ** 2).sum(axis=(0, 2))
+        fast = np.sqrt(steps / np.maximum(self._energy, 1e-12))
+        return np.asarray(np.clip(3 * self._length / np.pi * fast, 3.0, 3.0 * self._length))
+
     def free(self, dimensions: int) -> F64:
         """(U,) how many independent values there are beyond those that motion takes for itself.
 
         Args:
             dimensions: of the motion, the constant in.
         """
-        # Independent values of three axes in the stretch, as fast as the readings change.
-        steps = (np.diff(self.segment, axis=0) ** 2).sum(axis=(0, 2))
-        values = 3 * self._length / np.pi * np.sqrt(steps / np.maximum(self._energy, 1e-12))
-        return np.asarray(np.maximum(values - 3 * (dimensions - 1), 0.0))
+        return np.asarray(np.maximum(self.values() - 3 * (dimensions - 1), 0.0))
 
-    def judged(self, inside: F64, constant: F64) -> tuple[F64, Bool]:
-        """What motion leaves of the readings, as half the logarithm of its share.
+    def judged(self, inside: F64, constant: F64) -> Left:
+        """What motion leaves of the readings at every lag.
 
         Args:
             inside: (K, U) squares of what lies in the motion, the constant in, and
             constant: (K, U) in the constant alone.
-
-        Returns:
-            (K, U) what is left, and (U,) True where motion is felt and explains most at some lag.
         """
         centred = np.maximum(self.total - constant, 1e-12)
         rest = np.maximum(self.total - inside, 0.0)
-        felt = centred.mean(axis=0) >= self._length * _FELT**2
-        explained = (rest / centred).min(axis=0) <= 1 - _EXPLAINED
+        quiet = self._length * _FELT**2
         # Of what is felt at each lag: one that leads to a rest leaves little, and explains nothing.
-        return 0.5 * np.log(rest / centred + MODEL), felt & explained
+        share = 0.5 * np.log(rest / centred + MODEL)
+        return Left(
+            share=share,
+            size=0.5 * np.log(_least_near(rest) + MODEL * centred + quiet * MODEL),
+            felt=centred.mean(axis=0) >= quiet,
+            explained=(rest / centred).min(axis=0) <= 1 - _EXPLAINED,
+        )
+
+
+def _least_near(rest: F64) -> F64:
+    """(K, U) least that is left within half a step of each lag (K, U), by cubic interpolation.
+
+    Half a step off, patterns leave more than second-order effects.
+    """
+    if len(rest) < 4:
+        return rest
+    least = rest.copy()
+    before, here, there, after = rest[:-3], rest[1:-2], rest[2:-1], rest[3:]
+    for x in (0.25, 0.5, 0.75):
+        weights = (
+            -x * (1 - x) * (2 - x) / 6,
+            (1 + x) * (1 - x) * (2 - x) / 2,
+            (1 + x) * x * (2 - x) / 2,
+            -(1 + x) * x * (1 - x) / 6,
+        )
+        between = sum(w * r for w, r in zip(weights, (before, here, there, after), strict=True))
+        between = np.maximum(between, 0.0)
+        if x <= 0.5:
+            np.minimum(least[1:-2], between, out=least[1:-2])
+        if x >= 0.5:
+            np.minimum(least[2:-1], between, out=least[2:-1])
+    return least
+
+
+@dataclass(frozen=True, eq=False)
+class Left:
+    """What motion leaves of U SUs' readings in a stretch, at each of K lags.
+
+    Attributes:
+        share: (K, U) half the logarithm of the share that is left of what is felt at that lag.
+        size: (K, U) the same of its size. A lag that leads to a rest has a large share and a small
+            size, one that leads from a rest into motion has a small share of a large size: sizes
+            tell lags far from each other apart, shares those near the right one.
+        felt: (U,) whether motion is felt.
+        explained: (U,) whether motion explains most of what is felt at some lag.
+    """
+
+    share: F64
+    size: F64
+    felt: Bool
+    explained: Bool
 
 
 @dataclass(frozen=True, eq=False)
@@ -224,27 +282,40 @@ def best_line(
         steep: largest drift.
         span: length of the log [s].
     """
-    ((offset, drift),) = best_lines(time, score[..., None], lags, reach, steep, span)
+    ((offset, drift),), _ = best_lines(time, score[..., None], lags, reach, steep, span)
     return float(offset), float(drift)
 
 
-def best_lines(time: F64, scores: F64, lags: F64, reach: float, steep: float, span: float) -> F64:
-    """(U, 2) lines as `best_line` finds them, for scores (W, K, U) of U SUs."""
+def best_lines(
+    time: F64, scores: F64, lags: F64, reach: float, steep: float, span: float
+) -> tuple[F64, F64]:
+    """Lines as `best_line` finds them, for scores (W, K, U) of U SUs.
+
+    Returns:
+        (U, 2) lines, and (U,) by how much each is better than any whose offset is not near: beyond
+        the next to which scores rise again. Infinite where there is none.
+    """
     step = lags[1] - lags[0]
     # Half a sample at the ends of the log from one drift to the next.
     count = int(np.ceil(steep * span / 2 / step))
     U = scores.shape[2]
-    best, found = np.full(U, -np.inf), np.zeros((U, 2))
     inner = np.flatnonzero(np.abs(lags) <= reach)
+    profile, drifts = np.full((len(inner), U), -np.inf), np.zeros((len(inner), U))
     for k in range(-count, count + 1):
         drift = steep * k / max(count, 1)
         shift = np.rint(drift * time / step).astype(int)
         total = np.zeros((len(inner), U))
         for row, by in zip(scores, shift, strict=True):
             total += row[np.clip(inner + by, 0, len(lags) - 1)]
-        i = total.argmax(axis=0)
-        most = total[i, np.arange(U)]
-        better = most > best
-        best[better] = most[better]
-        found[better, 0], found[better, 1] = lags[inner[i[better]]], drift
-    return found
+        better = total > profile
+        profile[better], drifts[better] = total[better], drift
+    i, each = profile.argmax(axis=0), np.arange(U)
+    lead = np.array([_lead(column) for column in profile.T])
+    return np.stack([lags[inner[i]], drifts[i, each]], axis=1), lead
+
+
+def _lead(profile: F64) -> float:
+    """By how much the largest of some scores leads all beyond the slopes that rise to it."""
+    first, last = valley(-profile)
+    elsewhere = np.delete(profile, np.s_[first : last + 1])
+    return float(profile.max() - elsewhere.max(initial=-np.inf))

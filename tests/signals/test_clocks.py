@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from joint_paths import JointPath
 from simulated import changed_sus, sampled_of, simulation
 
 from skin2urdf.recording.records import Recording, SuStream
@@ -145,3 +146,31 @@ def test_moves_of_all_joints_show_the_clock(latency: float, drift: float) -> Non
         assert clock.latency == pytest.approx(latency, abs=4e-3)
         assert clock.drift == pytest.approx(drift, abs=2e-4)
         assert abs(clock.latency - latency) < 4 * clock.latency_sd
+
+
+def about_the_vertical(path: JointPath, joint: int, seed: int) -> SuStream:
+    """Readings 0.1 m from a vertical axis: gravity is constant, the lever arm is all they tell."""
+    time = np.arange(0.0, path.time[-1], 5e-3)
+    qd = np.gradient(path.position[:, joint], path.time)
+    qdd = np.interp(time, path.time, np.gradient(qd, path.time))
+    felt = np.outer(0.1 * qdd, (0.6, 0.8, 0.0)) + np.array([0.0, 0.0, 9.81])
+    noise = 0.02 * np.random.default_rng(seed).standard_normal(felt.shape)
+    return SuStream("su", time, felt + noise)
+
+
+@pytest.mark.parametrize("wait", [0.8, 1.0, 1.3])
+def test_patterns_of_one_joint_are_not_those_of_the_next(wait: float) -> None:
+    """Later by 2 s, other joints' patterns explain them nearly as well, in more stretches."""
+    seed = round(10 * wait)
+    path = JointPath(np.zeros(6)).rest(2.0)
+    for out in 0.1 * np.eye(6)[5] + 0.8 * np.eye(6) * (np.arange(6) < 5):
+        path.move(out, 0.8).rest(0.6).move(np.zeros(6), 0.8).rest(0.4)
+    path.rest(wait)
+    for pose in np.random.default_rng(seed).uniform(-1.5, 1.5, (3, 6)):
+        path.move((*pose[:5], 0.05 * pose[5]), 1.4 + wait).rest(1.5)
+        for joint in range(6):
+            path.abrupt(joint, 0.07, seconds=1.984, hertz=1 / 0.496)
+        path.rest(0.5)
+    su = about_the_vertical(path, 5, seed)
+    clocks = su_clocks([su], joint_motion(path.recording(100.0, [su])))
+    assert all(abs(clock.latency) < 5e-3 for clock in clocks)

@@ -19,9 +19,10 @@ from skin2urdf.calibration.refusal import check_hope
 from skin2urdf.calibration.result import BAD_FIT, BAD_MISFIT, GOOD_FIT, HOPELESS_FIT
 from skin2urdf.calibration.rounds import Solution
 from skin2urdf.calibration.samples import (
+    are_sound_encoders,
     fit_samples,
     is_explained_by_physics,
-    is_play,
+    names_an_encoder,
     rejected,
     stands_out,
     without_false_hits,
@@ -67,14 +68,26 @@ def explain_readings(begun: Beginning, clock: Clock) -> tuple[Solution, MotionEs
     )
     check_hope(solution.found)
     known = looked if first is not None and _untouched(first, solution) else None
+    if looked is None and names_an_encoder(solution) and not begun.leaps:
+        # Features that leave hardly more than noise did not ask for a look: coarse encoders do.
+        # Leaps are off these logs already, and certain.
+        looked = _look(first, clock, 0.0)
     return _fit_along(begun, solution, known, looked, rejected(looked), clock)
 
 
-def _look(first: Solution | None, clock: Clock) -> MotionEstimate | None:
-    """What all samples say of a first estimate that does not explain its features; None if none."""
+def _look(
+    first: Solution | None, clock: Clock, from_cost: float = GOOD_FIT
+) -> MotionEstimate | None:
+    """What all samples say of a first estimate that does not explain its features; None if none.
+
+    Args:
+        first: the first estimate, if there is any.
+        clock: runs the stages.
+        from_cost: cost per degree of freedom from which features are not explained.
+    """
     if first is None or first.logs.settings.motion != "all":
         return None
-    if not (first.found.cost_per_dof > GOOD_FIT and first.found.misfit <= BAD_FIT):
+    if not (first.found.cost_per_dof > from_cost and first.found.misfit <= BAD_FIT):
         return None
     # What is bent by more is first to be mended.
     along = clock.run("all samples", lambda tell: fit_samples(first, tell, most=BAD_MISFIT))
@@ -122,7 +135,7 @@ def _fit_along(
     if along is None:
         return solution, None
     first = begun.first
-    if first is not None and plain is not None and is_play(solution, along, plain):
+    if first is not None and plain is not None and are_sound_encoders(solution, along, plain):
         solution, along = first, plain
     fitted = along
     solution, along = clock.run(

@@ -23,6 +23,7 @@ from skin2urdf.estimation.trajectory.estimate import (
 from skin2urdf.estimation.trajectory.front_end import common_front_end
 from skin2urdf.estimation.trajectory.kinematics import levers
 from skin2urdf.estimation.trajectory.priors import MotionPriors
+from skin2urdf.estimation.trajectory.publishers import likelihood
 from skin2urdf.estimation.uncertainty.health import are_plausible
 from skin2urdf.signals.clocks import as_far_as_confirmed, is_off
 from skin2urdf.signals.records import Features, JointClock, SuClock
@@ -317,11 +318,19 @@ def without_false_hits(
     return replace(everything, faults=()), again
 
 
-def is_play(solution: Solution, along: MotionEstimate, plain: MotionEstimate | None) -> bool:
-    """Whether what was found of encoders is no more than the play of gears.
+def names_an_encoder(solution: Solution) -> bool:
+    """Whether some encoder's zero or scale was found to be wrong."""
+    return any(fault.kind in _OF_ENCODERS for fault in solution.faults)
+
+
+def are_sound_encoders(
+    solution: Solution, along: MotionEstimate, plain: MotionEstimate | None
+) -> bool:
+    """Whether what was found of encoders is no more than rounding, or the play of gears.
 
     An encoder that is wrong is off from place to place, and so are links that have play. What was
-    wrong is gone once it is mended; play stays.
+    wrong is gone once it is mended; play stays. What encoders round off bends features by more
+    than they tell: all samples are as likely without what it looks like.
 
     Args:
         solution: the estimate, with errors of encoders among its faults.
@@ -333,7 +342,11 @@ def is_play(solution: Solution, along: MotionEstimate, plain: MotionEstimate | N
         return False
     if not (plain.misfit <= GOOD_FIT and are_plausible(plain.state).all()):
         return False
-    return 0 < plain.slack * _STAYS < along.slack
+    if 0 < plain.slack * _STAYS < along.slack:
+        return True
+    # Slack and other causes would explain what is wrong with an encoder as well.
+    as_stiff = plain.slack <= along.slack and set(plain.causes) <= set(along.causes)
+    return as_stiff and likelihood(plain.fitted) >= likelihood(along.fitted)
 
 
 def stands_out(

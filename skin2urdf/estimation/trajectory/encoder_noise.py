@@ -10,21 +10,19 @@ variance of ``dq''``, and one step takes it off (corrected scores: Stefanski 198
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from skin2urdf.arrays import F64
+from skin2urdf.arrays import F64, Int, Record
 from skin2urdf.estimation.trajectory.arrow import eliminated, newton_step
 from skin2urdf.estimation.trajectory.fit import Fitted, held
 from skin2urdf.estimation.trajectory.problem import MotionProblem
 from skin2urdf.estimation.trajectory.records import Predicted
+from skin2urdf.estimation.trajectory.shaken import EVERY
 from skin2urdf.estimation.trajectory.state import MotionState
 from skin2urdf.signals.trajectory import Trajectory
 from skin2urdf.structure.records import KinematicTree
-
-_EVERY = 10
-"""Kept samples of which one stands for all: some three a second, in which a robot hardly turns."""
 
 _MOST = 1.25
 """Squared residuals of an SU over what they were, from which a step took off more than was there.
@@ -32,9 +30,24 @@ Noise of variance C beside motion of S shortens by C / (S + C), which is at most
 (S = C) in what is predicted, and so at most a quarter of what noise leaves."""
 
 
+@dataclass(frozen=True, eq=False)
+class Shortening(Record):
+    """What the noise of some encoders does to a fit.
+
+    Attributes:
+        joints: which encoders.
+        joint: (J,) and
+        su: (U, n) parts of the gradient.
+    """
+
+    joints: Int
+    joint: F64
+    su: F64
+
+
 def without_shortening(
     problem: MotionProblem, fitted: Fitted
-) -> tuple[Fitted, tuple[F64, F64] | None]:
+) -> tuple[Fitted, tuple[Shortening, ...]]:
     """A fit without what the noise of encoders does to it.
 
     Args:
@@ -42,13 +55,12 @@ def without_shortening(
         fitted: its optimum.
 
     Returns:
-        The fit, some standard deviations away, and the parts (J,) and (U, n) of the gradient that
-        led there; the same fit and None where one step would not take it off, as in a log of motion
-        so slow that it is lost in the noise.
+        The fit, some standard deviations away, and what led there; the same fit and nothing where
+        one step would not take it off, as in a log of motion so slow that it is lost in the noise.
     """
     noise = [log.noise for log in problem.logs if log.noise is not None]
     if len(noise) < len(problem.logs):
-        return fitted, None
+        return fitted, ()
     layout, tree = problem.layout, problem.tree
     state = replace(
         fitted.state,
@@ -61,8 +73,7 @@ def without_shortening(
     shared = slice(0, layout.gravity + 1)
     # What is steady shows nothing of clocks and front ends; of these the fit itself takes it off.
     own = slice(0, layout.front.start)
-    joint, su = np.zeros(still.layout.n_joint), np.zeros((tree.n_sus, still.layout.n_su))
-    of_all = [np.zeros_like(p.residual) for p in at_rest]
+    parts: list[Shortening] = []
     for pushed in _never_in_one_chain(tree):
         driven_by = _posed(problem, pushed)
         driven = _predicted(driven_by, state)
@@ -74,28 +85,28 @@ def without_shortening(
             for a, b in zip(at_rest, driven, strict=True)
         ]
         weights = [
-            w[::_EVERY, :, :3] * (_EVERY * (log.shaken[::_EVERY, felt] * beyond)[..., None])
+            w[::EVERY, :, :3] * (EVERY * (log.shaken[::EVERY, felt] * beyond)[..., None])
             for w, log in zip(fitted.weights, problem.logs, strict=True)
         ]
         louder = [w * n[felt, None] for w, n in zip(weights, noise, strict=True)]
-        of_joint, of_su = _gradients(driven_by, state, driven, tau, louder)
-        joint += of_joint
-        su += of_su
-        for w, t, every in zip(louder, tau, of_all, strict=True):
-            every += w * t
-    # What stands still has the same derivatives whichever joint is pushed.
-    ones = [np.ones_like(each) for each in of_all]
-    of_joint, of_su = _gradients(still, state, at_rest, of_all, ones)
-    to_joint, to_su = np.zeros(layout.n_joint), np.zeros((tree.n_sus, layout.n_su))
-    to_joint[shared] = (joint - of_joint)[shared]
-    to_joint[layout.further] = (joint - of_joint)[still.layout.further]
-    to_su[:, own] = (su - of_su)[:, own]
+        joint, su = _gradients(driven_by, state, driven, tau, louder)
+        # What stands still has the same derivatives whichever joint is pushed.
+        pushed_by = [w * t for w, t in zip(louder, tau, strict=True)]
+        ones = [np.ones_like(each) for each in pushed_by]
+        of_joint, of_su = _gradients(still, state, at_rest, pushed_by, ones)
+        to_joint, to_su = np.zeros(layout.n_joint), np.zeros((tree.n_sus, layout.n_su))
+        to_joint[shared] = (joint - of_joint)[shared]
+        to_joint[layout.further] = (joint - of_joint)[still.layout.further]
+        to_su[:, own] = (su - of_su)[:, own]
+        parts.append(Shortening(np.array(pushed), to_joint, to_su))
+    to_joint = np.sum([each.joint for each in parts], axis=0)
+    to_su = np.sum([each.su for each in parts], axis=0)
     equations = replace(fitted.equations, joint_gradient=to_joint, su_gradient=to_su)
     system = eliminated(equations, problem.free_joint, problem.free_su)
     taken_off = held(problem, layout.moved(fitted.state, *newton_step(system, problem.free_joint)))
     left = _left(fitted, fitted)
     small = bool((_left(taken_off, fitted) <= _MOST * left).all())
-    return (taken_off, (to_joint, to_su)) if small else (fitted, None)
+    return (taken_off, tuple(parts)) if small else (fitted, ())
 
 
 def _left(found: Fitted, weighed: Fitted) -> F64:
@@ -137,21 +148,21 @@ def _posed(problem: MotionProblem, pushed: Sequence[int]) -> MotionProblem:
 
 
 def _posed_log(log: Trajectory, pushed: Sequence[int]) -> Trajectory:
-    q = log.q[log.kept[::_EVERY]]
+    q = log.q[log.kept[::EVERY]]
     qdd = np.zeros_like(q)
     qdd[:, pushed] = 1.0
     return replace(
         log,
-        rate=log.rate / float(np.median(np.diff(log.kept))) / _EVERY,
+        rate=log.rate / float(np.median(np.diff(log.kept))) / EVERY,
         taps=np.ones(1),
         q=q,
         qd=np.zeros_like(q),
         qdd=qdd,
         readings=np.zeros((len(q), *log.readings.shape[1:])),
         kept=np.arange(len(q)),
-        valid=log.valid[::_EVERY],
-        moving=log.moving[::_EVERY],
-        shaken=log.shaken[::_EVERY],
+        valid=log.valid[::EVERY],
+        moving=log.moving[::EVERY],
+        shaken=log.shaken[::EVERY],
         rates=None,
         turning=None,
         positions=q,

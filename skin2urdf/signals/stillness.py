@@ -31,16 +31,42 @@ def without_toggling(motion: Motion, taps: F64) -> tuple[F64, F64]:
         (N, D) positions [rad or m], and (N, D) the share of what encoders round off that is left in
         them: all while a joint moves, and from there to where averages are whole ever less.
     """
-    n = max(3, round(_SPAN * motion.grid.rate) | 1)
-    window = np.hanning(n + 2)[1:-1]
-    window /= window.sum()
     speed = np.abs(first_derivative(filtered(motion.q, taps), motion.grid.rate))
-    out, left = np.array(motion.q), np.ones(motion.q.shape)
-    for d in np.flatnonzero(motion.resolution > 0):
-        still = eroded(speed[:, d] < MOVING * motion.resolution[d], n)
+    share = averaged_share(speed, motion.resolution, motion.grid.rate)
+    return with_averages(motion.q, share, motion.grid.rate), 1 - share
+
+
+def averaged_share(speed: F64, resolution: F64, rate: float) -> F64:
+    """(N, D) share that averages have in positions: all where a joint stays, none where it moves.
+
+    Args:
+        speed: (N, D) of the joints, low-passed [rad/s or m/s].
+        resolution: (D,) smallest step of each encoder [rad or m], 0 for none.
+        rate: samples per second [Hz].
+    """
+    out, window = np.zeros(speed.shape), _window(rate)
+    for d in np.flatnonzero(resolution > 0):
+        still = eroded(speed[:, d] < MOVING * resolution[d], len(window))
         if still.any():
-            share = filtered(still.astype(np.float64)[:, None], window)[:, 0]
-            slow = filtered(motion.q[:, d : d + 1], window)[:, 0]
-            out[:, d] += share * (slow - motion.q[:, d])
-            left[:, d] -= share
-    return out, left
+            out[:, d] = filtered(still.astype(np.float64)[:, None], window)[:, 0]
+    return out
+
+
+def with_averages(q: F64, share: F64, rate: float) -> F64:
+    """Positions (N, D) of which averages over a second have a share (N, D).
+
+    Args:
+        q: positions [rad or m].
+        share: of the averages.
+        rate: samples per second [Hz].
+    """
+    out, some = np.array(q), share.any(axis=0)
+    out[:, some] += share[:, some] * (filtered(q[:, some], _window(rate)) - q[:, some])
+    return out
+
+
+def _window(rate: float) -> F64:
+    """(n,) weights of an average over a second."""
+    n = max(3, round(_SPAN * rate) | 1)
+    window = np.hanning(n + 2)[1:-1]
+    return np.asarray(window / window.sum())

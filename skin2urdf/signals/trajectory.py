@@ -24,9 +24,8 @@ from skin2urdf.signals.filters import (
     second_derivative,
 )
 from skin2urdf.signals.leaps import Leaps
-from skin2urdf.signals.motion import Motion
 from skin2urdf.signals.sampling import Sampled
-from skin2urdf.signals.stillness import MOVING, without_toggling
+from skin2urdf.signals.stillness import MOVING, averaged_share, with_averages, without_toggling
 
 _RATE_OVER_CUTOFF = 2.4
 """Samples kept per second over the low-pass' cutoff [Hz]: readings that were low-passed twice hold
@@ -67,6 +66,10 @@ class Trajectory(Record):
             that is not known [m/s^2, rad/s].
         resolution: (D,) smallest step of each encoder [rad or m], 0 for none; (0,) where all have
             none.
+        raw_rate: (D,) samples per second of each encoder [Hz], of which the grid holds low-passed
+            ones; (0,) where they are the grid's own.
+        averaged: (N, D) what averages took off positions of joints that stay, low-passed once
+            [rad or m]; (0, 0) where they took nothing.
         left_out: (N, E) positions of joints that move and are none of these; (0, 0) for none.
         thin: of the samples that hold all that the low-pass lets through, one in so many is kept.
     """
@@ -91,6 +94,8 @@ class Trajectory(Record):
     positions: F64 = field(default_factory=lambda: np.zeros((0, 0)))
     beyond: F64 | None = None
     resolution: F64 = field(default_factory=lambda: np.zeros(0))
+    raw_rate: F64 = field(default_factory=lambda: np.zeros(0))
+    averaged: F64 = field(default_factory=lambda: np.zeros((0, 0)))
     left_out: F64 = field(default_factory=lambda: np.zeros((0, 0)))
     thin: int = 1
 
@@ -121,6 +126,21 @@ class Trajectory(Record):
         power = gain * w**4
         some = power > _NOTHING * power.max()
         return w[some], power[some] / power[some].sum()
+
+    @property
+    def rounding(self) -> F64:
+        """(D,) the part of ``noise`` that rounding makes, if that is white [rad^2/s^4, or m]."""
+        if not len(self.resolution):
+            return np.zeros(self.q.shape[1])
+        raw = self.raw_rate if len(self.raw_rate) else np.full(self.q.shape[1], self.rate)
+        return _of_accelerations(self.resolution**2 / 12, raw, self.taps, self.rate)
+
+    def slowly_where_still(self, q: F64) -> F64:
+        """Positions (N, D) averaged where joints stay, as those that are read are."""
+        if not len(self.resolution):
+            return q
+        share = averaged_share(np.abs(self.qd), self.resolution, self.rate)
+        return with_averages(q, share, self.rate)
 
     def joints_taken(self, joints: Int, late: F64) -> Trajectory:
         """The same with the positions of some joints as they are so much later.
@@ -263,7 +283,7 @@ def trajectory(
         moving=moving,
         shaken=shaken,
         independence=min(1.0, 2 * noise_bandwidth(twice, rate) * every / rate),
-        noise=_noise(motion, taps),
+        noise=_of_accelerations(motion.noise**2, motion.raw_rate, taps, rate),
         rates=rates,
         turning=turning,
         leaps=Leaps.of(
@@ -272,13 +292,22 @@ def trajectory(
         publisher=motion.publisher,
         positions=positions,
         resolution=motion.resolution,
+        raw_rate=motion.raw_rate,
+        averaged=filtered(motion.q - positions, taps) if (left < 1).any() else np.zeros((0, 0)),
     )
 
 
-def _noise(motion: Motion, taps: F64) -> F64:
-    """(D,) variances of accelerations, of white noise of positions."""
-    w, gain = _passed_twice(taps, motion.grid.rate)
-    density = 2 * motion.noise**2 / motion.raw_rate / (2 * np.pi)
+def _of_accelerations(variance: F64, raw_rate: F64, taps: F64, rate: float) -> F64:
+    """(D,) variances of accelerations, of white noise of positions.
+
+    Args:
+        variance: (D,) of each sample that is read [rad^2 or m^2].
+        raw_rate: (D,) of these [Hz].
+        taps: the low-pass, and
+        rate: of its samples [Hz].
+    """
+    w, gain = _passed_twice(taps, rate)
+    density = 2 * variance / raw_rate / (2 * np.pi)
     return np.asarray(density * np.trapezoid(gain * w**4, w))
 
 
@@ -313,6 +342,8 @@ def in_order(log: Trajectory, dofs: Int, sus: Int) -> Trajectory:
             publisher=log.publisher[dofs] if len(log.publisher) else log.publisher,
             noise=None if log.noise is None else log.noise[dofs],
             resolution=log.resolution[dofs] if len(log.resolution) else log.resolution,
+            raw_rate=log.raw_rate[dofs] if len(log.raw_rate) else log.raw_rate,
+            averaged=log.averaged[:, dofs] if len(log.averaged) else log.averaged,
         )
     # What stays in its order, as mostly, is not copied.
     if np.array_equal(sus, np.arange(log.readings.shape[1])):

@@ -20,8 +20,8 @@ from skin2urdf.estimation.trajectory.products import fit_with_products
 from skin2urdf.estimation.trajectory.shaken import Shaken
 
 UNSURE = 1 / np.sqrt(3)
-"""Standard deviation of what the noise of encoders does, over what is taken off for it: rounding is
-white noise in the mean of many motions, and in patterns of a few frequencies twice that or none."""
+"""Standard deviation of what the noise of encoders does, over what is taken off for it, where that
+is not drawn anew: white noise is taken off, one of few frequencies may do twice that or none."""
 _BEYOND_DOUBT = 5.0
 """Standard deviations of what is taken off that a low-pass has to gain."""
 

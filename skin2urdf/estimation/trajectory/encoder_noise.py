@@ -10,21 +10,19 @@ variance of ``dq''``, and one step takes it off (corrected scores: Stefanski 198
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from skin2urdf.arrays import F64
+from skin2urdf.arrays import F64, Int, Record
 from skin2urdf.estimation.trajectory.arrow import eliminated, newton_step
 from skin2urdf.estimation.trajectory.fit import Fitted, held
 from skin2urdf.estimation.trajectory.problem import MotionProblem
 from skin2urdf.estimation.trajectory.records import Predicted
+from skin2urdf.estimation.trajectory.shaken import EVERY
 from skin2urdf.estimation.trajectory.state import MotionState
 from skin2urdf.signals.trajectory import Trajectory
 from skin2urdf.structure.records import KinematicTree
-
-_EVERY = 10
-"""Kept samples of which one stands for all: some three a second, in which a robot hardly turns."""
 
 LEVER = 0.5
 """Offset of an SU from its joint [m] of which shares may be hidden: that of an arm."""
@@ -34,9 +32,24 @@ Noise of variance C beside motion of S shortens by C / (S + C), which is at most
 (S = C) in what is predicted, and so at most a quarter of what noise leaves."""
 
 
+@dataclass(frozen=True, eq=False)
+class Shortening(Record):
+    """What the noise of some encoders does to a fit.
+
+    Attributes:
+        joints: which encoders.
+        joint: (J,) and
+        su: (U, n) parts of the gradient.
+    """
+
+    joints: Int
+    joint: F64
+    su: F64
+
+
 def without_shortening(
     problem: MotionProblem, fitted: Fitted
-) -> tuple[Fitted, tuple[F64, F64] | None]:
+) -> tuple[Fitted, tuple[Shortening, ...]]:
     """A fit without what the noise of encoders does to it.
 
     Args:
@@ -44,21 +57,21 @@ def without_shortening(
         fitted: its optimum.
 
     Returns:
-        The fit, some standard deviations away, and the parts (J,) and (U, n) of the gradient that
-        led there; the same fit and None where one step would not take it off, as in a log of motion
-        so slow that it is lost in the noise.
+        The fit, some standard deviations away, and what led there; the same fit and nothing where
+        one step would not take it off, as in a log of motion so slow that it is lost in the noise.
     """
-    shortening = _shortening(problem, fitted, fitted.state)
-    if shortening is None:
-        return fitted, None
-    to_joint, to_su = shortening
+    parts = _shortening(problem, fitted, fitted.state)
+    if not parts:
+        return fitted, ()
+    layout = problem.layout
+    to_joint = np.sum([each.joint for each in parts], axis=0)
+    to_su = np.sum([each.su for each in parts], axis=0)
     equations = replace(fitted.equations, joint_gradient=to_joint, su_gradient=to_su)
     system = eliminated(equations, problem.free_joint, problem.free_su)
-    layout = problem.layout
     taken_off = held(problem, layout.moved(fitted.state, *newton_step(system, problem.free_joint)))
     left = _left(fitted, fitted)
     small = bool((_left(taken_off, fitted) <= _MOST * left).all())
-    return (taken_off, shortening) if small else (fitted, None)
+    return (taken_off, parts) if small else (fitted, ())
 
 
 def hidden_offsets(problem: MotionProblem, fitted: Fitted) -> list[tuple[F64, F64]]:
@@ -75,8 +88,8 @@ def hidden_offsets(problem: MotionProblem, fitted: Fitted) -> list[tuple[F64, F6
         Parts (J,) and (U, n) of the gradient, one for an offset of all SUs along each axis; none
         where motion is more than the noise.
     """
-    there = _shortening(problem, fitted, fitted.state) if _lost(problem.logs) else None
-    if there is None:
+    there = _shortening(problem, fitted, fitted.state) if _lost(problem.logs) else ()
+    if not there:
         return []
     out = []
     for axis in range(3):
@@ -84,11 +97,11 @@ def hidden_offsets(problem: MotionProblem, fitted: Fitted) -> list[tuple[F64, F6
         T[:, axis, 3] += LEVER
         placements = replace(fitted.state.placements, T_joint_su=T)
         further = _shortening(problem, fitted, replace(fitted.state, placements=placements))
-        if further is not None:
-            # Directions are told by gravity, of which noise of accelerations hides nothing.
-            own = np.zeros_like(further[1])
-            own[:, :3] = (further[1] - there[1])[:, :3]
-            out.append((np.zeros_like(further[0]), own))
+        # Directions are told by gravity, of which noise of accelerations hides nothing.
+        own = np.zeros_like(there[0].su)
+        own[:, :3] = np.sum([each.su for each in further], axis=0)[:, :3]
+        own[:, :3] -= np.sum([each.su for each in there], axis=0)[:, :3]
+        out.append((np.zeros_like(there[0].joint), own))
     return out
 
 
@@ -105,16 +118,16 @@ def _lost(logs: Sequence[Trajectory]) -> bool:
 
 def _shortening(
     problem: MotionProblem, fitted: Fitted, where: MotionState
-) -> tuple[F64, F64] | None:
-    """Parts (J,) and (U, n) of the gradient that shorten lengths; None where no noise is known."""
+) -> tuple[Shortening, ...]:
+    """What the noise of each encoder does to lengths; nothing where no noise is known."""
     noise = [log.noise for log in problem.logs if log.noise is not None]
     if len(noise) < len(problem.logs):
-        return None
+        return ()
     layout, tree = problem.layout, problem.tree
     state = replace(
         where,
         unseen=np.zeros(0),
-        knots=tuple(k[:0] for k in fitted.state.knots),
+        knots=tuple(k[:0] for k in where.knots),
         gyro=np.zeros((tree.n_sus, 0)),
     )
     still = _posed(problem, [])
@@ -122,8 +135,7 @@ def _shortening(
     shared = slice(0, layout.gravity + 1)
     # What is steady shows nothing of clocks and front ends; of these the fit itself takes it off.
     own = slice(0, layout.front.start)
-    joint, su = np.zeros(still.layout.n_joint), np.zeros((tree.n_sus, still.layout.n_su))
-    of_all = [np.zeros_like(p.residual) for p in at_rest]
+    parts: list[Shortening] = []
     for pushed in _never_in_one_chain(tree):
         driven_by = _posed(problem, pushed)
         driven = _predicted(driven_by, state)
@@ -135,23 +147,21 @@ def _shortening(
             for a, b in zip(at_rest, driven, strict=True)
         ]
         weights = [
-            w[::_EVERY, :, :3] * (_EVERY * (log.shaken[::_EVERY, felt] * beyond)[..., None])
+            w[::EVERY, :, :3] * (EVERY * (log.shaken[::EVERY, felt] * beyond)[..., None])
             for w, log in zip(fitted.weights, problem.logs, strict=True)
         ]
         louder = [w * n[felt, None] for w, n in zip(weights, noise, strict=True)]
-        of_joint, of_su = _gradients(driven_by, state, driven, tau, louder)
-        joint += of_joint
-        su += of_su
-        for w, t, every in zip(louder, tau, of_all, strict=True):
-            every += w * t
-    # What stands still has the same derivatives whichever joint is pushed.
-    ones = [np.ones_like(each) for each in of_all]
-    of_joint, of_su = _gradients(still, state, at_rest, of_all, ones)
-    to_joint, to_su = np.zeros(layout.n_joint), np.zeros((tree.n_sus, layout.n_su))
-    to_joint[shared] = (joint - of_joint)[shared]
-    to_joint[layout.further] = (joint - of_joint)[still.layout.further]
-    to_su[:, own] = (su - of_su)[:, own]
-    return to_joint, to_su
+        joint, su = _gradients(driven_by, state, driven, tau, louder)
+        # What stands still has the same derivatives whichever joint is pushed.
+        pushed_by = [w * t for w, t in zip(louder, tau, strict=True)]
+        ones = [np.ones_like(each) for each in pushed_by]
+        of_joint, of_su = _gradients(still, state, at_rest, pushed_by, ones)
+        to_joint, to_su = np.zeros(layout.n_joint), np.zeros((tree.n_sus, layout.n_su))
+        to_joint[shared] = (joint - of_joint)[shared]
+        to_joint[layout.further] = (joint - of_joint)[still.layout.further]
+        to_su[:, own] = (su - of_su)[:, own]
+        parts.append(Shortening(np.array(pushed), to_joint, to_su))
+    return tuple(parts)
 
 
 def _left(found: Fitted, weighed: Fitted) -> F64:
@@ -193,21 +203,21 @@ def _posed(problem: MotionProblem, pushed: Sequence[int]) -> MotionProblem:
 
 
 def _posed_log(log: Trajectory, pushed: Sequence[int]) -> Trajectory:
-    q = log.q[log.kept[::_EVERY]]
+    q = log.q[log.kept[::EVERY]]
     qdd = np.zeros_like(q)
     qdd[:, pushed] = 1.0
     return replace(
         log,
-        rate=log.rate / float(np.median(np.diff(log.kept))) / _EVERY,
+        rate=log.rate / float(np.median(np.diff(log.kept))) / EVERY,
         taps=np.ones(1),
         q=q,
         qd=np.zeros_like(q),
         qdd=qdd,
         readings=np.zeros((len(q), *log.readings.shape[1:])),
         kept=np.arange(len(q)),
-        valid=log.valid[::_EVERY],
-        moving=log.moving[::_EVERY],
-        shaken=log.shaken[::_EVERY],
+        valid=log.valid[::EVERY],
+        moving=log.moving[::EVERY],
+        shaken=log.shaken[::EVERY],
         rates=None,
         turning=None,
         positions=q,

@@ -15,12 +15,15 @@ from skin2urdf.estimation.trajectory.ahead import Ahead, step_ahead
 from skin2urdf.estimation.trajectory.causes import Explained, explained
 from skin2urdf.estimation.trajectory.deviations import su_covariances
 from skin2urdf.estimation.trajectory.doubtful_fronts import (
-    UNSURE,
     has_doubtful_fronts,
     without_doubtful_fronts,
 )
 from skin2urdf.estimation.trajectory.elastic import Elasticity
-from skin2urdf.estimation.trajectory.encoder_noise import hidden_offsets, without_shortening
+from skin2urdf.estimation.trajectory.encoder_noise import (
+    Shortening,
+    hidden_offsets,
+    without_shortening,
+)
 from skin2urdf.estimation.trajectory.fit import Fitted, fit, held, leading
 from skin2urdf.estimation.trajectory.following import follow_motion
 from skin2urdf.estimation.trajectory.front_end import begin_front, droop, droop_variance
@@ -41,13 +44,15 @@ from skin2urdf.estimation.trajectory.problem import MotionProblem
 from skin2urdf.estimation.trajectory.products import NEAR, fit_with_products
 from skin2urdf.estimation.trajectory.publishers import Late, with_deviations, with_publishers
 from skin2urdf.estimation.trajectory.records import Gyros
-from skin2urdf.estimation.trajectory.rounded import rounded_off_again
+from skin2urdf.estimation.trajectory.rounded import lost_in_averages, rounded_off_again
 from skin2urdf.estimation.trajectory.senses import in_likelier_sense
 from skin2urdf.estimation.trajectory.sensors import with_sensors_alike
 from skin2urdf.estimation.trajectory.shaken import Shaken
 from skin2urdf.estimation.trajectory.slack import lacking
 from skin2urdf.estimation.trajectory.state import MotionState
 from skin2urdf.estimation.trajectory.swaying import swaying
+from skin2urdf.estimation.trajectory.unseen import Unseen
+from skin2urdf.estimation.trajectory.unsure import unsure
 from skin2urdf.signals.trajectory import Trajectory
 from skin2urdf.structure.records import KinematicTree
 
@@ -73,9 +78,8 @@ class MotionEstimate:
         under_known: what joints yield under torques that are known, the first of what encoders do
             not see; None where none do, or torques are not known.
         late: clocks of publishers of joint states; None where none is off.
-        corrected: parts (J,) and (U, n) of the gradient, each of something that the noise of
-            encoders does to a fit and that was taken off, and
-        hidden: of something that it hides.
+        corrected: what the noise of encoders does to lengths and was taken off.
+        hidden: parts (J,) and (U, n) of the gradient, each of something that it hides.
     """
 
     problem: MotionProblem
@@ -86,7 +90,7 @@ class MotionEstimate:
     tried: Mapping[str, float] = field(default_factory=dict)
     under_known: Elasticity | None = None
     late: Late | None = None
-    corrected: tuple[tuple[F64, F64], ...] = ()
+    corrected: tuple[Shortening, ...] = ()
     hidden: tuple[tuple[F64, F64], ...] = ()
 
     @property
@@ -100,24 +104,52 @@ class MotionEstimate:
         problem, fitted = with_leaning_base(self.problem, self.fitted)
         sways = swaying(problem, fitted.state)
         again = rounded_off_again(problem.logs)
-        groups = [each for each in (sways, again) if each is not None]
+        lost = lost_in_averages(problem.logs)
+        kinds = {"sways": sways, "again": again, "lost": lost}
+        groups = {kind: each for kind, each in kinds.items() if each is not None}
         defects, rounding = [], None
         if groups:
-            seen = lacking(problem, fitted, groups)
-            defects += [seen.pull(0)] if sways is not None else []
-            rounding = seen.pulls(len(groups) - 1) if again is not None else None
+            seen = lacking(problem, fitted, list(groups.values()))
+            number = {kind: i for i, kind in enumerate(groups)}
+            if sways is not None:
+                defects.append(seen.pull(number["sways"]))
+            if again is not None:
+                rounding = seen.pulls(number["again"])
+            if lost is not None:
+                defects += zip(*seen.pulls(number["lost"]), strict=True)
         end = self.problem.layout.unseen.stop
         none = np.zeros(problem.layout.unseen.stop - end)
-        lacks = [(UNSURE * joint, UNSURE * own) for joint, own in self.corrected]
-        lacks += self.hidden
-        lacks.append((self.ahead.joint, self.ahead.su))
+        lacks = [*self._unsure_of(again), *self.hidden, (self.ahead.joint, self.ahead.su)]
         defects += [(np.insert(joint, end, none), own) for joint, own in lacks]
         return motion_information(problem, fitted, defects, rounding, misfit=self.misfit)
+
+    def _unsure_of(self, again: Unseen | None) -> list[tuple[F64, F64]]:
+        """Parts of the gradient by which what was taken off for encoders' noise may be off.
+
+        Args:
+            again: what encoders round off, drawn anew.
+        """
+        if not self.corrected:
+            return []
+        groups = [each.joints for each in self.corrected]
+        *each_off, all_off = unsure(
+            self.problem, self.fitted, again, [*groups, np.concatenate(groups)]
+        )
+        joint, su = _shaking(self.problem, self.fitted)
+        return [
+            *((off * c.joint, off * c.su) for off, c in zip(each_off, self.corrected, strict=True)),
+            (all_off * joint, all_off * su),
+        ]
 
     @cached_property
     def ahead(self) -> Ahead:
         """The step that the fit did not take."""
-        return step_ahead(self.fitted, self.corrected[0] if self.corrected else None)
+        if not self.corrected:
+            return step_ahead(self.fitted)
+        joint = np.sum([each.joint for each in self.corrected], axis=0)
+        return step_ahead(
+            self.fitted, (joint, np.sum([each.su for each in self.corrected], axis=0))
+        )
 
     @property
     def misfit_of_sus(self) -> F64:
@@ -265,11 +297,10 @@ def estimate_along(
         problem, fitted = found.problem, found.fitted
     if alike:
         problem, fitted = with_sensors_alike(problem, fitted)
-    corrected: list[tuple[F64, F64]] = []
+    corrected: tuple[Shortening, ...] = ()
     hidden: list[tuple[F64, F64]] = []
     if lengths:
-        fitted, shortening = without_shortening(problem, fitted)
-        corrected = [] if shortening is None else [shortening, _shaking(problem, fitted)]
+        fitted, corrected = without_shortening(problem, fitted)
         hidden = hidden_offsets(problem, fitted)
     left = misfit_of(problem, fitted, SPAN)
     if late is not None:
@@ -277,9 +308,7 @@ def estimate_along(
     tell(1.0)
     gyros = found_gyros(problem, fitted, contradict)
     what = found.causes, found.tried, found.under_known
-    return MotionEstimate(
-        problem, fitted, left, gyros, *what, late, tuple(corrected), tuple(hidden)
-    )
+    return MotionEstimate(problem, fitted, left, gyros, *what, late, corrected, tuple(hidden))
 
 
 def _of_a_rigid_robot(

@@ -10,12 +10,13 @@ show what else it might have been (a parametric bootstrap: Efron and Tibshirani 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from skin2urdf.arrays import F64
 from skin2urdf.estimation.trajectory.unseen import Unseen
-from skin2urdf.signals.filters import filtered
+from skin2urdf.signals.filters import Spline, filtered
 from skin2urdf.signals.trajectory import Trajectory
 
 DRAWS = 16
@@ -41,9 +42,76 @@ def rounded_off_again(logs: Sequence[Trajectory]) -> Unseen | None:
     return Unseen(joint, motions, number=number)
 
 
+def lost_in_averages(logs: Sequence[Trajectory]) -> Unseen | None:
+    """What averages took off positions of joints that stay, one number for each joint.
+
+    It is what encoders toggle, or what joints do within a step: the readings rule out neither. None
+    where nothing was taken off.
+
+    Args:
+        logs: trajectories of the D joints.
+    """
+    if not any(log.averaged.any() for log in logs):
+        return None
+    D = logs[0].q.shape[1]
+    motions = tuple(
+        log.averaged if len(log.averaged) else np.zeros((len(log.q), D)) for log in logs
+    )
+    return Unseen(np.arange(D), motions)
+
+
 def _off(log: Trajectory, rng: np.random.Generator) -> F64:
-    """(N, D) by how much rounded positions are off, low-passed as these."""
-    step = log.resolution if len(log.resolution) else np.zeros(log.q.shape[1])
-    size = np.where(step > 0, step, 1.0)
-    share = log.q / size + rng.uniform(size=len(size))
-    return filtered(step * (np.round(share) - share), log.taps)
+    """(N, D) by how much rounded positions are off, low-passed as these.
+
+    Encoders round at their own rate. The grid holds low-passed samples of what is read more often,
+    of which noise is less, and curves through what is read more seldom, of which it is more.
+    """
+    D = log.q.shape[1]
+    if not len(log.resolution):
+        return np.zeros((len(log.q), D))
+    raw = log.raw_rate if len(log.raw_rate) else np.full(D, log.rate)
+    off = np.zeros((len(log.q), D))
+    for rate in np.unique(raw):
+        some = np.flatnonzero(raw == rate)
+        drawn = _Rounding(log.resolution[some], rng.uniform(size=len(some)))
+        by = drawn.seldom if rate < log.rate else drawn.often
+        off[:, some] = by(log.q[:, some], log.rate, float(rate))
+    return filtered(log.slowly_where_still(off), log.taps)
+
+
+@dataclass(frozen=True, eq=False)
+class _Rounding:
+    """What encoders make of positions.
+
+    Attributes:
+        step: (J,) of each [rad or m], 0 for none.
+        turned: (J,) shares of a step by which they are turned.
+    """
+
+    step: F64
+    turned: F64
+
+    def often(self, q: F64, rate: float, raw: float) -> F64:
+        """(N, J) by how much positions (N, J) are off that are read as often as that, or more.
+
+        Args:
+            q: positions.
+            rate: samples of them per second [Hz].
+            raw: the encoders' [Hz].
+        """
+        times = max(1, round(raw / rate))
+        further = np.gradient(q, axis=0) / times
+        # The mean of what is read around a sample lets nothing through that the grid would alias.
+        ahead = np.arange(times) - 0.5 * (times - 1)
+        return np.asarray(np.mean([self._off(q + each * further) for each in ahead], axis=0))
+
+    def seldom(self, q: F64, rate: float, raw: float) -> F64:
+        """(N, J) the same of encoders that are read more seldom."""
+        grid = np.arange(len(q)) / rate
+        read = np.arange(int(grid[-1] * raw) + 2) / raw
+        there = np.stack([np.interp(read, grid, column) for column in q.T], axis=1)
+        return Spline(self._off(there)).within(grid * raw)
+
+    def _off(self, q: F64) -> F64:
+        share = q / np.where(self.step > 0, self.step, 1.0) + self.turned
+        return np.asarray(self.step * (np.round(share) - share))

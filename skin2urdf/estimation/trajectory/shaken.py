@@ -28,7 +28,7 @@ from skin2urdf.estimation.trajectory.state import Layout, MotionState
 from skin2urdf.signals.trajectory import Trajectory
 from skin2urdf.structure.records import KinematicTree
 
-_EVERY = 10
+EVERY = 10
 """Kept samples of which one stands for all: some three a second, in which a robot hardly turns."""
 
 
@@ -62,7 +62,7 @@ class Shaken(Record):
                 continue
             frequencies, shares = log.noise_spectrum()
             shaking = _squares_of_some(tree, log, log.noise, state.placements)
-            counted = _EVERY * np.einsum("ku,uk->u", w[::_EVERY, :, 0], shaking)
+            counted = EVERY * np.einsum("ku,uk->u", w[::EVERY, :, 0], shaking)
             parts.append((frequencies, shares[:, None] * counted))
         if not parts:
             return Shaken(np.zeros(0), np.zeros((0, tree.n_sus)))
@@ -105,11 +105,11 @@ def made_by_encoders(tree: KinematicTree, log: Trajectory, places: State) -> F64
     if log.noise is None:
         return None
     some = _squares_of_some(tree, log, log.noise, places) / 3
-    return np.repeat(some, _EVERY, axis=1)[:, : len(log.kept)]
+    return np.repeat(some, EVERY, axis=1)[:, : len(log.kept)]
 
 
 def _squares_of_some(tree: KinematicTree, log: Trajectory, noise: F64, places: State) -> F64:
     """(U, k) mean squares of what encoders' noise (D,) makes of every so manieth sample."""
-    q = log.q[log.kept[::_EVERY], : tree.n_joints]
-    shaking = log.shaken[::_EVERY] * noise
+    q = log.q[log.kept[::EVERY], : tree.n_joints]
+    shaking = log.shaken[::EVERY] * noise
     return np.asarray(np.einsum("kd,udk->uk", shaking, felt_of_joints(tree, places, q)))

@@ -292,9 +292,12 @@ def _with_likely_sensors(
     """With SUs whose sensors would be none that exist moved by a joint, where that explains more.
 
     An SU on a base that sways feels the joint that moves all of it, and has too little of its
-    motion: on that joint its sensor would have to measure next to nothing.
+    motion: on that joint its sensor would have to measure next to nothing. Where a structure is
+    wrong beyond doubt, sensors are the least of it.
     """
     for _ in found.tree.su_names:
+        if leads_nowhere(found):
+            break
         unlikely = np.flatnonzero(~are_plausible(found.state)).tolist()
         better = None
         for su, joint, moved in _next_to(found.tree, unlikely):

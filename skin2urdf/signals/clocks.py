@@ -280,7 +280,7 @@ def as_far_as_confirmed(clock: SuClock, motion: Motion) -> SuClock:
     behind its encoder, by other amounts in each, fits as well. Every stretch of motion beyond tells
     how much that is; neighbouring ones share half their samples.
     """
-    freedom = len(stretches(motion)) / 2 - 2
+    freedom = sum(not stretch.rests for stretch in stretches(motion)) / 2 - 2
     factor = _by_few(freedom) if freedom > 0 else np.inf
     return replace(clock, latency_sd=factor * clock.latency_sd, drift_sd=factor * clock.drift_sd)
 

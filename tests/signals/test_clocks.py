@@ -11,7 +11,7 @@ from simulated import changed_sus, sampled_of, simulation
 
 from skin2urdf.recording.records import Recording, SuStream
 from skin2urdf.report.clocks import clock_notes
-from skin2urdf.signals.clocks import su_clocks
+from skin2urdf.signals.clocks import as_far_as_confirmed, su_clocks
 from skin2urdf.signals.motion import joint_motion
 from skin2urdf.signals.records import SuClock
 
@@ -174,3 +174,13 @@ def test_patterns_of_one_joint_are_not_those_of_the_next(wait: float) -> None:
     su = about_the_vertical(path, 5, seed)
     clocks = su_clocks([su], joint_motion(path.recording(100.0, [su])))
     assert all(abs(clock.latency) < 5e-3 for clock in clocks)
+
+
+def test_a_rest_confirms_no_clock() -> None:
+    """Two moves show a line of two numbers, however long the robot rests after them."""
+    clock = SuClock("su", 0.04, 3e-3, 2e-3, 3e-4, 20.0)
+    two = JointPath(np.zeros(2)).rest(2.0).move((0.7, 0.3), 3.0).rest(2.0).move((0.0, 0.0), 3.0)
+    assert np.isinf(as_far_as_confirmed(clock, two.rest(60.0).motion()).latency_sd)
+    for goal in np.random.default_rng(0).uniform(-1.0, 1.0, (20, 2)):
+        two.move(goal, 3.0)
+    assert 1.0 < as_far_as_confirmed(clock, two.motion()).latency_sd / clock.latency_sd < 3.0

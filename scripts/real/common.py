@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -66,22 +67,30 @@ def held(
     )
 
 
-def adapt(read: Callable[[], Recording], log: Path) -> int:
-    """Read a public recording and write it as a log.
+def run(doc: str, data: str, read: Callable[[Path], Recording]) -> int:
+    """Read the arguments of an adapter, its data, and write them as a log.
 
     Args:
-        read: reads the recording.
-        log: MCAP file to write.
+        doc: what the adapter says of itself.
+        data: what the data are.
+        read: reads them.
 
     Returns:
         The exit status: 0, or that of what went wrong, which is printed.
     """
+    words, _, rest = doc.partition("\n")
+    parser = argparse.ArgumentParser(
+        description=words, epilog=rest, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("data", type=Path, help=data)
+    parser.add_argument("log", type=Path, help="MCAP file to write")
+    arguments = parser.parse_args()
     try:
-        recording = read()
-        write(recording, log)
+        recording = read(arguments.data)
+        write(recording, arguments.log)
     except Skin2UrdfError as error:
         print(f"error: {error}", *[error.remedy] * bool(error.remedy), sep="\n  ", file=sys.stderr)
         return error.exit_status
     joints, sus = len(recording.joints), len(recording.sus)
-    print(f"{log}: {joints} joints, {sus} SUs, {recording.duration:.1f} s")
+    print(f"{arguments.log}: {joints} joints, {sus} SUs, {recording.duration:.1f} s")
     return 0

@@ -24,12 +24,11 @@ Exit status: 0; 2 where the data can not be read as this recording or the log no
 
 from __future__ import annotations
 
-import argparse
 import sys
 from pathlib import Path
 
 import numpy as np
-from common import adapt, lines_of
+from common import lines_of, run
 
 from skin2urdf.arrays import F64
 from skin2urdf.errors import UnreadableInputError
@@ -94,17 +93,5 @@ def _table(path: Path, width: int) -> F64:
     return table
 
 
-def main() -> int:
-    """Read the arguments, write the log."""
-    words, _, rest = (__doc__ or "").partition("\n")
-    parser = argparse.ArgumentParser(
-        description=words, epilog=rest, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("data", type=Path, help="folder of the leg's recording")
-    parser.add_argument("log", type=Path, help="MCAP file to write")
-    arguments = parser.parse_args()
-    return adapt(lambda: recording(arguments.data), arguments.log)
-
-
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(run(__doc__ or "", "folder of the leg's recording", recording))

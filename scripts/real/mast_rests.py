@@ -25,14 +25,13 @@ Exit status: 0; 2 where the data can not be read as these rests or the log not b
 
 from __future__ import annotations
 
-import argparse
 import sys
 from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import yaml
-from common import adapt, lines_of
+from common import lines_of, run
 
 from skin2urdf.arrays import F64
 from skin2urdf.errors import UnreadableInputError
@@ -93,17 +92,5 @@ def _rests(data: dict) -> Iterator[list[float]]:  # type: ignore[type-arg]
                 ]
 
 
-def main() -> int:
-    """Read the arguments, write the log."""
-    words, _, rest = (__doc__ or "").partition("\n")
-    parser = argparse.ArgumentParser(
-        description=words, epilog=rest, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("data", type=Path, help="file of the rests")
-    parser.add_argument("log", type=Path, help="MCAP file to write")
-    arguments = parser.parse_args()
-    return adapt(lambda: recording(arguments.data), arguments.log)
-
-
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(run(__doc__ or "", "file of the rests", recording))

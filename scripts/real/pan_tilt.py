@@ -25,13 +25,12 @@ Exit status: 0; 2 where the data can not be read as these rests or the log not b
 
 from __future__ import annotations
 
-import argparse
 import json
 import sys
 from pathlib import Path
 
 import numpy as np
-from common import adapt, held, lines_of
+from common import held, lines_of, run
 
 from skin2urdf.arrays import F64
 from skin2urdf.errors import UnreadableInputError
@@ -85,17 +84,5 @@ def _numbers(path: Path, within: str | None, names: tuple[str, ...]) -> F64:
         raise UnreadableInputError(str(path), f"not {', '.join(names)}: {error}") from error
 
 
-def main() -> int:
-    """Read the arguments, write the log."""
-    words, _, rest = (__doc__ or "").partition("\n")
-    parser = argparse.ArgumentParser(
-        description=words, epilog=rest, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("data", type=Path, help="folder of one place")
-    parser.add_argument("log", type=Path, help="MCAP file to write")
-    arguments = parser.parse_args()
-    return adapt(lambda: recording(arguments.data), arguments.log)
-
-
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(run(__doc__ or "", "folder of one place", recording))

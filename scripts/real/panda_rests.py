@@ -26,13 +26,12 @@ Exit status: 0; 2 where the data can not be read as these rests or the log not b
 
 from __future__ import annotations
 
-import argparse
 import re
 import sys
 from pathlib import Path
 
 import numpy as np
-from common import adapt, held, lines_of
+from common import held, lines_of, run
 
 from skin2urdf.arrays import F64
 from skin2urdf.errors import UnreadableInputError
@@ -107,17 +106,5 @@ def _means(path: Path, rests: int) -> tuple[float, dict[str, F64]]:
     }
 
 
-def main() -> int:
-    """Read the arguments, write the log."""
-    words, _, rest = (__doc__ or "").partition("\n")
-    parser = argparse.ArgumentParser(
-        description=words, epilog=rest, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("data", type=Path, help="folder config of the repository")
-    parser.add_argument("log", type=Path, help="MCAP file to write")
-    arguments = parser.parse_args()
-    return adapt(lambda: recording(arguments.data), arguments.log)
-
-
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(run(__doc__ or "", "folder config of the repository", recording))

@@ -50,7 +50,8 @@ def explain_readings(begun: Beginning, clock: Clock) -> tuple[Solution, MotionEs
         StructureError: the SUs' activity contradicts every kinematic tree.
     """
     first = begun.first
-    looked = _look(first, clock) if begun.of_patterns else None
+    unexplained = first is not None and first.found.cost_per_dof > GOOD_FIT
+    looked = _look(first, clock) if begun.of_patterns and unexplained else None
     trusted = not begun.of_patterns or (looked is not None and is_explained_by_physics(looked))
     if first is not None and trusted:
         return _fit_along(begun, first, looked, looked, frozenset(), clock)
@@ -68,26 +69,16 @@ def explain_readings(begun: Beginning, clock: Clock) -> tuple[Solution, MotionEs
     )
     check_hope(solution.found)
     known = looked if first is not None and _untouched(first, solution) else None
-    if looked is None and names_an_encoder(solution) and not begun.leaps:
+    if not unexplained and names_an_encoder(solution) and not begun.leaps:
         # Features that leave hardly more than noise did not ask for a look: coarse encoders do.
         # Leaps are off these logs already, and certain.
-        looked = _look(first, clock, 0.0)
+        looked = _look(first, clock)
     return _fit_along(begun, solution, known, looked, rejected(looked), clock)
 
 
-def _look(
-    first: Solution | None, clock: Clock, from_cost: float = GOOD_FIT
-) -> MotionEstimate | None:
-    """What all samples say of a first estimate that does not explain its features; None if none.
-
-    Args:
-        first: the first estimate, if there is any.
-        clock: runs the stages.
-        from_cost: cost per degree of freedom from which features are not explained.
-    """
-    if first is None or first.logs.settings.motion != "all":
-        return None
-    if not (first.found.cost_per_dof > from_cost and first.found.misfit <= BAD_FIT):
+def _look(first: Solution | None, clock: Clock) -> MotionEstimate | None:
+    """What all samples say of a first estimate; None if there is none or it explains too little."""
+    if first is None or first.logs.settings.motion != "all" or first.found.misfit > BAD_FIT:
         return None
     # What is bent by more is first to be mended.
     along = clock.run("all samples", lambda tell: fit_samples(first, tell, most=BAD_MISFIT))

@@ -259,31 +259,12 @@ def _with_an_su_elsewhere(
 
     Gaps may leave so little of an SU that the activity of its last joint is missed.
     """
-    for place in _next_to(found.tree, unlike_the_rest(found)):
-        latest = _moved_by_one(logs, found, refined, features, place, clock)
-        if latest and latest[0].misfit <= GOOD_FIT and not unlike_the_rest(latest[0]):
-            return latest
-    return found, refined
 
+    def fits(latest: Estimate) -> bool:
+        return latest.misfit <= GOOD_FIT and not unlike_the_rest(latest)
 
-def _moved_by_one(
-    logs: Logs,
-    found: Estimate,
-    refined: Features,
-    features: Features,
-    place: tuple[str, str, bool],
-    clock: Clock,
-) -> tuple[Estimate, Features] | None:
-    """With an SU moved by one joint more or less; None where that is no other tree, or none."""
-    seen = activity(refined, logs.settings.static_threshold)
-    try:
-        again = ordered(kinematic_tree(seen.moved_by(*place), refined), refined)
-        again = replace(again, notes=(*again.notes, _elsewhere(*place)))
-        if again.is_like(found.tree):
-            return None
-        return relinearise(logs, again, features, clock, hopeless=leads_nowhere)
-    except (StructureError, InsufficientDataError):
-        return None
+    odd = unlike_the_rest(found)
+    return _moved_by_one(logs, found, refined, features, odd, fits, clock) or (found, refined)
 
 
 def _with_likely_sensors(
@@ -295,22 +276,60 @@ def _with_likely_sensors(
     motion: on that joint its sensor would have to measure next to nothing. Where a structure is
     wrong beyond doubt, sensors are the least of it.
     """
-    for _ in found.tree.su_names:
-        if leads_nowhere(found):
-            break
-        unlikely = np.flatnonzero(~are_plausible(found.state)).tolist()
-        better = None
-        for su, joint, moved in _next_to(found.tree, unlikely):
-            latest = _moved_by_one(logs, found, refined, features, (su, joint, moved), clock)
-            if latest is None or latest[0].misfit >= found.misfit:
+    unlikely = _unlikely_sensors(found)
+    if not unlikely or leads_nowhere(found):
+        return found, refined
+
+    def is_likelier(latest: Estimate) -> bool:
+        fewer = len(_unlikely_sensors(latest)) < len(unlikely)
+        return fewer and latest.misfit < found.misfit
+
+    better = _moved_by_one(logs, found, refined, features, unlikely, is_likelier, clock)
+    if better is None:
+        return found, refined
+    return _with_likely_sensors(logs, *better, features, clock)
+
+
+def _unlikely_sensors(found: Estimate) -> tuple[int, ...]:
+    """SUs that would need errors that no working sensor has."""
+    return tuple(np.flatnonzero(~are_plausible(found.state)).tolist())
+
+
+def _moved_by_one(
+    logs: Logs,
+    found: Estimate,
+    refined: Features,
+    features: Features,
+    sus: Sequence[int],
+    accept: Callable[[Estimate], bool],
+    clock: Clock,
+) -> tuple[Estimate, Features] | None:
+    """The first estimate that is accepted of those with an SU moved by one joint more or less.
+
+    Args:
+        logs: the logs.
+        found: an estimate, and
+        refined: its features, whose activity is taken for all other SUs.
+        features: those to begin with.
+        sus: which SUs to move, one at a time.
+        accept: tells of an estimate whether it explains more.
+        clock: runs the stages.
+    """
+    if not sus:
+        return None
+    seen = activity(refined, logs.settings.static_threshold)
+    for place in _next_to(found.tree, sus):
+        try:
+            again = ordered(kinematic_tree(seen.moved_by(*place), refined), refined)
+            again = replace(again, notes=(*again.notes, _elsewhere(*place)))
+            if again.is_like(found.tree):
                 continue
-            if are_plausible(latest[0].state)[latest[0].tree.su_names.index(su)]:
-                better = latest
-                break
-        if better is None:
-            break
-        found, refined = better
-    return found, refined
+            latest = relinearise(logs, again, features, clock, hopeless=leads_nowhere)
+        except (StructureError, InsufficientDataError):
+            continue
+        if accept(latest[0]):
+            return latest
+    return None
 
 
 def is_hopeless(found: Estimate) -> bool:

@@ -188,7 +188,8 @@ def _doubts(calibration: Calibration) -> list[Doubt]:
     elif unlikely:
         words = (
             f"{shortened(unlikely, _NAMED)} would need errors that no sensor has (see the notes): "
-            "it is broken, or sits elsewhere, where the order of joints may be wrong, too"
+            "broken, or on another joint than the tree has it (check the sensor, and record the "
+            "joints next to it one at a time)"
         )
         found.append(Doubt("no such sensors", words, tuple(unlikely)))
     weak = _with_verdict(tree.joint_names, seen.joint_verdict, ("weak",))

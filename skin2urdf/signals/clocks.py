@@ -365,16 +365,14 @@ def _lines(
         values.append(heard.values())
     if not times:
         return [None] * U
-    time, scores, counted, free = map(np.array, (times, shares, counts, freedoms))
-    scores = -scores
+    time, counted, free = map(np.array, (times, counts, freedoms))
     lags = np.arange(-most, most + 1) / rate
     told = (counted.sum(axis=0) >= FEWEST) & ((free * counted).sum(axis=0) >= FEWEST)
-    heard_in = np.array(felt)
-    best, lead = best_lines(
-        time, -np.array(sizes) * heard_in[:, None], lags, reach, steep, n / rate
-    )
+    sized = -np.array(sizes) * np.array(felt)[:, None]
+    best, lead = best_lines(time, sized, lags, reach, steep, n / rate)
     # Chance changes half the logarithm of what is left of n values by the root of 1 / 2 n.
-    chance = np.sqrt((heard_in / (2 * np.array(values))).sum(axis=0))
+    chance = np.sqrt((np.array(felt) / (2 * np.array(values))).sum(axis=0))
+    scores = -np.array(shares)
     out: list[_Line | None] = [None] * U
     for u in np.flatnonzero(told & (lead > SIGNIFICANT * chance)).tolist():
         use = counted[:, u]

@@ -17,7 +17,7 @@ from scipy.fft import irfft, next_fast_len, rfft
 
 from skin2urdf.arrays import F64, Bool
 from skin2urdf.signals.commotion import DEPENDENT, WINDOW, slope
-from skin2urdf.signals.profiles import CERTAIN, valley
+from skin2urdf.signals.profiles import valley
 
 _SEARCHED = 300.0
 """Time in the middle of the log [s] in which an offset and a drift are searched: what is found
@@ -27,6 +27,9 @@ _IN_SEARCH = 40
 _VALUES_PER_TERM = 4.0
 """Independent values of a reading's axis for each term: as many terms as values explain all at any
 lag."""
+_CERTAIN = 20.0
+"""Logarithm of the likelihood by which the best line is above any elsewhere: 10 for each of its
+numbers, offset and drift, which chance does once in 20,000."""
 _ALIKE = 0.1
 """Correlation of what the terms leave with what a lag makes, root of the mean square in 40 SUs of
 nine logs of five kinds of motion: so far may errors that come back with the motion shift an offset
@@ -136,7 +139,7 @@ def searched(
             best, found = float(left[i]), (float(lags[inner[i]] / rate), drift)
     first, last = valley(profile)
     elsewhere = float(np.delete(profile, np.s_[first : last + 1]).min(initial=np.inf))
-    stands_out = 1.5 * values * np.log(elsewhere / max(best, 1e-12)) > CERTAIN
+    stands_out = 1.5 * values * np.log(elsewhere / max(best, 1e-12)) > _CERTAIN
     return found if stands_out else None
 
 

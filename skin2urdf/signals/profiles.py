@@ -1,12 +1,8 @@
-"""Profiles over lags: how wide the best place is, and when it is certain."""
+"""The valley around the lowest place of a profile over lags."""
 
 from __future__ import annotations
 
 from skin2urdf.arrays import F64
-
-CERTAIN = 20.0
-"""Logarithm of the likelihood by which the best line is above any elsewhere: 10 for each of its
-numbers, offset and drift, which chance does once in 20,000."""
 
 
 def valley(profile: F64) -> tuple[int, int]:

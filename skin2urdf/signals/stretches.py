@@ -180,7 +180,7 @@ class Heard:
 
 
 def _least_near(rest: F64) -> F64:
-    """(K, U) least that is left within half a step of each lag (K, U), by cubic interpolation.
+    """(K, U) least that is left within half a step of each lag (K, U), by Lagrange's cubic.
 
     Half a step off, patterns leave more than second-order effects.
     """

@@ -47,6 +47,11 @@ class Shortening(Record):
     su: F64
 
 
+def whole_of(parts: Sequence[Shortening]) -> tuple[F64, F64]:
+    """Parts (J,) and (U, n) of the gradient that the noise of all encoders makes."""
+    return np.sum([each.joint for each in parts], axis=0), np.sum([e.su for e in parts], axis=0)
+
+
 def without_shortening(
     problem: MotionProblem, fitted: Fitted
 ) -> tuple[Fitted, tuple[Shortening, ...]]:
@@ -64,8 +69,7 @@ def without_shortening(
     if not parts:
         return fitted, ()
     layout = problem.layout
-    to_joint = np.sum([each.joint for each in parts], axis=0)
-    to_su = np.sum([each.su for each in parts], axis=0)
+    to_joint, to_su = whole_of(parts)
     equations = replace(fitted.equations, joint_gradient=to_joint, su_gradient=to_su)
     system = eliminated(equations, problem.free_joint, problem.free_su)
     taken_off = held(problem, layout.moved(fitted.state, *newton_step(system, problem.free_joint)))
@@ -99,8 +103,7 @@ def hidden_offsets(problem: MotionProblem, fitted: Fitted) -> list[tuple[F64, F6
         further = _shortening(problem, fitted, replace(fitted.state, placements=placements))
         # Directions are told by gravity, of which noise of accelerations hides nothing.
         own = np.zeros_like(there[0].su)
-        own[:, :3] = np.sum([each.su for each in further], axis=0)[:, :3]
-        own[:, :3] -= np.sum([each.su for each in there], axis=0)[:, :3]
+        own[:, :3] = (whole_of(further)[1] - whole_of(there)[1])[:, :3]
         out.append((np.zeros_like(there[0].joint), own))
     return out
 

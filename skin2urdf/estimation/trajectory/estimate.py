@@ -22,6 +22,7 @@ from skin2urdf.estimation.trajectory.elastic import Elasticity
 from skin2urdf.estimation.trajectory.encoder_noise import (
     Shortening,
     hidden_offsets,
+    whole_of,
     without_shortening,
 )
 from skin2urdf.estimation.trajectory.fit import Fitted, fit, held, leading
@@ -144,12 +145,7 @@ class MotionEstimate:
     @cached_property
     def ahead(self) -> Ahead:
         """The step that the fit did not take."""
-        if not self.corrected:
-            return step_ahead(self.fitted)
-        joint = np.sum([each.joint for each in self.corrected], axis=0)
-        return step_ahead(
-            self.fitted, (joint, np.sum([each.su for each in self.corrected], axis=0))
-        )
+        return step_ahead(self.fitted, whole_of(self.corrected) if self.corrected else None)
 
     @property
     def misfit_of_sus(self) -> F64:

@@ -74,6 +74,25 @@ class Mechanism(Record):
                 q[:, joint.idx_q] = position[:, d]
         return q
 
+    def torques(self, position: F64, velocity: F64, acceleration: F64) -> F64:
+        """Joint torques of a motion (Newton and Euler, recursively), gravity's among them.
+
+        Args:
+            position: (N, D) joint positions, unwrapped [rad or m].
+            velocity: (N, D) [rad/s or m/s].
+            acceleration: (N, D) [rad/s^2 or m/s^2].
+
+        Returns:
+            (N, D) torques [N m or N].
+        """
+        import pinocchio as pin
+
+        # All samples in one call: one by one, most of the time is spent between the calls.
+        pool = pin.ModelPool(self.model, 1)
+        motion = self.configuration(position).T, velocity.T, acceleration.T
+        # Of a single joint they are a vector.
+        return np.asarray(pin.rneaInParallel(1, pool, *motion).T.reshape(velocity.shape))
+
 
 def load_mechanism(spec: RobotSpec, base_rpy: Vector3, gravity: float = GRAVITY) -> Mechanism:
     """Load a robot's URDF and lock what does not move.

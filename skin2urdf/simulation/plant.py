@@ -68,15 +68,10 @@ def _stiffness_scale(torque: F64, mechanism: Mechanism) -> F64:
 
 def _torques(mechanism: Mechanism, reference: JointMotion) -> tuple[F64, F64]:
     """(K, D) joint torques of the reference motion by gravity, and by inertia [N m or N]."""
-    import pinocchio as pin
-
-    model, data = mechanism.model, mechanism.model.createData()
     position, velocity, acceleration = reference.at(reference.time)
-    gravity = np.empty_like(position)
-    total = np.empty_like(position)
-    for k, q in enumerate(mechanism.configuration(position)):
-        gravity[k] = pin.computeGeneralizedGravity(model, data, q)
-        total[k] = pin.rnea(model, data, q, velocity[k], acceleration[k])
+    still = np.zeros_like(position)
+    gravity = mechanism.torques(position, still, still)
+    total = mechanism.torques(position, velocity, acceleration)
     return gravity, total - gravity
 
 

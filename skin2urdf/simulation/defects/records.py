@@ -127,12 +127,7 @@ class Moved(Record):
             from scipy.interpolate import make_interp_spline
 
             return np.asarray(make_interp_spline(self.motion.time, self.borne, k=3)(time))
-        import pinocchio as pin
-
-        model, data = self.mechanism.model, self.mechanism.model.createData()
-        position, velocity, acceleration = self.motion.at(time)
-        rows = zip(self.mechanism.configuration(position), velocity, acceleration, strict=True)
-        return np.array([np.array(pin.rnea(model, data, q, v, a)) for q, v, a in rows])
+        return self.mechanism.torques(*self.motion.at(time))
 
 
 @dataclass(frozen=True, eq=False)

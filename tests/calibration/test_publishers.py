@@ -18,7 +18,7 @@ SETTINGS = CalibrationSettings(gravity_deviation=0.0)
 
 def test_a_late_publisher_is_told_and_bends_nothing(tmp_path: Path) -> None:
     names = ("j2", "j3")
-    made = simulation_of(small_arm(4), n_poses=3, excite="all")
+    made = simulation_of(small_arm(4), n_poses=2, excite="all")
     found = calibrate(published_apart(made.recording, names, 0.08), SETTINGS)
     ((clock,),) = found.publishers
     assert set(clock.joints) == set(names)

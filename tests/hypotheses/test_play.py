@@ -26,7 +26,7 @@ from skin2urdf.simulation.defects import Backlash
 def test_jumps_within_the_slack_that_all_samples_show_are_no_hits() -> None:
     """Two masses with a gap between them; seven jumps stand out from what patterns explain."""
     settings = SimulationSettings(
-        n_poses=3, seed=4, excite="one", imu_rate=250.0, joint_rate=125.0,
+        n_poses=2, seed=4, excite="one", imu_rate=250.0, joint_rate=125.0,
         defects=(Backlash(1e-3),),
     )  # fmt: skip
     recording = retimed(simulate(load_robot("so101"), settings).recording)

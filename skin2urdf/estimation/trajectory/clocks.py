@@ -22,8 +22,9 @@ from skin2urdf.estimation.trajectory.priors import ClockPriors
 from skin2urdf.estimation.trajectory.problem import MotionProblem
 from skin2urdf.estimation.trajectory.state import MotionState
 
-_SIGNIFICANT = 4.0
-"""Standard deviations beyond which a clock stands out from the others."""
+_STANDS_OUT = 2.0
+"""Standard deviations from which a clock is tried among the others: one in twenty by chance, which
+costs a fit. What decides is chi-squared."""
 _PASSES = 3
 """Times that clocks are looked at again: some that stand out make the others look spread."""
 
@@ -78,7 +79,7 @@ def with_likely_clocks(
         expected = clocks_of_others(fitted.state.clock, variance, mended, _given(problem))
         off = np.abs(fitted.state.clock - expected.mean)
         narrow = expected.deviation < _given(problem)
-        out = narrow & (off > _SIGNIFICANT * np.hypot(expected.deviation, np.sqrt(variance)))
+        out = narrow & (off > _STANDS_OUT * np.hypot(expected.deviation, np.sqrt(variance)))
         tried = out.any(axis=(0, 2)) & ~own
         if not tried.any():
             break

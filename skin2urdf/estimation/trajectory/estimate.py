@@ -284,7 +284,10 @@ def estimate_along(
     problem, fitted = _of_a_rigid_robot(problem, begin, iterations, lambda part: tell(0.7 * part))
     tell(0.7)
     mended = np.zeros_like(clock) if mended is None else mended
-    problem, fitted = with_likely_clocks(problem, fitted, begin, mended, iterations)
+    about, there = with_likely_clocks(problem, fitted, begin, mended, iterations)
+    if there is not fitted:
+        # Which way a joint turns shows at the right times.
+        problem, fitted = about, in_likelier_sense(about, there, iterations)
     problem, fitted, contradict = listened(problem, fitted)
     problem, fitted, late = with_publishers(
         problem, fitted, begin, lambda about, at: misfit_of(about, at, SPAN)

@@ -95,8 +95,19 @@ def fit_samples(
     return estimate_along(
         trajectories, tree, found.state, priors, latency, tell,
         most=most, without=without, look_further=look_further,
-        alike=settings.estimation.intrinsics,
+        alike=settings.estimation.intrinsics, mended=_mended(logs.sampled, tree.su_names),
     )  # fmt: skip
+
+
+def _mended(sampled: Sequence[Sampled], names: Sequence[str]) -> F64:
+    """(G, U, 2) latency [s] and drift [1] that were taken off the stamps of SUs (U,)."""
+    out = np.zeros((len(sampled), len(names), 2))
+    for g, s in enumerate(sampled):
+        known = {clock.su: clock for clock in s.clocks}
+        for u, name in enumerate(names):
+            if name in known:
+                out[g, u] = known[name].latency, known[name].drift
+    return out
 
 
 def rejected(along: MotionEstimate | None) -> frozenset[str]:

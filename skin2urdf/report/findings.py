@@ -32,7 +32,8 @@ class Findings(Record):
         axis_position_sd: (D,) of each axis at the joint's origin, square to it [m].
         axis_direction_sd: (D,) of each axis' direction [rad].
         su_position_sd: (U,) of each SU's position on its joint, observable directions only [m].
-        su_orientation_sd: (U,) of its orientation [rad].
+        su_orientation_sd: (U,) of its orientation, turns that errors of sensors hide included
+            [rad].
         expected_position: rms error of SU positions to expect over the joints' ranges, once the
             base frames are aligned; of the SUs that are observable in all directions [m].
         expected_orientation: the same of SU orientations [rad].
@@ -87,7 +88,9 @@ def findings(calibration: Calibration) -> Findings:
         axis_position_sd=np.where(anywhere, np.nan, np.sqrt(variance[:, :3].sum(axis=1))),
         axis_direction_sd=np.sqrt(variance[:, 3:].sum(axis=1)),
         su_position_sd=np.where(unseen, np.nan, np.linalg.norm(su_sd[:, :3], axis=1)),
-        su_orientation_sd=np.where(nothing, np.nan, np.linalg.norm(su_sd[:, 3:], axis=1)),
+        su_orientation_sd=np.where(
+            nothing, np.nan, np.hypot(np.linalg.norm(su_sd[:, 3:], axis=1), found.su_hidden_turn)
+        ),
         expected_position=position,
         expected_orientation=orientation,
         worst_position=worst[0],

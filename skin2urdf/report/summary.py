@@ -99,15 +99,21 @@ def _prediction(calibration: Calibration) -> str:
 
 
 def _hidden(calibration: Calibration) -> list[str]:
-    """What part of the orientations' uncertainty no log can take away."""
+    """What part of the orientations' uncertainty is what sensors commonly have."""
     hidden = calibration.observability.hidden_rotation * float(np.sqrt(3.0)) * _DEG
-    if hidden < 0.02:
-        return []
-    return [
-        f"(Orientations: these sensors have cross-axis errors, which hide turns of about "
-        f"{number(hidden)} deg",
-        "of the measuring axes against the housing; the figures above include them.)",
-    ]
+    out = []
+    if hidden >= 0.02:
+        out += [
+            f"(Orientations: these sensors have cross-axis errors, which hide turns of about "
+            f"{number(hidden)} deg",
+            "of the measuring axes against the housing; the figures above include them.)",
+        ]
+    if (calibration.observability.su_hidden_turn > 0).any():
+        out += [
+            "(Turns that this log does not show are in the figures above as large as the errors",
+            "of sensors that hide them can be: see --bias, --scale and --cross.)",
+        ]
+    return out
 
 
 def _joints(calibration: Calibration, found: Findings) -> list[str]:

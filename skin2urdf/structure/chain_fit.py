@@ -15,7 +15,7 @@ from skin2urdf.arrays import F64, Record
 from skin2urdf.geometry import series
 from skin2urdf.geometry.so3 import cross, rotation_exp, wahba
 
-PRIOR = np.array([0.5] * 3 + [0.03] * 3 + [0.01] * 3)
+PRIOR = np.array([0.5] * 3 + [0.03] * 3 + [0.02] * 3)
 """Standard deviations of bias [m/s^2], scale and cross-axis errors of common accelerometers."""
 LEVER = 0.5
 """Standard deviation of an offset between joints [m], by which accelerations are felt before any is

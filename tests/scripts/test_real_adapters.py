@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import json
 import subprocess
 import sys
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from skin2urdf.recording.reading import read
 
@@ -73,8 +75,59 @@ def test_panda_rests_hold_each_mean_and_leave_out_what_is_no_sensor(tmp_path: Pa
         assert np.max(np.diff(joint.time)) > 1.0
 
 
+def test_pan_tilt_takes_rests_in_their_order_and_degrees_as_radians(tmp_path: Path) -> None:
+    data = tmp_path / "spot" / "data"
+    data.mkdir(parents=True)
+    for k in (2, 10):  # by name, 10 comes first
+        angles = {"angle0": 9.0 * k, "angle1": 90.0, "angle2": 63.0}
+        sample = {"acceleration": {"x": 0.5, "y": -9.25, "z": float(k)}, "gyroscope": {"x": 0.0}}
+        (data / f"motor_angles_{k}.json").write_text(json.dumps(angles))
+        (data / f"frame_imu_{k}.json").write_text(json.dumps(sample))
+    log = tmp_path / "tilt.mcap"
+    assert adapt("pan_tilt.py", tmp_path / "spot", log).returncode == 0
+    recording = read(log)
+    pan, *held = sorted(recording.joints, key=lambda joint: joint.name)
+    np.testing.assert_allclose(pan.position[[0, -1]], np.deg2rad([18.0, 90.0]))
+    assert [joint.name for joint in held] == ["angle1", "angle2"]
+    (su,) = recording.sus
+    np.testing.assert_allclose(su.specific_force[[0, -1]], [[0.5, -9.25, 2.0], [0.5, -9.25, 10.0]])
+
+
+def test_mast_rests_stand_before_their_stamps(tmp_path: Path) -> None:
+    def rest(time: float) -> dict[str, object]:
+        return {
+            "time": time,
+            "joint_states": [0.25, time / 1000],
+            "tilt_sensor_base_accel": [0.0, 0.5, 9.75],
+            "tilt_sensor_column_accel": [time / 1000, 0.25, 9.5],
+        }
+
+    spaces = {
+        "a": {"stationing_measurements": [rest(1008.0)], "evaluation_measurements": []},
+        "b": {"stationing_measurements": [], "evaluation_measurements": [rest(1000.0)]},
+    }
+    data = {
+        "joint_names": ["column", "pan"],
+        "column_heights": {"low": {"solution_spaces": spaces}},
+    }
+    (tmp_path / "flat.yaml").write_text(json.dumps(data))  # of which YAML is a superset
+    log = tmp_path / "mast.mcap"
+    assert adapt("mast_rests.py", tmp_path / "flat.yaml", log).returncode == 0
+    recording = read(log)
+    assert recording.start == pytest.approx(998.0, abs=0.1)
+    pan = next(joint for joint in recording.joints if joint.name == "pan")
+    stamps = recording.start + pan.time
+    np.testing.assert_allclose(stamps[pan.position == 1.0].max(), 1000.0, atol=1e-6)
+    np.testing.assert_allclose(stamps[pan.position == 1.008].max(), 1008.0, atol=1e-6)
+    assert {su.name for su in recording.sus} == {"tilt_sensor_base", "tilt_sensor_column"}
+    tip = next(su for su in recording.sus if su.name == "tilt_sensor_column")
+    assert {tuple(row) for row in tip.specific_force.tolist()} == {
+        (1.0, 0.25, 9.5), (1.008, 0.25, 9.5),
+    }  # fmt: skip
+
+
 def test_an_adapter_says_what_it_can_not_read(tmp_path: Path) -> None:
-    for script in ("icub_leg.py", "panda_rests.py"):
+    for script in ("icub_leg.py", "panda_rests.py", "pan_tilt.py", "mast_rests.py"):
         run = adapt(script, tmp_path, tmp_path / "log.mcap")
         assert run.returncode == 2
         assert "Traceback" not in run.stderr

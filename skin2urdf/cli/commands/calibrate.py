@@ -114,7 +114,7 @@ def declare(command: Parser) -> None:
     )
     add_number(sensors, "--bias", None, "bias of an axis [mg] (51)")
     add_number(sensors, "--scale", None, "relative scale error of an axis (0.03)")
-    add_number(sensors, "--cross", None, "cross-axis sensitivity (0.01)")
+    add_number(sensors, "--cross", None, "cross-axis sensitivity (0.02)")
     sensors.add_argument(
         "--bandwidth",
         type=_bandwidth,

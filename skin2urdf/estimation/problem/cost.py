@@ -47,7 +47,7 @@ class Priors:
 
     bias: float = 0.5
     scale: float = 0.03
-    cross: float = 0.01
+    cross: float = 0.02
     position: float = 1.0
     gravity: float = GRAVITY
     hidden: float | None = None

@@ -13,6 +13,7 @@ from skin2urdf.estimation.problem.cost import Priors
 from skin2urdf.estimation.problem.state import State
 from skin2urdf.estimation.trajectory.ahead import Ahead, step_ahead
 from skin2urdf.estimation.trajectory.causes import Explained, explained
+from skin2urdf.estimation.trajectory.clocks import with_likely_clocks
 from skin2urdf.estimation.trajectory.deviations import su_covariances
 from skin2urdf.estimation.trajectory.doubtful_fronts import (
     has_doubtful_fronts,
@@ -246,6 +247,7 @@ def estimate_along(
     iterations: int = 30,
     lengths: bool = True,
     alike: bool = False,
+    mended: F64 | None = None,
 ) -> MotionEstimate:
     """Fit all samples of all logs.
 
@@ -264,6 +266,7 @@ def estimate_along(
         iterations: linearisations, at most, of a first fit and of the last.
         lengths: whether what the noise of encoders does to lengths is taken off.
         alike: whether what the samples show of some sensors tells how good the others are.
+        mended: (G, U, 2) latency [s] and drift [1] that were taken off each SU's stamps before.
     """
     U, G = tree.n_sus, len(logs)
     problem = MotionProblem(tree, logs, priors)
@@ -280,6 +283,11 @@ def estimate_along(
     )
     problem, fitted = _of_a_rigid_robot(problem, begin, iterations, lambda part: tell(0.7 * part))
     tell(0.7)
+    mended = np.zeros_like(clock) if mended is None else mended
+    about, there = with_likely_clocks(problem, fitted, begin, mended, iterations)
+    if there is not fitted:
+        # Which way a joint turns shows at the right times.
+        problem, fitted = about, in_likelier_sense(about, there, iterations)
     problem, fitted, contradict = listened(problem, fitted)
     problem, fitted, late = with_publishers(
         problem, fitted, begin, lambda about, at: misfit_of(about, at, SPAN)

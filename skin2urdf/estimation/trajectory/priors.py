@@ -15,6 +15,19 @@ from skin2urdf.estimation.trajectory.records import Equations
 from skin2urdf.estimation.trajectory.state import N_GYRO, N_GYRO_BIAS, Layout, MotionState
 
 
+@dataclass(frozen=True, eq=False)
+class ClockPriors(Record):
+    """What is known of the clock of every SU in every log.
+
+    Attributes:
+        mean: (G, U, 2) lag [s] and drift [1] to expect.
+        deviation: (G, U, 2) their standard deviations.
+    """
+
+    mean: F64
+    deviation: F64
+
+
 @dataclass(frozen=True)
 class MotionPriors(Record):
     """What is known before the logs are read, as standard deviations; 0 fixes a quantity.
@@ -29,6 +42,7 @@ class MotionPriors(Record):
         unseen: (S,) of the numbers that make what encoders do not see.
         gyro: (14,) of a gyroscope's coordinates, its bias in a log last.
         blueprint: the robot, where it is known; else its frames are the log's to choose.
+        clocks: of SUs of which other SUs tell more than ``lag`` and ``drift`` do.
     """
 
     sensors: Priors
@@ -40,6 +54,7 @@ class MotionPriors(Record):
     unseen: F64
     gyro: F64 = field(default_factory=lambda: np.zeros(N_GYRO + N_GYRO_BIAS))
     blueprint: Blueprint | None = None
+    clocks: ClockPriors | None = None
 
 
 def sense(priors: MotionPriors, state: MotionState) -> float:
@@ -78,18 +93,21 @@ def prior_information(
         of_joints, of_further = priors.blueprint.information(places)
         joint[layout.joints], joint_gradient[layout.joints] = of_joints
         joint[layout.further], joint_gradient[layout.further] = of_further
-    of_su = np.zeros(layout.n_su)
-    of_su[N_PLACEMENT:N_SU] = inverse(priors.sensors.deviations)
-    of_su[layout.front] = inverse(priors.front[1])
+    of_su = np.zeros((U, layout.n_su))
+    of_su[:, N_PLACEMENT:N_SU] = inverse(priors.sensors.deviations)
+    of_su[:, layout.front] = inverse(priors.front[1])
     value = np.zeros((U, layout.n_su))
     value[:, N_PLACEMENT:N_SU] = np.concatenate([places.bias, places.shape], axis=1)
     value[:, layout.front] = state.front - priors.front[0]
     for g in range(layout.n_logs):
-        of_su[layout.clock(g)] = inverse(np.array([priors.lag, priors.drift]))
+        of_su[:, layout.clock(g)] = inverse(np.array([priors.lag, priors.drift]))
         value[:, layout.clock(g)] = state.clock[g]
+        if priors.clocks is not None:
+            of_su[:, layout.clock(g)] = inverse(priors.clocks.deviation[g])
+            value[:, layout.clock(g)] -= priors.clocks.mean[g]
     if layout.gyros:
         of_log = np.tile(priors.gyro[N_GYRO:], layout.n_logs)
-        of_su[layout.gyro] = inverse(np.concatenate([priors.gyro[:N_GYRO], of_log]))
+        of_su[:, layout.gyro] = inverse(np.concatenate([priors.gyro[:N_GYRO], of_log]))
         value[:, layout.gyro] = state.gyro
     su[:, range(layout.n_su), range(layout.n_su)] = of_su
     su_gradient -= of_su * value

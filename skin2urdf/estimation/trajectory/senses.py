@@ -95,7 +95,8 @@ def _is_vertical(tree: KinematicTree, state: State, joint: int) -> bool:
 def turned_round(tree: KinematicTree, state: State, joint: int, q: F64) -> State:
     """Placements with a joint in the other sense, and what it carries on the other side of it.
 
-    Orientations stay, and so do pushes to first order.
+    Orientations stay, and so do pushes to first order. The sensors of what it carries begin without
+    errors: a fit in the wrong sense bends them to the mirror images that no sensor is.
 
     Args:
         tree: the structure.
@@ -120,10 +121,14 @@ def turned_round(tree: KinematicTree, state: State, joint: int, q: F64) -> State
         if joint in tree.chain(k):
             base = after[parent] if parent >= 0 else np.eye(4)
             T_parent_joint[k] = inverse(base) @ after[k] @ inverse(motion[k])
+    bias, shape = state.bias.copy(), state.shape.copy()
     for u, k in enumerate(tree.su_joint):
         if k >= 0 and joint in tree.chain(int(k)):
             T_joint_su[u] = inverse(after[k]) @ _moved(across, before[k] @ state.T_joint_su[u])
-    return replace(state, T_parent_joint=T_parent_joint, T_joint_su=T_joint_su)
+            bias[u], shape[u] = 0.0, 0.0
+    return replace(
+        state, T_parent_joint=T_parent_joint, T_joint_su=T_joint_su, bias=bias, shape=shape
+    )
 
 
 def _in_base(tree: KinematicTree, state: State, motion: Sequence[F64]) -> list[F64]:

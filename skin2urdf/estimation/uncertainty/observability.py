@@ -35,6 +35,9 @@ UNKNOWN = 0.035
 """Standard deviation [m or rad] beyond which a direction is not observable: 35 mm, 2 deg."""
 WEAK = 0.005
 """Standard deviation [m or rad] beyond which a direction is weak: 5 mm, 0.3 deg."""
+_LIMITED = 0.5
+"""Standard deviation [rad] up to which a turn is limited by what sensors' errors can be: a larger
+one is no small turn, as which it was linearised, and next to nothing is known of it."""
 _TINY = 1e-12
 
 
@@ -50,6 +53,9 @@ class Observability(Record):
             the directions that are not observable.
         su_unobservable: per SU (k, 6) orthonormal directions (linear [m], angular times ARM)
             along which the log says nothing about the SU's placement on its joint.
+        su_hidden_turn: (U,) standard deviation of the turns among them, as large as the errors of
+            sensors that hide them can be [rad]; 0 where none is hidden, and for a turn that nothing
+            limits.
         su_verdict: per SU; of what recordings tell, which the turn that cross-axis errors hide
             is not.
         joint_covariance: (D, 4, 4) covariance of each joint's local coordinates tx, ty, rx, ry.
@@ -66,6 +72,7 @@ class Observability(Record):
 
     su_covariance: F64
     su_unobservable: tuple[F64, ...]
+    su_hidden_turn: F64
     su_verdict: tuple[Verdict, ...]
     joint_covariance: F64
     joint_verdict: tuple[Verdict, ...]
@@ -218,6 +225,7 @@ def _judged(
     return Observability(
         su_covariance=su_covariance,
         su_unobservable=tuple(directions),
+        su_hidden_turn=_hidden_turns(equations, free.sus, full, known, subject.given.position),
         su_verdict=su_verdict,
         joint_covariance=joint_covariance,
         joint_verdict=joint_verdict,
@@ -243,6 +251,38 @@ def _of_the_data(estimate: Estimate) -> NormalEquations:
     joint[held, held] -= weight
     su[:, range(3), range(3)] -= weight
     return replace(equations, joint=joint, su=su)
+
+
+def _hidden_turns(
+    equations: NormalEquations, free: Bool, full: ArrowCovariance, known: F64, position: float
+) -> F64:
+    """(U,) standard deviations of turns that are open, but limited by the errors of sensors [rad].
+
+    Args:
+        equations: information of the data and of what is known of sensors.
+        free: (U, 15) coordinates that were estimated.
+        full: the covariance, of which that of the joints is taken.
+        known: (U, 15, 15) projectors that lack the open directions.
+        position: standard deviation of an offset before anything is known of it [m].
+    """
+    turns = slice(3, N_PLACEMENT)
+    out = np.zeros(len(known))
+    for u, (H, projector) in enumerate(zip(equations.su, known, strict=True)):
+        open_ = np.eye(N_SU) - projector
+        if not open_[turns, turns].any():
+            continue
+        index = np.flatnonzero(free[u])
+        held = H + np.diag(np.r_[np.full(3, position**-2.0), np.zeros(N_SU - 3)])
+        lam, V = np.linalg.eigh(held[np.ix_(index, index)])
+        some = lam > _TINY * lam.max(initial=0.0)
+        own = np.zeros((N_SU, N_SU))
+        own[np.ix_(index, index)] = (V[:, some] / lam[some]) @ V[:, some].T
+        lean = own @ equations.mixed[u]
+        columns = equations.columns[u]
+        whole = own + lean @ full.joint[np.ix_(columns, columns)] @ lean.T
+        variance = np.linalg.eigvalsh((open_ @ whole @ open_)[turns, turns])
+        out[u] = np.sqrt(variance[(variance > _TINY) & (variance < _LIMITED**2)].sum())
+    return out
 
 
 def _information(priors: Priors) -> F64:

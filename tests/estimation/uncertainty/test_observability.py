@@ -139,6 +139,18 @@ def test_what_cross_axis_errors_hide_is_stated_and_no_lack_of_the_recording() ->
     assert seen.su_verdict[-1] == "determined"
 
 
+@pytest.mark.parametrize("bias", [0.3, 0.4])
+def test_a_tilt_that_biases_hide_is_stated_whether_it_counts_as_open_or_not(bias: float) -> None:
+    """The base's SU feels gravity alone: its bias hides a tilt, and nothing tells its azimuth."""
+    setting = EstimationSettings(priors=Priors(bias=bias, scale=0.0, cross=0.0, gravity=GRAVITY))
+    state = robot(2, 0.6)
+    of_sensors = bias * np.random.default_rng(1).standard_normal(state.bias.shape)
+    of, seen = found(replace(state, bias=of_sensors), setting=setting, noise=1e-3, n_poses=24)
+    stated = np.hypot(np.sqrt(np.trace(seen.su_covariance[0, 3:, 3:])), seen.su_hidden_turn[0])
+    assert stated == pytest.approx(np.sqrt(2) * of.cost.priors.bias / GRAVITY, rel=0.1)
+    assert (seen.su_hidden_turn[1:] == 0.0).all()
+
+
 def test_little_data_is_weak_or_unknown_and_said_so() -> None:
     state = robot(2, 0.6)
     rng = np.random.default_rng(0)

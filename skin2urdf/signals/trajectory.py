@@ -25,7 +25,7 @@ from skin2urdf.signals.filters import (
 )
 from skin2urdf.signals.leaps import Leaps
 from skin2urdf.signals.sampling import Sampled
-from skin2urdf.signals.stillness import MOVING, averaged_share, with_averages, without_toggling
+from skin2urdf.signals.stillness import MOVING, averaged_share, without_toggling
 
 _RATE_OVER_CUTOFF = 2.4
 """Samples kept per second over the low-pass' cutoff [Hz]: readings that were low-passed twice hold
@@ -135,12 +135,12 @@ class Trajectory(Record):
         raw = self.raw_rate if len(self.raw_rate) else np.full(self.q.shape[1], self.rate)
         return _of_accelerations(self.resolution**2 / 12, raw, self.taps, self.rate)
 
-    def slowly_where_still(self, q: F64) -> F64:
-        """Positions (N, D) averaged where joints stay, as those that are read are."""
+    @property
+    def averaged_share(self) -> F64:
+        """(N, D) share that averages have in positions that are read: all where a joint stays."""
         if not len(self.resolution):
-            return q
-        share = averaged_share(np.abs(self.qd), self.resolution, self.rate)
-        return with_averages(q, share, self.rate)
+            return np.zeros(self.q.shape)
+        return averaged_share(np.abs(self.qd), self.resolution, self.rate)
 
     def joints_taken(self, joints: Int, late: F64) -> Trajectory:
         """The same with the positions of some joints as they are so much later.

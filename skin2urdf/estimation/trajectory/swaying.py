@@ -47,8 +47,8 @@ def swaying(problem: MotionProblem, state: MotionState) -> Unseen | None:
     mean = np.concatenate(moments).mean(axis=0)
     largest = max(float(np.concatenate(moments).std(axis=0).max()), 1e-300)
     moved = [*(shift(tree, axis) for axis in range(3)), *about]
-    motions = tuple(np.tile((mean - each) / largest, N_HINGES) for each in moments)
-    return Unseen(np.repeat(moved, 3), motions)
+    motions = tuple((mean - each) / largest for each in moments)
+    return Unseen(np.repeat(moved, 3), motions, column=np.tile(np.arange(3), N_HINGES))
 
 
 def _bars(tree: KinematicTree, state: State) -> list[pin.Inertia]:

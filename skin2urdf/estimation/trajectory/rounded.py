@@ -40,7 +40,7 @@ def rounded_off_again(logs: Sequence[Trajectory]) -> Unseen | None:
     kept = tuple(np.empty((3, DRAWS, D, len(log.kept))) for log in logs)
     for log, drawn in zip(logs, kept, strict=True):
         for draw, off in enumerate(_off(log, rng)):
-            drawn[:, draw] = passed_at_kept(off, 1, log).swapaxes(1, 2)
+            drawn[:, draw] = passed_at_kept(off, 1, log)
     flat = tuple(each.reshape(3, DRAWS * D, -1) for each in kept)
     joint, number = np.tile(np.arange(D), DRAWS), np.repeat(np.arange(DRAWS), D)
     return Unseen(joint, (), number=number, kept=flat)

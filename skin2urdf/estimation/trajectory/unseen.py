@@ -11,8 +11,10 @@ from __future__ import annotations
 import operator
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from skin2urdf.arrays import F64, Int, Record, frozen
 from skin2urdf.estimation.trajectory.coarser import on_grid, passed_at_kept
@@ -55,6 +57,9 @@ class Unseen(Record):
     every: tuple[int, ...] = field(default=(), kw_only=True)
     kept: tuple[F64, ...] = field(default=(), kw_only=True)
     several: tuple[Unseen, ...] = field(default=(), kw_only=True)
+    _known: tuple[list[NDArray[Any]], tuple[F64, ...]] | None = field(
+        default=None, init=False, repr=False
+    )
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -83,7 +88,7 @@ class Unseen(Record):
         """M."""
         if self.several:
             return sum(each.n_columns for each in self.several)
-        return self.kept[0].shape[1] if self.kept else self.motions[0].shape[1]
+        return int(self.kept[0].shape[1] if self.kept else self.motions[0].shape[1])
 
     def at_kept(self, logs: Sequence[Trajectory]) -> tuple[F64, ...]:
         """Per log (3, M, K): motions and their derivatives at the samples compared.
@@ -97,15 +102,15 @@ class Unseen(Record):
             return tuple(np.concatenate(each, axis=1) for each in parts)
         # Several problems of the same logs ask for it.
         made_of = [each for log in logs for each in (log.kept, log.taps)]
-        before, found = vars(self).get("_at_kept", ([], ()))
-        if len(before) == len(made_of) and all(map(operator.is_, before, made_of)):
-            return found
+        known = self._known
+        if known and len(known[0]) == len(made_of) and all(map(operator.is_, known[0], made_of)):
+            return known[1]
         steps = self.every or (1,) * len(logs)
         found = tuple(
-            np.ascontiguousarray(passed_at_kept(d, step, log).swapaxes(1, 2))
+            np.ascontiguousarray(passed_at_kept(d, step, log))
             for d, step, log in zip(self.motions, steps, logs, strict=True)
         )
-        vars(self)["_at_kept"] = made_of, found
+        object.__setattr__(self, "_known", (made_of, found))
         return found
 
     def moved(self, log: Trajectory, g: int, x: F64) -> Trajectory:
@@ -127,7 +132,7 @@ class Unseen(Record):
         away = x - self.origin
         if not (away.any() or self.settled):
             return log
-        e = np.zeros(log.q.shape)
+        e: F64 = np.zeros(log.q.shape)
         self._add_motion(e, g, away)
         if self.settled:
             e += self.settled[g][:, : e.shape[1]]

@@ -7,6 +7,7 @@ differentiated and the prediction once more after it, the readings twice.
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -25,7 +26,7 @@ from skin2urdf.signals.filters import (
 )
 from skin2urdf.signals.leaps import Leaps
 from skin2urdf.signals.sampling import Sampled
-from skin2urdf.signals.stillness import MOVING, averaged_share, without_toggling
+from skin2urdf.signals.stillness import MOVING, averaged_share, with_averages, without_toggling
 
 _RATE_OVER_CUTOFF = 2.4
 """Samples kept per second over the low-pass' cutoff [Hz]: readings that were low-passed twice hold
@@ -135,12 +136,13 @@ class Trajectory(Record):
         raw = self.raw_rate if len(self.raw_rate) else np.full(self.q.shape[1], self.rate)
         return _of_accelerations(self.resolution**2 / 12, raw, self.taps, self.rate)
 
-    @property
-    def averaged_share(self) -> F64:
-        """(N, D) share that averages have in positions that are read: all where a joint stays."""
-        if not len(self.resolution):
-            return np.zeros(self.q.shape)
-        return averaged_share(np.abs(self.qd), self.resolution, self.rate)
+    def as_sampled(self, several: Iterable[F64]) -> Iterator[F64]:
+        """Positions (N, D), each as those that are read: averages where joints stay, low-passed."""
+        share = np.zeros(self.q.shape)
+        if len(self.resolution):
+            share = averaged_share(np.abs(self.qd), self.resolution, self.rate)
+        for q in several:
+            yield filtered(with_averages(q, share, self.rate), self.taps)
 
     def joints_taken(self, joints: Int, late: F64) -> Trajectory:
         """The same with the positions of some joints as they are so much later.

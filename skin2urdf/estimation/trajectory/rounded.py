@@ -17,8 +17,7 @@ import numpy as np
 from skin2urdf.arrays import F64
 from skin2urdf.estimation.trajectory.coarser import passed_at_kept
 from skin2urdf.estimation.trajectory.unseen import Unseen
-from skin2urdf.signals.filters import Spline, filtered
-from skin2urdf.signals.stillness import with_averages
+from skin2urdf.signals.filters import Spline
 from skin2urdf.signals.trajectory import Trajectory
 
 DRAWS = 16
@@ -39,7 +38,7 @@ def rounded_off_again(logs: Sequence[Trajectory]) -> Unseen | None:
     D = logs[0].q.shape[1]
     kept = tuple(np.empty((3, DRAWS, D, len(log.kept))) for log in logs)
     for log, drawn in zip(logs, kept, strict=True):
-        for draw, off in enumerate(_off(log, rng)):
+        for draw, off in enumerate(log.as_sampled(_off(log, rng))):
             drawn[:, draw] = passed_at_kept(off, 1, log)
     flat = tuple(each.reshape(3, DRAWS * D, -1) for each in kept)
     joint, number = np.tile(np.arange(D), DRAWS), np.repeat(np.arange(DRAWS), D)
@@ -65,7 +64,7 @@ def lost_in_averages(logs: Sequence[Trajectory]) -> Unseen | None:
 
 
 def _off(log: Trajectory, rng: np.random.Generator) -> Iterator[F64]:
-    """(N, D) by how much rounded positions are off, low-passed as these, in every draw.
+    """(N, D) by how much rounded positions are off before they are low-passed, in every draw.
 
     Encoders round at their own rate. The grid holds low-passed samples of what is read more often,
     of which noise is less, and curves through what is read more seldom, of which it is more.
@@ -75,7 +74,6 @@ def _off(log: Trajectory, rng: np.random.Generator) -> Iterator[F64]:
         yield from [np.zeros((len(log.q), D))] * DRAWS
         return
     raw = log.raw_rate if len(log.raw_rate) else np.full(D, log.rate)
-    share = log.averaged_share
     for _ in range(DRAWS):
         off = np.zeros((len(log.q), D))
         for rate in np.unique(raw):
@@ -83,8 +81,7 @@ def _off(log: Trajectory, rng: np.random.Generator) -> Iterator[F64]:
             drawn = _Rounding(log.resolution[some], rng.uniform(size=len(some)))
             by = drawn.seldom if rate < log.rate else drawn.often
             off[:, some] = by(log.q[:, some], log.rate, float(rate))
-        # Positions that are read are averaged where joints stay.
-        yield filtered(with_averages(off, share, log.rate), log.taps)
+        yield off
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,9 +12,12 @@ one in which it happened, are tried. Dividing by ``c2 / dof`` allows for a noise
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.special import fdtrc
 
 from skin2urdf.arrays import F64, Bool, Int
@@ -114,52 +117,66 @@ def _sums(cost: Cost, state: State) -> _Sums:
 def _best(sums: _Sums, u: int, free: Bool, count: Int, order: Int) -> Slip | None:
     """The likeliest slip of an SU, where there can be one at all."""
     order = order[count[order] > 0]
-    k = int(free[:N_PLACEMENT].sum())
-    tried = []
-    for i in range(_FEWEST, len(order) - _FEWEST + 1):
-        for skip in (0, 1):
-            if len(order) - i - skip < _FEWEST:
-                continue
-            sides = order[:i], order[i + skip :]
-            used = np.concatenate(sides)
-            dof = int(count[used].sum()) - int(free.sum()) - k
-            if dof < k:
-                continue
-            one = _chi2(sums, u, free, [used])
-            two = _chi2(sums, u, free, sides)
-            tried.append((i, skip, one, max(two, 1e-12), dof, int(count[order].sum()) - dof))
-    if not tried:
+    k, n = int(free[:N_PLACEMENT].sum()), len(order)
+    cuts = [(i, skip) for i in range(_FEWEST, n - _FEWEST + 1) for skip in (0, 1)]
+    first, skip = np.array(cuts, dtype=np.int64).reshape(-1, 2).T
+    second = first + skip
+    counted = _before(count[order])
+    used = counted[first] + counted[-1] - counted[second]
+    some = (n - second >= _FEWEST) & (used - int(free.sum()) - k >= k)
+    if not some.any():
         return None
-    scale = min(two / dof for _, _, _, two, dof, _ in tried)
-    cost = [
-        two + skip * scale * (left + _MARGIN * np.sqrt(2 * left))
-        for _, skip, _, two, _, left in tried
-    ]
-    i, skip, one, two, dof, _ = tried[int(np.argmin(cost))]
+    first, skip, second, used = first[some], skip[some], second[some], used[some]
+    dof = used - int(free.sum()) - k
+    of_poses = [x[order, u] for x in (sums.A, sums.b, sums.c)]
+    left = tuple(_before(x)[first] for x in of_poses)
+    right = tuple(_before(x[::-1])[n - second] for x in of_poses)
+    both = tuple(x + y for x, y in zip(left, right, strict=True))
+    one = _chi2(sums, u, free, [both])
+    two = np.maximum(_chi2(sums, u, free, [left, right]), 1e-12)
+    lost = counted[-1] - dof
+    scale = float((two / dof).min())
+    best = int(np.argmin(two + skip * scale * (lost + _MARGIN * np.sqrt(2 * lost))))
     # Of the pose in which it slipped nothing is left to explain.
     now = float(sums.c0[u] + sums.c[order, u].sum())
-    F = max(one - two, 0.0) / k / (two / dof)
+    least, freedom = float(two[best]), int(dof[best])
+    F = max(float(one[best]) - least, 0.0) / k / (least / freedom)
     with np.errstate(divide="ignore"):
-        log_p = float(np.log(fdtrc(k, dof, F)))
-    return Slip(u, int(order[i - 1]), int(order[i + skip]), F, max(now - two, 0.0), log_p)
+        log_p = float(np.log(fdtrc(k, freedom, F)))
+    last, after = int(order[first[best] - 1]), int(order[second[best]])
+    return Slip(u, last, after, F, max(now - least, 0.0), log_p)
 
 
-def _chi2(sums: _Sums, u: int, free: Bool, sides: list[Int] | tuple[Int, ...]) -> float:
-    """Chi-squared of an SU with a placement for each set of poses, and one sensor."""
-    n = N_PLACEMENT * (len(sides) - 1)
-    A, b = np.zeros((N_SU + n, N_SU + n)), np.zeros(N_SU + n)
-    c = float(sums.c0[u])
+def _before(x: NDArray[Any]) -> NDArray[Any]:
+    """(n + 1, ...) sums of the first of n values, from none of them to all."""
+    return np.concatenate([np.zeros_like(x[:1]), np.cumsum(x, axis=0)])
+
+
+def _chi2(sums: _Sums, u: int, free: Bool, sides: Sequence[tuple[F64, ...]]) -> F64:
+    """(C,) chi-squared of an SU with a placement for each set of poses, and one sensor.
+
+    Args:
+        sums: the priors of the SUs.
+        u: the SU.
+        free: (15,) its coordinates that are estimated.
+        sides: of each set information (C, 15, 15), gradient (C, 15) and chi-squared (C,), for C
+            ways to part the poses.
+    """
+    n, C = N_PLACEMENT * (len(sides) - 1), len(sides[0][2])
+    A, b = np.zeros((C, N_SU + n, N_SU + n)), np.zeros((C, N_SU + n))
+    c = np.full(C, float(sums.c0[u]))
     sensor = np.arange(N_PLACEMENT, N_SU) + n
     open_ = np.concatenate([*[free[:N_PLACEMENT]] * len(sides), free[N_PLACEMENT:]])
-    for i, poses in enumerate(sides):
+    for i, (information, gradient, chi2) in enumerate(sides):
         own = np.concatenate([np.arange(N_PLACEMENT) + N_PLACEMENT * i, sensor])
-        A[np.ix_(own, own)] += sums.A[poses, u].sum(axis=0)
-        b[own] += sums.b[poses, u].sum(axis=0)
-        c += float(sums.c[poses, u].sum())
+        A[:, own[:, None], own] += information
+        b[:, own] += gradient
+        c += chi2
     own = np.concatenate([np.arange(N_PLACEMENT), sensor])
-    A[np.ix_(own, own)] += sums.A0[u]
-    b[own] += sums.b0[u]
-    A, b = A[np.ix_(open_, open_)], b[open_]
-    scale = np.sqrt(np.maximum(np.diag(A), 1e-300))
-    x = np.linalg.solve(A / np.outer(scale, scale) + 1e-9 * np.eye(len(b)), b / scale)
-    return c - float(x @ (b / scale))
+    A[:, own[:, None], own] += sums.A0[u]
+    b[:, own] += sums.b0[u]
+    A, b = A[:, open_][:, :, open_], b[:, open_]
+    scale = np.sqrt(np.maximum(np.einsum("cii->ci", A), 1e-300))
+    unit = A / scale[:, :, None] / scale[:, None, :] + 1e-9 * np.eye(A.shape[1])
+    x = np.linalg.solve(unit, (b / scale)[..., None])[..., 0]
+    return np.asarray(c - (x * (b / scale)).sum(axis=1))

@@ -9,7 +9,7 @@ which hides it in each of them alone.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.ndimage import maximum_filter1d, median_filter
@@ -112,35 +112,35 @@ def disturbances(
         grid = s.motion.grid
         stops = find_stops(s.motion)
         readings = aligned(s.readings, grid.rate, features.latency)
-        for cutoff, allowance in _bands(s):
-            variance = regressor_noise(s.motion, cutoff)[0][1 + features.n_dofs :]
-            taps = low_pass(cutoff, grid.rate)
-            reach = _reach(grid.rate, cutoff)
-            sizes: list[tuple[int, F64]] = []
-            looked: list[tuple[int, F64, F64] | None] = []
-            for p, begin, residual in _residuals(s, readings, features, curvature, log, taps):
+        bands = [_Band.of(s, features.n_dofs, *each) for each in _bands(s)]
+        reach = max(len(band.taps) // 2 for band in bands)
+        for p, window, left in _residuals(s, readings, features, curvature, log, reach):
+            for band in bands:
                 done += 1
                 progress(done / windows)
-                own = own_noise(residual, features.tau[p], variance)
-                pushes = push_strengths(residual, features.tau[p], variance, own)
+                begin, residual = band.passed(s, window, left)
+                own = own_noise(residual, features.tau[p], band.variance)
+                pushes = push_strengths(residual, features.tau[p], band.variance, own)
                 size = standing_out(pushes, grid.rate)
                 if not len(size):
                     continue
-                sizes.append((begin, size))
-                plain = size.max() <= allowance * limit
-                looked.append(None if plain else (p, residual, own))
-            rises = rises_after_stops(sizes, stops, max(reach, stop_blur(grid.rate)))
-            for (begin, size), rise, seen in zip(sizes, rises, looked, strict=True):
+                band.sizes.append((begin, size))
+                plain = size.max() <= band.allowance * limit
+                band.looked.append(None if plain else (p, residual, own))
+        for band in bands:
+            blur = max(_reach(grid.rate, band.cutoff), stop_blur(grid.rate))
+            rises = rises_after_stops(band.sizes, stops, blur)
+            for (begin, size), rise, seen in zip(band.sizes, rises, band.looked, strict=True):
                 if seen is None:
                     continue
                 p, residual, own = seen
                 for a, b, at, strength in moments(
-                    size / rise, allowance * limit, grid.rate, cutoff
+                    size / rise, band.allowance * limit, grid.rate, band.cutoff
                 ):
                     out.append(
                         Disturbance(
                             log, p, begin + a, begin + b, float(grid.time[begin + at]), strength,
-                            residual[a:b], _UNSTEADY * own, np.sqrt(variance),
+                            residual[a:b], _UNSTEADY * own, np.sqrt(band.variance),
                             felt_by(residual, a, b),
                             _cut_off(readings, begin + a, begin + b),
                         )
@@ -245,11 +245,60 @@ def _limit(sampled: Sequence[Sampled], D: int) -> float:
     return float(-ndtri(_FALSE_ALARM / max(1.0, independent * D) / 2))
 
 
+@dataclass(frozen=True, eq=False)
+class _Band:
+    """Frequencies in which a log is looked at, and what was seen there so far.
+
+    Attributes:
+        cutoff: of the low-pass [Hz], and
+        taps: its taps.
+        allowance: how much further than normal noise residuals stand out by chance.
+        variance: (D,) of the encoders' noise in the accelerations [rad^2/s^4].
+        sizes: of every window its first sample, and how far something stands out in it.
+        looked: of every window, pose, residuals and noise of the SUs; None where nothing does.
+    """
+
+    cutoff: float
+    taps: F64
+    allowance: float
+    variance: F64
+    sizes: list[tuple[int, F64]] = field(default_factory=list)
+    looked: list[tuple[int, F64, F64] | None] = field(default_factory=list)
+
+    @staticmethod
+    def of(s: Sampled, n_dofs: int, cutoff: float, allowance: float) -> _Band:
+        """Of a log, nothing of which was looked at."""
+        variance = regressor_noise(s.motion, cutoff)[0][1 + n_dofs :]
+        return _Band(cutoff, low_pass(cutoff, s.motion.grid.rate), allowance, variance)
+
+    def passed(self, s: Sampled, window: tuple[int, int], left: tuple[int, F64]) -> tuple[int, F64]:
+        """First sample and low-passed residuals (N, U, 3) of a window.
+
+        Args:
+            s: the log.
+            window: its first grid sample and one past its last.
+            left: the first sample of what is known in and around it, and that.
+        """
+        (begin, end), (first, around) = window, left
+        half = len(self.taps) // 2
+        lo, hi = max(first, begin - half), min(first + len(around), end + half)
+        trim = min(half, max(0, (end - begin) // 4))
+        part = around[lo - first : hi - first]
+        smooth = filtered(part.reshape(len(part), -1), self.taps).reshape(part.shape)
+        a, b = begin + trim, end - trim
+        # An SU that lost samples would show what computing them again got wrong.
+        whole = np.all(s.valid[a:b] & ~s.computed[a:b], axis=0)
+        return a, smooth[a - lo : b - lo] * np.asarray(whole)[:, None]
+
+
 def _residuals(
-    s: Sampled, readings: F64, features: Features, curvature: Curvature, log: int, taps: F64
-) -> Iterator[tuple[int, int, F64]]:
-    """Pose, first grid sample and low-passed residuals (N, U, 3) of every window."""
-    motion, half = s.motion, len(taps) // 2
+    s: Sampled, readings: F64, features: Features, curvature: Curvature, log: int, reach: int
+) -> Iterator[tuple[int, tuple[int, int], tuple[int, F64]]]:
+    """Pose, first and end sample of every window, and residuals (N, U, 3) from some sample on.
+
+    They reach so many samples beyond the window.
+    """
+    motion = s.motion
     lossy = {fault.subject for fault in s.faults if fault.kind == "intermittent"}
     witness = np.array([name not in lossy for name in features.su_names])
     number = {tuple(features.span[p]): int(p) for p in np.flatnonzero(features.log == log)}
@@ -257,21 +306,17 @@ def _residuals(
         p = number.get(pose.span(motion.grid))
         if p is None:
             continue
+        coefficients = np.moveaxis(features.coefficients[p], 0, 1)
         for begin, end in pose.windows:
-            trim = min(half, max(0, (end - begin) // 4))
-            a, b = begin + trim, end - trim
-            lo, hi = max(0, begin - half), min(motion.grid.size, end + half)
+            lo, hi = max(0, begin - reach), min(motion.grid.size, end + reach)
             part = slice(lo, hi)
             dq, qd, qdd = motion.q[part] - pose.q, motion.qd[part], motion.qdd[part]
             X, _ = regressors(dq, qd, qdd, True)
             beyond, _ = curvature(pose.q, dq, qd, qdd, log)
             left = readings[part] - beyond
-            left = left - (X @ features.coefficients[p]).swapaxes(0, 1)
-            # An SU that lost samples would show what computing them again got wrong.
-            whole = witness & (s.valid[a:b] & ~s.computed[a:b]).all(axis=0)
-            left *= (s.valid[part] & whole)[..., None]
-            smooth = filtered(left.reshape(len(left), -1), taps).reshape(left.shape)
-            yield p, a, smooth[a - lo : b - lo]
+            left -= (X @ coefficients.reshape(X.shape[1], -1)).reshape(left.shape)
+            left *= (s.valid[part] & witness)[..., None]
+            yield p, (begin, end), (lo, left)
 
 
 def standing_out(pushes: F64, rate: float) -> F64:

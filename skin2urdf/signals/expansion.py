@@ -10,6 +10,7 @@ offset and drift, and what explains them best is refined by Gauss-Newton.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from itertools import combinations
 
 import numpy as np
@@ -45,15 +46,37 @@ class Expansion:
     """
 
     def __init__(self, q: F64, rate: float) -> None:
-        qd = slope(q, rate)
-        turns = [np.stack([np.sin(x), np.cos(x)], axis=1) for x in (q - q.mean(axis=0)).T]
-        constant = np.ones((len(q), 1))
-        self._columns = [np.concatenate([constant, *turns, slope(qd, rate), qd**2], axis=1)]
-        pairs = list(combinations(range(q.shape[1]), 2))
-        if pairs:
-            self._columns.append(np.stack([qd[:, a] * qd[:, b] for a, b in pairs], axis=1))
-            products = [turns[a][:, :, None] * turns[b][:, None, :] for a, b in pairs]
-            self._columns.append(np.concatenate([p.reshape(len(q), 4) for p in products], axis=1))
+        D = q.shape[1]
+        self._qd = slope(q, rate)
+        self._qdd = slope(self._qd, rate)
+        self._turns = [np.stack([np.sin(x), np.cos(x)], axis=1) for x in (q - q.mean(axis=0)).T]
+        self._pairs = list(combinations(range(D), 2))
+        # What few readings bear is not worked out: of many joints there are thousands of products.
+        self._groups: list[tuple[int, Callable[[], F64]]] = [(1 + 4 * D, self._of_each)]
+        if self._pairs:
+            self._groups.append((len(self._pairs), self._of_speeds))
+            self._groups.append((4 * len(self._pairs), self._of_turns))
+        self._known: dict[int, F64] = {}
+
+    def _of_each(self) -> F64:
+        """(n, 1 + 4 D) a constant, and what each joint makes."""
+        constant = np.ones((len(self._qd), 1))
+        return np.concatenate([constant, *self._turns, self._qdd, self._qd**2], axis=1)
+
+    def _of_speeds(self) -> F64:
+        """(n, P) products of two joints' speeds."""
+        return np.stack([self._qd[:, a] * self._qd[:, b] for a, b in self._pairs], axis=1)
+
+    def _of_turns(self) -> F64:
+        """(n, 4 P) products of two joints' sines and cosines."""
+        products = [self._turns[a][:, :, None] * self._turns[b][:, None, :] for a, b in self._pairs]
+        return np.concatenate([p.reshape(len(self._qd), 4) for p in products], axis=1)
+
+    def _columns(self, group: int) -> F64:
+        """(n, K) terms of a group, worked out once."""
+        if group not in self._known:
+            self._known[group] = self._groups[group][1]()
+        return self._known[group]
 
     def terms(self, values: float, most: float = np.inf) -> F64 | None:
         """(n, K) the first groups, as many as some independent values of a reading bear.
@@ -66,12 +89,12 @@ class Expansion:
             None where they do not bear the first: what a poorer expansion leaves is alike at other
             lags.
         """
-        if self._columns[0].shape[1] > values / _VALUES_PER_TERM:
+        sizes = [size for size, _ in self._groups]
+        if sizes[0] > values / _VALUES_PER_TERM:
             return None
         most = min(most, values / _VALUES_PER_TERM)
-        counts = np.cumsum([group.shape[1] for group in self._columns])
-        taken = max(1, int((counts <= most).sum()))
-        columns = np.concatenate(self._columns[:taken], axis=1)
+        taken = max(1, int((np.cumsum(sizes) <= most).sum()))
+        columns = np.concatenate([self._columns(group) for group in range(taken)], axis=1)
         size = np.sqrt((columns**2).sum(axis=0))
         return np.asarray(columns[:, size > 0] / size[size > 0])
 

@@ -275,11 +275,7 @@ def clipping(raw: F64, still: Bool) -> Bool:
     moving, noise = values[~quiet], rest_noise(raw, still)
     if len(moving) < _MOVING:
         return np.zeros(len(raw), dtype=bool)
-    ends = [
-        abs(end)
-        for column in values.T
-        for end in _ends(column, quiet & (noise <= _digit(column)), noise)
-    ]
+    ends = [abs(end) for column in values.T for end in _ends(column, quiet, noise)]
     # One range for all axes: what another reads beyond is inside of it, but for what a driver
     # corrects of each axis, and for spikes.
     size = np.abs(values).max(axis=1)
@@ -295,8 +291,18 @@ def _digit(column: F64) -> float:
     return float(np.diff(np.unique(column)).min(initial=np.inf))
 
 
-def _ends(column: F64, still: Bool, noise: float) -> list[float]:
-    """Ends of the range that one axis (M,) meets, but for samples at rest that say nothing."""
+def _ends(column: F64, quiet: Bool, noise: float) -> list[float]:
+    """Ends of the range that one axis (M,) meets, but for samples at rest that say nothing.
+
+    Args:
+        column: the axis.
+        quiet: (M,) True for samples at rest, which say nothing where there is less noise than a
+            digit.
+        noise: standard deviation of the sensor's noise.
+    """
+    if not any(map(_stays_at_an_extreme, (column, column[~quiet]))):
+        return []  # whatever the digit is, which takes longer to find
+    still = quiet & (noise <= _digit(column))
     moving = column[~still]
     low, high = moving.min(), moving.max()
     if high - low < _LEAST_NOISE:
@@ -304,8 +310,8 @@ def _ends(column: F64, still: Bool, noise: float) -> list[float]:
     ends = []
     for extreme, inward in ((low, slice(None)), (high, slice(None, None, -1))):
         at = moving == extreme
-        if at.sum() < min(_PLATEAU, _AGAIN):
-            continue  # so few are neither, and most sensors' extremes hold one
+        if not _is_held(at):
+            continue
         values, counts = np.unique(moving, return_counts=True)
         begin, stop = _longest((column == extreme) & ~still)
         long = len(values) > _VARIED and stop - begin >= _PLATEAU
@@ -313,6 +319,16 @@ def _ends(column: F64, still: Bool, noise: float) -> list[float]:
         if (long and _steep(column, begin, stop)) or piled:
             ends.append(float(extreme))
     return ends
+
+
+def _stays_at_an_extreme(column: F64) -> bool:
+    """Whether an axis (M,) may be clipped at either of its extremes."""
+    return any(_is_held(column == extreme) for extreme in (column.min(), column.max()))
+
+
+def _is_held(at: Bool) -> bool:
+    """Whether samples at an extreme (M,) are a plateau or come again; most extremes hold one."""
+    return bool(at.sum() >= min(_PLATEAU, _AGAIN))
 
 
 def _piled(at: Bool, values: F64, counts: Int, noise: float) -> bool:

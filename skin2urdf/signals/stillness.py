@@ -60,8 +60,16 @@ def with_averages(q: F64, share: F64, rate: float) -> F64:
         share: of the averages.
         rate: samples per second [Hz].
     """
-    out, some = np.array(q), share.any(axis=0)
-    out[:, some] += share[:, some] * (filtered(q[:, some], _window(rate)) - q[:, some])
+    some = share.any(axis=0)
+    if not some.all():
+        out = np.array(q)
+        if some.any():
+            out[:, some] = with_averages(q[:, some], share[:, some], rate)
+        return out
+    out = filtered(q, _window(rate))
+    out -= q
+    out *= share
+    out += q
     return out
 
 

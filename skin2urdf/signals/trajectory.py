@@ -7,8 +7,8 @@ differentiated and the prediction once more after it, the readings twice.
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 
 import numpy as np
 
@@ -72,6 +72,7 @@ class Trajectory(Record):
             [rad or m]; (0, 0) where they took nothing.
         left_out: (N, E) positions of joints that move and are none of these; (0, 0) for none.
         thin: of the samples that hold all that the low-pass lets through, one in so many is kept.
+        known: what was made of readings, and the readings; of the same ones nothing is made anew.
     """
 
     log: int
@@ -98,22 +99,30 @@ class Trajectory(Record):
     averaged: F64 = field(default_factory=lambda: np.zeros((0, 0)))
     left_out: F64 = field(default_factory=lambda: np.zeros((0, 0)))
     thin: int = 1
+    known: dict[str, tuple[F64, tuple[Spline, ...]]] = field(default_factory=dict, repr=False)
 
     @property
     def time(self) -> F64:
         """(K,) times of the kept samples since the log's first one [s]."""
         return np.asarray(self.kept / self.rate)
 
-    @cached_property
+    @property
     def splines(self) -> tuple[Spline, ...]:
         """The readings of each of the U SUs, to be taken at fractional positions on the grid."""
-        shelf = Shelf()
-        return tuple(Spline(column, shelf) for column in self.readings.swapaxes(0, 1))
+        return self._splines("readings", self.readings, Shelf())
 
-    @cached_property
+    @property
     def rate_splines(self) -> tuple[Spline, ...]:
         """The same of gyroscopes; none where there are none."""
-        return tuple(Spline(x) for x in self.rates.swapaxes(0, 1)) if self.rates is not None else ()
+        return () if self.rates is None else self._splines("rates", self.rates)
+
+    def _splines(self, name: str, values: F64, shelf: Shelf | None = None) -> tuple[Spline, ...]:
+        """Splines through values (N, U, 3); logs that differ in other things share them."""
+        of, splines = self.known.get(name, (None, ()))
+        if of is not values:
+            splines = tuple(Spline(x, shelf) for x in values.swapaxes(0, 1))
+            self.known[name] = values, splines
+        return splines
 
     @property
     def since_middle(self) -> F64:
@@ -135,12 +144,13 @@ class Trajectory(Record):
         raw = self.raw_rate if len(self.raw_rate) else np.full(self.q.shape[1], self.rate)
         return _of_accelerations(self.resolution**2 / 12, raw, self.taps, self.rate)
 
-    def slowly_where_still(self, q: F64) -> F64:
-        """Positions (N, D) averaged where joints stay, as those that are read are."""
-        if not len(self.resolution):
-            return q
-        share = averaged_share(np.abs(self.qd), self.resolution, self.rate)
-        return with_averages(q, share, self.rate)
+    def as_sampled(self, several: Iterable[F64]) -> Iterator[F64]:
+        """Positions (N, D), each as those that are read: averages where joints stay, low-passed."""
+        share = np.zeros(self.q.shape)
+        if len(self.resolution):
+            share = averaged_share(np.abs(self.qd), self.resolution, self.rate)
+        for q in several:
+            yield filtered(with_averages(q, share, self.rate), self.taps)
 
     def joints_taken(self, joints: Int, late: F64) -> Trajectory:
         """The same with the positions of some joints as they are so much later.

@@ -60,7 +60,7 @@ def on_grid(x: F64, step: int, size: int) -> F64:
 
 
 def passed_at_kept(x: F64, step: int, log: Trajectory) -> F64:
-    """(3, K, C) values and their first two derivatives, low-passed, where a log is compared.
+    """(3, C, K) values and their first two derivatives, low-passed, where a log is compared.
 
     Args:
         x: (M, C) at each so many-th sample of the log's grid.
@@ -75,11 +75,12 @@ def passed_at_kept(x: F64, step: int, log: Trajectory) -> F64:
     x = filtered(x, coarse.taps)
     x[np.abs(x) < _NOTHING * largest] = 0.0
     if step == 1:
-        return np.stack([x[at], first_derivative(x, rate, at), second_derivative(x, rate, at)])
+        derived = first_derivative(x, rate, at), second_derivative(x, rate, at)
+        return np.stack([each.T for each in (x[at], *derived)])
     between = _between(at, step, len(x))
     of_first = between @ _differences(FIRST_DIFFERENCES * rate, len(x))
     of_second = between @ _differences(SECOND_DIFFERENCES * rate**2, len(x))
-    return np.stack([matrix @ x for matrix in (between, of_first, of_second)])
+    return np.stack([(matrix @ x).T for matrix in (between, of_first, of_second)])
 
 
 def _in_a_row(at: Int) -> bool:
@@ -97,11 +98,11 @@ def _passed(x: F64, log: Trajectory) -> F64:
     reach = filters.shape[1] // 2
     # Ends repeat the outermost samples.
     around = np.arange(at[0] - reach, at[-1] + reach + 1).clip(0, len(x) - 1)
-    out = np.empty((3, len(at), x.shape[1]))
+    out = np.empty((3, x.shape[1], len(at)))
     for first in range(0, x.shape[1], _TOGETHER):
         some = slice(first, first + _TOGETHER)
         here = np.ascontiguousarray(x[around, some].T)
-        out[:, :, some] = passed(here, filters, every).transpose(1, 2, 0)
+        out[:, some] = passed(here, filters, every).swapaxes(0, 1)
     return out
 
 

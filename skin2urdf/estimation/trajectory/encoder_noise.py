@@ -138,15 +138,16 @@ def _shortening(
     shared = slice(0, layout.gravity + 1)
     # What is steady shows nothing of clocks and front ends; of these the fit itself takes it off.
     own = slice(0, layout.front.start)
-    parts: list[Shortening] = []
-    for pushed in _never_in_one_chain(tree):
+    groups = _never_in_one_chain(tree)
+    by_driven, by_still = [], []
+    for pushed in groups:
         driven_by = _posed(problem, pushed)
         driven = _predicted(driven_by, state)
         active = tree.activity()[:, pushed]
         beyond, felt = active.any(axis=1), np.array(pushed)[active.argmax(axis=1)]
         # Residuals are readings less predictions, so this is what a unit of acceleration does.
         tau = [
-            np.where((a.measured & beyond)[..., None], a.residual - b.residual, 0.0)
+            np.where((a.measured & b.measured & beyond)[..., None], a.residual - b.residual, 0.0)
             for a, b in zip(at_rest, driven, strict=True)
         ]
         weights = [
@@ -154,11 +155,12 @@ def _shortening(
             for w, log in zip(fitted.weights, problem.logs, strict=True)
         ]
         louder = [w * n[felt, None] for w, n in zip(weights, noise, strict=True)]
-        joint, su = _gradients(driven_by, state, driven, tau, louder)
-        # What stands still has the same derivatives whichever joint is pushed.
-        pushed_by = [w * t for w, t in zip(louder, tau, strict=True)]
-        ones = [np.ones_like(each) for each in pushed_by]
-        of_joint, of_su = _gradients(still, state, at_rest, pushed_by, ones)
+        by_still.append([w * t for w, t in zip(louder, tau, strict=True)])
+        by_driven += driven_by.gradients(state, driven, by_still[-1:])
+    parts: list[Shortening] = []
+    # What stands still has the same derivatives whichever joint is pushed.
+    at_still = still.gradients(state, at_rest, by_still)
+    for pushed, (joint, su), (of_joint, of_su) in zip(groups, by_driven, at_still, strict=True):
         to_joint, to_su = np.zeros(layout.n_joint), np.zeros((tree.n_sus, layout.n_su))
         to_joint[shared] = (joint - of_joint)[shared]
         to_joint[layout.further] = (joint - of_joint)[still.layout.further]
@@ -174,18 +176,6 @@ def _left(found: Fitted, weighed: Fitted) -> F64:
         for w, p in zip(weighed.weights, found.predicted, strict=True)
     ]
     return np.asarray(np.sum(by_log, axis=0))
-
-
-def _gradients(
-    problem: MotionProblem,
-    state: MotionState,
-    predicted: Sequence[Predicted],
-    residual: Sequence[F64],
-    weights: Sequence[F64],
-) -> tuple[F64, F64]:
-    """Gradients (J,) and (U, n) that given residuals (K, U, 3) would make, without priors."""
-    swapped = [replace(p, residual=r) for p, r in zip(predicted, residual, strict=True)]
-    return problem.gradients(state, swapped, weights)
 
 
 def _predicted(problem: MotionProblem, state: MotionState) -> list[Predicted]:

@@ -132,7 +132,9 @@ def beyond_joint(motion: FrameMotion, slides: bool, q: F64, qd: F64, qdd: F64) -
     c, s = np.cos(q), np.sin(q)
 
     def turned(x: F64) -> F64:
-        return np.stack([c * x[0] + s * x[1], c * x[1] - s * x[0], x[2]])
+        out = np.empty_like(x)
+        out[0], out[1], out[2] = c * x[0] + s * x[1], c * x[1] - s * x[0], x[2]
+        return out
 
     w_new, a_new = turned(w), turned(a)
     a_new[0] += w_new[1] * qd
@@ -159,7 +161,9 @@ def seen_before_joint(path: Path, slides: bool, q: F64, qd: F64, qdd: F64) -> Pa
     c, s = np.cos(q), np.sin(q)
 
     def turned(x: F64) -> F64:
-        return np.stack([c * x[0] - s * x[1], s * x[0] + c * x[1], x[2]])
+        out = np.empty_like(x)
+        out[0], out[1], out[2] = c * x[0] - s * x[1], s * x[0] + c * x[1], x[2]
+        return out
 
     # z x r = (-y, x, 0) and z x (z x r) = -(x, y, 0).
     speed, acceleration = np.array(rd), np.array(rdd)
@@ -257,13 +261,12 @@ def joint_columns(motion: FrameMotion, path: Path, slides: bool) -> F64:
 
 def in_su(R_frame_su: F64, x: F64) -> F64:
     """(n, 3, K) vectors of a frame in the SU's frame, by R_frame_su (3, 3, K)."""
-    return np.stack(
-        [
-            R_frame_su[0, i] * x[:, 0] + R_frame_su[1, i] * x[:, 1] + R_frame_su[2, i] * x[:, 2]
-            for i in range(3)
-        ],
-        axis=1,
-    )
+    out = np.empty(x.shape)
+    for i in range(3):
+        np.multiply(R_frame_su[0, i], x[:, 0], out=out[:, i])
+        out[:, i] += R_frame_su[1, i] * x[:, 1]
+        out[:, i] += R_frame_su[2, i] * x[:, 2]
+    return out
 
 
 def frame_motions(

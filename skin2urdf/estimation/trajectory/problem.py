@@ -314,23 +314,36 @@ class MotionProblem(Derivatives):
         return with_priors(self.priors, self.layout, self._seconds, state, sums.equations())
 
     def gradients(
-        self, state: MotionState, predicted: Sequence[Predicted], weights: Sequence[F64]
-    ) -> tuple[F64, F64]:
-        """Gradients (J,) and (U, n) that residuals of accelerometers make, without priors.
+        self,
+        state: MotionState,
+        predicted: Sequence[Predicted],
+        pulls: Sequence[Sequence[F64]],
+    ) -> list[tuple[F64, F64]]:
+        """Gradients (J,) and (U, n) that residuals of accelerometers would make, without priors.
 
         In what encoders do not see there are none.
 
         Args:
             state: where.
-            predicted: residuals of each log there.
-            weights: per log (K, U, 3) information of each sample [s^4/m^2].
+            predicted: each log held against the state, of which residuals do not count.
+            pulls: several times, per log (K, U, 3), residuals times their information, 0 where
+                nothing is measured [s^2/m].
+
+        Returns:
+            As many.
         """
-        sums = Sums.nothing(self.layout, self.tree.n_sus)
-        for link, carried in self._links(state, predicted, weights):
-            sums.pull_joints(link)
+        every = [Sums.nothing(self.layout, self.tree.n_sus) for _ in pulls]
+        for link, carried in self._links(state, predicted, [np.ones_like(p) for p in pulls[0]]):
+            links = [
+                replace(link, residual=np.ascontiguousarray(np.moveaxis(p[:, link.sus], 0, 2)))
+                for p in (each[link.log] for each in pulls)
+            ]
+            for sums, pulled in zip(every, links, strict=True):
+                sums.pull_joints(pulled)
             for some, own in self._own(state, link, carried):
-                sums.pull_sus(link, some, own)
-        return sums.joint_gradient, sums.su_gradient
+                for sums, pulled in zip(every, links, strict=True):
+                    sums.pull_sus(pulled, some, own)
+        return [(sums.joint_gradient, sums.su_gradient) for sums in every]
 
     def spans(
         self,
@@ -452,6 +465,26 @@ class MotionProblem(Derivatives):
     def prior_information(self, state: MotionState) -> tuple[F64, F64, F64, F64]:
         """Information (J,) and (U, n, n) of the priors and their gradients (J,) and (U, n)."""
         return prior_information(self.priors, self.layout, self._seconds, state)
+
+    def with_other_priors(
+        self, equations: Equations, state: MotionState, before: MotionProblem
+    ) -> Equations:
+        """Equations of the same samples with what is known now in place of what was before.
+
+        Args:
+            equations: of the problem as it was.
+            state: where.
+            before: that problem, of which offsets were known as well.
+        """
+        known, was = self.prior_information(state), before.prior_information(state)
+        joint, su, to_joint, to_su = (new - old for new, old in zip(known, was, strict=True))
+        return Equations(
+            joint=equations.joint + np.diag(joint),
+            su=equations.su + su,
+            mixed=equations.mixed,
+            joint_gradient=equations.joint_gradient + to_joint,
+            su_gradient=equations.su_gradient + to_su,
+        )
 
     def prior_chi2(self, state: MotionState) -> float:
         """Chi-squared of the priors at a state."""

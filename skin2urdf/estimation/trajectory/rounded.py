@@ -9,14 +9,15 @@ show what else it might have been (a parametric bootstrap: Efron and Tibshirani 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from skin2urdf.arrays import F64
+from skin2urdf.estimation.trajectory.coarser import passed_at_kept
 from skin2urdf.estimation.trajectory.unseen import Unseen
-from skin2urdf.signals.filters import Spline, filtered
+from skin2urdf.signals.filters import Spline
 from skin2urdf.signals.trajectory import Trajectory
 
 DRAWS = 16
@@ -26,6 +27,8 @@ DRAWS = 16
 def rounded_off_again(logs: Sequence[Trajectory]) -> Unseen | None:
     """Motion of links beyond their encoders, one number for each draw; None without a step.
 
+    It is known at the samples compared only: draws of all would be many times the log.
+
     Args:
         logs: trajectories of the D joints.
     """
@@ -33,13 +36,13 @@ def rounded_off_again(logs: Sequence[Trajectory]) -> Unseen | None:
         return None
     rng = np.random.default_rng(0)
     D = logs[0].q.shape[1]
-    motions = tuple(np.empty((len(log.q), DRAWS * D)) for log in logs)
-    for log, drawn in zip(logs, motions, strict=True):
-        for first in range(0, DRAWS * D, D):
-            drawn[:, first : first + D] = _off(log, rng)
-        drawn.flags.writeable = False  # of which the record then needs no copy
+    kept = tuple(np.empty((3, DRAWS, D, len(log.kept))) for log in logs)
+    for log, drawn in zip(logs, kept, strict=True):
+        for draw, off in enumerate(log.as_sampled(_off(log, rng))):
+            drawn[:, draw] = passed_at_kept(off, 1, log)
+    flat = tuple(each.reshape(3, DRAWS * D, -1) for each in kept)
     joint, number = np.tile(np.arange(D), DRAWS), np.repeat(np.arange(DRAWS), D)
-    return Unseen(joint, motions, number=number)
+    return Unseen(joint, (), number=number, kept=flat)
 
 
 def lost_in_averages(logs: Sequence[Trajectory]) -> Unseen | None:
@@ -60,23 +63,25 @@ def lost_in_averages(logs: Sequence[Trajectory]) -> Unseen | None:
     return Unseen(np.arange(D), motions)
 
 
-def _off(log: Trajectory, rng: np.random.Generator) -> F64:
-    """(N, D) by how much rounded positions are off, low-passed as these.
+def _off(log: Trajectory, rng: np.random.Generator) -> Iterator[F64]:
+    """(N, D) by how much rounded positions are off before they are low-passed, in every draw.
 
     Encoders round at their own rate. The grid holds low-passed samples of what is read more often,
     of which noise is less, and curves through what is read more seldom, of which it is more.
     """
     D = log.q.shape[1]
     if not len(log.resolution):
-        return np.zeros((len(log.q), D))
+        yield from [np.zeros((len(log.q), D))] * DRAWS
+        return
     raw = log.raw_rate if len(log.raw_rate) else np.full(D, log.rate)
-    off = np.zeros((len(log.q), D))
-    for rate in np.unique(raw):
-        some = np.flatnonzero(raw == rate)
-        drawn = _Rounding(log.resolution[some], rng.uniform(size=len(some)))
-        by = drawn.seldom if rate < log.rate else drawn.often
-        off[:, some] = by(log.q[:, some], log.rate, float(rate))
-    return filtered(log.slowly_where_still(off), log.taps)
+    for _ in range(DRAWS):
+        off = np.zeros((len(log.q), D))
+        for rate in np.unique(raw):
+            some = np.flatnonzero(raw == rate)
+            drawn = _Rounding(log.resolution[some], rng.uniform(size=len(some)))
+            by = drawn.seldom if rate < log.rate else drawn.often
+            off[:, some] = by(log.q[:, some], log.rate, float(rate))
+        yield off
 
 
 @dataclass(frozen=True, eq=False)

@@ -36,8 +36,11 @@ def with_sensors_alike(problem: MotionProblem, fitted: Fitted) -> tuple[MotionPr
     learnt = _learnt(problem, fitted)
     if learnt == problem.priors.sensors:
         return problem, fitted
-    problem = problem.again(priors=replace(problem.priors, sensors=learnt))
-    return problem, fit(problem, fitted.state, near=True, predicted=fitted.predicted)
+    alike = problem.again(priors=replace(problem.priors, sensors=learnt))
+    # The samples say what they said.
+    equations = alike.with_other_priors(fitted.equations, fitted.state, problem)
+    begin = fitted.predicted
+    return alike, fit(alike, fitted.state, near=True, predicted=begin, equations=equations)
 
 
 def _learnt(problem: MotionProblem, fitted: Fitted) -> Priors:

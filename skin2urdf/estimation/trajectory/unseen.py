@@ -8,10 +8,13 @@ does. The o_s are 0, and so is e_o, but where motions are known about some numbe
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from skin2urdf.arrays import F64, Int, Record, frozen
 from skin2urdf.estimation.trajectory.coarser import on_grid, passed_at_kept
@@ -38,6 +41,10 @@ class Unseen(Record):
         settled: per log (N, D + 6) motion of joints and hinges that numbers at the origin make;
             none of them where they make none.
         every: per log, grid samples from one of its motions' to the next; () where they have all.
+        kept: per log (3, M, K) motions and their derivatives at the samples compared, where nothing
+            else of them is known, and none of the numbers is ever more than looked at; else ().
+        several: what it is put together from, one after the other, and what has its motions; ()
+            where it has them itself.
     """
 
     joint: Int
@@ -48,6 +55,11 @@ class Unseen(Record):
     origin: F64 = field(default_factory=lambda: np.zeros(0), kw_only=True)
     settled: tuple[F64, ...] = field(default=(), kw_only=True)
     every: tuple[int, ...] = field(default=(), kw_only=True)
+    kept: tuple[F64, ...] = field(default=(), kw_only=True)
+    several: tuple[Unseen, ...] = field(default=(), kw_only=True)
+    _known: tuple[list[NDArray[Any]], tuple[F64, ...]] | None = field(
+        default=None, init=False, repr=False
+    )
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -71,16 +83,35 @@ class Unseen(Record):
         """(E,) how many of its column each entry moves by."""
         return self.unit if len(self.unit) else np.ones(len(self.joint))
 
+    @property
+    def n_columns(self) -> int:
+        """M."""
+        if self.several:
+            return sum(each.n_columns for each in self.several)
+        return int(self.kept[0].shape[1] if self.kept else self.motions[0].shape[1])
+
     def at_kept(self, logs: Sequence[Trajectory]) -> tuple[F64, ...]:
         """Per log (3, M, K): motions and their derivatives at the samples compared.
 
         They are low-passed as predictions are: readings feel what is left then.
         """
+        if self.kept:
+            return self.kept
+        if self.several:
+            parts = zip(*(each.at_kept(logs) for each in self.several), strict=True)
+            return tuple(np.concatenate(each, axis=1) for each in parts)
+        # Several problems of the same logs ask for it.
+        made_of = [each for log in logs for each in (log.kept, log.taps)]
+        known = self._known
+        if known and len(known[0]) == len(made_of) and all(map(operator.is_, known[0], made_of)):
+            return known[1]
         steps = self.every or (1,) * len(logs)
-        return tuple(
-            np.ascontiguousarray(passed_at_kept(d, step, log).swapaxes(1, 2))
+        found = tuple(
+            np.ascontiguousarray(passed_at_kept(d, step, log))
             for d, step, log in zip(self.motions, steps, logs, strict=True)
         )
+        object.__setattr__(self, "_known", (made_of, found))
+        return found
 
     def moved(self, log: Trajectory, g: int, x: F64) -> Trajectory:
         """A log with the links' motion in place of the encoders'.
@@ -92,25 +123,47 @@ class Unseen(Record):
 
         Returns:
             The log, with six columns more, of the base's hinges, where any of these moves.
+
+        Raises:
+            ValueError: a number moves what is known at the samples compared only.
         """
         n_joints = log.q.shape[1]
-        hinges = np.zeros((len(log.q), N_HINGES if self.moves_base(n_joints) else 0))
-        of_joint = np.zeros((self.motions[g].shape[1], n_joints + hinges.shape[1]))
-        each = self.units * (x - self.origin)[self.number]
-        np.add.at(of_joint, (self.columns, self.joint), each)
-        e = on_grid(self.motions[g] @ of_joint, self.every[g] if self.every else 1, len(log.q))
+        log = _with_hinges(log, N_HINGES if self.moves_base(n_joints) else 0)
+        away = x - self.origin
+        if not (away.any() or self.settled):
+            return log
+        e: F64 = np.zeros(log.q.shape)
+        self._add_motion(e, g, away)
         if self.settled:
             e += self.settled[g][:, : e.shape[1]]
         return replace(
             log,
-            q=np.hstack([log.q, hinges]) + e,
-            qd=np.hstack([log.qd, hinges]) + first_derivative(e, log.rate),
-            qdd=np.hstack([log.qdd, hinges]) + second_derivative(e, log.rate),
+            q=log.q + e,
+            qd=log.qd + first_derivative(e, log.rate),
+            qdd=log.qdd + second_derivative(e, log.rate),
         )
+
+    def _add_motion(self, e: F64, g: int, x: F64) -> None:
+        """Add to motion (N, D or D + 6) what numbers x (S,) away from the origin make of it."""
+        if not x.any():
+            return
+        if self.several:
+            ends = np.cumsum([each.n_numbers for each in self.several])[:-1]
+            for part, own in zip(self.several, np.split(x, ends), strict=True):
+                part._add_motion(e, g, own)
+            return
+        if self.kept:
+            raise ValueError("what is known at the samples compared only can not be followed")
+        of_joint = np.zeros((self.n_columns, e.shape[1]))
+        np.add.at(of_joint, (self.columns, self.joint), self.units * x[self.number])
+        e += on_grid(self.motions[g] @ of_joint, self.every[g] if self.every else 1, len(e))
 
     @property
     def on_grid(self) -> tuple[F64, ...]:
         """Per log (N, M) the motions at all samples of its grid."""
+        if self.several:
+            parts = zip(*(each.on_grid for each in self.several), strict=True)
+            return tuple(np.concatenate(each, axis=1) for each in parts)
         if not self.every:
             return self.motions
         sizes = map(len, self.settled)
@@ -121,24 +174,34 @@ class Unseen(Record):
         return bool((self.joint >= n_joints).any())
 
 
+def _with_hinges(log: Trajectory, n: int) -> Trajectory:
+    """A log with n columns more, of hinges that stay."""
+    if not n:
+        return log
+    still = np.zeros((len(log.q), n))
+    q, qd, qdd = (np.hstack([x, still]) for x in (log.q, log.qd, log.qdd))
+    return replace(log, q=q, qd=qd, qdd=qdd)
+
+
 def together(several: Sequence[Unseen]) -> Unseen:
-    """The numbers of several, one after the other."""
+    """The numbers of several, one after the other; their motions stay where they are."""
     first = np.cumsum([0, *(each.n_numbers for each in several)])
-    columns = np.cumsum([0, *(each.motions[0].shape[1] for each in several)])
-    motions = tuple(
-        np.concatenate(parts, axis=1) for parts in zip(*(e.on_grid for e in several), strict=True)
-    )
-    for each in motions:
-        each.flags.writeable = False  # of which the record then needs no copy
+    columns = np.cumsum([0, *(each.n_columns for each in several)])
     return Unseen(
         np.concatenate([each.joint for each in several]),
-        motions,
+        (),
         column=np.concatenate([e.columns + n for e, n in zip(several, columns[:-1], strict=True)]),
         unit=np.concatenate([each.units for each in several]),
         number=np.concatenate([e.number + n for e, n in zip(several, first[:-1], strict=True)]),
         origin=np.concatenate([each.origin for each in several]),
         settled=_sums([each.settled for each in several if each.settled]),
+        several=tuple(map(_finely, several)),
     )
+
+
+def _finely(unseen: Unseen) -> Unseen:
+    """The same with its motions at all samples of the logs' grids."""
+    return replace(unseen, motions=unseen.on_grid, every=()) if unseen.every else unseen
 
 
 def _sums(several: Sequence[tuple[F64, ...]]) -> tuple[F64, ...]:

@@ -48,7 +48,9 @@ def test_an_su_among_many_is_what_it_is_alone() -> None:
     weights = [rng.uniform(1, 2, p.residual.shape) for p in predicted]
     whole = all_at_once.equations(state, predicted, weights)
     joint, gradient = _of_data(all_at_once, state, whole)
-    pulled, _ = all_at_once.gradients(state, predicted, weights)
+    left = [np.where(p.measured[..., None], p.residual, 0.0) for p in predicted]
+    pulls = [w * r for w, r in zip(weights, left, strict=True)]
+    ((pulled, _),) = all_at_once.gradients(state, predicted, [pulls])
     seen_by_encoders = np.delete(np.arange(len(gradient)), all_at_once.layout.unseen)
     np.testing.assert_allclose(
         pulled[seen_by_encoders], gradient[seen_by_encoders], atol=1e-9 * np.abs(gradient).max()

@@ -48,11 +48,10 @@ def test_draws_shake_as_much_as_rounding_does(tmp_path: Path, joint_rate: float)
     )
     again = rounded_off_again([log])
     assert again is not None
-    drawn = again.motions[0].reshape(len(log.q), DRAWS, 2)
-    there, here = (
-        np.sqrt(np.mean(filtered(second_derivative(x, log.rate), log.taps)[log.kept] ** 2, axis=0))
-        for x in (log.q - filtered(true, log.taps), drawn)
-    )
+    (kept,) = again.at_kept([log])
+    off = second_derivative(log.q - filtered(true, log.taps), log.rate)
+    there = np.sqrt(np.mean(filtered(off, log.taps)[log.kept] ** 2, axis=0))
+    here = np.sqrt(np.mean(kept[2].reshape(DRAWS, 2, -1) ** 2, axis=2))
     assert here.mean(axis=0) == pytest.approx(there, rel=0.25)
     # So what is taken off for it is known better than to its root of a third.
     assert unsure(along.problem, along.fitted, again, [np.arange(2)])[0] < 0.5

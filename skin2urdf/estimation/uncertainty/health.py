@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from weakref import WeakKeyDictionary
-
 import numpy as np
 
 from skin2urdf.arrays import Bool
@@ -61,16 +59,9 @@ def are_plausible(state: State) -> Bool:
 
 
 def unlike_the_rest(estimate: Estimate) -> tuple[int, ...]:
-    """SUs that fit far worse than the others; of an estimate that was asked before, at once."""
-    known = _odd_of.get(estimate)
-    if known is None:
-        odd = sus_unlike_the_rest(by_block(estimate)).odd
-        known = _odd_of[estimate] = tuple(int(u) for u in np.flatnonzero(odd))
-    return known
-
-
-_odd_of: WeakKeyDictionary[Estimate, tuple[int, ...]] = WeakKeyDictionary()
-"""What was found of estimates that are still in use; every structure that is tried asks again."""
+    """SUs that fit far worse than the others."""
+    odd = sus_unlike_the_rest(by_block(estimate)).odd
+    return tuple(int(u) for u in np.flatnonzero(odd))
 
 
 def health_notes(estimate: Estimate, goodness: Goodness) -> tuple[Note, ...]:

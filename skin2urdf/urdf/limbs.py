@@ -49,7 +49,8 @@ def anchors_of(limbs: Sequence[str], trust: Int, moved: Bool) -> Bool:
 
     A limb is aligned by its SUs of the highest trust: one that is hardly determined would else turn
     the frame in which all others are compared. Where an open direction moves none of these, the
-    best that it moves join them.
+    best that it moves join them. Where open directions move all of these, the best that none moves
+    join them, since it is relative to those that all is open.
 
     Args:
         limbs: U names of limbs.
@@ -63,6 +64,9 @@ def anchors_of(limbs: Sequence[str], trust: Int, moved: Bool) -> Bool:
         for mine in moved & members:
             if mine.any() and not (mine & on).any():
                 on |= mine & (trust == trust[mine].max())
+        still = members & ~moved.any(axis=0)
+        if still.any() and not (still & on).any():
+            on |= still & (trust == trust[still].max())
         anchors |= on
     return anchors
 

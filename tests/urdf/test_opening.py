@@ -131,6 +131,15 @@ def test_a_branch_without_anchors_is_fitted_by_what_it_has(
     assert set(c.alignments[0].anchors) == {*anchors, "su_5", "su_6", "su_7", "su_8"}
 
 
+def test_what_stands_still_is_fitted_where_only_a_branch_that_moves_has_anchors(
+    tmp_path: Path, fork: KinematicModel
+) -> None:
+    estimate = moved(fork, 3, 0.4 * ALONG)
+    c = held(tmp_path, estimate, fork, [beyond(estimate, 3, ALONG)], anchors=("su_5", "su_6"))
+    assert c.position.max < 1e-9
+    assert {"su_0", "su_5"} < set(c.alignments[0].anchors)
+
+
 def test_several_placements_may_move_together(tmp_path: Path, fork: KinematicModel) -> None:
     """The axis of a joint elsewhere, and what it carries back where it was for one position."""
     rng = np.random.default_rng(5)

@@ -71,7 +71,7 @@ class Shaken(Record):
     def cut_off(self, front: F64) -> float:
         """What front ends (U, 2) take of chi-squared by cutting noise off."""
         H, _ = transfer(self.w, front)
-        return float(((1 - np.abs(H) ** 2) * self.chi2).sum())
+        return float((_kept_less(np.abs(H) ** 2)[0] * self.chi2).sum())
 
     def taken_off(self, equations: Equations, layout: Layout, front: F64) -> Equations:
         """Normal equations without what front ends (U, 2) gain by cutting noise off.
@@ -88,8 +88,22 @@ class Shaken(Record):
         """(U, n) that part of the gradient, at front ends (U, 2)."""
         H, slopes = transfer(self.w, front)
         out = np.zeros((len(front), layout.n_su))
-        out[:, layout.front] = np.einsum("fu,nfu->un", self.chi2, (H.conj() * slopes).real)
+        _, less = _kept_less(np.abs(H) ** 2)
+        out[:, layout.front] = np.einsum("fu,nfu->un", less * self.chi2, (H.conj() * slopes).real)
         return out
+
+
+def _kept_less(kept: F64) -> tuple[F64, F64]:
+    """How much less of noise is kept than there is, and by how much it falls as more is kept.
+
+    Args:
+        kept: parts (F, U) of the noise's squares that front ends keep; more than all where these
+            rise. Of what rises the rest can be no more than all: noise that is known too large
+            would else pay for sensors that rise without an end.
+    """
+    rises = kept > 1
+    over = np.where(rises, kept, 1.0)
+    return np.where(rises, 1 / over - 1, 1 - kept), over**-2.0
 
 
 def made_by_encoders(tree: KinematicTree, log: Trajectory, places: State) -> F64 | None:

@@ -56,8 +56,9 @@ def test_slopes_are_those_of_differences(tmp_path: Path) -> None:
     along = along_of(tmp_path, excite="all")
     problem, fitted = along.problem, along.fitted
     shaken = Shaken.of(problem.tree, problem.logs, fitted.state, fitted.weights)
-    front, at, h = np.full((3, 2), [4e-5, 1e-5]), problem.layout.front, 1e-9
-    plain = fitted.equations
+    # One has a low-pass, two rise.
+    front, h = np.array([[4e-5, 1e-5], [-4e-5, 1e-5], [1e-5, 4e-5]]), 1e-9
+    plain, at = fitted.equations, problem.layout.front
     slopes = (shaken.taken_off(plain, problem.layout, front).su_gradient - plain.su_gradient)[:, at]
     for u, n in np.ndindex(3, 2):
         step = np.zeros((3, 2))
@@ -66,3 +67,6 @@ def test_slopes_are_those_of_differences(tmp_path: Path) -> None:
         # Gradients are half the slope, with its sign turned.
         assert slopes[u, n] == pytest.approx(-0.5 * (ahead - behind) / (2 * h), rel=1e-4)
     assert shaken.cut_off(0.0 * front) == pytest.approx(0.0, abs=1e-9)
+    # No sensor that rises, as steeply as it may, is paid for with more noise than there is.
+    steep = np.tile([0.0, 1.0], (3, 1))
+    assert -shaken.chi2.sum() < shaken.cut_off(steep) < -0.9 * shaken.chi2.sum()

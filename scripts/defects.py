@@ -58,6 +58,10 @@ def parser() -> argparse.ArgumentParser:
         "--imu-rate", type=float, default=default.imu_rate, help="samples per second of each SU"
     )
     what.add_argument(
+        "--effort", type=float, default=default.effort, metavar="NM",
+        help="noise of the torques that joint states hold [N m] (default: they hold none)",
+    )  # fmt: skip
+    what.add_argument(
         "--motion",
         default="all",
         choices=("all", "patterns"),
@@ -77,7 +81,7 @@ def cases_of(options: argparse.Namespace) -> list[Case]:
     return [
         Case(
             robot, row, seed, options.excite, options.poses, options.minutes, options.grade,
-            options.motion, options.imu_rate,
+            options.motion, options.imu_rate, options.effort,
         )
         for seed in batch_options.seeds(options)
         for robot in options.robots

@@ -36,6 +36,7 @@ class Case:
         grade: sensor grade.
         motion: which samples the calibration takes.
         imu_rate: samples per second of each SU [Hz].
+        effort: noise of the torques that joint states hold [N m]; None for joint states without.
     """
 
     robot: str
@@ -47,6 +48,7 @@ class Case:
     grade: str = "mems"
     motion: Motion = "all"
     imu_rate: float = _SIMULATED.imu_rate
+    effort: float | None = None
 
     @property
     def circumstance(self) -> str:
@@ -55,6 +57,8 @@ class Case:
         words = [self.robot, self.grade, self.excite, length]
         if self.imu_rate != _SIMULATED.imu_rate:
             words.append(f"{self.imu_rate:g}Hz")
+        if self.effort is not None:
+            words.append(f"effort+-{self.effort:g}")
         if self.motion != "all":
             words.append(f"motion={self.motion}")
         return " ".join(words)
@@ -74,6 +78,7 @@ class Case:
             seed=self.seed,
             grade=self.grade,
             imu_rate=self.imu_rate,
+            torque_noise=self.effort,
             defects=ROWS[self.row],
         )
 

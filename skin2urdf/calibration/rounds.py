@@ -123,6 +123,9 @@ def sample_logs(
     )
     if not settings.gyro:
         sampled = [replace(s, turning=None) for s in sampled]
+    if not settings.effort:
+        none = np.zeros((0, 0))
+        sampled = [replace(s, motion=replace(s.motion, effort=none)) for s in sampled]
     return Logs(sampled, su_names, settings)
 
 

@@ -22,6 +22,7 @@ class CalibrationSettings:
         estimation: priors, refinement, robustness.
         motion: ``all`` samples of the logs count, or those of ``patterns`` around poses alone.
         gyro: whether gyroscopes count, where SUs have them.
+        effort: whether torques of the joints count, where logs hold them.
         gravity_deviation: standard deviation of gravity's magnitude where the logs were recorded
             [m/s^2]; on Earth it is 9.764 to 9.834. Every length rests on it.
         bandwidth: cutoff [Hz] and order (1 or 2) of the sensors' low-pass, where it is known.
@@ -36,6 +37,7 @@ class CalibrationSettings:
     estimation: EstimationSettings = field(default_factory=EstimationSettings)
     motion: Motion = "all"
     gyro: bool = True
+    effort: bool = True
     gravity_deviation: float = 0.02
     bandwidth: tuple[float, int] | None = None
     slowest_pole: float = 8e-3

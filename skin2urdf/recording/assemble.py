@@ -13,6 +13,7 @@ from skin2urdf.recording.credibility import (
     FORCES_APART,
     POSITIONS_APART,
     absurd,
+    real_efforts,
     several_publishers,
     spikes,
 )
@@ -59,7 +60,8 @@ class TimedStream(NamedTuple):
         chosen: whether the times are the stamps or were made regular.
         contradicting: samples left out because of their stamps.
         stamp_noise: scatter of the stamps about the times [s].
-        rates: (N, 3) angular velocities of an SU with a gyroscope [rad/s].
+        beside: (N, 3) angular velocities of an SU with a gyroscope [rad/s], or (N,) efforts of a
+            joint [N m or N].
     """
 
     name: str
@@ -71,7 +73,7 @@ class TimedStream(NamedTuple):
     chosen: Chosen
     contradicting: int
     stamp_noise: float = 0.0
-    rates: F64 | None = None
+    beside: F64 | None = None
 
 
 def timed_joints(
@@ -99,8 +101,11 @@ def timed_joints(
             notes.append(ReadingNote("several publishers", words, (topic, *names)))
             continue
         (whole,) = _timed([Source("", topic, samples)])
-        for name, values in zip(names, whole.values.T, strict=True):
-            stream, note = _finite(whole._replace(name=name, values=values), f"joint {name}")
+        for name, values, effort in zip(
+            names, whole.values.T, _efforts_of(whole, len(names)), strict=True
+        ):
+            one = whole._replace(name=name, values=values, beside=effort)
+            stream, note = _finite(one, f"joint {name}")
             notes.extend(note)
             if stream is not None:
                 found.setdefault(name, []).append(stream)
@@ -208,13 +213,13 @@ def _put(waiting: list[Source], shelf: Shelf, notes: list[ReadingNote]) -> list[
             stream = stream._replace(
                 time=stream.time[~alone],
                 values=stream.values[~alone],
-                rates=None if stream.rates is None else stream.rates[~alone],
+                beside=None if stream.beside is None else stream.beside[~alone],
             )
         streams.append(
             stream._replace(
                 time=shelf.put(stream.time),
                 values=shelf.put(stream.values),
-                rates=None if stream.rates is None else shelf.put(stream.rates),
+                beside=None if stream.beside is None else shelf.put(stream.beside),
             )
         )
     waiting.clear()
@@ -302,16 +307,17 @@ def recorded(
             put_away(stream.time)
     # Nothing else holds the readings: as records have them they need not be copied.
     for su in sus:
-        for array in (su.values, su.rates):
+        for array in (su.values, su.beside):
             if array is not None:
                 array.flags.writeable = False
     clocks = f"the clock of {', '.join(sorted(moved))} is not the joints'; matched by log times"
     extra = [ReadingNote("other clock", clocks, tuple(sorted(moved)))] if moved else []
     return Recording(
         joints=tuple(
-            JointStream(s.name, seconds[id(s.time)], s.values, s.stamp_noise) for s in joints
+            JointStream(s.name, seconds[id(s.time)], s.values, s.stamp_noise, s.beside)
+            for s in joints
         ),
-        sus=tuple(SuStream(s.name, seconds[id(s.time)], s.values, s.topic, s.rates) for s in sus),
+        sus=tuple(SuStream(s.name, seconds[id(s.time)], s.values, s.topic, s.beside) for s in sus),
         start=start / 1e9,
         source=source,
         digest=digest,
@@ -341,8 +347,15 @@ def _at_times(source: Source, times: SampleTimes) -> TimedStream:
         chosen=times.chosen,
         contradicting=count - times.kept.size,
         stamp_noise=times.noise,
-        rates=kept.rates,
+        beside=kept.beside,
     )
+
+
+def _efforts_of(whole: TimedStream, n_joints: int) -> list[F64 | None]:
+    """(N,) efforts of each of the joints that share times; None where they are not real."""
+    if whole.beside is None:
+        return [None] * n_joints
+    return [real_efforts(column) for column in whole.beside.T]
 
 
 def _finite(stream: TimedStream, what: str) -> tuple[TimedStream | None, list[ReadingNote]]:
@@ -355,7 +368,10 @@ def _finite(stream: TimedStream, what: str) -> tuple[TimedStream | None, list[Re
             f"{what} ({stream.topic}): {bad} positions are not finite or absurdly large; left out"
         )
         notes.append(ReadingNote("absurd values", words, sources, bad))
-        stream = stream._replace(time=stream.time[finite], values=stream.values[finite])
+        effort = None if stream.beside is None else stream.beside[finite]
+        stream = stream._replace(
+            time=stream.time[finite], values=stream.values[finite], beside=effort
+        )
     if stream.time.size < 2:
         words = f"{what} ({stream.topic}) was left out: fewer than two usable positions"
         notes.append(ReadingNote("too few", words, sources))

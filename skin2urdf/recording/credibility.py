@@ -12,6 +12,8 @@ LARGEST_FORCE = 500.0
 LARGEST_IN_ANY_UNIT = 1e6
 # Gyroscopes that robots carry end at 4,000 deg/s, which some drivers send as such [rad/s, deg/s].
 LARGEST_RATE = 5000.0
+# Drives of robots end at some 10 kN m; more than this is damage in any unit [N m or N, mA].
+LARGEST_EFFORT = 1e6
 # A spike departs from its neighbours by so many times what samples usually do. The distance of
 # Gaussian noise comes to five times its median once in 1e9 samples; shocks come to more, but last.
 _FAR = 10.0
@@ -60,6 +62,21 @@ def real_rates(rates: F64) -> F64 | None:
     if len(sound) < 2 or not (sound != sound[0]).any(axis=0).all():
         return None
     return rates
+
+
+def real_efforts(effort: F64) -> F64 | None:
+    """Efforts (N,) of a joint that a sensor can have given, NaN in place of the others.
+
+    Many drivers fill in zeros, NaN or a command that never changes where nothing is measured.
+
+    Returns:
+        None where it never changes.
+    """
+    sound = np.abs(effort) < LARGEST_EFFORT
+    there = effort[sound]
+    if not (there.size and np.any(there != there[0])):
+        return None
+    return effort if sound.all() else np.where(sound, effort, np.nan)
 
 
 def spikes(values: F64) -> Bool:

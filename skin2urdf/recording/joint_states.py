@@ -1,4 +1,4 @@
-"""Names and positions out of many JointState payloads at once.
+"""Names, positions and efforts out of many JointState payloads at once.
 
 sensor_msgs/msg/JointState is a Header, then sequences: names, positions, velocities, efforts. The
 names have no fixed size, so they are stepped over one name at a time, all messages together.
@@ -6,6 +6,7 @@ names have no fixed size, so they are stepped over one name at a time, all messa
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -28,7 +29,7 @@ MOST_JOINTS = 4096
 
 
 class JointPositions(NamedTuple):
-    """Positions out of the JointState messages of one block and channel that name the same joints.
+    """What the JointState messages of one block and channel that name the same joints hold.
 
     Attributes:
         channel: number of the channel.
@@ -37,6 +38,7 @@ class JointPositions(NamedTuple):
         stamp: (N,) header.stamp [ns].
         log_time: (N,) when each message was recorded [ns].
         position: (N, J) positions in the order of `names`.
+        effort: (N, J) efforts in that order, NaN in messages without; None where none has any.
     """
 
     channel: int
@@ -45,10 +47,11 @@ class JointPositions(NamedTuple):
     stamp: Int
     log_time: Int
     position: F64
+    effort: F64 | None
 
 
 def joint_positions(block: Block) -> tuple[list[JointPositions], Passed]:
-    """Read names and positions of JointState messages.
+    """Read names, positions and efforts of JointState messages.
 
     Names are decoded once per distinct order of names, not once per message.
 
@@ -56,7 +59,7 @@ def joint_positions(block: Block) -> tuple[list[JointPositions], Passed]:
         block: messages of sensor_msgs/msg/JointState.
 
     Returns:
-        Positions per channel and set of joints, and why messages were passed over.
+        What they hold per channel and set of joints, and why messages were passed over.
     """
     groups, passed = stamped_payloads(block)
     found: dict[tuple[int, tuple[str, ...]], list[JointPositions]] = {}
@@ -73,6 +76,7 @@ def joint_positions(block: Block) -> tuple[list[JointPositions], Passed]:
             order = sorted(range(len(names)), key=names.__getitem__)
             at = group.body[rows] + values.offset[rows]
             position = gather_rows(group.buffer, at, len(names), f"{group.order}f8")
+            effort = _efforts(group, rows, values.efforts[rows], len(names))
             batch = JointPositions(
                 channel=int(block.channel[group.row[rows[0]]]),
                 names=tuple(names[j] for j in order),
@@ -80,16 +84,24 @@ def joint_positions(block: Block) -> tuple[list[JointPositions], Passed]:
                 stamp=group.stamp[rows],
                 log_time=group.log_time[rows],
                 position=position[:, order].astype(np.float64),
+                effort=None if effort is None else effort[:, order],
             )
             found.setdefault((batch.channel, batch.names), []).append(batch)
     return [_in_order(batches) for batches in found.values()], [p for p in passed if p[1].size]
 
 
-class _PositionFields(NamedTuple):
-    """Where names end and positions start in (N,) JointState bodies."""
+class _Fields(NamedTuple):
+    """Where names end and what was measured starts in (N,) JointState bodies.
+
+    Attributes:
+        names_end: offsets behind the last name.
+        offset: of the positions.
+        efforts: of the efforts; 0 in messages without one for each joint.
+    """
 
     names_end: Int
     offset: Int
+    efforts: Int
 
 
 def _whole_names(group: Payloads, passed: Passed) -> tuple[Payloads, Int, Int]:
@@ -123,8 +135,8 @@ def _whole_names(group: Payloads, passed: Passed) -> tuple[Payloads, Int, Int]:
 
 def _whole_positions(
     group: Payloads, count: Int, names_end: Int, passed: Passed
-) -> tuple[Payloads, _PositionFields]:
-    """Find the positions behind the names, and keep the messages that have one per name."""
+) -> tuple[Payloads, _Fields]:
+    """Find what lies behind the names, and keep the messages that have a position per name."""
     at = group.aligned(names_end, 4)
     offset = group.aligned(at + 4, 8)
     positions = np.full(at.size, -1, np.int64)
@@ -134,7 +146,45 @@ def _whole_positions(
     whole = (positions == count) & (offset + 8 * count <= group.size) & ~empty
     passed.append(("no positions", group.row[empty]))
     passed.append((MALFORMED, group.row[~whole & ~empty]))
-    return group.at(whole), _PositionFields(names_end[whole], offset[whole])
+    kept, count = group.at(whole), count[whole]
+    fields = names_end[whole], offset[whole], _effort_offsets(kept, count, offset[whole])
+    return kept, _Fields(*fields)
+
+
+def _effort_offsets(group: Payloads, count: Int, positions: Int) -> Int:
+    """(N,) offsets of efforts behind velocities; 0 where there is not one for each joint.
+
+    Args:
+        group: messages with a position for each joint.
+        count: (N,) number of joints.
+        positions: (N,) offsets of these.
+    """
+    size = group.size
+    at = group.aligned(positions + 8 * count, 4)
+    there = at + 4 <= size
+    velocities = np.zeros(at.size, np.int64)
+    velocities[there] = group.at(there).uint32(at[there])
+    there &= (velocities == 0) | (velocities == count)
+    # Of no velocities only their number is there.
+    behind = np.where(velocities > 0, group.aligned(at + 4, 8) + 8 * velocities, at + 4)
+    at = group.aligned(behind, 4)
+    there &= at + 4 <= size
+    efforts = np.zeros(at.size, np.int64)
+    efforts[there] = group.at(there).uint32(at[there])
+    offset = group.aligned(at + 4, 8)
+    there &= (efforts == count) & (offset + 8 * count <= size)
+    return np.where(there, offset, 0)
+
+
+def _efforts(group: Payloads, rows: Int, offset: Int, n_joints: int) -> F64 | None:
+    """(N, J) efforts of some messages, NaN in those without; None where none has any."""
+    there = offset > 0
+    if not there.any():
+        return None
+    efforts = np.full((rows.size, n_joints), np.nan)
+    at = group.body[rows[there]] + offset[there]
+    efforts[there] = gather_rows(group.buffer, at, n_joints, f"{group.order}f8")
+    return efforts
 
 
 def _names(group: Payloads, k: int) -> list[str]:
@@ -167,6 +217,7 @@ def _in_order(batches: list[JointPositions]) -> JointPositions:
         for key in ("row", "stamp", "log_time", "position")
     )
     order = np.argsort(row)
+    effort = together([(b.effort, b.position) for b in batches])
     return JointPositions(
         batches[0].channel,
         batches[0].names,
@@ -174,6 +225,20 @@ def _in_order(batches: list[JointPositions]) -> JointPositions:
         stamp[order],
         log_time[order],
         position[order],
+        None if effort is None else effort[order],
+    )
+
+
+def together(parts: Sequence[tuple[F64 | None, F64]]) -> F64 | None:
+    """What was measured beside several batches of values, NaN where it is missing; None if it is.
+
+    Args:
+        parts: what was measured beside (N, C) values, or None, and these.
+    """
+    if all(beside is None for beside, _ in parts):
+        return None
+    return np.concatenate(
+        [np.full(values.shape, np.nan) if beside is None else beside for beside, values in parts]
     )
 
 

@@ -18,7 +18,8 @@ class JointStream(Record):
         time: (N,) strictly increasing times [s] since the recording's start.
         position: (N,) measured positions [rad, or m for a prismatic joint].
         stamp_noise: scatter of the stamps, one by one, that the times were made from [s].
-        effort: (N,) measured torques [N m, or N for a prismatic joint]; None where there are none.
+        effort: (N,) measured torques [N m, or N for a prismatic joint], as the log holds them, NaN
+            where single ones are missing; None where there are none.
     """
 
     name: str

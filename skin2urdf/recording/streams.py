@@ -12,7 +12,7 @@ from skin2urdf.arrays import F64, Bool, Int
 from skin2urdf.recording.blocks import Block, Channels
 from skin2urdf.recording.cdr import Passed, accelerations
 from skin2urdf.recording.credibility import real_rates
-from skin2urdf.recording.joint_states import joint_positions
+from skin2urdf.recording.joint_states import joint_positions, together
 from skin2urdf.recording.messages import (
     ACCELERATION_LEAD,
     ACCELERATION_TAIL,
@@ -32,19 +32,20 @@ class Samples(NamedTuple):
         stamp: (N,) header stamps [ns], 0 where unset.
         log_time: (N,) times the messages were recorded [ns].
         values: (N, C) what was measured.
-        rates: (N, 3) what a gyroscope measured beside it [rad/s], NaN where that is missing; None
-            where there is none.
+        beside: (N, C) what was measured beside it, angular velocities of an SU with a gyroscope
+            [rad/s] or efforts of joints [N m or N], NaN where that is missing; None where there is
+            none.
     """
 
     stamp: Int
     log_time: Int
     values: F64
-    rates: F64 | None = None
+    beside: F64 | None = None
 
     def at(self, keep: Int | Bool) -> Samples:
         """Return some of the samples."""
-        rates = None if self.rates is None else self.rates[keep]
-        return Samples(self.stamp[keep], self.log_time[keep], self.values[keep], rates)
+        beside = None if self.beside is None else self.beside[keep]
+        return Samples(self.stamp[keep], self.log_time[keep], self.values[keep], beside)
 
 
 class Arrived(NamedTuple):
@@ -108,7 +109,7 @@ class Collector:
         found, passed = joint_positions(block)
         for part in found:
             arrival = self._arrived + part.row
-            samples = Samples(part.stamp, part.log_time, part.position)
+            samples = Samples(part.stamp, part.log_time, part.position, part.effort)
             key = self._topic(part.channel), part.names
             self._joints.setdefault(key, []).append(Arrived(arrival, samples))
         return passed
@@ -162,7 +163,7 @@ class Collector:
         return found
 
     def joints(self) -> dict[tuple[str, tuple[str, ...]], Samples]:
-        """Return joint positions by topic and names.
+        """Return positions and efforts of joints by topic and names.
 
         Joints that always come together share one entry, whatever the order in the messages, and
         joints that come in several companies are joined into one sequence.
@@ -195,10 +196,8 @@ def _in_order(parts: list[Part], rows: list[Int]) -> Part:
     source, stamp, log_time, vector = (
         np.concatenate(arrays)[order] for arrays in zip(*(part[:4] for part in parts), strict=True)
     )
-    if all(part.rates is None for part in parts):
-        return Part(source, stamp, log_time, vector)
-    rates = [np.full(p.vector.shape, np.nan) if p.rates is None else p.rates for p in parts]
-    return Part(source, stamp, log_time, vector, np.concatenate(rates)[order])
+    rates = together([(part.rates, part.vector) for part in parts])
+    return Part(source, stamp, log_time, vector, None if rates is None else rates[order])
 
 
 def _columns(arrived: Arrived, columns: list[int]) -> Arrived:
@@ -206,7 +205,8 @@ def _columns(arrived: Arrived, columns: list[int]) -> Arrived:
     order, samples = arrived
     if columns == list(range(samples.values.shape[1])):
         return arrived
-    return Arrived(order, samples._replace(values=samples.values[:, columns]))
+    beside = None if samples.beside is None else samples.beside[:, columns]
+    return Arrived(order, samples._replace(values=samples.values[:, columns], beside=beside))
 
 
 def _joined(parts: list[Arrived]) -> Arrived:
@@ -219,6 +219,7 @@ def _joined(parts: list[Arrived]) -> Arrived:
             np.concatenate([part.samples.stamp for part in parts]),
             np.concatenate([part.samples.log_time for part in parts]),
             np.concatenate([part.samples.values for part in parts]),
+            together([(part.samples.beside, part.samples.values) for part in parts]),
         )
     if (np.diff(order) < 0).any():
         rising = np.argsort(order, kind="stable")

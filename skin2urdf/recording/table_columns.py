@@ -1,14 +1,15 @@
 """Columns of a table by their headers: what they hold, and in which unit.
 
-A header is ``NAME [UNIT]``. One column is the time; a joint has one column, an SU three, whose
-names end in ``.x``, ``.y`` and ``.z``.
+A header is ``NAME [UNIT]``. One column is the time; a joint has one column, and one more of its
+name where its torque was measured; an SU has three, whose names end in ``.x``, ``.y`` and ``.z``.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
 
 import numpy as np
 
@@ -18,6 +19,7 @@ from skin2urdf.geometry.units import GRAVITY
 TIME_UNITS = {"s": 1e9, "ms": 1e6, "us": 1e3, "µs": 1e3, "μs": 1e3, "ns": 1.0}
 """Nanoseconds in each."""
 JOINT_UNITS = {"rad": 1.0, "deg": float(np.pi / 180), "°": float(np.pi / 180), "m": 1.0, "mm": 1e-3}
+EFFORT_UNITS = ("Nm", "N m", "N*m", "N")
 FORCE_UNITS = {
     **dict.fromkeys(("m/s^2", "m/s²", "m/s2", "m/s**2"), 1.0),
     "g": GRAVITY,
@@ -47,6 +49,7 @@ class Columns:
         time: number of the column of times.
         time_unit: nanoseconds in its unit.
         joints: name, number of the column and factor to rad or m of each joint.
+        efforts: number of the column of each joint whose torque or force was measured, by name.
         sus: name, numbers of the three columns and factors to m/s^2 of each SU.
         unused: headers that say nothing that is used.
     """
@@ -54,6 +57,7 @@ class Columns:
     time: int
     time_unit: float
     joints: tuple[tuple[str, int, float], ...]
+    efforts: Mapping[str, int]
     sus: tuple[tuple[str, tuple[int, ...], tuple[float, ...]], ...]
     unused: tuple[str, ...]
 
@@ -69,6 +73,7 @@ def columns_of(headers: Sequence[str]) -> Columns:
     """
     times: list[tuple[int, float]] = []
     joints: dict[str, tuple[int, float]] = {}
+    efforts: dict[str, int] = {}
     axes: dict[str, dict[str, tuple[int, float]]] = {}
     unused: list[str] = []
     for k, header in enumerate(headers):
@@ -86,6 +91,9 @@ def columns_of(headers: Sequence[str]) -> Columns:
         elif unit in JOINT_UNITS and name:
             if joints.setdefault(name, (k, JOINT_UNITS[unit]))[0] != k:
                 raise BadColumnsError("same column", f"two columns are called {header.strip()!r}")
+        elif unit in EFFORT_UNITS and name:
+            if efforts.setdefault(name, k) != k:
+                raise BadColumnsError("same column", f"two columns are called {header.strip()!r}")
         else:
             unused.append(header.strip())
     if not times:
@@ -96,11 +104,13 @@ def columns_of(headers: Sequence[str]) -> Columns:
         missing = [axis for axis in _AXES if axis not in found_axes]
         if missing:
             raise BadColumnsError("missing axis", f"the SU {stem!r} lacks {' and '.join(missing)}")
+    unused += [headers[k].strip() for name, k in efforts.items() if name not in joints]
     if not joints and not axes:
         raise BadColumnsError("nothing usable", "no column is a joint or an SU")
     return Columns(
         *times[0],
         tuple((name, *place) for name, place in joints.items()),
+        MappingProxyType({name: k for name, k in efforts.items() if name in joints}),
         tuple(
             (name, tuple(found[a][0] for a in _AXES), tuple(found[a][1] for a in _AXES))
             for name, found in axes.items()

@@ -37,7 +37,8 @@ LONGEST_LINE = 1 << 22
 LARGEST_GROUP = 1 << 30
 REMEDY = (
     "the first line names the columns with their units: `time [s]`, a joint as `elbow [rad]` "
-    "([deg], [m], [mm]), an SU as `hand.x [m/s^2]`, `hand.y [m/s^2]`, `hand.z [m/s^2]` ([g], [mg])"
+    "([deg], [m], [mm]), its torque as `elbow [Nm]`, an SU as `hand.x [m/s^2]`, "
+    "`hand.y [m/s^2]`, `hand.z [m/s^2]` ([g], [mg])"
 )
 
 
@@ -226,11 +227,16 @@ class Table:
             names = [name for name, _, _ in columns.joints]
             place = [k for _, k, _ in columns.joints]
             position = cells[:, place] * np.array([factor for _, _, factor in columns.joints])
+            effort = np.full(position.shape, np.nan)
+            for column, name in enumerate(names):
+                if name in columns.efforts:
+                    effort[:, column] = cells[:, columns.efforts[name]]
             for rows, there in _alike(np.isfinite(position)):
                 payload = joint_state_payloads(
                     stamp[rows],
                     [name for name, is_there in zip(names, there, strict=True) if is_there],
                     position[np.ix_(rows, there)],
+                    effort[np.ix_(rows, there)] if columns.efforts else None,
                 )
                 yield from self._block(f"/{stem}", JOINT_STATE, stamp[rows], payload)
         for name, places, factors in columns.sus:

@@ -191,9 +191,11 @@ def _channels(
         stamp = _stamps(group[0].time, start)
         position = np.stack([joint.position for joint in group], axis=1)
         names = [joint.name for joint in group]
-        efforts = [joint.effort for joint in group if joint.effort is not None]
         # A message has the efforts of all of its joints or of none.
-        effort = np.stack(efforts, axis=1) if len(efforts) == len(group) else None
+        none = np.full(stamp.size, np.nan)
+        efforts = [none if joint.effort is None else joint.effort for joint in group]
+        measured = any(joint.effort is not None for joint in group)
+        effort = np.stack(efforts, axis=1) if measured else None
         payload = joint_state_payloads(stamp, names, position, effort)
         yield _Channel(joint_topic, JOINT_STATE, stamp, payload)
     for su in recording.sus:

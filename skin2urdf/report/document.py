@@ -296,6 +296,7 @@ def _samples(calibration: Calibration) -> dict[str, Any] | None:
     deviations = np.sqrt(np.einsum("uii->ui", along.su_covariances).clip(0.0))
     # Lag and drift of each log: (G, U, 2).
     of_clocks = np.array([deviations[:, layout.clock(g)] for g in range(len(state.clock))])
+    yields = zip(along.deflections, *along.compliance(), strict=True)
     return {
         "misfit": along.misfit,
         "step_ahead": along.ahead.share,
@@ -305,8 +306,8 @@ def _samples(calibration: Calibration) -> dict[str, Any] | None:
         "gravity": state.gravity,
         "gravity_deviation": calibration.settings.gravity_deviation,
         "joints": {
-            name: {"largest_deflection": e}
-            for name, e in zip(along.problem.tree.joint_names, along.deflections, strict=True)
+            name: {"largest_deflection": e, "compliance": c, "compliance_sd": sd}
+            for name, (e, c, sd) in zip(along.problem.tree.joint_names, yields, strict=True)
         },
         "sus": {
             name: {

@@ -110,6 +110,7 @@ def _joint(joint: JointStream, index: int, surveyed: Surveyed) -> dict[str, Any]
         "encoder_step": float(sampled.motion.resolution[index]) if sampled else None,
         "patterns": int(surveyed.excited[:, index].sum()) if surveyed.excited.ndim == 2 else 0,
         "structural_moves": int((moves == index).sum()),
+        "effort": joint.effort is not None,
     }
 
 
@@ -142,6 +143,7 @@ def _joints(surveyed: Surveyed) -> list[str]:
                 f"{step:.1e}" if step else "-",
                 str(figures["patterns"]),
                 str(figures["structural_moves"]),
+                "real" if figures["effort"] else "-",
             )
         )
     head = (
@@ -152,8 +154,9 @@ def _joints(surveyed: Surveyed) -> list[str]:
         "encoder step",
         "poses with pattern",
         "structural moves",
+        "effort",
     )
-    return table(head, rows, "<>>>>>>")
+    return table(head, rows, "<>>>>>><")
 
 
 def _sus(recording: Recording, surveyed: Surveyed) -> list[str]:

@@ -11,6 +11,7 @@ from skin2urdf.model.records import KinematicModel
 from skin2urdf.report.clocks import clock_notes, publisher_notes
 from skin2urdf.report.faults import fault_words
 from skin2urdf.report.notes import note_words
+from skin2urdf.report.stiffness import stiffness_words
 from skin2urdf.report.summary import sensor_notes
 from skin2urdf.report.tables import bullets, count, number, table
 from skin2urdf.report.words import unknowns
@@ -18,8 +19,6 @@ from skin2urdf.vendor.records import ModelCalibration
 
 _MM, _DEG, _MRAD = 1e3, float(np.rad2deg(1.0)), 1e3
 _NAMED = 4
-_KNOWN = 3.0
-"""Standard deviations from which a compliance is told as a stiffness; others bound it."""
 
 
 def as_text(result: ModelCalibration) -> str:
@@ -39,7 +38,7 @@ def as_text(result: ModelCalibration) -> str:
         *_sus(result),
         *_hidden(result),
         *bullets("Deviations of the robot from the model", deviations(result)),
-        *bullets("Stiffness of the joints under the loads that the model knows", stiffness(result)),
+        *bullets("Stiffness of the joints under loads that are known", stiffness(result)),
         *bullets("Not observable from this log", not_known(result)),
         *bullets("Faults", _faults(result)),
         *bullets("Notes", all_notes(result)),
@@ -187,20 +186,10 @@ def deviations(result: ModelCalibration) -> list[str]:
 
 
 def stiffness(result: ModelCalibration) -> list[str]:
-    """How stiff joints are that yield under loads that the model knows, with standard deviation."""
-    out = []
-    for joint, c, sd in zip(result.chassis.joints, *result.compliance, strict=True):
-        slides = joint.joint_type == "prismatic"
-        unit = "kN/m" if slides else "kNm/rad"
-        if not np.isfinite(c):
-            continue
-        if c > _KNOWN * sd:
-            k = 1e-3 / c
-            out.append(f"{joint.name}: {number(k)} +- {number(k * sd / c)} {unit}")
-        else:
-            least = 1e-3 / (max(c, 0.0) + 2 * sd)
-            out.append(f"{joint.name}: its load hardly moves it, more than {number(least)} {unit}")
-    return out
+    """How stiff joints are that yield under loads that are known, with standard deviation."""
+    joints = result.chassis.joints
+    slides = [joint.joint_type == "prismatic" for joint in joints]
+    return stiffness_words([joint.name for joint in joints], slides, *result.compliance)
 
 
 def not_known(result: ModelCalibration) -> list[str]:

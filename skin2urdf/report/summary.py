@@ -17,6 +17,7 @@ from skin2urdf.report.faults import fault_words
 from skin2urdf.report.findings import Findings, findings
 from skin2urdf.report.gyros import gyro_notes
 from skin2urdf.report.notes import note_words
+from skin2urdf.report.stiffness import stiffness_words
 from skin2urdf.report.tables import bullets, number, span, table
 from skin2urdf.report.words import NO_POSITIONS, Unknown
 from skin2urdf.signals.records import Features
@@ -56,6 +57,7 @@ def as_text(calibration: Calibration) -> str:
         *bullets(
             "Not observable from this log", _not_known(calibration.model.tree.su_names, found)
         ),
+        *bullets("Stiffness of the joints, as far as efforts are in N m", _stiffness(calibration)),
         *bullets("Faults", _faults(calibration)),
         *bullets("Notes", all_notes(calibration)),
     ]
@@ -208,6 +210,15 @@ _NAME = "\0"
 """Stands for an SU's name; no name holds it."""
 
 
+def _stiffness(calibration: Calibration) -> list[str]:
+    """How stiff joints are that yield under the torques that the logs hold."""
+    along = calibration.along
+    if along is None or along.under_known is None:
+        return []
+    tree = along.problem.tree
+    return stiffness_words(tree.joint_names, tree.prismatic, *along.compliance())
+
+
 def all_notes(calibration: Calibration) -> list[str]:
     """What else was found: of the logs, of clocks, sensors and gyroscopes."""
     return [
@@ -239,8 +250,8 @@ def sensor_notes(along: MotionEstimate | None, of: Sequence[str] | None = None) 
         notes.append(
             "joints yield under load, which their encoders, before the gears, do not see: at most "
             f"{largest}; it was followed: the URDF holds for positions of the links, and what "
-            "reads motor positions sees links off by these deflections (stiffness takes known "
-            "torques)"
+            "reads motor positions sees links off by these deflections"
+            + ("" if along.under_known else " (stiffness takes known torques, as efforts)")
         )
     if "play" in along.causes:
         notes.append(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from math import comb
 
@@ -19,6 +19,8 @@ GRID_RATE = 125.0
 """Rate of the common grid [Hz]; patterns are a few Hz."""
 SMOOTH = GRID_RATE / 5
 """Cutoff of the low-pass that positions go through before they are differentiated [Hz]."""
+_FEWEST = 8
+"""Samples that a curve goes through, at least."""
 STILL = 1e-3
 """Travel [rad or m] that is none: it turns gravity by less than 0.01 m/s^2."""
 _CREEP = 6.0
@@ -48,6 +50,8 @@ class Motion(Record):
         wraps: (D,) True where the log wraps the position into one turn; ``q`` does not.
         publisher: (D,) number of the publisher whose messages hold the joint: joints with one
             number have the same stamps; -1 for joints that the log lacks.
+        effort: (N, D) measured torques [N m or N], NaN for joints of which the log does not hold
+            them all along; (0, 0) where it holds none.
     """
 
     grid: Grid
@@ -63,6 +67,7 @@ class Motion(Record):
     named: Bool
     wraps: Bool
     publisher: Int = field(default_factory=lambda: np.zeros((), dtype=np.int64))
+    effort: F64 = field(default_factory=lambda: np.zeros((0, 0)))
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -99,7 +104,7 @@ def joint_motion(recording: Recording, dof_names: Sequence[str] | None = None) -
         InsufficientDataError: no joint stream has enough samples, or they do not overlap.
     """
     names = tuple(dof_names) if dof_names is not None else tuple(j.name for j in recording.joints)
-    found = {j.name: unwrapped(j) for j in recording.joints if j.time.size >= 8}
+    found = {j.name: unwrapped(j) for j in recording.joints if j.time.size >= _FEWEST}
     streams = {name: stream for name, (stream, _) in found.items()}
     if not streams:
         raise InsufficientDataError(
@@ -145,7 +150,33 @@ def joint_motion(recording: Recording, dof_names: Sequence[str] | None = None) -
     return Motion(
         grid, names, q, first_derivative(smooth, GRID_RATE), second(smooth, GRID_RATE),
         valid, resolution, noise, rate, stamps, named, wraps, publisher,
+        _efforts(streams, names, grid, valid),
     )  # fmt: skip
+
+
+def _efforts(
+    streams: Mapping[str, JointStream], names: Sequence[str], grid: Grid, valid: Bool
+) -> F64:
+    """(N, D) efforts on the grid, NaN for joints that lack any where positions are whole.
+
+    Args:
+        streams: joints by name.
+        names: D names.
+        grid: the times.
+        valid: (N,) where the positions of all joints are whole.
+    """
+    effort = np.full((grid.size, len(names)), np.nan)
+    for d, name in enumerate(names):
+        stream = streams.get(name)
+        if stream is None or stream.effort is None:
+            continue
+        there = np.isfinite(stream.effort)
+        if there.sum() < _FEWEST:
+            continue
+        values, ok = sample(stream.time[there], stream.effort[there, None], grid)
+        if not (valid & ~ok).any():
+            effort[:, [d]] = _bridged(values, ok)
+    return effort if np.isfinite(effort).any() else np.zeros((0, 0))
 
 
 def publishers_beyond_first(publisher: Int, moves: Bool) -> list[Int]:

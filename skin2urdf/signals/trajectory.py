@@ -30,6 +30,9 @@ from skin2urdf.signals.stillness import MOVING, averaged_share, with_averages, w
 _RATE_OVER_CUTOFF = 2.4
 """Samples kept per second over the low-pass' cutoff [Hz]: readings that were low-passed twice hold
 1e-7 of their noise beyond 1.2 times the cutoff, and both sides of the comparison alias alike."""
+_WIDER = 1.5
+"""Cutoff of the low-pass in which deflections and torques are worked out, over that of the log: of
+what passes this, it leaves all."""
 _NOTHING = 1e-6
 """Power of noise, over the largest, below which a frequency has none: 4e-8 of all is left out."""
 
@@ -71,6 +74,8 @@ class Trajectory(Record):
         averaged: (N, D) what averages took off positions of joints that stay, low-passed once
             [rad or m]; (0, 0) where they took nothing.
         left_out: (N, E) positions of joints that move and are none of these; (0, 0) for none.
+        effort: (N, D) measured torques, low-passed once [N m or N], NaN for joints of which the log
+            does not hold them; (0, 0) where it holds none.
         thin: of the samples that hold all that the low-pass lets through, one in so many is kept.
         known: what was made of readings, and the readings; of the same ones nothing is made anew.
     """
@@ -98,6 +103,7 @@ class Trajectory(Record):
     raw_rate: F64 = field(default_factory=lambda: np.zeros(0))
     averaged: F64 = field(default_factory=lambda: np.zeros((0, 0)))
     left_out: F64 = field(default_factory=lambda: np.zeros((0, 0)))
+    effort: F64 = field(default_factory=lambda: np.zeros((0, 0)))
     thin: int = 1
     known: dict[str, tuple[F64, tuple[Spline, ...]]] = field(default_factory=dict, repr=False)
 
@@ -164,7 +170,10 @@ class Trajectory(Record):
         q = np.array(self.q)
         q[:, joints] = Spline(q[:, joints]).within(at)
         qd, qdd = first_derivative(q, self.rate), second_derivative(q, self.rate)
-        return replace(self, q=q, qd=qd, qdd=qdd)
+        effort = np.array(self.effort)
+        if len(effort):
+            effort[:, joints] = Spline(effort[:, joints]).within(at)
+        return replace(self, q=q, qd=qd, qdd=qdd, effort=effort)
 
     def with_joints_times(self, factor: F64) -> Trajectory:
         """The same with the positions of joints times factors (D,), as others would count them."""
@@ -178,12 +187,25 @@ class Trajectory(Record):
             resolution=self.resolution * np.abs(factor)
             if len(self.resolution)
             else self.resolution,
+            # Who counts a turn the other way counts its torque that way, too.
+            effort=self.effort * np.sign(factor) if len(self.effort) else self.effort,
         )
 
     @property
     def every(self) -> int:
         """Grid samples from one of those that hold all to the next."""
         return int(self.kept[1] - self.kept[0]) // self.thin if len(self.kept) > 1 else 1
+
+    def smooth(self, x: F64) -> F64:
+        """Low-pass (N, ...) by what loses nothing that passes the log's own low-pass.
+
+        What is worked out from positions has been through that once, so that a wide one will do,
+        which leaves no part of what passes behind. A gain of H becomes one of ``1 - (1 - H)^2``
+        (twicing: Tukey 1977).
+        """
+        taps = low_pass(_WIDER * noise_bandwidth(self.taps, self.rate), self.rate)
+        twice = 2 * np.pad(taps, len(taps) // 2) - np.convolve(taps, taps)
+        return filtered(x, twice)
 
     def thinned(self, by: int) -> Trajectory:
         """The same with one in so many of the kept samples."""
@@ -229,6 +251,7 @@ class Trajectory(Record):
             qd=first_derivative(q, self.rate),
             qdd=second_derivative(q, self.rate),
             readings=filtered(filtered(self.readings, more), more),
+            effort=filtered(self.effort, more) if len(self.effort) else self.effort,
             kept=self.kept[few],
             valid=whole[few],
             moving=self.moving[few],
@@ -304,6 +327,7 @@ def trajectory(
         resolution=motion.resolution,
         raw_rate=motion.raw_rate,
         averaged=filtered(motion.q - positions, taps) if (left < 1).any() else np.zeros((0, 0)),
+        effort=filtered(motion.effort, taps) if len(motion.effort) else motion.effort,
     )
 
 
@@ -354,6 +378,7 @@ def in_order(log: Trajectory, dofs: Int, sus: Int) -> Trajectory:
             resolution=log.resolution[dofs] if len(log.resolution) else log.resolution,
             raw_rate=log.raw_rate[dofs] if len(log.raw_rate) else log.raw_rate,
             averaged=log.averaged[:, dofs] if len(log.averaged) else log.averaged,
+            effort=log.effort[:, dofs] if len(log.effort) else log.effort,
         )
     # What stays in its order, as mostly, is not copied.
     if np.array_equal(sus, np.arange(log.readings.shape[1])):

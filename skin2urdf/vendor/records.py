@@ -13,7 +13,6 @@ from skin2urdf.calibration.result import GOOD_FIT, Quality, Source, SuSource
 from skin2urdf.calibration.settings import CalibrationSettings
 from skin2urdf.estimation.trajectory.blueprint import N_MOUNT, Blueprint, turn_axes
 from skin2urdf.estimation.trajectory.estimate import MotionEstimate
-from skin2urdf.estimation.trajectory.known_torque import compliances
 from skin2urdf.estimation.uncertainty.observability import Observability
 from skin2urdf.faults import Fault
 from skin2urdf.notes import Noted
@@ -162,16 +161,9 @@ class ModelCalibration:
     def compliance(self) -> tuple[F64, F64]:
         """(D,) what each joint yields per torque of its own load, and its standard deviation.
 
-        In rad/(N m) or m/N; NaN where the readings ask for none, or the model knows no loads.
+        In rad/(N m) or m/N; NaN where the readings ask for none, or nobody knows the loads.
         """
-        elastic, loads = self.along.under_known, self.blueprint.inertials
-        if elastic is None or loads is None:
-            nothing = np.full(self.chassis.n_joints, np.nan)
-            return nothing, nothing
-        n, at = len(elastic.joint), self.along.problem.layout.unseen
-        own = slice(at.start, at.start + n)
-        x, P = self.along.fitted.state.unseen[:n], self.observability.covariance.joint[own, own]
-        return compliances(elastic, x, P, loads, self.chassis.n_joints)
+        return self.along.compliance(self.observability.covariance.joint)
 
     @property
     def significant(self) -> Bool:

@@ -125,6 +125,9 @@ def declare(command: Parser) -> None:
     sensors.add_argument(
         "--no-gyro", action="store_true", help="leave out what gyroscopes say, where SUs have them"
     )
+    sensors.add_argument(
+        "--no-effort", action="store_true", help="leave out the torques that joint states hold"
+    )
     lengths = command.add_argument_group(
         "gravity, on which every length rests", "at most one of these"
     ).add_mutually_exclusive_group()
@@ -320,6 +323,7 @@ def calibration_settings(options: argparse.Namespace) -> CalibrationSettings:
         static_threshold=options.threshold * GRAVITY,
         motion=options.motion,
         gyro=not options.no_gyro,
+        effort=not options.no_effort,
         bandwidth=options.bandwidth,
     )
     return replace(settings, gravity_deviation=ANOMALY) if "gravity" in given else settings

@@ -17,10 +17,11 @@ from functools import cached_property
 import numpy as np
 
 from skin2urdf.estimation.trajectory.balance import bending
-from skin2urdf.estimation.trajectory.elastic import Elasticity
+from skin2urdf.estimation.trajectory.elastic import UnderKnown
 from skin2urdf.estimation.trajectory.fit import Fitted, fit
 from skin2urdf.estimation.trajectory.gears import find_ripples, harmonics, ripples
 from skin2urdf.estimation.trajectory.known_torque import with_known_torque, yields
+from skin2urdf.estimation.trajectory.measured_torque import with_measured_torque
 from skin2urdf.estimation.trajectory.misfit import MOST_OF_IT, SPAN, misfit_of, span_means
 from skin2urdf.estimation.trajectory.play import deflections_saturate
 from skin2urdf.estimation.trajectory.problem import MotionProblem
@@ -73,7 +74,7 @@ class Explained:
     fitted: Fitted
     causes: tuple[str, ...] = ()
     tried: Mapping[str, float] = field(default_factory=dict)
-    under_known: Elasticity | None = None
+    under_known: UnderKnown | None = None
 
 
 def explained(
@@ -103,17 +104,16 @@ def explained(
         return Explained(rounded.problem, rounded.fitted)
     # Few numbers that say more than many would.
     known = rigid.with_known_torque()
-    if known is not None and yields(known.problem, known.fitted) and _explains_most(known, rigid):
-        best, attempts = known, [known]
-    else:
-        known = None
+    if known is None:
         best, attempts = (rigid, []) if only_known else _of_any_cause(rigid, without)
+    else:
+        best, attempts = known, [known]
     if best.slack_size is not None and best.slack_size.gain > _CERTAIN:
         best = best.with_slack()
         attempts.append(best)
     tried = {cause: each.misfit for each in attempts for cause in each.causes[-1:]}
     elastic = known.problem.unseen if known else None
-    under = elastic if isinstance(elastic, Elasticity) else None
+    under = elastic if isinstance(elastic, UnderKnown) else None
     return Explained(best.problem, best.fitted, best.causes, tried, under)
 
 
@@ -322,12 +322,20 @@ class _Attempt:
         return self.with_more("slack", self.places, self.slack_size.size)
 
     def with_known_torque(self) -> _Attempt | None:
-        """With joints that yield under torques that are known; None where these are not."""
-        found = with_known_torque(self.problem, self.fitted)
-        if found is None:
-            return None
-        problem, fitted = found
-        return replace(self, problem=problem, fitted=fitted, causes=(*self.causes, "elastic"))
+        """With joints that yield under torques that are known; None where that explains little.
+
+        Torques are those that the log holds, or of links that are known.
+        """
+        best: _Attempt | None = None
+        for measured, fit_known in ((True, with_measured_torque), (False, with_known_torque)):
+            found = fit_known(self.problem, self.fitted)
+            if found is None or not yields(*found, in_either_sense=measured):
+                continue
+            problem, fitted = found
+            attempt = replace(self, problem=problem, fitted=fitted, causes=(*self.causes, BENDS[0]))
+            if _explains_most(attempt, best or self):
+                best = attempt
+        return best
 
     def adding(self, cause: str) -> _Attempt:
         """With joints or a base that yield, or with biases that walk."""

@@ -8,7 +8,7 @@ which to first order is one more, ``e = -tau / K - (d / K) e'``.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -22,17 +22,46 @@ from skin2urdf.structure.records import KinematicTree
 
 
 @dataclass(frozen=True, eq=False)
-class Elasticity(Unseen):
-    """Deflections of the joints, as motions that encoders do not see, per unit of S numbers.
+class UnderKnown(Unseen):
+    """Deflections of the joints under torques that are known, per unit of S numbers.
 
     Attributes:
-        damping: (S,) True for the time by which a deflection lags behind its torque [s]: damping
-            over stiffness.
-        basis: (S, 10 D) the inertial parameters over stiffness that it stands for, in the order of
-            Pinocchio's regressors.
+        damping: (S,) True for what makes a deflection late: damping over stiffness.
+        size: (S,) the torque of which a spring's number is the deflection [N m or N].
     """
 
     damping: Bool
+    size: F64
+
+    def compliances(self, x: F64, covariance: F64, n_joints: int) -> tuple[F64, F64]:
+        """What the joints yield per torque, and how well that is known.
+
+        Args:
+            x: (S,) what was found.
+            covariance: (S, S) of it.
+            n_joints: D.
+
+        Returns:
+            (D,) compliances and their standard deviations [rad/(N m), m/N]; NaN of joints that bear
+            nothing.
+        """
+        found, deviation = np.full(n_joints, np.nan), np.full(n_joints, np.nan)
+        at = np.flatnonzero(~self.damping)
+        k, size = self.joint[at], self.size[at]
+        found[k] = x[at] / size
+        deviation[k] = np.sqrt(np.diag(covariance)[at].clip(min=0.0)) / size
+        return found, deviation
+
+
+@dataclass(frozen=True, eq=False)
+class Elasticity(UnderKnown):
+    """The same where the torques are those of links that are known.
+
+    Attributes:
+        basis: (S, 10 D) the inertial parameters over stiffness that each number stands for, in the
+            order of Pinocchio's regressors.
+    """
+
     basis: F64
 
 
@@ -67,4 +96,4 @@ def followed(
         rates = first_derivative(motion.q - log.q, log.rate)
         deflections[:, damping] = -rates[:, joint[damping]]
         out.append(deflections)
-    return Elasticity(joint, tuple(out), damping, basis)
+    return replace(found, motions=tuple(out))

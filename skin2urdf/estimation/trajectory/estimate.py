@@ -12,6 +12,7 @@ from skin2urdf.arrays import F64, Bool
 from skin2urdf.estimation.problem.cost import Priors
 from skin2urdf.estimation.problem.state import State
 from skin2urdf.estimation.trajectory.ahead import Ahead, step_ahead
+from skin2urdf.estimation.trajectory.arrow import eliminated, joint_inverse
 from skin2urdf.estimation.trajectory.causes import Explained, explained
 from skin2urdf.estimation.trajectory.clocks import with_likely_clocks
 from skin2urdf.estimation.trajectory.deviations import su_covariances
@@ -19,7 +20,7 @@ from skin2urdf.estimation.trajectory.doubtful_fronts import (
     has_doubtful_fronts,
     without_doubtful_fronts,
 )
-from skin2urdf.estimation.trajectory.elastic import Elasticity
+from skin2urdf.estimation.trajectory.elastic import UnderKnown
 from skin2urdf.estimation.trajectory.encoder_noise import (
     Shortening,
     hidden_offsets,
@@ -90,7 +91,7 @@ class MotionEstimate:
     gyros: Gyros | None = None
     causes: tuple[str, ...] = ()
     tried: Mapping[str, float] = field(default_factory=dict)
-    under_known: Elasticity | None = None
+    under_known: UnderKnown | None = None
     late: Late | None = None
     corrected: tuple[Shortening, ...] = ()
     hidden: tuple[tuple[F64, F64], ...] = ()
@@ -180,6 +181,26 @@ class MotionEstimate:
         """
         logs = self.problem.base_motions(self.fitted.state)
         return np.asarray(np.max([np.ptp(x, axis=0) for x in logs], axis=0))
+
+    def compliance(self, covariance: F64 | None = None) -> tuple[F64, F64]:
+        """(D,) what each joint yields per torque that is known, and its standard deviation.
+
+        Args:
+            covariance: (J, J) of the joint part; by default that which weights tell.
+
+        Returns:
+            In rad/(N m) or m/N; NaN of joints that bear nothing, and where no torques are known.
+        """
+        elastic, D = self.under_known, self.problem.tree.n_joints
+        if elastic is None:
+            return np.full(D, np.nan), np.full(D, np.nan)
+        if covariance is None:
+            free = self.problem.free_joint, self.problem.free_su
+            system = eliminated(self.fitted.equations, *free)
+            covariance = joint_inverse(system.schur, free[0])
+        n, first = elastic.n_numbers, self.problem.layout.unseen.start
+        own = slice(first, first + n)
+        return elastic.compliances(self.fitted.state.unseen[:n], covariance[own, own], D)
 
     @cached_property
     def su_covariances(self) -> F64:

@@ -16,11 +16,12 @@ from skin2urdf.arrays import F64, Int
 from skin2urdf.estimation.problem.state import State
 from skin2urdf.estimation.trajectory.arrow import eliminated, joint_inverse
 from skin2urdf.estimation.trajectory.bending import SPINDLE, YIELD
-from skin2urdf.estimation.trajectory.elastic import Elasticity, followed
+from skin2urdf.estimation.trajectory.elastic import Elasticity, UnderKnown, followed
 from skin2urdf.estimation.trajectory.fit import Fitted, fit
 from skin2urdf.estimation.trajectory.front_end import begin_front
 from skin2urdf.estimation.trajectory.misfit import MOST_OF_IT, SPAN, misfit_of
 from skin2urdf.estimation.trajectory.problem import MotionProblem
+from skin2urdf.estimation.trajectory.state import MotionState
 from skin2urdf.estimation.trajectory.yielding import NEARLY
 from skin2urdf.signals.trajectory import Trajectory
 from skin2urdf.structure.records import KinematicTree
@@ -30,7 +31,7 @@ _BORNE = 1e-3
 _TURNS = 6
 """Turns of deflections by known torques and of motion, at most; each leaves a fifth to a tenth of
 the error."""
-_LATE = 1e-2
+LATE = 1e-2
 """Standard deviation of the time by which deflections under known torques are late [s]: that of a
 resonance at 8 Hz, damped to a quarter of the critical."""
 _SETTLED = 1e-2
@@ -59,7 +60,8 @@ def known_elasticity(
         time by which it is late.
     """
     D = tree.n_joints
-    alone = _of_joints(np.arange(D, dtype=np.int64), np.tile(inertials, (D, 1)), logs)
+    every = np.arange(D, dtype=np.int64)
+    alone = _of_joints(every, np.tile(inertials, (D, 1)), np.ones(D), logs)
     torque = followed(alone, tree, logs, state, gravity, np.zeros(2 * D))
     count = sum(len(log.q) for log in logs)
     square = np.sum([(d[:, :D] ** 2).sum(axis=0) for d in torque.motions], axis=0)
@@ -67,42 +69,18 @@ def known_elasticity(
     borne = np.flatnonzero(size > _BORNE * size.max(initial=0.0)).astype(np.int64)
     scaled = inertials / size[borne, None]
     nothing = np.zeros(2 * len(borne))
-    return followed(_of_joints(borne, scaled, logs), tree, logs, state, gravity, nothing)
+    bearing = _of_joints(borne, scaled, size[borne], logs)
+    return followed(bearing, tree, logs, state, gravity, nothing)
 
 
-def compliances(
-    elastic: Elasticity, x: F64, covariance: F64, inertials: F64, n_joints: int
-) -> tuple[F64, F64]:
-    """What the joints yield per torque, and how well that is known.
-
-    Args:
-        elastic: deflections under known torques.
-        x: (S,) what was found.
-        covariance: (S, S) of it.
-        inertials: (10 D,) as for :func:`known_elasticity`.
-        n_joints: D.
-
-    Returns:
-        (D,) compliances and their standard deviations [rad/(N m), m/N]; NaN of joints that bear
-        nothing.
-    """
-    found, deviation = np.full(n_joints, np.nan), np.full(n_joints, np.nan)
-    at = np.flatnonzero(~elastic.damping)
-    k = elastic.joint[at]
-    per_unit = elastic.basis[at] @ inertials / (inertials @ inertials)
-    found[k] = x[at] * per_unit
-    deviation[k] = np.sqrt(np.diag(covariance)[at].clip(min=0.0)) * per_unit
-    return found, deviation
-
-
-def _of_joints(joints: Int, basis: F64, logs: Sequence[Trajectory]) -> Elasticity:
+def _of_joints(joints: Int, basis: F64, size: F64, logs: Sequence[Trajectory]) -> Elasticity:
     """Deflections of some joints by given parameters, and their damping, along no motion yet."""
     n = len(basis)
     both = np.tile(joints, 2)
     damping = np.arange(2 * n) >= n
     directions = np.concatenate([basis, np.zeros_like(basis)])
     motions = tuple(np.zeros((len(log.q), 2 * n)) for log in logs)
-    return Elasticity(both, motions, damping, directions)
+    return Elasticity(both, motions, damping, np.tile(size, 2), directions)
 
 
 def with_known_torque(
@@ -120,35 +98,47 @@ def with_known_torque(
     elastic = known_elasticity(
         problem.tree, problem.logs, state.placements, state.gravity, blueprint.inertials
     )
-    # Sensors have taken up of the deflections what they could, and would hold it back.
-    sensors = replace(
-        state.placements,
-        bias=np.zeros_like(state.placements.bias),
-        shape=np.zeros_like(state.placements.shape),
-    )
-    fresh = replace(
+    fresh = replace(fitted, state=with_fresh_sensors(problem, state))
+    return _with_elastic_joints(problem, fresh, elastic)
+
+
+def with_fresh_sensors(problem: MotionProblem, state: MotionState) -> MotionState:
+    """A state with sensors as they are before anything is known of them.
+
+    They have taken up of deflections what they could, and would hold these back.
+    """
+    places = state.placements
+    return replace(
         state,
-        placements=sensors,
+        placements=replace(
+            places, bias=np.zeros_like(places.bias), shape=np.zeros_like(places.shape)
+        ),
         front=np.tile(begin_front(problem.priors.front), (len(state.front), 1)),
     )
-    return _with_elastic_joints(problem, replace(fitted, state=fresh), elastic)
 
 
-def yields(problem: MotionProblem, fitted: Fitted) -> bool:
+def yields(problem: MotionProblem, fitted: Fitted, *, in_either_sense: bool = False) -> bool:
     """Whether all compliances under known torques are such as springs have: not below zero.
 
     Args:
         problem: with nothing but these in what encoders do not see.
         fitted: its fit.
+        in_either_sense: whether all may be below zero instead, as of torques that are told as those
+            of the load, not of the drive.
     """
     elastic, at = problem.unseen, problem.layout.unseen
-    if not isinstance(elastic, Elasticity):
+    if not isinstance(elastic, UnderKnown):
         return False
     system = eliminated(fitted.equations, problem.free_joint, problem.free_su)
     variance = np.diag(joint_inverse(system.schur, problem.free_joint))[at]
     spring = ~elastic.damping
-    x = fitted.state.unseen[spring]
-    return bool((x > -_NEGATIVE * np.sqrt(variance[spring].clip(min=0.0))).all())
+    x, beyond = fitted.state.unseen[spring], _NEGATIVE * np.sqrt(variance[spring].clip(min=0.0))
+    return bool((x > -beyond).all() or (in_either_sense and (x < beyond).all()))
+
+
+def prior_spread(tree: KinematicTree, elastic: UnderKnown) -> F64:
+    """(S,) standard deviations of deflections under the size of their torques [rad or m]."""
+    return np.asarray(YIELD * np.where(tree.prismatic, SPINDLE, 1.0)[elastic.joint])
 
 
 def _with_elastic_joints(
@@ -160,8 +150,8 @@ def _with_elastic_joints(
     in turns.
     """
     tree, logs, state = problem.tree, problem.logs, fitted.state
-    spread = YIELD * np.where(tree.prismatic, SPINDLE, 1.0)[elastic.joint]
-    spread[elastic.damping] = _LATE
+    spread = prior_spread(tree, elastic)
+    spread[elastic.damping] = LATE
     priors = replace(problem.priors, unseen=spread)
     state = replace(state, unseen=np.zeros(len(spread)))
     n_knots = problem.layout.n_knots

@@ -16,10 +16,7 @@ from skin2urdf.estimation.trajectory.springs import Springs
 from skin2urdf.estimation.trajectory.torques import bodies, joint_inertias, loads_of, regressors
 from skin2urdf.geometry.so3 import skew
 from skin2urdf.signals.filters import (
-    filtered,
     first_derivative,
-    low_pass,
-    noise_bandwidth,
     second_derivative,
 )
 from skin2urdf.signals.trajectory import Trajectory
@@ -30,9 +27,6 @@ if TYPE_CHECKING:
 
 _LATE = 2e-3
 """Time by which dampers make deflections late [s]: a twentieth of the critical damping at 8 Hz."""
-_WIDER = 1.5
-"""Cutoff of the low-pass in which deflections are solved for, over that of the log: of what passes
-this, it leaves all."""
 _SLOWLY = 2
 """Samples from one at which inertias are worked out to the next: some 30 ms."""
 _FAR = 3.0
@@ -70,9 +64,9 @@ class Loaded:
         """
         parts = self.found.parts
         bent = self._bent(beyond, self._torques(beyond)) - self._absent
-        lacking = self._smooth(bent - beyond[:, parts])
+        lacking = self.log.smooth(bent - beyond[:, parts])
         # What springs ring with beyond the low-pass, none would take away again.
-        step = self._smooth(springs.bent(lacking[..., None])[..., 0])
+        step = self.log.smooth(springs.bent(lacking[..., None])[..., 0])
         nearer = (beyond[:, parts] + step) @ self._moves.T
         largest = float(np.abs(nearer[self.within, parts]).max(initial=1e-300))
         return nearer, float(np.abs(step[self.within]).max(initial=0.0)) / largest
@@ -109,7 +103,7 @@ class Loaded:
             for i in range(3):
                 out[:, :, S - 3 + i] = -self._deeper(i, robot, force, beyond) @ C
         out *= self._there[:, None, None]
-        bent = self._smooth(springs.bent(out))
+        bent = self.log.smooth(springs.bent(out))
         if not found.base:
             return bent
         shifts = np.einsum("ji,njs->nis", skew(found.lever), bent[:, -3:])
@@ -136,18 +130,6 @@ class Loaded:
         high, part = np.minimum(low + 1, len(q) - 1), (at - low)[:, None, None]
         inertia = (1 - part) * inertia[low] + part * inertia[high]
         return Springs(found.compliance, inertia, self._damped * self._late, self.log.rate)
-
-    def _smooth(self, x: F64) -> F64:
-        """Low-pass (N, ...) by what loses nothing that passes the log's own low-pass.
-
-        Springs answer anything at once, so that a wide one will do, which leaves no part of what
-        passes behind: what is left behind comes after in every further step. A gain of H becomes
-        one of ``1 - (1 - H)^2`` (twicing: Tukey 1977).
-        """
-        taps, rate = self.log.taps, self.log.rate
-        taps = low_pass(_WIDER * noise_bandwidth(taps, rate), rate)
-        twice = 2 * np.pad(taps, len(taps) // 2) - np.convolve(taps, taps)
-        return filtered(x, twice)
 
     @cached_property
     def _there(self) -> F64:

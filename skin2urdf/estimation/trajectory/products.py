@@ -19,7 +19,8 @@ from skin2urdf.arrays import F64
 from skin2urdf.estimation.trajectory.fit import Fitted, fit
 from skin2urdf.estimation.trajectory.problem import MotionProblem
 from skin2urdf.estimation.trajectory.records import Predicted
-from skin2urdf.signals.filters import first_derivative, second_derivative
+from skin2urdf.estimation.trajectory.state import MotionState
+from skin2urdf.signals.filters import filtered, first_derivative, second_derivative
 from skin2urdf.signals.trajectory import Trajectory
 
 NEAR = 30.0
@@ -43,27 +44,26 @@ def fit_with_products(
     """
     while True:
         left = _left(fitted)
-        problem, predicted = _with_products(problem, fitted)
+        problem, predicted = with_products(problem, fitted)
         fitted = fit(problem, fitted.state, near=True, iterations=iterations, predicted=predicted)
         if not _left(fitted) < _MOST_OF_IT * left:
             return problem, fitted
 
 
-def _left(fitted: Fitted) -> float:
-    """Root mean square of all residuals [m/s^2]."""
-    square = [(p.residual[p.measured] ** 2).sum() for p in fitted.predicted]
-    count = [3 * p.measured.sum() for p in fitted.predicted]
-    return float(np.sqrt(sum(square) / max(1, sum(count))))
-
-
-def _with_products(
+def with_products(
     problem: MotionProblem, fitted: Fitted
 ) -> tuple[MotionProblem, tuple[Predicted, ...]]:
     """The same problem with what readings hold beyond those of low-passed motion, as of a fit.
 
-    Residuals at the fit are then those of the motion as it was sampled.
+    Args:
+        problem: the logs, the tree and what is known before.
+        fitted: a fit of it.
+
+    Returns:
+        The problem, and per log the residuals at the fit, which are then those of the motion as it
+        was sampled.
     """
-    whole = problem.again(logs=[_as_sampled(log) for log in problem.logs])
+    whole = _as_sampled(problem, fitted.state)
     logs, predicted = [], []
     for g, (log, p) in enumerate(zip(problem.logs, fitted.predicted, strict=True)):
         if len(log.positions):
@@ -81,6 +81,13 @@ def _with_products(
     return problem.again(logs=logs), tuple(predicted)
 
 
+def _left(fitted: Fitted) -> float:
+    """Root mean square of all residuals [m/s^2]."""
+    square = [(p.residual[p.measured] ** 2).sum() for p in fitted.predicted]
+    count = [3 * p.measured.sum() for p in fitted.predicted]
+    return float(np.sqrt(sum(square) / max(1, sum(count))))
+
+
 def _residual(predicted: Predicted) -> F64:
     """(K, U, 3) residuals, 0 where nothing is measured; (K, U, 6) with gyroscopes', theirs last."""
     residual = np.where(predicted.measured[..., None], predicted.residual, 0.0)
@@ -88,8 +95,28 @@ def _residual(predicted: Predicted) -> F64:
     return residual if turned is None else np.concatenate([residual, turned.residual], axis=2)
 
 
-def _as_sampled(log: Trajectory) -> Trajectory:
-    """A log whose motion is not low-passed, its prediction twice instead."""
+def _as_sampled(problem: MotionProblem, state: MotionState) -> MotionProblem:
+    """The problem with motion that is not low-passed, its prediction twice instead.
+
+    What links do beyond their encoders is known low-passed, by what leaves nearly all of it: a gain
+    of H becomes one of ``1 - (1 - H)^2`` where what is left out is added once more (twicing: Tukey
+    1977).
+    """
+    logs = [_not_low_passed(log) for log in problem.logs]
+    unseen, x = problem.unseen, state.unseen
+    if unseen is None:
+        return problem.again(logs=logs)
+    settled = []
+    for g, log in enumerate(problem.logs):
+        moved = np.array(unseen.moved(log, g, x).q)
+        moved[:, : log.q.shape[1]] -= log.q
+        settled.append(2 * moved - filtered(moved, log.taps) if len(log.positions) else moved)
+    known = replace(unseen, settled=tuple(settled), origin=x)
+    return MotionProblem(problem.tree, logs, problem.priors, problem.layout.n_knots, known)
+
+
+def _not_low_passed(log: Trajectory) -> Trajectory:
+    """A log with the motion as it was sampled."""
     if not len(log.positions):
         return log
     return replace(

@@ -18,6 +18,7 @@ from skin2urdf.estimation.trajectory.fit import Fitted, Led, cost_with, fit, fit
 from skin2urdf.estimation.trajectory.misfit import MOST_OF_IT, SPAN, misfit_of
 from skin2urdf.estimation.trajectory.on_the_base import turned_as_the_base
 from skin2urdf.estimation.trajectory.problem import MotionProblem
+from skin2urdf.estimation.trajectory.products import with_products
 from skin2urdf.estimation.trajectory.shaken import Shaken
 from skin2urdf.estimation.trajectory.slack import learnt_size
 from skin2urdf.estimation.trajectory.state import MotionState
@@ -123,6 +124,8 @@ def fit_yielding(
     loads = slice(0, len(bends.basis))
     spread = np.array(bends.spread)
     spread[loads] = learnt_size(yielding, fitted, loads).size
+    # Products of motions were known of links that follow their encoders.
+    yielding, _ = with_products(yielding, held(yielding, state))
     yielding = yielding.again(priors=replace(priors, unseen=spread))
     return fit_following(
         yielding, state, follow_where_it_holds, iterations=_STEPS, tolerance=NEARLY

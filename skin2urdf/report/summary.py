@@ -216,7 +216,8 @@ def _stiffness(calibration: Calibration) -> list[str]:
     if along is None or along.under_known is None:
         return []
     tree = along.problem.tree
-    return stiffness_words(tree.joint_names, tree.prismatic, *along.compliance())
+    known = along.compliance(widening=calibration.observability.widening)
+    return stiffness_words(tree.joint_names, tree.prismatic, *known)
 
 
 def all_notes(calibration: Calibration) -> list[str]:

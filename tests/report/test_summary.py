@@ -9,7 +9,7 @@ import pytest
 from calibrated import calibration
 
 from skin2urdf.calibration.result import Calibration
-from skin2urdf.estimation.trajectory.elastic import Elasticity
+from skin2urdf.estimation.trajectory.elastic import UnderKnown
 from skin2urdf.estimation.trajectory.problem import MotionProblem
 from skin2urdf.model.records import OpenDirection
 from skin2urdf.notes import Note
@@ -17,6 +17,7 @@ from skin2urdf.report.branches import between_branches
 from skin2urdf.report.document import as_document
 from skin2urdf.report.findings import findings
 from skin2urdf.report.notes import note_words
+from skin2urdf.report.stiffness import stiffness_words
 from skin2urdf.report.summary import as_text
 from skin2urdf.report.tables import bullets, number, span, table
 from skin2urdf.report.words import frames_at_zero
@@ -91,10 +92,10 @@ def yielding(deflections: dict[int, float]) -> Calibration:
     assert along is not None
     problem = along.problem
     joints = np.array(list(deflections), dtype=np.int64)
-    elastic = Elasticity(
+    elastic = UnderKnown(
         joint=joints,
         damping=np.zeros(len(joints), dtype=bool),
-        basis=np.zeros((len(joints), 10 * problem.tree.n_joints)),
+        size=np.full(len(joints), 2.0),
         motions=tuple(np.ones((len(log.q), len(joints))) for log in problem.logs),
     )
     priors = replace(problem.priors, unseen=np.ones(len(joints)))
@@ -118,6 +119,26 @@ def test_joints_that_yield_are_told_with_their_deflections() -> None:
     assert samples["joints"][third]["largest_deflection"] == pytest.approx(4.5e-3)
     assert samples["joints"][second]["largest_deflection"] == 0.0
     assert f"{first} by" not in as_text(calibration())
+
+
+def test_stiffness_is_told_where_torques_are_known() -> None:
+    first, _, third = calibration().model.tree.joint_names[:3]
+    soft = yielding({0: 2e-3, 2: -4.5e-3})
+    assert soft.along is not None
+    elastic = soft.along.problem.unseen
+    assert isinstance(elastic, UnderKnown)
+    known = replace(soft, along=replace(soft.along, under_known=elastic))
+    joints = as_document(known)["samples"]["joints"]
+    assert joints[first]["compliance"] == pytest.approx(1e-3)
+    assert joints[third]["compliance"] == pytest.approx(-2.25e-3)
+    assert joints[first]["compliance_sd"] > 0
+    assert as_document(soft)["samples"]["joints"][first]["compliance"] is None
+    # Of torques of the load it is below zero, and as stiff.
+    compliance, deviation = np.array([1e-3, np.nan, -2e-4, 1e-6]), np.array([1e-5, 0, 1e-5, 1e-6])
+    told = stiffness_words("abcd", [False, False, True, False], compliance, deviation)
+    assert [words.split(":")[0] for words in told] == ["a", "c", "d"]
+    for words, k in zip(told, (1.0, 5.0, 1 / 3e-3), strict=True):
+        assert number(k) in words
 
 
 def test_uneven_gears_and_slack_are_told_with_their_sizes() -> None:

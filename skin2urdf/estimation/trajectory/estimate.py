@@ -182,11 +182,12 @@ class MotionEstimate:
         logs = self.problem.base_motions(self.fitted.state)
         return np.asarray(np.max([np.ptp(x, axis=0) for x in logs], axis=0))
 
-    def compliance(self, covariance: F64 | None = None) -> tuple[F64, F64]:
+    def compliance(self, covariance: F64 | None = None, widening: float = 1.0) -> tuple[F64, F64]:
         """(D,) what each joint yields per torque that is known, and its standard deviation.
 
         Args:
             covariance: (J, J) of the joint part; by default that which weights tell.
+            widening: by how much variances exceed these.
 
         Returns:
             In rad/(N m) or m/N; NaN of joints that bear nothing, and where no torques are known.
@@ -197,7 +198,7 @@ class MotionEstimate:
         if covariance is None:
             free = self.problem.free_joint, self.problem.free_su
             system = eliminated(self.fitted.equations, *free)
-            covariance = joint_inverse(system.schur, free[0])
+            covariance = max(1.0, widening) * joint_inverse(system.schur, free[0])
         n, first = elastic.n_numbers, self.problem.layout.unseen.start
         own = slice(first, first + n)
         return elastic.compliances(self.fitted.state.unseen[:n], covariance[own, own], D)

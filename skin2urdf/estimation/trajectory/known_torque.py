@@ -1,105 +1,102 @@
-"""Joints that yield under torques that are known: one number for each joint, its compliance.
+"""Joints that yield under torques that are known: a fit with two numbers for each joint.
 
-Where the masses, centres of mass and inertias pi of the links are known, as a vendor's URDF has
-them, the torques ``tau = Y(q, q', q'') pi`` are (Pinocchio's inverse dynamics), and a joint of
-stiffness K leaves its link at ``q = theta - tau / K``, where theta is the motor's position.
+How much a joint yields to its torque is one, and how much later it does the other, which is told
+to first order about what is known of it, and then once more. What springs bear is known where the
+log holds it (:mod:`measured_torque`), or where a vendor's URDF has masses, centres of mass and
+inertias of the links: torques are those of Pinocchio's inverse dynamics along the motion that links
+make, which is known once deflections are. Both are found in turns.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from skin2urdf.arrays import F64, Int
-from skin2urdf.estimation.problem.state import State
 from skin2urdf.estimation.trajectory.arrow import eliminated, joint_inverse
 from skin2urdf.estimation.trajectory.bending import SPINDLE, YIELD
-from skin2urdf.estimation.trajectory.elastic import Elasticity, UnderKnown, followed
+from skin2urdf.estimation.trajectory.elastic import UnderKnown
 from skin2urdf.estimation.trajectory.fit import Fitted, fit
 from skin2urdf.estimation.trajectory.front_end import begin_front
 from skin2urdf.estimation.trajectory.misfit import MOST_OF_IT, SPAN, misfit_of
 from skin2urdf.estimation.trajectory.problem import MotionProblem
+from skin2urdf.estimation.trajectory.products import fit_with_products
 from skin2urdf.estimation.trajectory.state import MotionState
-from skin2urdf.estimation.trajectory.yielding import NEARLY
+from skin2urdf.estimation.trajectory.torques import bodies, loads_of
+from skin2urdf.signals.filters import first_derivative
 from skin2urdf.signals.trajectory import Trajectory
 from skin2urdf.structure.records import KinematicTree
 
 _BORNE = 1e-3
 """Least torque of a joint, over the largest, whose twist counts: of milliradians, microradians."""
-_TURNS = 6
-"""Turns of deflections by known torques and of motion, at most; each leaves a fifth to a tenth of
-the error."""
-LATE = 1e-2
+_OF_LINKS = 6
+"""Turns of torques of known links and of the motion that they make, at most; each leaves a fifth to
+a tenth of the error."""
+_STEPS = 30
+"""Linearisations of a fit at most; it takes 3 to 8."""
+_TURNS = 3
+"""How often a fit begins anew about how late deflections are: each leaves a tenth of what is off to
+second order, (w T)^2 of a deflection that is late by T at w."""
+_ON_TIME = 2e-4
+"""By how much deflections may still be late [s], as parts of the largest: at 4 Hz what that leaves
+to second order is 3e-5 of them."""
+_NOTHING = 1e-2
+"""Deflection of a joint, over the largest, that tells nothing of how late it is."""
+_LATE = 1e-2
 """Standard deviation of the time by which deflections under known torques are late [s]: that of a
 resonance at 8 Hz, damped to a quarter of the critical."""
-_SETTLED = 1e-2
-"""Change of deflections in a turn, over the largest, at which the next one is the last: that one
-leaves some 0.001 of deflections, which is micrometres."""
+_SETTLED = 1e-3
+"""Change of torques in a turn, over their rms, at which deflections are known: what that changes is
+micrometres."""
 _NEGATIVE = 10.0
 """Deviations below zero at which a compliance is none: what torques lack in truth, as those of
 cables and tools that a model leaves out, makes small ones wrong by several."""
 
 
-def known_elasticity(
-    tree: KinematicTree, logs: Sequence[Trajectory], state: State, gravity: float, inertials: F64
-) -> Elasticity:
-    """The deflections that known links make of the motion of the logs, as encoders have it.
-
-    Args:
-        tree: D joints.
-        logs: trajectories.
-        state: placements, and gravity's direction per log.
-        gravity: its magnitude [m/s^2].
-        inertials: (10 D,) of what each joint carries, in the order of Pinocchio's regressors and in
-            the frames of the joints [kg, kg m, kg m^2].
-
-    Returns:
-        For every joint that bears something the deflection per radian (metre) of its rms, and the
-        time by which it is late.
-    """
-    D = tree.n_joints
-    every = np.arange(D, dtype=np.int64)
-    alone = _of_joints(every, np.tile(inertials, (D, 1)), np.ones(D), logs)
-    torque = followed(alone, tree, logs, state, gravity, np.zeros(2 * D))
-    count = sum(len(log.q) for log in logs)
-    square = np.sum([(d[:, :D] ** 2).sum(axis=0) for d in torque.motions], axis=0)
-    size = np.sqrt(square / count)
-    borne = np.flatnonzero(size > _BORNE * size.max(initial=0.0)).astype(np.int64)
-    scaled = inertials / size[borne, None]
-    nothing = np.zeros(2 * len(borne))
-    bearing = _of_joints(borne, scaled, size[borne], logs)
-    return followed(bearing, tree, logs, state, gravity, nothing)
-
-
-def _of_joints(joints: Int, basis: F64, size: F64, logs: Sequence[Trajectory]) -> Elasticity:
-    """Deflections of some joints by given parameters, and their damping, along no motion yet."""
-    n = len(basis)
-    both = np.tile(joints, 2)
-    damping = np.arange(2 * n) >= n
-    directions = np.concatenate([basis, np.zeros_like(basis)])
-    motions = tuple(np.zeros((len(log.q), 2 * n)) for log in logs)
-    return Elasticity(both, motions, damping, np.tile(size, 2), directions)
-
-
 def with_known_torque(
     problem: MotionProblem, fitted: Fitted
 ) -> tuple[MotionProblem, Fitted] | None:
-    """The fit with joints that yield under torques that are known; None where they are not.
+    """The fit with joints that yield under the loads of known links; None where they are not.
 
     Args:
         problem: the rigid robot.
         fitted: its fit.
     """
-    blueprint, state = problem.priors.blueprint, fitted.state
+    blueprint = problem.priors.blueprint
     if blueprint is None or blueprint.inertials is None:
         return None
-    elastic = known_elasticity(
-        problem.tree, problem.logs, state.placements, state.gravity, blueprint.inertials
-    )
-    fresh = replace(fitted, state=with_fresh_sensors(problem, state))
-    return _with_elastic_joints(problem, fresh, elastic)
+    torques = _of_links(fitted, blueprint.inertials)
+    size = np.sqrt(np.mean(np.concatenate(torques) ** 2, axis=0))
+    joints = np.flatnonzero(size > _BORNE * size.max(initial=0.0)).astype(np.int64)
+    if not len(joints):
+        return None
+    start, late = with_fresh_sensors(problem, fitted.state), np.zeros(len(joints))
+    promised = MOST_OF_IT * misfit_of(problem, fitted, SPAN)
+    for _ in range(_OF_LINKS):
+        own = [tau[:, joints] for tau in torques]
+        under = fit_under(problem, start, joints, own, late)
+        fitted, start, late = under.fitted, under.fitted.state, under.late
+        if misfit_of(fitted.problem, fitted, SPAN) > promised:
+            break
+        before, torques = torques, _of_links(fitted, blueprint.inertials)
+        off = np.concatenate([a - b for a, b in zip(torques, before, strict=True)])[:, joints]
+        if np.sqrt(np.mean(off**2, axis=0)).max() < _SETTLED * size.max():
+            break
+    return fitted.problem, fitted
+
+
+def _of_links(fitted: Fitted, inertials: F64) -> list[F64]:
+    """Per log (N, D) torques of known links along the motion of a fit [N m or N]."""
+    problem, state, links = fitted.problem, fitted.state, bodies(inertials)
+    out = []
+    for g, log in enumerate(problem.logs):
+        moved = problem.moved(state, g)
+        tau = loads_of(problem.tree, state.placements, g, state.gravity, moved, links, base=False)
+        # Above the low-pass, accelerations are noise, and more so with every differentiation.
+        out.append(log.smooth(tau))
+    return out
 
 
 def with_fresh_sensors(problem: MotionProblem, state: MotionState) -> MotionState:
@@ -136,45 +133,79 @@ def yields(problem: MotionProblem, fitted: Fitted, *, in_either_sense: bool = Fa
     return bool((x > -beyond).all() or (in_either_sense and (x < beyond).all()))
 
 
-def prior_spread(tree: KinematicTree, elastic: UnderKnown) -> F64:
+@dataclass(frozen=True, eq=False)
+class Under:
+    """A fit with joints that yield under given torques.
+
+    Attributes:
+        fitted: the fit.
+        late: (J,) by how much deflections are later than torques [s].
+    """
+
+    fitted: Fitted
+    late: F64
+
+
+def fit_under(
+    problem: MotionProblem, start: MotionState, joints: Int, torques: Sequence[F64], late: F64
+) -> Under:
+    """The fit with joints that yield under given torques.
+
+    Args:
+        problem: the rigid robot.
+        start: where to begin.
+        joints: (J,) which joints.
+        torques: per log (N, J) [N m or N], low-passed.
+        late: (J,) by how much deflections are late, to begin with [s].
+    """
+    far, state = len(start.unseen) == 0, start
+    for _ in range(_TURNS):
+        there = [_later(log, tau, late) for log, tau in zip(problem.logs, torques, strict=True)]
+        elastic = _deflections(problem.logs, joints, there)
+        spread = _spread(problem.tree, elastic)
+        spread[elastic.damping] *= _LATE
+        priors = replace(problem.priors, unseen=spread)
+        n_knots = problem.layout.n_knots
+        yielding = MotionProblem(problem.tree, problem.logs, priors, n_knots, elastic)
+        known = np.zeros(len(spread)) if far else state.unseen
+        state = replace(state, unseen=np.where(elastic.damping, 0.0, known))
+        fitted = fit(yielding, state, far=far, near=not far)
+        _, fitted = fit_with_products(yielding, fitted, _STEPS)
+        far, state, (bent, by_late) = False, fitted.state, fitted.state.unseen.reshape(2, -1)
+        # What bears next to nothing tells no time.
+        largest = np.abs(bent).max()
+        late = late + by_late * bent / (bent**2 + (_NOTHING * largest) ** 2)
+        if np.abs(by_late).max() < _ON_TIME * largest:
+            break
+    return Under(fitted, late)
+
+
+def _later(log: Trajectory, torque: F64, late: F64) -> F64:
+    """(N, J) torques behind a pole of each joint, or before one where times (J,) are negative."""
+    if not late.any():
+        return torque
+    pad = len(log.taps)
+    padded = np.pad(torque, ((pad, pad), (0, 0)), mode="edge")
+    s = 2j * np.pi * np.fft.rfftfreq(len(padded), 1 / log.rate)[:, None]
+    gain = np.where(late > 0, 1 / (1 + s * late.clip(min=0.0)), 1 - s * late)
+    return np.fft.irfft(gain * np.fft.rfft(padded, axis=0), len(padded), axis=0)[pad:-pad]
+
+
+def _deflections(logs: Sequence[Trajectory], joints: Int, torques: Sequence[F64]) -> UnderKnown:
+    """The deflections that torques make, per radian (metre) under the rms of each.
+
+    For every joint there are its deflection, and by how much that is late.
+    """
+    size = np.sqrt(np.mean(np.concatenate(torques) ** 2, axis=0))
+    size = np.where(size > 0, size, 1.0)
+    motions = tuple(
+        np.hstack([-torque / size, first_derivative(torque / size, log.rate)])
+        for log, torque in zip(logs, torques, strict=True)
+    )
+    damping = np.arange(2 * len(joints)) >= len(joints)
+    return UnderKnown(np.tile(joints, 2), motions, damping=damping, size=np.tile(size, 2))
+
+
+def _spread(tree: KinematicTree, elastic: UnderKnown) -> F64:
     """(S,) standard deviations of deflections under the size of their torques [rad or m]."""
     return np.asarray(YIELD * np.where(tree.prismatic, SPINDLE, 1.0)[elastic.joint])
-
-
-def _with_elastic_joints(
-    problem: MotionProblem, fitted: Fitted, elastic: Elasticity
-) -> tuple[MotionProblem, Fitted]:
-    """The fit with joints that yield under torques that are known.
-
-    Torques go with the motion of the links, which is known once the deflections are: both are found
-    in turns.
-    """
-    tree, logs, state = problem.tree, problem.logs, fitted.state
-    spread = prior_spread(tree, elastic)
-    spread[elastic.damping] = LATE
-    priors = replace(problem.priors, unseen=spread)
-    state = replace(state, unseen=np.zeros(len(spread)))
-    n_knots = problem.layout.n_knots
-    yielding = MotionProblem(tree, logs, priors, n_knots, elastic)
-    rigid = misfit_of(problem, fitted, SPAN)
-    for turn in range(_TURNS):
-        before = yielding.deflections(state)
-        fitted = fit(yielding, state, tolerance=NEARLY, far=turn == 0)
-        state = fitted.state
-        if turn == 0 and misfit_of(yielding, fitted, SPAN) > MOST_OF_IT * rigid:
-            return yielding, fitted
-        change = _change(before, yielding.deflections(state))
-        for _ in range(2):
-            x = state.unseen
-            elastic = followed(elastic, tree, logs, state.placements, state.gravity, x)
-        yielding = MotionProblem(tree, logs, priors, n_knots, elastic)
-        if change < _SETTLED:
-            break
-    return yielding, fit(yielding, state)
-
-
-def _change(before: Sequence[F64], after: Sequence[F64]) -> float:
-    """Largest change of deflections, over the largest deflection."""
-    largest = max(float(np.abs(a).max(initial=0.0)) for a in after)
-    moved = max(float(np.abs(a - b).max(initial=0.0)) for a, b in zip(after, before, strict=True))
-    return moved / largest if largest > 0 else 0.0

@@ -18,43 +18,30 @@ links do.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from skin2urdf.arrays import F64, Int
-from skin2urdf.estimation.trajectory.elastic import UnderKnown
-from skin2urdf.estimation.trajectory.fit import Fitted, cost_with, fit
-from skin2urdf.estimation.trajectory.known_torque import LATE, prior_spread, with_fresh_sensors
+from skin2urdf.estimation.trajectory.fit import Fitted, cost_with
+from skin2urdf.estimation.trajectory.known_torque import Under, fit_under, with_fresh_sensors
 from skin2urdf.estimation.trajectory.problem import MotionProblem
-from skin2urdf.estimation.trajectory.products import fit_with_products
 from skin2urdf.estimation.trajectory.shaken import Shaken
-from skin2urdf.estimation.trajectory.state import MotionState
 from skin2urdf.estimation.trajectory.torques import bodies, inertial_sizes, loads_of, regressors
-from skin2urdf.signals.filters import filtered, first_derivative
+from skin2urdf.signals.filters import filtered
 from skin2urdf.signals.trajectory import Trajectory
 
-_STEPS = 30
-"""Linearisations of a fit at most; it takes 3 to 8."""
 _SLIDES = 0.02
 """Speed at which friction has nearly its full size [rad/s or m/s]: gears change from sticking to
 sliding at some hundredths of a radian per second."""
 _SHOWS = 1e-9
 """Least share of the largest eigenvalue that masses and moments are told along a direction from:
 less than a ten-thousandth of the largest torque is no torque that shows."""
-_TURNS = 3
-"""How often a fit begins anew about how late deflections are: each leaves a tenth of what is off to
-second order, (w T)^2 of a deflection that is late by T at w."""
-_ON_TIME = 2e-4
-"""By how much deflections may still be late [s], as parts of the largest: at 4 Hz what that leaves
-to second order is 3e-5 of them."""
 _MOST = 4
 """Turns of torques and of the motion that they make, at most: one leaves a tenth of what is off,
 and a third where half of the efforts is friction."""
 _SHARE = 0.01
 """Share of chi-squared that a turn takes off at least if another one is worth it."""
-_NOTHING = 1e-2
-"""Deflection of a joint, over the largest, that tells nothing of how late it is."""
 N_OWN = 3
 """Numbers of each effort beside masses and moments: an offset, and friction of two kinds."""
 
@@ -78,12 +65,12 @@ def with_measured_torque(
         loads, beside = _of_links(last, joints)
         return [tau - each for tau, each in zip(efforts, beside, strict=True)], loads
 
-    best = first = _fit_under(problem, fresh, joints, along(fitted)[0], np.zeros(len(joints)))
+    best = first = fit_under(problem, fresh, joints, along(fitted)[0], np.zeros(len(joints)))
     least, kinds = _cost(first, first), [0, 1]
     for _ in range(_MOST):
         # Along the motion that links really make, both are known better.
         torques, start = along(best.fitted), best.fitted.state
-        further = [_fit_under(problem, start, joints, torques[kind], best.late) for kind in kinds]
+        further = [fit_under(problem, start, joints, torques[kind], best.late) for kind in kinds]
         costs = [_cost(each, first) for each in further]
         winner = int(np.argmin(costs))
         if not costs[winner] < least:
@@ -102,79 +89,6 @@ def _measured(logs: Sequence[Trajectory]) -> Int:
     effort = np.concatenate([log.effort for log in logs])
     there = np.isfinite(effort).all(axis=0)
     return np.flatnonzero(there & (np.ptp(np.where(there, effort, 0.0), axis=0) > 0))
-
-
-@dataclass(frozen=True, eq=False)
-class _Under:
-    """A fit with joints that yield under given torques.
-
-    Attributes:
-        fitted: the fit.
-        late: (J,) by how much deflections are later than torques [s].
-    """
-
-    fitted: Fitted
-    late: F64
-
-
-def _fit_under(
-    problem: MotionProblem, start: MotionState, joints: Int, torques: Sequence[F64], late: F64
-) -> _Under:
-    """The fit with joints that yield under given torques.
-
-    Args:
-        problem: the rigid robot.
-        start: where to begin.
-        joints: (J,) which joints.
-        torques: per log (N, J) [N m or N], low-passed.
-        late: (J,) by how much deflections are late, to begin with [s].
-    """
-    far, state = len(start.unseen) == 0, start
-    for _ in range(_TURNS):
-        there = [_later(log, tau, late) for log, tau in zip(problem.logs, torques, strict=True)]
-        elastic = _under(problem.logs, joints, there)
-        spread = prior_spread(problem.tree, elastic)
-        spread[elastic.damping] *= LATE
-        priors = replace(problem.priors, unseen=spread)
-        n_knots = problem.layout.n_knots
-        yielding = MotionProblem(problem.tree, problem.logs, priors, n_knots, elastic)
-        known = np.zeros(len(spread)) if far else state.unseen
-        state = replace(state, unseen=np.where(elastic.damping, 0.0, known))
-        fitted = fit(yielding, state, far=far, near=not far)
-        _, fitted = fit_with_products(yielding, fitted, _STEPS)
-        far, state, (bent, by_late) = False, fitted.state, fitted.state.unseen.reshape(2, -1)
-        # What bears next to nothing tells no time.
-        largest = np.abs(bent).max()
-        late = late + by_late * bent / (bent**2 + (_NOTHING * largest) ** 2)
-        if np.abs(by_late).max() < _ON_TIME * largest:
-            break
-    return _Under(fitted, late)
-
-
-def _later(log: Trajectory, torque: F64, late: F64) -> F64:
-    """(N, J) torques behind a pole of each joint, or before one where times (J,) are negative."""
-    if not late.any():
-        return torque
-    pad = len(log.taps)
-    padded = np.pad(torque, ((pad, pad), (0, 0)), mode="edge")
-    s = 2j * np.pi * np.fft.rfftfreq(len(padded), 1 / log.rate)[:, None]
-    gain = np.where(late > 0, 1 / (1 + s * late.clip(min=0.0)), 1 - s * late)
-    return np.fft.irfft(gain * np.fft.rfft(padded, axis=0), len(padded), axis=0)[pad:-pad]
-
-
-def _under(logs: Sequence[Trajectory], joints: Int, torques: Sequence[F64]) -> UnderKnown:
-    """The deflections that torques make, per radian (metre) under the rms of each.
-
-    For every joint there are its deflection, and by how much that is late.
-    """
-    size = np.sqrt(np.mean(np.concatenate(torques) ** 2, axis=0))
-    size = np.where(size > 0, size, 1.0)
-    motions = tuple(
-        np.hstack([-torque / size, first_derivative(torque / size, log.rate)])
-        for log, torque in zip(logs, torques, strict=True)
-    )
-    damping = np.arange(2 * len(joints)) >= len(joints)
-    return UnderKnown(np.tile(joints, 2), motions, damping=damping, size=np.tile(size, 2))
 
 
 def _friction(log: Trajectory, joints: Int) -> F64:
@@ -239,7 +153,7 @@ def _least_squares(H: F64, b: F64) -> F64:
     return np.asarray(scale * (V[:, shows] @ ((V[:, shows].T @ (scale * b)) / lam[shows])))
 
 
-def _cost(under: _Under, weighed: _Under) -> float:
+def _cost(under: Under, weighed: Under) -> float:
     """Chi-squared of a fit with the weights of another."""
     by = weighed.fitted
     shaken = Shaken.of(by.problem.tree, by.problem.logs, by.state, by.weights)

@@ -16,7 +16,7 @@ from synthetic import RATE, random_state, sampled_trajectory, serial_tree
 from skin2urdf.arrays import F64
 from skin2urdf.estimation.problem.cost import Priors
 from skin2urdf.estimation.problem.state import State
-from skin2urdf.estimation.trajectory import measured_torque
+from skin2urdf.estimation.trajectory import known_torque
 from skin2urdf.estimation.trajectory.estimate import MotionEstimate, estimate_along, motion_priors
 from skin2urdf.model.kinematics import to_pinocchio
 from skin2urdf.model.specific_force import specific_forces
@@ -124,6 +124,6 @@ def test_products_of_what_links_do_are_no_lengths(monkeypatch: pytest.MonkeyPatc
 
     with_products = left()
     monkeypatch.setattr(
-        measured_torque, "fit_with_products", lambda problem, fitted, _: (problem, fitted)
+        known_torque, "fit_with_products", lambda problem, fitted, _: (problem, fitted)
     )
     assert with_products < 0.3 * left()

@@ -19,7 +19,7 @@ from skin2urdf.structure.records import JointType
 
 CERTAIN = 10.0
 """Difference of log-likelihoods beyond which one of two structures is certain: 20,000 to 1."""
-_CONSISTENT = 4.0
+CONSISTENT = 4.0
 """Standard deviations by which the gain of a joint stands out from what chance gains and loses from
 one stretch of time to the next, and the push of a sliding one from none: errors that are alike for
 a while count once."""
@@ -145,6 +145,23 @@ class Draft(Record):
         joints = list(self.joints)
         joints[joint] = replace(joints[joint], kind="prismatic")
         return replace(self, joints=tuple(joints))
+
+    def turned(self, children: Sequence[int], sus: Sequence[int], R: F64) -> Draft:
+        """With branches and SUs turned in the base frame.
+
+        Args:
+            children: the branches' first joints.
+            sus: SUs of these branches, and others.
+            R: (3, 3) the turn.
+        """
+        joints = list(self.joints)
+        for j, joint in enumerate(joints):
+            if not set(children).isdisjoint(self.path(j)):
+                axis = R @ joint.axis
+                joints[j] = replace(joint, axis=(float(axis[0]), float(axis[1]), float(axis[2])))
+        turned = self.R.copy()
+        turned[list(sus)] = R @ turned[list(sus)]
+        return replace(self, joints=tuple(joints), R=turned)
 
     def swapped(self, joint: int) -> Draft:
         """With a joint and the one before it in the other order."""
@@ -310,7 +327,7 @@ def _placed(
     children: list[int] = []
     sus: list[int] = []
     pushes: list[tuple[float, F64]] = []
-    for own, members in _groups(draft, at):
+    for own, members in groups(draft, at):
         trial = draft.with_joint(joint, at, own, [] if own else members)
         moved = _moved(draft, trial, samples, members, joint.kind, at, now, price)
         if moved is None:
@@ -335,8 +352,8 @@ def _placed(
     return _Place(draft.with_joint(joint, at, children, sus), total - price)
 
 
-def _groups(draft: Draft, at: int) -> Iterator[tuple[list[int], list[int]]]:
-    """What sits on a segment: branches, as their first joint and their SUs, and SUs."""
+def groups(draft: Draft, at: int) -> Iterator[tuple[list[int], list[int]]]:
+    """What sits on a segment (-1: the RS): branches, as first joint and SUs, and single SUs."""
     for c, p in enumerate(draft.parent):
         if p == at:
             yield [c], draft.beyond(c)
@@ -386,7 +403,7 @@ def _moved(
     chance = float(np.sqrt(2 * (np.minimum(gains, 0.0) ** 2).sum()))
     elsewhere = gain - float(gains.max(initial=0.0))
     # What moves a branch moves every SU on it.
-    holds = gain >= _CONSISTENT * chance and elsewhere >= price
+    holds = gain >= CONSISTENT * chance and elsewhere >= price
     holds &= bool(each.sum(axis=1).min() >= -CERTAIN)
     if kind == "revolute":
         near = len(pairs) == 1 and pairs[0][1].lever < _NEAREST
@@ -402,7 +419,7 @@ def _moved(
     size = np.linalg.norm(push, axis=1)
     # SUs beyond a joint that is not known yet say something else; and a push has to be seen.
     holds &= bool(np.median(np.abs(size - 1) - 4 * sd) <= _PUSH)
-    holds &= bool(np.median(size - _CONSISTENT * sd) > 0)
+    holds &= bool(np.median(size - CONSISTENT * sd) > 0)
     best = int(np.argmin(sd))
     return _Moved(holds, gain, push[best], float(sd[best]))
 
@@ -414,7 +431,7 @@ def _with_all_that_they_move(draft: Draft, samples: Along, dofs: Sequence[int]) 
         for j, joint in enumerate(draft.joints):
             if joint.dof not in dofs:
                 continue
-            for own, members in _groups(draft, draft.parent[j]):
+            for own, members in groups(draft, draft.parent[j]):
                 if own == [j]:
                     continue
                 trial = draft.gathered(j, own, [] if own else members)

@@ -30,6 +30,7 @@ from skin2urdf.structure.draft import (
     that_slide,
     with_unseen_joints,
 )
+from skin2urdf.structure.facing import facing_one_way
 from skin2urdf.structure.gravity import GravityWindows, gravity_windows, moments
 from skin2urdf.structure.growth import Growth, Known
 from skin2urdf.structure.records import KinematicTree
@@ -185,7 +186,7 @@ def _drafted(growth: Growth, samples: Along, moved: Bool, sliding: Sequence[int]
             "check that the joints moved during the log, and that the SUs sit on moving segments",
         )
     draft, reordered = in_best_order(draft, samples)
-    return [draft, *reordered, *otherwise]
+    return [facing_one_way(each, samples) for each in (draft, *reordered, *otherwise)]
 
 
 def _known(tree: KinematicTree, windows: GravityWindows) -> Known:

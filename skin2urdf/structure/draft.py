@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from skin2urdf.arrays import F64, Int, Record
-from skin2urdf.structure.accelerations import Along, ChainJoint, Judged, judge
+from skin2urdf.structure.accelerations import PARALLEL, Along, ChainJoint, Judged, judge
 from skin2urdf.structure.records import JointType
 
 CERTAIN = 10.0
@@ -27,8 +27,6 @@ QUIET = 1e-3
 """Noise [m/s^2] of low-passed samples below which no error matters: a tenth of a mg."""
 _QUIET_RATE = 1e-3
 """The same of rates [rad/s]: what an encoder's steps make of a velocity."""
-_PARALLEL = 0.9962
-"""Cosine of the angle up to which neighbouring axes turn gravity alike: 5 deg."""
 _PUSH = 0.1
 """Deviation of a sliding joint's push from unit length that scale and errors of fit may cause."""
 _NEAREST = 0.005
@@ -225,7 +223,7 @@ def in_best_order(draft: Draft, samples: Along) -> tuple[Draft, tuple[Draft, ...
             swapped = draft.swapped(joint)
             sus = draft.beyond(joint)
             gain = sum(
-                _gain(draft.judged(samples, u), swapped.judged(samples, u)).sum() for u in sus
+                gained(draft.judged(samples, u), swapped.judged(samples, u)).sum() for u in sus
             )
             if gain > CERTAIN:
                 better = swapped
@@ -273,11 +271,11 @@ def _alike(draft: Draft) -> Iterator[int]:
         a, b = draft.joints[before], draft.joints[j]
         if "prismatic" in (a.kind, b.kind):
             continue
-        if abs(np.array(a.axis) @ np.array(b.axis)) > _PARALLEL:
+        if abs(np.array(a.axis) @ np.array(b.axis)) > PARALLEL:
             yield j
 
 
-def _gain(now: Judged, then: Judged) -> F64:
+def gained(now: Judged, then: Judged) -> F64:
     """(B,) log-likelihood that another chain gains in each stretch, whatever its noise is."""
     return _log_ratio(now.loss, then.loss, now.count, QUIET) + _gain_in_turning(now, then)
 
@@ -301,10 +299,7 @@ def _places(
     price = _price(samples, len(left), len(draft.joints) + 1)
     others = [d for d in left if d != dof]
     for at in range(-1, len(draft.joints)):
-        vertical = all(
-            draft.joints[j].kind == "prismatic" or abs(draft.joints[j].axis[2]) > _PARALLEL
-            for j in draft.path(at)
-        )
+        vertical = all(draft.joints[j].is_upright for j in draft.path(at))
         kinds = [ChainJoint(dof, "prismatic", (0.0, 0.0, 1.0))]
         if vertical and dof not in sliding:
             kinds += [ChainJoint(dof, "revolute", (0.0, 0.0, s)) for s in (1.0, -1.0)]
@@ -396,7 +391,7 @@ def _moved(
     pairs = [(a, trial.judged(samples, u)) for u in members if (a := now[u]) is not None]
     if not pairs:
         return None
-    each = np.array([_gain(a, b) for a, b in pairs])
+    each = np.array([gained(a, b) for a, b in pairs])
     gains = each.sum(axis=0)
     gain = float(gains.sum())
     # Of what it explains by chance it loses as much elsewhere, and one moment may be odd by itself.

@@ -14,7 +14,7 @@ import numpy as np
 
 from skin2urdf.arrays import F64
 from skin2urdf.geometry.so3 import axis_rotation
-from skin2urdf.structure.accelerations import Along, ChainJoint
+from skin2urdf.structure.accelerations import Along
 from skin2urdf.structure.draft import CONSISTENT, Draft, groups
 
 _UP = np.array([0.0, 0.0, 1.0])
@@ -81,21 +81,16 @@ def _units(draft: Draft, samples: Along) -> Iterator[_Unit]:
     for at in range(len(draft.joints)):
         path = draft.path(at)
         slides = [j for j in path if draft.joints[j].kind == "prismatic"]
-        if not slides or not all(_is_hidden(draft.joints[j]) for j in path):
+        if not slides or not all(draft.joints[j].is_hidden for j in path):
             continue
         for children, sus in groups(draft, at):
-            if children and _is_hidden(draft.joints[children[0]]):
+            if children and draft.joints[children[0]].is_hidden:
                 continue
             judged = [draft.judged(samples, u) for u in sus]
             if judged:
                 best = min(judged, key=lambda each: float(each.slide_sd[: len(slides)].sum()))
                 k = len(slides)
                 yield _Unit(children, sus, slides, best.slide[:k], best.slide_sd[:k])
-
-
-def _is_hidden(joint: ChainJoint) -> bool:
-    """Whether a joint leaves gravity as it is: it slides, or was put in as vertical."""
-    return joint.kind == "prismatic" or bool(np.allclose(joint.axis[:2], 0.0))
 
 
 def _with_axis(draft: Draft, joint: int, axis: F64) -> Draft:

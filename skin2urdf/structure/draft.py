@@ -285,6 +285,20 @@ def _gain_in_turning(now: Judged, then: Judged) -> F64:
     return _log_ratio(now.turn_loss, then.turn_loss, now.turn_count, _QUIET_RATE)
 
 
+def is_shaken(now: Judged, then: Judged) -> bool:
+    """Whether a vertical axis before an SU shakes it rather than that it turns it."""
+    # A gyroscope tells turning from shaking.
+    return then.lever < _NEAREST and _gain_in_turning(now, then).sum() <= CERTAIN
+
+
+def is_push(push: F64, sd: F64) -> bool:
+    """Whether most SUs feel a sliding joint as one that carries them, by (n, 3) and (n,)."""
+    size = np.linalg.norm(push, axis=1)
+    # SUs beyond a joint that is not known yet say something else; and a push has to be seen.
+    as_one = bool(np.median(np.abs(size - 1) - 4 * sd) <= _PUSH)
+    return as_one and bool(np.median(size - CONSISTENT * sd) > 0)
+
+
 def _log_ratio(now: F64, then: F64, count: F64, quiet: float) -> F64:
     """Log-likelihood gained by a smaller sum of squares over so many measurements."""
     floor = quiet**2 * count + 1e-12
@@ -401,20 +415,14 @@ def _moved(
     holds = gain >= CONSISTENT * chance and elsewhere >= price
     holds &= bool(each.sum(axis=1).min() >= -CERTAIN)
     if kind == "revolute":
-        near = len(pairs) == 1 and pairs[0][1].lever < _NEAREST
         own = trial.path(int(trial.su_joint[members[0]]))
-        # A gyroscope tells turning from shaking.
-        turns = sum(_gain_in_turning(a, b).sum() for a, b in pairs) > CERTAIN
-        shaken = near and not turns and len(own) == len(draft.path(at)) + 1
+        shaken = len(pairs) == 1 and is_shaken(*pairs[0]) and len(own) == len(draft.path(at)) + 1
         return _Moved(holds and not shaken, gain, np.zeros(3), 0.0)
     # It comes after the sliding joints on the way to it.
     index = sum(draft.joints[j].kind == "prismatic" for j in draft.path(at))
     push = np.array([b.slide[index] for _, b in pairs])
     sd = np.array([b.slide_sd[index] for _, b in pairs])
-    size = np.linalg.norm(push, axis=1)
-    # SUs beyond a joint that is not known yet say something else; and a push has to be seen.
-    holds &= bool(np.median(np.abs(size - 1) - 4 * sd) <= _PUSH)
-    holds &= bool(np.median(size - CONSISTENT * sd) > 0)
+    holds &= is_push(push, sd)
     best = int(np.argmin(sd))
     return _Moved(holds, gain, push[best], float(sd[best]))
 

@@ -7,12 +7,13 @@ or too near. Once all joints are in, each SU is asked again.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from skin2urdf.structure.accelerations import Along
-from skin2urdf.structure.draft import CERTAIN, CONSISTENT, Draft, gained
+from skin2urdf.structure.accelerations import Along, Judged
+from skin2urdf.structure.draft import CERTAIN, CONSISTENT, Draft, gained, is_push, is_shaken
 
 
 def with_sus_elsewhere(draft: Draft, samples: Along) -> Draft:
@@ -36,7 +37,10 @@ def with_sus_elsewhere(draft: Draft, samples: Along) -> Draft:
             moved = replace(draft, su_joint=su_joint)
             if not all(moved.beyond(each) for each in draft.path(at)):
                 continue
-            gains = gained(now, moved.judged(samples, u))
+            then = moved.judged(samples, u)
+            if not _is_carried(moved, draft.path(at), u, now, then):
+                continue
+            gains = gained(now, then)
             # Of what it explains by chance it loses as much elsewhere.
             chance = float(np.sqrt(2 * (np.minimum(gains, 0.0) ** 2).sum()))
             gain = float(gains.sum())
@@ -44,6 +48,20 @@ def with_sus_elsewhere(draft: Draft, samples: Along) -> Draft:
                 best, most = moved, gain
         draft = best
     return draft
+
+
+def _is_carried(draft: Draft, before: Sequence[int], su: int, now: Judged, then: Judged) -> bool:
+    """Whether an SU feels the joints that come to carry it as what they are.
+
+    On a base that gives way it feels them as well.
+    """
+    path = draft.path(int(draft.su_joint[su]))
+    slides = [j for j in path if draft.joints[j].kind == "prismatic"]
+    pushes = zip(slides, then.slide[:, None], then.slide_sd[:, None], strict=True)
+    if not all(is_push(push, sd) for j, push, sd in pushes if j not in before):
+        return False
+    turns = [j for j in path if j not in before and draft.joints[j].kind == "revolute"]
+    return not turns or not is_shaken(now, then)
 
 
 def _alike(draft: Draft, segment: int) -> list[int]:

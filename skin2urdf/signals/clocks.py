@@ -24,7 +24,7 @@ from scipy.special import chdtrc, ndtr, stdtrit
 
 from skin2urdf.arrays import F64, Bool
 from skin2urdf.recording.records import SuStream
-from skin2urdf.signals import commotion, expansion
+from skin2urdf.signals import commotion, expansion, one_joint
 from skin2urdf.signals.commotion import change, speeds
 from skin2urdf.signals.expansion import Expansion
 from skin2urdf.signals.motion import Motion
@@ -177,18 +177,23 @@ def _by_the_whole_log(
 ) -> Iterator[list[SuClock]]:
     """The clocks of each SU as its commotion and an expansion tell; infinite deviations where not.
 
-    Commotion tells more of moves that begin and end, an expansion of motion that goes on and on.
+    Commotion tells more of moves that begin and end, an expansion of motion that goes on and on,
+    and one joint by itself of SUs that no other moves.
     """
     if not sus:
         return
     rate = motion.grid.rate / EVERY
     q = binned(motion.q)[:, motion.moved]
-    ways = (_Commotion(speeds(q, rate), rate), _Expanded(Expansion(q, rate), rate))
+    of_all = (_Commotion(speeds(q, rate), rate), _Expanded(Expansion(q, rate), rate))
+    alone = [Expansion(column[:, None], rate) for column in q.T]
     for su in sus:
         integral = Integral.of(su)
         su.put_away()
         nothing = SuClock(su.name, 0.0, np.inf, 0.0, np.inf, middle)
-        yield [_by_one_way(integral, nothing, motion, way) for way in ways]
+        found = [_by_one_way(integral, nothing, motion, way) for way in of_all]
+        if not any(np.isfinite(clock.latency_sd) for clock in found):
+            found.append(_by_one_way(integral, nothing, motion, _Alone(alone, rate)))
+        yield found
 
 
 class _Way(Protocol):
@@ -235,6 +240,29 @@ class _Expanded:
 
     def refine(self, means: F64, valid: Bool) -> tuple[F64, F64, int] | None:
         return expansion.refined(means, valid, self.expansion, self.rate)
+
+
+@dataclass
+class _Alone:
+    """See :mod:`skin2urdf.signals.one_joint`; the joint that was found is the one to refine by."""
+
+    expansions: Sequence[Expansion]
+    rate: float
+    joint: Expansion | None = None
+
+    def search(self, means: F64, valid: Bool) -> tuple[float, float] | None:
+        found = one_joint.searched(
+            means, valid, self.expansions, self.rate, LARGEST_OFFSET, LARGEST_DRIFT
+        )
+        if found is None:
+            return None
+        self.joint, offset, drift = found
+        return offset, drift
+
+    def refine(self, means: F64, valid: Bool) -> tuple[F64, F64, int] | None:
+        if self.joint is None:
+            return None
+        return expansion.refined(means, valid, self.joint, self.rate)
 
 
 def _by_one_way(integral: Integral, nothing: SuClock, motion: Motion, way: _Way) -> SuClock:

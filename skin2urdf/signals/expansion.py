@@ -11,6 +11,7 @@ offset and drift, and what explains them best is refined by Gauss-Newton.
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
@@ -123,6 +124,32 @@ def searched(
     Returns:
         None where no line stands out.
     """
+    found = best_line(readings, valid, expansion, rate, reach, steep)
+    return None if found is None else (found.offset, found.drift)
+
+
+@dataclass(frozen=True)
+class Best:
+    """A line of lags that stands out.
+
+    Attributes:
+        offset: in the middle of the log [s].
+        drift: per time.
+        left: share of the readings' energy that the terms leave.
+    """
+
+    offset: float
+    drift: float
+    left: float
+
+
+def best_line(
+    readings: F64, valid: Bool, expansion: Expansion, rate: float, reach: float, steep: float
+) -> Best | None:
+    """The line of lags at which the terms explain the readings best, as :func:`searched`.
+
+    None where no line stands out.
+    """
     length = int(WINDOW * rate)
     count = min(len(readings), int(_SEARCHED * rate)) // length
     if count < 2 or not valid.any():
@@ -163,7 +190,7 @@ def searched(
     first, last = valley(profile)
     elsewhere = float(np.delete(profile, np.s_[first : last + 1]).min(initial=np.inf))
     stands_out = 1.5 * values * np.log(elsewhere / max(best, 1e-12)) > _CERTAIN
-    return found if stands_out else None
+    return Best(*found, best) if stands_out else None
 
 
 def refined(

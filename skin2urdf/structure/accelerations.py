@@ -45,6 +45,9 @@ _TURN, _OFFSET, _LAG = 0.05, 1.0, 0.05
 """Standard deviations of directions from gravity [rad], of offsets [m], and of clocks [s], as a
 constant and as what they drift in half a log."""
 
+PARALLEL = 0.9962
+"""Cosine of the angle up to which neighbouring axes turn gravity alike: 5 deg."""
+
 
 @dataclass(frozen=True)
 class ChainJoint:
@@ -60,6 +63,16 @@ class ChainJoint:
     dof: int
     kind: JointType
     axis: tuple[float, float, float]
+
+    @property
+    def is_upright(self) -> bool:
+        """Whether it turns gravity next to nothing: it slides, or is vertical or nearly so."""
+        return self.kind == "prismatic" or abs(self.axis[2]) > PARALLEL
+
+    @property
+    def is_hidden(self) -> bool:
+        """Whether it leaves gravity as it is: it slides, or was put in as vertical."""
+        return self.kind == "prismatic" or self.axis[:2] == (0.0, 0.0)
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,12 +14,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from skin2urdf.arrays import F64, Int, Record
-from skin2urdf.structure.accelerations import Along, ChainJoint, Judged, judge
+from skin2urdf.structure.accelerations import PARALLEL, Along, ChainJoint, Judged, judge
 from skin2urdf.structure.records import JointType
 
 CERTAIN = 10.0
 """Difference of log-likelihoods beyond which one of two structures is certain: 20,000 to 1."""
-_CONSISTENT = 4.0
+CONSISTENT = 4.0
 """Standard deviations by which the gain of a joint stands out from what chance gains and loses from
 one stretch of time to the next, and the push of a sliding one from none: errors that are alike for
 a while count once."""
@@ -27,8 +27,6 @@ QUIET = 1e-3
 """Noise [m/s^2] of low-passed samples below which no error matters: a tenth of a mg."""
 _QUIET_RATE = 1e-3
 """The same of rates [rad/s]: what an encoder's steps make of a velocity."""
-_PARALLEL = 0.9962
-"""Cosine of the angle up to which neighbouring axes turn gravity alike: 5 deg."""
 _PUSH = 0.1
 """Deviation of a sliding joint's push from unit length that scale and errors of fit may cause."""
 _NEAREST = 0.005
@@ -146,6 +144,23 @@ class Draft(Record):
         joints[joint] = replace(joints[joint], kind="prismatic")
         return replace(self, joints=tuple(joints))
 
+    def turned(self, children: Sequence[int], sus: Sequence[int], R: F64) -> Draft:
+        """With branches and SUs turned in the base frame.
+
+        Args:
+            children: the branches' first joints.
+            sus: SUs of these branches, and others.
+            R: (3, 3) the turn.
+        """
+        joints = list(self.joints)
+        for j, joint in enumerate(joints):
+            if not set(children).isdisjoint(self.path(j)):
+                axis = R @ joint.axis
+                joints[j] = replace(joint, axis=(float(axis[0]), float(axis[1]), float(axis[2])))
+        turned = self.R.copy()
+        turned[list(sus)] = R @ turned[list(sus)]
+        return replace(self, joints=tuple(joints), R=turned)
+
     def swapped(self, joint: int) -> Draft:
         """With a joint and the one before it in the other order."""
         joints, before = list(self.joints), self.parent[joint]
@@ -208,7 +223,7 @@ def in_best_order(draft: Draft, samples: Along) -> tuple[Draft, tuple[Draft, ...
             swapped = draft.swapped(joint)
             sus = draft.beyond(joint)
             gain = sum(
-                _gain(draft.judged(samples, u), swapped.judged(samples, u)).sum() for u in sus
+                gained(draft.judged(samples, u), swapped.judged(samples, u)).sum() for u in sus
             )
             if gain > CERTAIN:
                 better = swapped
@@ -256,11 +271,11 @@ def _alike(draft: Draft) -> Iterator[int]:
         a, b = draft.joints[before], draft.joints[j]
         if "prismatic" in (a.kind, b.kind):
             continue
-        if abs(np.array(a.axis) @ np.array(b.axis)) > _PARALLEL:
+        if abs(np.array(a.axis) @ np.array(b.axis)) > PARALLEL:
             yield j
 
 
-def _gain(now: Judged, then: Judged) -> F64:
+def gained(now: Judged, then: Judged) -> F64:
     """(B,) log-likelihood that another chain gains in each stretch, whatever its noise is."""
     return _log_ratio(now.loss, then.loss, now.count, QUIET) + _gain_in_turning(now, then)
 
@@ -268,6 +283,20 @@ def _gain(now: Judged, then: Judged) -> F64:
 def _gain_in_turning(now: Judged, then: Judged) -> F64:
     """(B,) the part of it that a gyroscope tells; 0 where there is none."""
     return _log_ratio(now.turn_loss, then.turn_loss, now.turn_count, _QUIET_RATE)
+
+
+def is_shaken(now: Judged, then: Judged) -> bool:
+    """Whether a vertical axis before an SU shakes it rather than that it turns it."""
+    # A gyroscope tells turning from shaking.
+    return then.lever < _NEAREST and _gain_in_turning(now, then).sum() <= CERTAIN
+
+
+def is_push(push: F64, sd: F64) -> bool:
+    """Whether most SUs feel a sliding joint as one that carries them, by (n, 3) and (n,)."""
+    size = np.linalg.norm(push, axis=1)
+    # SUs beyond a joint that is not known yet say something else; and a push has to be seen.
+    as_one = bool(np.median(np.abs(size - 1) - 4 * sd) <= _PUSH)
+    return as_one and bool(np.median(size - CONSISTENT * sd) > 0)
 
 
 def _log_ratio(now: F64, then: F64, count: F64, quiet: float) -> F64:
@@ -284,10 +313,7 @@ def _places(
     price = _price(samples, len(left), len(draft.joints) + 1)
     others = [d for d in left if d != dof]
     for at in range(-1, len(draft.joints)):
-        vertical = all(
-            draft.joints[j].kind == "prismatic" or abs(draft.joints[j].axis[2]) > _PARALLEL
-            for j in draft.path(at)
-        )
+        vertical = all(draft.joints[j].is_upright for j in draft.path(at))
         kinds = [ChainJoint(dof, "prismatic", (0.0, 0.0, 1.0))]
         if vertical and dof not in sliding:
             kinds += [ChainJoint(dof, "revolute", (0.0, 0.0, s)) for s in (1.0, -1.0)]
@@ -310,7 +336,7 @@ def _placed(
     children: list[int] = []
     sus: list[int] = []
     pushes: list[tuple[float, F64]] = []
-    for own, members in _groups(draft, at):
+    for own, members in groups(draft, at):
         trial = draft.with_joint(joint, at, own, [] if own else members)
         moved = _moved(draft, trial, samples, members, joint.kind, at, now, price)
         if moved is None:
@@ -335,8 +361,8 @@ def _placed(
     return _Place(draft.with_joint(joint, at, children, sus), total - price)
 
 
-def _groups(draft: Draft, at: int) -> Iterator[tuple[list[int], list[int]]]:
-    """What sits on a segment: branches, as their first joint and their SUs, and SUs."""
+def groups(draft: Draft, at: int) -> Iterator[tuple[list[int], list[int]]]:
+    """What sits on a segment (-1: the RS): branches, as first joint and SUs, and single SUs."""
     for c, p in enumerate(draft.parent):
         if p == at:
             yield [c], draft.beyond(c)
@@ -379,30 +405,24 @@ def _moved(
     pairs = [(a, trial.judged(samples, u)) for u in members if (a := now[u]) is not None]
     if not pairs:
         return None
-    each = np.array([_gain(a, b) for a, b in pairs])
+    each = np.array([gained(a, b) for a, b in pairs])
     gains = each.sum(axis=0)
     gain = float(gains.sum())
     # Of what it explains by chance it loses as much elsewhere, and one moment may be odd by itself.
     chance = float(np.sqrt(2 * (np.minimum(gains, 0.0) ** 2).sum()))
     elsewhere = gain - float(gains.max(initial=0.0))
     # What moves a branch moves every SU on it.
-    holds = gain >= _CONSISTENT * chance and elsewhere >= price
+    holds = gain >= CONSISTENT * chance and elsewhere >= price
     holds &= bool(each.sum(axis=1).min() >= -CERTAIN)
     if kind == "revolute":
-        near = len(pairs) == 1 and pairs[0][1].lever < _NEAREST
         own = trial.path(int(trial.su_joint[members[0]]))
-        # A gyroscope tells turning from shaking.
-        turns = sum(_gain_in_turning(a, b).sum() for a, b in pairs) > CERTAIN
-        shaken = near and not turns and len(own) == len(draft.path(at)) + 1
+        shaken = len(pairs) == 1 and is_shaken(*pairs[0]) and len(own) == len(draft.path(at)) + 1
         return _Moved(holds and not shaken, gain, np.zeros(3), 0.0)
     # It comes after the sliding joints on the way to it.
     index = sum(draft.joints[j].kind == "prismatic" for j in draft.path(at))
     push = np.array([b.slide[index] for _, b in pairs])
     sd = np.array([b.slide_sd[index] for _, b in pairs])
-    size = np.linalg.norm(push, axis=1)
-    # SUs beyond a joint that is not known yet say something else; and a push has to be seen.
-    holds &= bool(np.median(np.abs(size - 1) - 4 * sd) <= _PUSH)
-    holds &= bool(np.median(size - _CONSISTENT * sd) > 0)
+    holds &= is_push(push, sd)
     best = int(np.argmin(sd))
     return _Moved(holds, gain, push[best], float(sd[best]))
 
@@ -414,7 +434,7 @@ def _with_all_that_they_move(draft: Draft, samples: Along, dofs: Sequence[int]) 
         for j, joint in enumerate(draft.joints):
             if joint.dof not in dofs:
                 continue
-            for own, members in _groups(draft, draft.parent[j]):
+            for own, members in groups(draft, draft.parent[j]):
                 if own == [j]:
                     continue
                 trial = draft.gathered(j, own, [] if own else members)

@@ -30,6 +30,8 @@ from skin2urdf.structure.draft import (
     that_slide,
     with_unseen_joints,
 )
+from skin2urdf.structure.elsewhere import with_sus_elsewhere
+from skin2urdf.structure.facing import facing_one_way
 from skin2urdf.structure.gravity import GravityWindows, gravity_windows, moments
 from skin2urdf.structure.growth import Growth, Known
 from skin2urdf.structure.records import KinematicTree
@@ -176,16 +178,34 @@ def _drafted(growth: Growth, samples: Along, moved: Bool, sliding: Sequence[int]
             "put an SU on every segment, or move one joint at a time, or give the robot's own "
             "URDF (--model); positions have to be measured ones, not commands",
         )
-    draft = _as_grown(growth)
-    unplaced = [int(d) for d in np.flatnonzero(moved) if d not in {j.dof for j in draft.joints}]
-    draft, otherwise = with_unseen_joints(draft, samples, unplaced, sliding)
+    draft, otherwise = _with_all_joints(_as_grown(growth), samples, moved, sliding)
     if not draft.joints:
         raise StructureError(
             "no SU feels any joint move",
             "check that the joints moved during the log, and that the SUs sit on moving segments",
         )
     draft, reordered = in_best_order(draft, samples)
-    return [draft, *reordered, *otherwise]
+    return [facing_one_way(each, samples) for each in (draft, *reordered, *otherwise)]
+
+
+def _with_all_joints(
+    draft: Draft, samples: Along, moved: Bool, sliding: Sequence[int]
+) -> tuple[Draft, tuple[Draft, ...]]:
+    """What has grown with joints that gravity does not show, and others not told from it.
+
+    SUs that come to sit elsewhere may show joints that had no place before.
+    """
+    others: tuple[Draft, ...] = ()
+    for _ in range(len(moved)):
+        placed = {joint.dof for joint in draft.joints}
+        unplaced = [int(d) for d in np.flatnonzero(moved) if d not in placed]
+        draft, alike = with_unseen_joints(draft, samples, unplaced, sliding)
+        others = alike or others
+        settled = with_sus_elsewhere(draft, samples)
+        if settled is draft:
+            break
+        draft = settled
+    return draft, tuple(with_sus_elsewhere(other, samples) for other in others)
 
 
 def _known(tree: KinematicTree, windows: GravityWindows) -> Known:

@@ -108,8 +108,14 @@ def explained(
         best, attempts = (rigid, []) if only_known else _of_any_cause(rigid, without)
     else:
         best, attempts = known, [known]
-    if best.slack_size is not None and best.slack_size.gain > _CERTAIN:
-        best = best.with_slack()
+    slackened = best.slackened()
+    if slackened.misfit > _EXPLAINED and not (known or only_known):
+        # To first order nothing that bends said as much as slack, which explains too little.
+        other = _of_what_seemed_unlikely(rigid, slackened, attempts, without)
+        if other is not None:
+            best, slackened = other, other.slackened()
+    if slackened is not best:
+        best = slackened
         attempts.append(best)
     tried = {cause: each.misfit for each in attempts for cause in each.causes[-1:]}
     elastic = known.problem.unseen if known else None
@@ -129,6 +135,31 @@ def _of_any_cause(rigid: _Attempt, without: Collection[str]) -> tuple[_Attempt, 
         if _explains_most(other, rigid) and not _explains_most(best, other):
             best = other
     return best, attempts
+
+
+def _of_what_seemed_unlikely(
+    rigid: _Attempt, slackened: _Attempt, attempts: list[_Attempt], without: Collection[str]
+) -> _Attempt | None:
+    """The attempt with what bends and was not tried that takes most of what slack leaves.
+
+    A base that resonates with the motion, or sways under loads that differ by more than one size
+    takes, says little to first order, and explains all once it is followed.
+
+    Args:
+        rigid: the attempt without any cause.
+        slackened: the best one with slack.
+        attempts: all that were made; those made here are added.
+        without: causes that need not be tried.
+    """
+    known = {cause for each in attempts for cause in each.causes}
+    untried = [cause for cause in BENDS if cause not in known and cause not in without]
+    for cause in sorted(untried, key=lambda each: -rigid.gains[each]):
+        if rigid.gains[cause] <= _CERTAIN:
+            break
+        attempts.append(rigid.adding(cause))
+        if _explains_most(attempts[-1], slackened):
+            return attempts[-1]
+    return None
 
 
 def _with_physics(rigid: _Attempt, without: Collection[str]) -> tuple[_Attempt, list[_Attempt]]:
@@ -314,6 +345,11 @@ class _Attempt:
         if again is None or self.places is None:
             return None
         return lacking(self.problem, self.fitted, [self.places, again]).size(0, drawn=1)
+
+    def slackened(self) -> _Attempt:
+        """With slack where the readings show any for certain, else as it is."""
+        certain = self.slack_size is not None and self.slack_size.gain > _CERTAIN
+        return self.with_slack() if certain else self
 
     def with_slack(self) -> _Attempt:
         """With slack of the size that the readings show."""

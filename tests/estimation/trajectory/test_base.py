@@ -10,6 +10,7 @@ from functools import cache
 
 import numpy as np
 import pinocchio as pin
+import pytest
 from scipy.stats import ortho_group
 from stand import DEPTH, UP, readings_on_a_stand
 from synthetic import RATE, random_state, sampled_trajectory, serial_tree, stays
@@ -17,10 +18,15 @@ from synthetic import RATE, random_state, sampled_trajectory, serial_tree, stays
 from skin2urdf.arrays import F64
 from skin2urdf.estimation.problem.cost import Priors
 from skin2urdf.estimation.problem.state import State, identifiable
+from skin2urdf.estimation.trajectory import causes
 from skin2urdf.estimation.trajectory.azimuth import turned
 from skin2urdf.estimation.trajectory.balance import bending, followed
 from skin2urdf.estimation.trajectory.bending import Bending
 from skin2urdf.estimation.trajectory.estimate import MotionEstimate, estimate_along, motion_priors
+from skin2urdf.estimation.trajectory.fit import Fitted
+from skin2urdf.estimation.trajectory.problem import MotionProblem
+from skin2urdf.estimation.trajectory.slack import Size, size_of
+from skin2urdf.estimation.trajectory.unseen import Unseen
 from skin2urdf.estimation.uncertainty.observability import Subject, observability_along
 from skin2urdf.geometry.so3 import rotation_exp, rotation_log
 from skin2urdf.signals.filters import filtered, low_pass
@@ -153,3 +159,18 @@ def test_what_each_number_does_to_the_turns_is_what_another_number_makes() -> No
         told = np.zeros_like(change)
         told[:, found.joint[entries] - _TREE.n_joints - 3] = found.on_grid[0][np.ix_(kept, entries)]
         assert np.linalg.norm(told - change) < 0.01 * np.linalg.norm(change)
+
+
+def test_a_base_that_says_little_at_first_is_followed_where_slack_leaves_much(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Loads of one size may say less than slack, which has a size for every joint."""
+
+    def at_first(problem: MotionProblem, fitted: Fitted, more: Unseen) -> Size:
+        size = size_of(problem, fitted, more)
+        return replace(size, gain=min(size.gain, 20.0))
+
+    monkeypatch.setattr(causes, "size_of", at_first)
+    found, _ = _on_a_stand.__wrapped__(1 / 10_000)
+    assert found.causes == ("base",)
+    assert found.misfit < 1.5

@@ -1,0 +1,66 @@
+"""SUs sit where accelerations say, in whatever order joints that gravity hides came in."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from random_robots import Joint, robot_of
+from simulated import changed_sus
+
+from skin2urdf.recording.records import SuStream
+from skin2urdf.recording.retiming import retimed
+from skin2urdf.signals.sampling import sampled_together
+from skin2urdf.simulation import SimulationSettings, simulate
+from skin2urdf.simulation.robots import SkinLayout
+from skin2urdf.structure.from_motion import trees_from_motion
+
+SCARA = (
+    Joint("shoulder", -1, "revolute"),
+    Joint("elbow", 0, "revolute", (0.25, 0.0, 0.1)),
+    Joint("wrist", 1, "revolute", (0.22, 0.02, 0.0)),
+    Joint("lift", 2, "prismatic", (0.03, 0.05, 0.0), limits=(-0.1, 0.1)),
+)
+
+
+def test_a_scara_is_found_from_moves_alone(tmp_path: Path) -> None:
+    """The wrist explains some of what the elbow does to an SU, as long as that is not known."""
+    settings = SimulationSettings(
+        n_poses=10, seed=1, excite="none", upright=True, imu_rate=100.0, joint_rate=50.0
+    )
+    simulation = simulate(robot_of(SCARA, tmp_path, SkinLayout(1, 0)), settings)
+    logs, names = sampled_together([retimed(simulation.recording)])
+    found, *_ = trees_from_motion(logs, names)
+    assert found.tree.joint_names == simulation.truth.joint_names
+    assert found.tree.joint_types == tuple(joint.kind for joint in SCARA)
+    assert found.tree.parent.tolist() == [-1, 0, 1, 2]
+    joint = {su.name: su.joint for su in simulation.truth.sus}
+    assert found.tree.su_joint.tolist() == [joint[name] for name in found.tree.su_names]
+
+
+def test_an_su_on_a_base_that_a_rail_shakes_stays_on_the_base(tmp_path: Path) -> None:
+    """It feels a tenth of what the rail does to those that it carries."""
+    joints = (
+        Joint("rail", -1, "prismatic", rpy=(1.5, 0.4, 0.0), limits=(-0.2, 0.2)),
+        Joint("elbow", 0, "revolute", (0.05, 0.0, 0.2), (1.5, 0.0, 0.0)),
+    )
+    settings = SimulationSettings(
+        n_poses=10, seed=1, excite="none", upright=True, imu_rate=100.0, joint_rate=50.0
+    )
+    simulation = simulate(robot_of(joints, tmp_path, SkinLayout(1, 1)), settings)
+    joint = {su.name: su.joint for su in simulation.truth.sus}
+    recording = retimed(simulation.recording)
+    carried = next(su for su in recording.sus if joint[su.name] == 0)
+
+    def sways(su: SuStream) -> SuStream:
+        if joint[su.name] >= 0:
+            return su
+        felt = 0.1 * (carried.specific_force - np.median(carried.specific_force, axis=0))
+        more = np.stack([np.interp(su.time, carried.time, f) for f in felt.T], axis=1)
+        return replace(su, specific_force=su.specific_force + more)
+
+    logs, names = sampled_together([changed_sus(recording, sways)])
+    found, *_ = trees_from_motion(logs, names)
+    at = dict(zip(found.tree.su_names, found.tree.su_joint.tolist(), strict=True))
+    assert at == joint

@@ -218,27 +218,6 @@ def placement_columns(motion: FrameMotion, path: Path, axes: tuple[int, ...]) ->
     return in_su(path.R_frame_su, out)
 
 
-def own_columns(motion: FrameMotion) -> F64:
-    """(6, 3, K) what an SU reads per shift along and turn about its own axes.
-
-    Args:
-        motion: of the SU.
-    """
-    w, a, f = motion.w, motion.a, motion.f
-    n = f.shape[1]
-    out = np.zeros((6, 3, n))
-    w2 = (w * w).sum(axis=0)
-    for i in range(3):
-        j, k = (i + 1) % 3, (i + 2) % 3
-        # The columns of a x + w x w x, and those of the cross product with the force.
-        out[i] = w * w[i]
-        out[i, i] -= w2
-        out[i, j] += a[k]
-        out[i, k] -= a[j]
-        out[3 + i, j], out[3 + i, k] = f[k], -f[j]
-    return out
-
-
 def joint_columns(motion: FrameMotion, path: Path, slides: bool) -> F64:
     """What an SU reads per motion of a joint that its encoder does not see.
 

@@ -226,7 +226,7 @@ class Spline:
         there = np.zeros((len(self._coefficients), last - first))
         begin = first + step + _MARGIN - 2
         # One fraction for all: weights are numbers, and samples in a row.
-        weights = _quintic(5 - np.arange(6) + (by - step))
+        weights = _quintic(np.arange(5.0, -1.0, -1.0) + (by - step))
         for k, weight in enumerate(weights):
             there += weight * self._coefficients[:, begin + k : begin + k + last - first]
         out[first:last] = there.T
@@ -239,8 +239,8 @@ def _quintic(x: F64) -> F64:
     It is the same from either end; of the nearer half of the powers nothing cancels.
     """
     x = np.minimum(x, 6 - x)
-    powers = [1, -6, 15] * np.maximum(x[:, None] - np.arange(3), 0.0) ** 5
-    return np.asarray(powers.sum(axis=1) / 120)
+    powers = np.maximum(x[:, None] - np.arange(3), 0.0) ** 5
+    return np.asarray(powers @ np.array([1.0, -6.0, 15.0]) / 120)
 
 
 _MARGIN = 24

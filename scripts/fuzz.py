@@ -8,7 +8,9 @@ process that has a limit of time and memory. A mutant fails where a command is k
 a signal, prints a traceback or an internal error, ends with an unknown status, or writes a URDF
 that is wrong by more than twice what it states without a word that the sound log's result does not
 have. The process is a fork of this one, in which everything is loaded, and goes through all
-commands; where one fails, each gets a process of its own, and that is what counts.
+commands, which share what they do alike; where one fails, each gets a process of its own, and that
+is what counts. A mutant that the first command reads as bit by bit the same recording as an earlier
+log is not calibrated once more, as nothing that follows can differ.
 Mutants that fail are kept. Each mutant is a line of the output as soon as it is finished, and one
 that is there is not done again.
 
@@ -39,8 +41,9 @@ from fuzzing.sound import MOTIONS, formats, sound_log
 from skin2urdf.cli.main import main as skin2urdf
 
 COMMANDS = ("info", "explore", "calibrate")
-# One mutant of so many is of the log in which all joints swing together: it takes twice the time.
-TOGETHER = 8
+# Of which log so many mutants in a row are made, a round of formats each: most are of the one that
+# takes the least time.
+MOTION_PLAN = ("all", *3 * ("one",), "series", *3 * ("one",), "none", *3 * ("one",))
 
 
 class Original(NamedTuple):
@@ -51,12 +54,14 @@ class Original(NamedTuple):
         formats: the log in every format, by the end of its name.
         seconds: processor time of each command.
         said: all that its result says in words.
+        answers: how each command ended for a recording that was read before, by its digest.
     """
 
     truth: Path
     formats: Mapping[str, bytes]
     seconds: Mapping[str, float]
     said: set[str]
+    answers: dict[str, dict[str, Outcome]]
 
 
 def words_of(name: str, log: Path, urdf: Path) -> list[str]:
@@ -69,7 +74,7 @@ def original(place: Path, excite: str, commands: list[str], memory: int) -> Orig
 
     Args:
         place: a folder for it.
-        excite: how its joints swing, a key of `MOTIONS`.
+        excite: how its joints move, a key of `MOTIONS`.
         commands: names of the commands.
         memory: bytes that each may take.
 
@@ -82,15 +87,17 @@ def original(place: Path, excite: str, commands: list[str], memory: int) -> Orig
     for name in commands:
         skin2urdf([*words_of(name, log, urdf), "--quiet"])
     seconds = {}
-    for name in commands:
-        outcome = perform(words_of(name, log, urdf), 600.0, memory)
-        print(f"sound log, {name}: status {outcome.status}, {outcome.seconds:.1f} s", flush=True)
+    alone = [Command(words_of(name, log, urdf), 600.0) for name in commands]
+    performed = perform_in_turn(alone, memory)
+    for name, outcome in zip(commands, performed.outcomes, strict=True):
+        print(f"{excite}, {name}: status {outcome.status}, {outcome.seconds:.1f} s", flush=True)
         if outcome.status:
             raise SystemExit(f"{name} ends so for the sound log: {outcome.output.strip()}")
         seconds[name] = outcome.seconds
     beside = urdf.with_suffix(".json")
     said = spoken(json.loads(beside.read_text())) if beside.exists() else set()
-    return Original(truth, formats(log), seconds, said)
+    answers = {performed.heard: dict(zip(commands, performed.outcomes, strict=True))}
+    return Original(truth, formats(log), seconds, said, answers)
 
 
 def finished(output: Path) -> list[dict[str, Any]]:
@@ -109,7 +116,9 @@ def summary(records: list[dict[str, Any]]) -> str:
     for record in records:
         statuses.update(record["statuses"].items())
         failures += [f"  {record['key']}: {fault}" for fault in record["faults"]]
-    lines = [f"{len(records)} mutants, {len(failures)} failures", *failures]
+    again = sum(record.get("again", False) for record in records)
+    head = f"{len(records)} mutants ({again} read as another), {len(failures)} failures"
+    lines = [head, *failures]
     order = sorted(statuses.items(), key=str)
     return "\n".join([*lines, *(f"  {name}: status {s}: {n}" for (name, s), n in order)])
 
@@ -159,18 +168,19 @@ def fuzz(place: Path, options: argparse.Namespace, end: float) -> None:
             if (key := f"{options.seed}_{number}") in done:
                 continue
             ending, mutation = PLAN[number % len(PLAN)]
-            excite = "one" if number // len(PLAN) % TOGETHER else "all"
+            excite = MOTION_PLAN[number // len(PLAN) % len(MOTION_PLAN)]
             sound = originals[excite]
             mutant = place / f"mutant{ending}"
             mutant.write_bytes(
                 mutation(sound.formats[ending], np.random.default_rng([options.seed, number]))
             )
-            outcomes = outcomes_of(mutant, sound, options.commands, memory)
+            outcomes, again = outcomes_of(mutant, sound, options.commands, memory)
             record = {
                 "key": key,
                 "mutation": mutation.__name__,
                 "format": ending,
                 "excite": excite,
+                "again": again,
                 "statuses": {name: outcome.status for name, outcome in outcomes.items()},
                 "seconds": round(sum(outcome.seconds for outcome in outcomes.values()), 2),
                 "faults": [f"{name}: {o.fault}" for name, o in outcomes.items() if o.fault],
@@ -184,8 +194,13 @@ def fuzz(place: Path, options: argparse.Namespace, end: float) -> None:
             os.fsync(output.fileno())
 
 
-def outcomes_of(mutant: Path, sound: Original, names: list[str], memory: int) -> dict[str, Outcome]:
-    """How commands end for a mutant.
+def outcomes_of(
+    mutant: Path, sound: Original, names: list[str], memory: int
+) -> tuple[dict[str, Outcome], bool]:
+    """How commands end for a mutant, and whether it reads as a log that was there before.
+
+    A command that gets bit by bit the same recording gives the same answer; so the first one reads
+    every mutant, and the others those that are new.
 
     Args:
         mutant: the log.
@@ -199,7 +214,11 @@ def outcomes_of(mutant: Path, sound: Original, names: list[str], memory: int) ->
         for name in names
     ]
     urdf.unlink(missing_ok=True)
-    found = perform_in_turn(commands, memory)
+    found, heard = perform_in_turn(commands, memory, sound.answers)
+    known = sound.answers.get(heard)
+    if known is not None and not any(outcome.fault for outcome in found):
+        first = dict(zip(names, found, strict=False))
+        return {**known, **first}, True
     if any(outcome.fault for outcome in found):
         found = [perform(*command, memory) for command in commands]
     outcomes = dict(zip(names, found, strict=True))
@@ -207,7 +226,9 @@ def outcomes_of(mutant: Path, sound: Original, names: list[str], memory: int) ->
     if last is not None and not last.fault and urdf.exists():
         silent = wrong_in_silence(urdf, sound.truth, sound.said)
         outcomes["calibrate"] = last._replace(fault=silent)
-    return outcomes
+    if heard:
+        sound.answers[heard] = outcomes
+    return outcomes, False
 
 
 def _keep(folder: Path, name: str, mutant: Path, how: str, outcome: Outcome) -> None:

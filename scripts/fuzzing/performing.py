@@ -9,10 +9,11 @@ import signal
 import sys
 import tempfile
 import time
-from collections.abc import Sequence
+from collections.abc import Container, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
+from fuzzing.sharing import sharing
 from skin2urdf.cli.main import INTERNAL_ERROR
 from skin2urdf.cli.main import main as skin2urdf
 
@@ -37,13 +38,25 @@ class Outcome(NamedTuple):
         fault: what is wrong with it, empty if nothing.
         status: exit status, negative for a signal.
         output: what it printed.
-        seconds: processor time that it took.
+        seconds: processor time that it took, or would have alone.
     """
 
     fault: str
     status: int
     output: str
     seconds: float
+
+
+class Performed(NamedTuple):
+    """What commands of one process did.
+
+    Attributes:
+        outcomes: how they ended.
+        heard: digest of the recording that they read; empty where none was read.
+    """
+
+    outcomes: list[Outcome]
+    heard: str
 
 
 def perform(words: list[str], seconds: float, memory: int) -> Outcome:
@@ -58,25 +71,31 @@ def perform(words: list[str], seconds: float, memory: int) -> Outcome:
     Returns:
         How it ended.
     """
-    return perform_in_turn([Command(words, seconds)], memory)[0]
+    return perform_in_turn([Command(words, seconds)], memory).outcomes[0]
 
 
-def perform_in_turn(commands: Sequence[Command], memory: int) -> list[Outcome]:
+def perform_in_turn(
+    commands: Sequence[Command], memory: int, known: Container[str] = ()
+) -> Performed:
     """Run commands one after the other in one process, which is not made anew for each.
+
+    What they do alike with the same log is done once (see `sharing`).
 
     Args:
         commands: what to run; each has its own limit of time (see `perform`).
         memory: bytes that they may take beyond those that this process has.
+        known: digests of recordings (see `sharing.digest`) whose answers are known; where a command
+            reads one of these, those after it are left out.
 
     Returns:
-        How they ended, up to one that ended the process.
+        How they ended, up to one that ended the process or was the last that was needed.
     """
     begin = time.monotonic()
     longest = WAITING * sum(command.seconds for command in commands)
     with tempfile.TemporaryFile() as printed, tempfile.TemporaryFile() as told:
         child = os.fork()
         if child == 0:
-            _child(commands, memory, printed.fileno(), told.fileno())
+            _child(commands, memory, known, printed.fileno(), told.fileno())
         status, used = None, 0.0
         while status is None and time.monotonic() - begin < longest:
             ended, code, usage = os.wait4(child, os.WNOHANG)
@@ -92,18 +111,19 @@ def perform_in_turn(commands: Sequence[Command], memory: int) -> list[Outcome]:
         output = printed.read()
         finished = [json.loads(line) for line in told.read().splitlines()]
     outcomes, at, spent = [], 0, 0.0
-    for command, (how, until, stop) in zip(commands, finished, strict=False):
+    heard = finished[-1][-1] if finished else ""
+    for command, (how, until, stop, _) in zip(commands, finished, strict=False):
         outcomes.append(_judged(how, output[at:stop], until - spent, command.seconds))
         at, spent = stop, until
-    if len(outcomes) < len(commands):
+    if len(outcomes) < len(commands) and not (status == 0 and heard in known):
         limit = commands[len(outcomes)].seconds
         if status is None:
             fault = f"took more than {time.monotonic() - begin:.0f} s"
             text = output[at:].decode(errors="replace")
             outcomes.append(Outcome(fault, -signal.SIGKILL, text, limit))
         else:
-            outcomes.append(_judged(status, output[at:], used - spent, limit))
-    return outcomes
+            outcomes.append(_judged(status, output[at:], max(0.0, used - spent), limit))
+    return Performed(outcomes, heard)
 
 
 def _judged(status: int, printed: bytes, used: float, limit: float) -> Outcome:
@@ -119,7 +139,9 @@ def _judged(status: int, printed: bytes, used: float, limit: float) -> Outcome:
     return Outcome(fault, status, output, used)
 
 
-def _child(commands: Sequence[Command], memory: int, output: int, told: int) -> None:
+def _child(
+    commands: Sequence[Command], memory: int, known: Container[str], output: int, told: int
+) -> None:
     """Run commands, write down how each ended, and end this process."""
     status = 120
     try:
@@ -130,20 +152,25 @@ def _child(commands: Sequence[Command], memory: int, output: int, told: int) -> 
         resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
         _, hard = resource.getrlimit(resource.RLIMIT_CPU)
         begin = time.process_time()
-        for command in commands:
-            # Time that the process has taken counts up from its beginning.
-            work = int(time.process_time() + command.seconds) + 2
-            resource.setrlimit(resource.RLIMIT_CPU, (work, hard))
-            status = 120
-            try:
-                status = skin2urdf(command.words)
-            except SystemExit as error:
-                status = int(error.code or 0)
-            sys.stdout.flush()
-            sys.stderr.flush()
-            used = time.process_time() - begin
-            line = json.dumps([status, used, os.lseek(output, 0, os.SEEK_CUR)])
-            os.write(told, line.encode() + b"\n")
+        with sharing() as ledger:
+            for command in commands:
+                # Time that the process has taken counts up from its beginning.
+                work = int(time.process_time() + command.seconds) + 2
+                resource.setrlimit(resource.RLIMIT_CPU, (work, hard))
+                status = 120
+                try:
+                    status = skin2urdf(command.words)
+                except SystemExit as error:
+                    status = int(error.code or 0)
+                sys.stdout.flush()
+                sys.stderr.flush()
+                used = time.process_time() - begin + ledger.saved
+                place = os.lseek(output, 0, os.SEEK_CUR)
+                line = json.dumps([status, used, place, ledger.heard])
+                os.write(told, line.encode() + b"\n")
+                if ledger.heard in known:
+                    status = 0
+                    break
     except BaseException as error:
         os.write(2, f"Traceback: {type(error).__name__}: {error}".encode())
     finally:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -166,7 +167,7 @@ class Calibration(Record):
         """The misfit beyond which nothing can be believed."""
         return BAD_FIT if self.along is None else BAD_MISFIT
 
-    @property
+    @cached_property
     def quality(self) -> Quality:
         """How far the result can be trusted: whether the model explains the readings, and more.
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -64,7 +65,18 @@ class Findings(Record):
 
 
 def findings(calibration: Calibration) -> Findings:
-    """Work the figures out."""
+    """Work the figures out, once for each calibration: URDF, JSON and words ask for them."""
+    known = _KNOWN.get(calibration)
+    if known is None:
+        known = _KNOWN[calibration] = _findings(calibration)
+    return known
+
+
+_KNOWN: WeakKeyDictionary[Calibration, Findings] = WeakKeyDictionary()
+
+
+def _findings(calibration: Calibration) -> Findings:
+    """The figures."""
     found, state = calibration.observability, calibration.estimate.state
     tree = calibration.model.tree
     su_sd = np.sqrt(np.einsum("uii->ui", found.su_covariance).clip(min=0.0))

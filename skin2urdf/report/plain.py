@@ -30,7 +30,9 @@ def to_plain(value: Any) -> Any:
     if isinstance(value, Mapping):
         return {str(key): to_plain(item) for key, item in value.items()}
     if isinstance(value, np.ndarray | np.generic):
-        return to_plain(value.tolist())
+        # Most are finite, and those of a thousand SUs would be looked through one by one.
+        sound = value.dtype.kind in "biu" or (value.dtype.kind == "f" and np.isfinite(value).all())
+        return value.tolist() if sound else to_plain(value.tolist())
     if isinstance(value, Sequence) and not isinstance(value, str):
         return [to_plain(item) for item in value]
     if isinstance(value, float) and not math.isfinite(value):

@@ -9,9 +9,11 @@ import numpy as np
 import pytest
 from fuzzing.mutations import MUTATIONS, mutated_bytes, mutated_messages
 from fuzzing.performing import PATIENCE, STATUSES, Command, perform, perform_in_turn
+from fuzzing.sharing import digest
 from fuzzing.sound import formats
 
 from skin2urdf.cli.main import INTERNAL_ERROR, main
+from skin2urdf.recording.reading import read
 
 
 @pytest.fixture(scope="module")
@@ -84,7 +86,7 @@ def test_commands_that_share_a_process_end_as_they_do_alone(
     none = ["info", str(tmp_path / "none.mcap")]
     quick = Command(["simulate", "--list"], 60.0)
     with capfd.disabled():
-        outcomes = perform_in_turn([quick, Command(none, 60.0), quick], 1 << 30)
+        outcomes = perform_in_turn([quick, Command(none, 60.0), quick], 1 << 30).outcomes
         alone = perform(none, 60.0, 1 << 30)
     assert [outcome.status for outcome in outcomes] == [0, 2, 0]
     assert outcomes[0].output == outcomes[2].output
@@ -95,8 +97,38 @@ def test_commands_that_share_a_process_end_as_they_do_alone(
 def test_a_command_that_ends_its_process_is_the_last_one(tmp_path: Path) -> None:
     quick = Command(["simulate", "--list"], 60.0)
     long = ["simulate", "talos", "-o", str(tmp_path / "log.mcap"), "--imu-rate", "1000", "--quiet"]
-    outcomes = perform_in_turn([quick, Command(long, 0.1), quick], 1 << 32)
+    outcomes = perform_in_turn([quick, Command(long, 0.1), quick], 1 << 32).outcomes
     assert len(outcomes) == 2
     assert not outcomes[0].fault
     assert outcomes[1].fault
     assert outcomes[1].status not in STATUSES
+
+
+def test_what_commands_do_alike_is_done_once_and_changes_nothing(
+    sound: bytes, tmp_path: Path
+) -> None:
+    log = tmp_path / "log.mcap"
+    log.write_bytes(sound)
+    words = [["info", str(log)], ["explore", str(log)]]
+    together = perform_in_turn([Command(w, 60.0) for w in words], 1 << 30)
+    alone = [perform_in_turn([Command(w, 60.0)], 1 << 30) for w in words]
+    assert [o.output for o in together.outcomes] == [a.outcomes[0].output for a in alone]
+    assert {together.heard, *(a.heard for a in alone)} == {digest(read(log))}
+    # What one of them takes from the other counts for both.
+    shared = perform_in_turn([Command(words[0], 60.0)] * 2, 1 << 30).outcomes
+    assert shared[1].seconds > 0.5 * shared[0].seconds
+
+
+def test_a_recording_that_is_known_is_not_calibrated_again(sound: bytes, tmp_path: Path) -> None:
+    log, urdf = tmp_path / "log.mcap", tmp_path / "robot.urdf"
+    log.write_bytes(sound)
+    commands = [
+        Command(["info", str(log)], 60.0),
+        Command(["calibrate", str(log), "-o", str(urdf)], 60.0),
+    ]
+    performed = perform_in_turn(commands, 1 << 30, {digest(read(log))})
+    assert [(o.fault, o.status) for o in performed.outcomes] == [("", 0)]
+    assert not urdf.exists()
+    other = tmp_path / "other.mcap"
+    other.write_bytes(mutated_messages(sound, np.random.default_rng(1)))
+    assert digest(read(other)) != digest(read(log))

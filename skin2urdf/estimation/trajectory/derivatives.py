@@ -23,7 +23,6 @@ from skin2urdf.estimation.trajectory.kinematics import (
     Path,
     frame_motions,
     joint_columns,
-    own_columns,
     placed,
     placement_columns,
     seen_before_joint,
@@ -207,8 +206,9 @@ class Derivatives:
         self, state: MotionState, link: LinkRows, carried: _Carried
     ) -> Iterator[tuple[slice, F64]]:
         """Of some SUs of a link at a time, by their places there, derivatives (s, n, 3, K)."""
-        placements = self.skeleton.su_placements(state.placements.T_joint_su)
         first, K = 0, link.weights.shape[2]
+        motion = carried.frames[1][carried.link.joint]
+        felt = np.concatenate([motion.A.reshape(9, K), motion.f])
         predicted, (within, rate, margin) = carried.predicted, compared(self.logs[link.log])
         of_points = [
             Spectrum.of(carried.link.series(x), rate, margin)
@@ -221,9 +221,11 @@ class Derivatives:
             else:
                 rates = self._rates(state, some, of_points)[..., within]
             own = np.empty((len(some.sus), self.layout.n_su, 3, K))
-            for u, rate, out in zip(some.sus.tolist(), rates, own, strict=True):
-                here = placed(carried.frames[1][some.joint], placements[u])
-                self._own_columns(state, link.log, u, here, rate, out)
+            weight = self._own_weights(state, some.sus)
+            flat = own.reshape(len(own), -1, K)
+            np.matmul(weight, felt, out=flat[:, : weight.shape[1]])
+            for rate, out in zip(rates, own, strict=True):
+                self._further_columns(link.log, rate, out)
             yield slice(first, first + len(own)), own
             first += len(own)
 
@@ -410,23 +412,40 @@ class Derivatives:
         behind += [by_motion[number] for number in sorted(by_motion)]
         return rows, behind
 
-    def _own_columns(
-        self, state: MotionState, g: int, u: int, here: FrameMotion, rates: F64, out: F64
-    ) -> None:
-        """Derivatives of an SU's prediction in its own coordinates.
+    def _own_weights(self, state: MotionState, sus: Int) -> F64:
+        """(S, 3 N_SU, 12) what makes derivatives in placements, biases and shapes of SUs.
+
+        All of them are linear in what their link feels: in A (9), its specific force per position,
+        and in that of its origin (3). Where SUs on a link are many, one product is all it takes.
 
         Args:
             state: where.
-            g: number of the log.
-            u: the SU.
-            here: its motion.
-            rates: (3, 3, K) derivatives in time and in its front end.
-            out: (n, 3, K) is filled.
+            sus: (S,) the SUs, all on one link.
         """
-        layout, sensed = self.layout, sense(self.priors, state)
-        matrix = state.placements.sensor_matrix()[u] * sensed
-        out[:N_PLACEMENT] = matrix @ own_columns(here)
-        out[N_PLACEMENT:N_SU] = sensor_columns(here.f * sensed)
+        T = self.skeleton.su_placements(state.placements.T_joint_su)[sus]
+        sensed = sense(self.priors, state)
+        matrix = state.placements.sensor_matrix()[sus] * sensed
+        R, S = T[:, :3, :3], len(sus)
+        # A force at an SU is R' (f + A r), and its A is R' A R.
+        by_A = np.einsum("spm,sq->smpq", R, T[:, :3, 3]).reshape(S, 3, 9)
+        force = np.concatenate([by_A, np.swapaxes(R, 1, 2)], axis=2)
+        out = np.zeros((S, N_SU, 3, 12))
+        turned = matrix @ np.swapaxes(R, 1, 2)
+        out[:, :3, :, :9] = np.einsum("snp,sqi->sinpq", turned, R).reshape(S, 3, 3, 9)
+        out[:, 3:N_PLACEMENT] = np.einsum("snm,iml,slx->sinx", matrix, _TURNED, force)
+        out[:, N_PLACEMENT + 3 :] = np.einsum("ncl,slx->scnx", SENSES[:, 3:, 1:], force * sensed)
+        return out.reshape(S, 3 * N_SU, 12)
+
+    def _further_columns(self, g: int, rates: F64, out: F64) -> None:
+        """Derivatives of an SU's prediction in its own coordinates but for those of placement.
+
+        Args:
+            g: number of the log.
+            rates: (3, 3, K) derivatives in time and in its front end.
+            out: (n, 3, K) is filled, shapes aside.
+        """
+        layout = self.layout
+        out[N_PLACEMENT + np.arange(3), np.arange(3)] = 1.0
         out[N_SU:] = 0.0
         out[layout.front] = rates[1:]
         out[layout.clock(g)] = -rates[0], self._since_middle(g) * -rates[0]
@@ -450,24 +469,21 @@ SENSES = _senses()
 """(3, 9, 4) by axis, what bias and shape make of 1 and what a perfect sensor would read."""
 
 
+def _turned() -> F64:
+    out = np.zeros((3, 3, 3))
+    for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+        out[i, j, k], out[i, k, j] = 1.0, -1.0
+    return out
+
+
+_TURNED = _turned()
+"""(3, 3, 3) by axis, what a turn of an SU about it makes of the force that it feels."""
+
+
 def fixed_path(T: F64, n: int) -> Path:
     """Path of n samples of an SU that is fixed to a frame by T (4, 4)."""
     still = np.zeros((3, n))
     return Path(still + T[:3, 3:4], still, still, np.repeat(T[:3, :3, None], n, axis=2))
-
-
-def sensor_columns(ideal: F64) -> F64:
-    """(9, 3, K) derivatives of an SU's readings in bias and shape.
-
-    Args:
-        ideal: (3, K) what a perfect sensor would read [m/s^2].
-    """
-    out = np.zeros((9, *ideal.shape))
-    out[range(3), range(3)] = 1.0
-    for i, (a, b) in enumerate(_SHAPE):
-        out[3 + i, a] = ideal[b]
-        out[3 + i, b] = ideal[a]
-    return out
 
 
 def compared(log: Trajectory) -> tuple[slice, float, int]:

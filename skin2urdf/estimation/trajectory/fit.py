@@ -355,13 +355,15 @@ def _noise(
         sd = np.full(shape[1::-1], np.inf).T
         around = made_by_encoders(problem.tree, log, state.placements)
         square = np.einsum("kuc,kuc->uk", p.residual, p.residual).T
-        for u in range(problem.tree.n_sus):
-            chain = list(problem.tree.chain(int(problem.tree.su_joint[u])))
-            moves = log.moving[:, chain].any(axis=1)
+        for joint in np.unique(problem.tree.su_joint).tolist():
+            sus = np.flatnonzero(problem.tree.su_joint == joint)
+            moves = log.moving[:, list(problem.tree.chain(joint))].any(axis=1)
             for which in (moves, ~moves):
-                sd[which, u] = _spread(square[:, u], which & p.measured[:, u])
+                some = square.T[sus][:, which], p.measured.T[sus][:, which]
+                sd[np.ix_(which, sus)] = _spreads(*some)
             if around is not None:
-                sd[~moves, u] = np.hypot(sd[~moves, u], np.sqrt(around[u, ~moves]))
+                still = np.ix_(~moves, sus)
+                sd[still] = np.hypot(sd[still], np.sqrt(around[sus][:, ~moves]).T)
         if log.leaps is not None:
             sd = np.hypot(sd, np.sqrt(log.leaps.variance(arms)))
         size = np.where(p.measured, np.sqrt(square / 3) / sd, 0.0)
@@ -378,13 +380,21 @@ def _noise(
     return tuple(noise), tuple(weights)
 
 
-def _spread(square: F64, which: Bool) -> float:
-    """Standard deviation of chosen residuals of squares (K,), all axes together.
+def _spreads(square: F64, measured: Bool) -> F64:
+    """(S,) standard deviations of residuals of squares (S, K), all axes together.
 
-    It is that of their median, which outliers do not move.
+    They are those of their medians, which outliers do not move.
+
+    Args:
+        square: sums over the axes of an SU.
+        measured: (S, K) which count.
     """
-    if which.sum() < 8:
-        return np.inf
+    out, count = np.full(len(square), np.inf), measured.sum(axis=1)
+    enough = count >= 8
+    whole = enough & (count == square.shape[1])
+    if whole.any():
+        out[whole] = np.median(square[whole], axis=1)
+    for s in np.flatnonzero(enough & ~whole).tolist():
+        out[s] = np.median(square[s, measured[s]])
     # The median of chi-squared with three degrees of freedom is 2.366.
-    spread = float(np.sqrt(np.median(square[which]) / 2.366))
-    return max(spread, _QUIET)
+    return np.maximum(np.sqrt(out / 2.366), _QUIET)

@@ -10,7 +10,7 @@ alike. What they make of the stated errors is told in :mod:`uncertainty`.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -23,11 +23,15 @@ from skin2urdf.estimation.trajectory.arrow import eliminated, newton_step
 from skin2urdf.estimation.trajectory.clusters import Clusters, clusters
 from skin2urdf.estimation.trajectory.fit import Fitted
 from skin2urdf.estimation.trajectory.problem import MotionProblem, parts_of
+from skin2urdf.estimation.trajectory.records import Versions
 from skin2urdf.estimation.trajectory.state import Layout
 from skin2urdf.model.prediction import Chains
 
 _DRAWS = 16
 """Versions with independent noise; their mean is known to a few per cent."""
+_AT_HAND = 1 << 26
+"""Derivatives that are kept [bytes], rather than worked out twice: eight SUs on seven joints for
+two minutes, beside which all else of a calibration takes several times as much."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -221,14 +225,15 @@ def _errors(
     """
     layout, U, full = problem.layout, problem.tree.n_sus, fitted.equations
     free_joint, free_su, J = problem.free_joint, problem.free_su, layout.gravity
-    dx, dy = _steps(problem, fitted)
+    versions = _versions(problem, fitted)
+    dx, dy = _steps(problem, fitted, versions())
     S, V = len(parts.place), len(dx)
     x, y = np.zeros((V, S, layout.n_joint)), np.zeros((U, V, S, N_SU))
     on_joint, on_su = np.zeros((S, layout.n_joint)), np.zeros((S, U, N_SU))
     moments = np.zeros((J, 1 + max(int(each.max()) for each in parts.moments)))
     lean = eliminated(full.of_joint(np.arange(J)), free_joint[:J], free_su).lean
     samples = [parts_of(members) for members in parts.members]
-    for rows in problem.versions(fitted.state, fitted.predicted, fitted.weights, V - 1):
+    for rows in versions():
         u, own, A = rows.su, np.array(rows.columns), rows.derivatives
         step, nj = np.concatenate([dx[:, own], dy[:, u]], axis=1), len(own)
         left = rows.residuals - np.tensordot(step, A, 1)
@@ -256,14 +261,27 @@ def _errors(
     return pulls, shares, moments.T * free_joint[:J]
 
 
-def _steps(problem: MotionProblem, fitted: Fitted) -> tuple[F64, F64]:
+def _versions(problem: MotionProblem, fitted: Fitted) -> Callable[[], Iterable[Versions]]:
+    """What gives the versions of a fit, which are kept where they take little memory."""
+
+    def anew() -> Iterable[Versions]:
+        return problem.versions(fitted.state, fitted.predicted, fitted.weights, _DRAWS)
+
+    numbers = problem.layout.n_joint + problem.layout.n_su + 1 + _DRAWS
+    if 8 * numbers * sum(p.residual.size for p in fitted.predicted) > _AT_HAND:
+        return anew
+    kept = list(anew())
+    return lambda: kept
+
+
+def _steps(problem: MotionProblem, fitted: Fitted, versions: Iterable[Versions]) -> tuple[F64, F64]:
     """Steps (V, J + Z) and (V, U, n) from a fit to that of every version."""
     full, free_joint = fitted.equations, problem.free_joint
     # The estimate itself is off the optimum where the noise of encoders was taken off.
     joint = np.tile(full.joint_gradient, (1 + _DRAWS, 1))
     su = np.tile(full.su_gradient, (1 + _DRAWS, 1, 1))
     joint[1:], su[1:] = 0.0, 0.0
-    for rows in problem.versions(fitted.state, fitted.predicted, fitted.weights, _DRAWS):
+    for rows in versions:
         A, nj = rows.derivatives, len(rows.columns)
         drawn = rows.residuals[1:].reshape(_DRAWS, -1) @ A.reshape(len(A), -1).T
         joint[1:, rows.columns] += drawn[:, :nj]

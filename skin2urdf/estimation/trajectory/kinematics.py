@@ -28,6 +28,7 @@ import numpy as np
 
 from skin2urdf.arrays import F64
 from skin2urdf.estimation.problem.state import State
+from skin2urdf.estimation.trajectory.points import shared_points
 from skin2urdf.structure.records import KinematicTree
 
 # Vectors along a trajectory are (3, K): samples last, where NumPy is fastest.
@@ -217,27 +218,6 @@ def placement_columns(motion: FrameMotion, path: Path, axes: tuple[int, ...]) ->
     return in_su(path.R_frame_su, out)
 
 
-def own_columns(motion: FrameMotion) -> F64:
-    """(6, 3, K) what an SU reads per shift along and turn about its own axes.
-
-    Args:
-        motion: of the SU.
-    """
-    w, a, f = motion.w, motion.a, motion.f
-    n = f.shape[1]
-    out = np.zeros((6, 3, n))
-    w2 = (w * w).sum(axis=0)
-    for i in range(3):
-        j, k = (i + 1) % 3, (i + 2) % 3
-        # The columns of a x + w x w x, and those of the cross product with the force.
-        out[i] = w * w[i]
-        out[i, i] -= w2
-        out[i, j] += a[k]
-        out[i, k] -= a[j]
-        out[3 + i, j], out[3 + i, k] = f[k], -f[j]
-    return out
-
-
 def joint_columns(motion: FrameMotion, path: Path, slides: bool) -> F64:
     """What an SU reads per motion of a joint that its encoder does not see.
 
@@ -305,14 +285,15 @@ def levers(tree: KinematicTree, places: State) -> F64:
         tree: D joints and U SUs.
         places: where they are.
     """
-    link = np.linalg.norm(places.T_parent_joint[:, :3, 3], axis=1)
+    length = np.linalg.norm(places.T_parent_joint[:, :3, 3], axis=1)
     out = np.zeros((tree.n_sus, tree.n_joints))
-    for u, joint in enumerate(tree.su_joint):
-        arm = float(np.linalg.norm(places.T_joint_su[u, :3, 3]))
-        for d in reversed(tree.chain(int(joint))):
-            own = float(np.linalg.norm(places.T_joint_su[u, :2, 3])) if d == joint else arm
-            out[u, d] = 1.0 if tree.prismatic[d] else own
-            arm += float(link[d])
+    for joint in np.unique(tree.su_joint).tolist():
+        sus = np.flatnonzero(tree.su_joint == joint)
+        own = np.linalg.norm(places.T_joint_su[sus, :2, 3], axis=1)
+        arm = np.linalg.norm(places.T_joint_su[sus, :3, 3], axis=1)
+        for d in reversed(tree.chain(joint)):
+            out[sus, d] = 1.0 if tree.prismatic[d] else own if d == joint else arm
+            arm = arm + length[d]
     return out
 
 
@@ -320,7 +301,7 @@ def felt_of_joints(tree: KinematicTree, places: State, q: F64) -> F64:
     """(U, D, K) square of what SUs feel of accelerations of joints at positions (K, D).
 
     Of a joint that turns that is the distance from its axis [m^2], of one that slides 1; 0 of one
-    that does not carry the SU.
+    that does not carry the SU. Where a link's points are tells where all SUs on it are.
 
     Args:
         tree: D joints and U SUs.
@@ -328,17 +309,17 @@ def felt_of_joints(tree: KinematicTree, places: State, q: F64) -> F64:
         q: positions [rad or m].
     """
     out = np.zeros((tree.n_sus, tree.n_joints, len(q)))
-    for u, joint in enumerate(tree.su_joint):
-        at = np.tile(places.T_joint_su[u, :3, 3], (len(q), 1))
-        for d in reversed(tree.chain(int(joint))):
-            slides = bool(tree.prismatic[d])
-            out[u, d] = 1.0 if slides else (at[:, :2] ** 2).sum(axis=1)
-            if slides:
-                at[:, 2] += q[:, d]
+    for link in shared_points(tree.su_joint, places.T_joint_su):
+        at = np.tile(link.arms[:, None], (1, len(q), 1))
+        for d in reversed(tree.chain(link.joint)):
+            if tree.prismatic[d]:
+                out[link.sus, d] = 1.0
+                at[:, :, 2] += q[:, d]
             else:
+                x, y = at[:, :, 0].copy(), at[:, :, 1].copy()
+                out[link.sus, d] = (link.shares @ x) ** 2 + (link.shares @ y) ** 2
                 c, s = np.cos(q[:, d]), np.sin(q[:, d])
-                x, y = at[:, 0].copy(), at[:, 1].copy()
-                at[:, 0], at[:, 1] = c * x - s * y, s * x + c * y
+                at[:, :, 0], at[:, :, 1] = c * x - s * y, s * x + c * y
             T = places.T_parent_joint[d]
             at = at @ T[:3, :3].T + T[:3, 3]
     return out

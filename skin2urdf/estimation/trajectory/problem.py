@@ -260,15 +260,16 @@ class MotionProblem(Derivatives):
         at = slice(N_PLACEMENT, N_SU)
         free = free_su[:, at]
         _, prior, _, gradient = self.prior_information(state)
-        H, b = prior[:, at, at].copy(), gradient[:, at].copy()
+        moments, pulls = np.zeros((len(free), 3, 4, 4)), np.zeros((len(free), 3, 4))
         for g, (p, w) in enumerate(zip(predicted, weights, strict=True)):
             for u, ideal in self.ideal(state, g, p):
                 felt = np.concatenate([np.ones((1, ideal.shape[1])), ideal])
                 weighed = w[:, u, :3].T[:, None] * felt
-                moments = weighed @ felt.T
                 left = np.where(p.measured[:, u], p.residual[:, u].T, 0.0)
-                H[u] += np.einsum("ica,iab,idb->cd", SENSES, moments, SENSES, optimize=True)
-                b[u] += np.einsum("ica,iak,ik->c", SENSES, weighed, left, optimize=True)
+                moments[u] += weighed @ felt.T
+                pulls[u] += (weighed @ left[:, :, None])[..., 0]
+        H = prior[:, at, at] + np.einsum("ica,uiab,idb->ucd", SENSES, moments, SENSES)
+        b = gradient[:, at] + np.einsum("ica,uia->uc", SENSES, pulls)
         H = np.where(free[:, :, None] & free[:, None], H, 0.0) + np.eye(H.shape[1]) * ~free[:, None]
         x = np.linalg.solve(H, np.where(free, b, 0.0)[..., None])[..., 0]
         places = replace(

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
+from scipy.optimize import linear_sum_assignment
 
 from skin2urdf.arrays import F64, Int
 from skin2urdf.calibration.rounds import Logs, take_features
@@ -127,8 +128,6 @@ def names_in(found: Estimate, features: Features) -> Int:
     same = np.arange(len(per))
     loss = np.log(np.where(known, np.maximum(per, 1.0), 1e300))[np.ix_(who, who)]
     # Of names that fit alike, as on the reference segment, the same one is to be preferred.
-    from scipy.optimize import linear_sum_assignment  # only here: it takes 0.1 s to load
-
     _, columns = linear_sum_assignment(loss - 1e-6 * np.eye(len(who)))
     for cycle in _cycles(columns):
         gain = loss[cycle, cycle] - loss[cycle, columns[cycle]]
@@ -153,8 +152,6 @@ def named_as_felt(tree: KinematicTree, seen: Activity) -> KinematicTree:
     felt = np.where(tree.activity()[own], 1.0, -1.0)
     fits = felt @ np.clip(evidence, -CERTAIN, CERTAIN).T
     # Of places that suit alike, the same one is to be preferred.
-    from scipy.optimize import linear_sum_assignment
-
     _, called = linear_sum_assignment(-fits - 1e-6 * np.eye(len(names)))
     joint = np.array(tree.su_joint)
     joint[own[called]] = tree.su_joint[own]

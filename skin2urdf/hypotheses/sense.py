@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
+from scipy.optimize import minimize_scalar
 
 from skin2urdf.arrays import F64
 from skin2urdf.calibration.rounds import take_features
@@ -187,8 +188,6 @@ def felt_at_rest(known: Estimate, features: Features) -> Evidence:
         q = np.tile(blocks.q, (len(about), 1, 1))
         q[:, :, joint] = about[:, None] - q[:, :, joint]
         return chi2(q.reshape(-1, D))
-
-    from scipy.optimize import minimize_scalar  # only here: it takes 0.1 s to load
 
     plain = chi2(blocks.q)[0]
     out = Evidence(np.zeros((P, D)), np.zeros((P, D)), np.full(D, np.nan))

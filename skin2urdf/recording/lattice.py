@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import numpy as np
 from scipy.ndimage import median_filter, uniform_filter1d
+from scipy.optimize import isotonic_regression
 
 from skin2urdf.arrays import F64, Int
 from skin2urdf.recording.numbering import LONG_PAUSE, Numbering
@@ -88,7 +89,5 @@ def _numbers(turns: F64) -> Int:
     )
     phase = np.unwrap(np.arctan2(imaginary, real)) / (2 * np.pi)
     ahead = turns - phase - np.arange(turns.size)
-    from scipy.optimize import isotonic_regression  # only here: it takes 0.1 s to load
-
     stairs = isotonic_regression(median_filter(ahead, LATE, mode="nearest")).x
     return np.asarray(np.rint(stairs).astype(np.int64) + np.arange(turns.size))

@@ -296,7 +296,7 @@ def _samples(calibration: Calibration) -> dict[str, Any] | None:
     deviations = np.sqrt(np.einsum("uii->ui", along.su_covariances).clip(0.0))
     # Lag and drift of each log: (G, U, 2).
     of_clocks = np.array([deviations[:, layout.clock(g)] for g in range(len(state.clock))])
-    known = along.compliance(widening=calibration.observability.widening)
+    known = along.compliance(calibration.observability.covariance.joint)
     yields = zip(along.deflections, *known, strict=True)
     return {
         "misfit": along.misfit,

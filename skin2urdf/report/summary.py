@@ -216,7 +216,7 @@ def _stiffness(calibration: Calibration) -> list[str]:
     if along is None or along.under_known is None:
         return []
     tree = along.problem.tree
-    known = along.compliance(widening=calibration.observability.widening)
+    known = along.compliance(calibration.observability.covariance.joint)
     return stiffness_words(tree.joint_names, tree.prismatic, *known)
 
 

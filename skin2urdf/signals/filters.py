@@ -218,6 +218,8 @@ class Spline:
 
     def later(self, by: float) -> F64:
         """Values (M, C) at all positions plus ``by``; beyond the ends those at the ends."""
+        from scipy.interpolate import BSpline  # only here: it takes 0.1 s to load
+
         size, step = self._size, int(np.floor(by))
         first = min(size, max(0, -step))
         last = max(first, min(size, size - step - 1))
@@ -226,21 +228,11 @@ class Spline:
         there = np.zeros((len(self._coefficients), last - first))
         begin = first + step + _MARGIN - 2
         # One fraction for all: weights are numbers, and samples in a row.
-        weights = _quintic(np.arange(5.0, -1.0, -1.0) + (by - step))
+        weights = BSpline.basis_element(np.arange(7.0))(np.arange(5.0, -1.0, -1.0) + (by - step))
         for k, weight in enumerate(weights):
             there += weight * self._coefficients[:, begin + k : begin + k + last - first]
         out[first:last] = there.T
         return out
-
-
-def _quintic(x: F64) -> F64:
-    """Quintic B-spline on the knots 0 to 6, at x in between: sums of truncated powers.
-
-    It is the same from either end; of the nearer half of the powers nothing cancels.
-    """
-    x = np.minimum(x, 6 - x)
-    powers = np.maximum(x[:, None] - np.arange(3), 0.0) ** 5
-    return np.asarray(powers @ np.array([1.0, -6.0, 15.0]) / 120)
 
 
 _MARGIN = 24

@@ -8,10 +8,10 @@ keep. Sensors are steady, though: the estimates of all rests are of one figure, 
 from __future__ import annotations
 
 import numpy as np
+from scipy.optimize import brentq
 from scipy.special import digamma, polygamma
 
 from skin2urdf.arrays import F64, Bool
-from skin2urdf.geometry.roots import root
 
 _FEWEST = 3
 """Rests from which they say something about each other."""
@@ -77,4 +77,4 @@ def _inverse_trigamma(value: float) -> float:
     lowest = 1e-3
     if value >= polygamma(1, lowest):
         return lowest
-    return root(lambda x: float(polygamma(1, x)) - value, lowest, _MOST, 1e-12)
+    return float(brentq(lambda x: polygamma(1, x) - value, lowest, _MOST))

@@ -13,11 +13,11 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.optimize import brentq
 
 from skin2urdf.arrays import F64, Bool
 from skin2urdf.estimation.problem.blocks import FeatureBlocks
 from skin2urdf.estimation.start.orientation import ROUGH_BIAS
-from skin2urdf.geometry.roots import root
 from skin2urdf.geometry.so3 import axis_rotation, cross, skew
 
 _SENSE_EVIDENCE = 30.0
@@ -279,6 +279,6 @@ def _least_on_sphere(A: F64, b: F64) -> F64:
         return float(np.sum((beta / (lam - lam[0] + shift)) ** 2) - 1.0)
 
     low = abs(beta[0]) * (1 - 1e-12)
-    shift = root(excess, min(low, size) * 1e-3, size * 1.0001, 1e-14 * size)
+    shift = brentq(excess, min(low, size) * 1e-3, size * 1.0001, xtol=1e-14 * size)
     k = Q @ (beta / (lam - lam[0] + shift))
     return np.asarray(k / np.linalg.norm(k))

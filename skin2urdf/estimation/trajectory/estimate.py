@@ -12,7 +12,6 @@ from skin2urdf.arrays import F64, Bool
 from skin2urdf.estimation.problem.cost import Priors
 from skin2urdf.estimation.problem.state import State
 from skin2urdf.estimation.trajectory.ahead import Ahead, step_ahead
-from skin2urdf.estimation.trajectory.arrow import eliminated, joint_inverse
 from skin2urdf.estimation.trajectory.causes import Explained, explained
 from skin2urdf.estimation.trajectory.clocks import with_likely_clocks
 from skin2urdf.estimation.trajectory.deviations import su_covariances
@@ -182,12 +181,11 @@ class MotionEstimate:
         logs = self.problem.base_motions(self.fitted.state)
         return np.asarray(np.max([np.ptp(x, axis=0) for x in logs], axis=0))
 
-    def compliance(self, covariance: F64 | None = None, widening: float = 1.0) -> tuple[F64, F64]:
+    def compliance(self, covariance: F64) -> tuple[F64, F64]:
         """(D,) what each joint yields per torque that is known, and its standard deviation.
 
         Args:
-            covariance: (J, J) of the joint part; by default that which weights tell.
-            widening: by how much variances exceed these.
+            covariance: (J, J) of the joint part, in the layout's order.
 
         Returns:
             In rad/(N m) or m/N; NaN of joints that bear nothing, and where no torques are known.
@@ -195,10 +193,6 @@ class MotionEstimate:
         elastic, D = self.under_known, self.problem.tree.n_joints
         if elastic is None:
             return np.full(D, np.nan), np.full(D, np.nan)
-        if covariance is None:
-            free = self.problem.free_joint, self.problem.free_su
-            system = eliminated(self.fitted.equations, *free)
-            covariance = max(1.0, widening) * joint_inverse(system.schur, free[0])
         n, first = elastic.n_numbers, self.problem.layout.unseen.start
         own = slice(first, first + n)
         return elastic.compliances(self.fitted.state.unseen[:n], covariance[own, own], D)

@@ -18,6 +18,7 @@ from skin2urdf.estimation.problem.blocks import feature_blocks
 from skin2urdf.estimation.problem.cost import Cost, Priors
 from skin2urdf.estimation.problem.state import State, Step
 from skin2urdf.geometry.units import GRAVITY
+from skin2urdf.model.specific_force import specific_forces
 from skin2urdf.signals.filters import filtered, first_derivative, low_pass, second_derivative
 from skin2urdf.signals.information import Information
 from skin2urdf.signals.records import Features, StaticMoves
@@ -236,6 +237,16 @@ def sampled_trajectory(
         turning=None if rates is None else whole,
         positions=q,
     )
+
+
+def reading_errors(found: State, truth: State, tree: KinematicTree) -> float:
+    """Root mean square error of what SUs of two joints read along another motion [m/s^2]."""
+    q = np.random.default_rng(9).uniform(-1, 1, (40, 2))
+    qd, qdd = 2 * q[::-1], 10 * q[:, ::-1]
+    ours, true = (
+        specific_forces(s.model(tree), q, qd, qdd, 9.81 * truth.up[0]) for s in (found, truth)
+    )
+    return float(np.sqrt(((ours - true) ** 2).mean()))
 
 
 def stays(at: F64, stay: int, move: int) -> F64:

@@ -12,7 +12,7 @@ from functools import cache
 import numpy as np
 import pinocchio as pin
 import pytest
-from synthetic import RATE, random_state, sampled_trajectory, serial_tree, stays
+from synthetic import RATE, random_state, reading_errors, sampled_trajectory, serial_tree, stays
 
 from skin2urdf.arrays import F64
 from skin2urdf.estimation.problem.cost import Priors
@@ -106,16 +106,6 @@ def _fit(log: Trajectory) -> MotionEstimate:
     return estimate_along([log], _TREE, _truth(), priors, np.zeros(2))
 
 
-def _reading_errors(found: State) -> float:
-    """Root mean square error of what SUs read along another motion [m/s^2]."""
-    q = np.random.default_rng(9).uniform(-1, 1, (40, 2))
-    qd, qdd = 2 * q[::-1], 10 * q[:, ::-1]
-    ours, true = (
-        specific_forces(s.model(_TREE), q, qd, qdd, 9.81 * _UP) for s in (found, _truth())
-    )
-    return float(np.sqrt(((ours - true) ** 2).mean()))
-
-
 def test_joints_that_yield_are_followed() -> None:
     stiff, soft = (
         _fit(_trajectory(np.random.default_rng(1), c, 2e-3)) for c in (0.0 * _SOFT, _SOFT)
@@ -130,7 +120,7 @@ def test_joints_that_yield_are_followed() -> None:
     assert far / near == pytest.approx(2.0, rel=0.05)
     np.testing.assert_allclose(soft.deflections, [5.20e-3, 6.24e-3], rtol=0.03)
     # Of a fit with rigid joints they are 0.058 m/s^2; of six such logs they were 0.015 to 0.022.
-    assert _reading_errors(soft.state) < 0.025
+    assert reading_errors(soft.state, _truth(), _TREE) < 0.025
     for part in (soft.information.shared, soft.information.shared_su):
         assert np.isfinite(part).all()
 
@@ -153,7 +143,9 @@ def test_what_yields_passes_the_low_pass_as_motion_does() -> None:
         for c in (0.0 * _SOFT, _SOFT / 4)
     )
     assert soft.causes == ("elastic",)
-    assert _reading_errors(soft.state) < 2 * _reading_errors(stiff.state)
+    assert reading_errors(soft.state, _truth(), _TREE) < 2 * reading_errors(
+        stiff.state, _truth(), _TREE
+    )
 
 
 @pytest.mark.parametrize("base", [False, True])

@@ -11,7 +11,7 @@ from functools import cache
 import numpy as np
 import pinocchio as pin
 import pytest
-from synthetic import RATE, random_state, sampled_trajectory, serial_tree
+from synthetic import RATE, random_state, reading_errors, sampled_trajectory, serial_tree
 
 from skin2urdf.arrays import F64
 from skin2urdf.estimation.problem.cost import Priors
@@ -82,16 +82,6 @@ def _compliance(found: MotionEstimate) -> tuple[F64, F64]:
     return found.compliance(joint_inverse(system.schur, problem.free_joint))
 
 
-def _reading_errors(found: State) -> float:
-    """Root mean square error of what SUs read along another motion [m/s^2]."""
-    q = np.random.default_rng(9).uniform(-1, 1, (40, 2))
-    qd, qdd = 2 * q[::-1], 10 * q[:, ::-1]
-    ours, true = (
-        specific_forces(s.model(_TREE), q, qd, qdd, 9.81 * _UP) for s in (found, _truth())
-    )
-    return float(np.sqrt(((ours - true) ** 2).mean()))
-
-
 def _measured(rng: np.random.Generator, noise: float, friction: float) -> F64:
     """Efforts with white noise, and with friction as parts of the largest torque of each joint."""
     speed, largest = _motion()[1], np.abs(_torques()).max(axis=0)
@@ -113,7 +103,7 @@ def test_stiffness_is_found_and_links_are_where_they_are(
     # Efforts of the load are those of the drive with another sign.
     np.testing.assert_allclose(compliance, sign / _STIFF, rtol=part)
     assert (deviation < 0.05 / _STIFF).all()
-    assert _reading_errors(found.state) < off
+    assert reading_errors(found.state, _truth(), _TREE) < off
 
 
 def test_efforts_that_are_no_torques_are_not_used() -> None:

@@ -41,6 +41,7 @@ def for_page(document: Mapping[str, Any]) -> dict[str, Any]:
         "joints": {joint["name"]: _joint(document, joint) for joint in document["tree"]["joints"]},
         "sus": sus,
         "observability": {**document["observability"], "positions_open": None},
+        "stiffness": document["model"]["stiffness"],
     }
 
 

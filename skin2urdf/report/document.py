@@ -20,7 +20,7 @@ from skin2urdf.report.findings import Findings, findings
 from skin2urdf.report.gyros import gyro_document
 from skin2urdf.report.notes import note_documents
 from skin2urdf.report.plain import to_plain, versions
-from skin2urdf.report.summary import all_notes
+from skin2urdf.report.summary import all_notes, stiffness
 from skin2urdf.report.words import NO_POSITIONS, Unknown
 from skin2urdf.signals.records import Features
 from skin2urdf.structure.activity import Activity
@@ -80,6 +80,7 @@ def as_document(calibration: Calibration) -> dict[str, Any]:
             "joints": [n for n in calibration.activity.dof_names if n not in tree.joint_names],
         },
         "faults": [fault_document(fault, len(calibration.sources)) for fault in calibration.faults],
+        "stiffness": stiffness(calibration),
         "notes": all_notes(calibration),
         "noted": note_documents(calibration.notes),
         "clocks": [[asdict(clock) for clock in clocks] for clocks in calibration.clocks],

@@ -57,7 +57,7 @@ def as_text(calibration: Calibration) -> str:
         *bullets(
             "Not observable from this log", _not_known(calibration.model.tree.su_names, found)
         ),
-        *bullets("Stiffness of the joints, as far as efforts are in N m", _stiffness(calibration)),
+        *bullets("Stiffness of the joints, as far as efforts are in N m", stiffness(calibration)),
         *bullets("Faults", _faults(calibration)),
         *bullets("Notes", all_notes(calibration)),
     ]
@@ -210,8 +210,12 @@ _NAME = "\0"
 """Stands for an SU's name; no name holds it."""
 
 
-def _stiffness(calibration: Calibration) -> list[str]:
-    """How stiff joints are that yield under the torques that the logs hold."""
+def stiffness(calibration: Calibration) -> list[str]:
+    """How stiff joints are that yield under the torques that the logs hold, in words.
+
+    Args:
+        calibration: a finished calibration.
+    """
     along = calibration.along
     if along is None or along.under_known is None:
         return []

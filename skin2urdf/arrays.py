@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from functools import cache
 from typing import Any, TypeAlias
@@ -85,3 +86,19 @@ _M_TRIM_THRESHOLD, _M_MMAP_MAX = -1, -4
 """Numbers of parameters in glibc's malloc.h."""
 _KEPT = 256 << 20
 """Freed memory that is kept [bytes]: what an iteration on a log of 30 joints frees at once."""
+
+
+def together(parts: Sequence[tuple[F64 | None, F64]]) -> F64 | None:
+    """What was measured beside several batches of values, NaN where it is missing.
+
+    Args:
+        parts: what was measured beside (N, C) values, or None, and these.
+
+    Returns:
+        All of it in one piece; None where there is none.
+    """
+    if all(beside is None for beside, _ in parts):
+        return None
+    return np.concatenate(
+        [np.full(values.shape, np.nan) if beside is None else beside for beside, values in parts]
+    )

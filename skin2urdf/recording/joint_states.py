@@ -6,12 +6,11 @@ names have no fixed size, so they are stepped over one name at a time, all messa
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
-from skin2urdf.arrays import F64, Int
+from skin2urdf.arrays import F64, Int, together
 from skin2urdf.recording.blocks import Block
 from skin2urdf.recording.cdr import (
     FRAME_TEXT,
@@ -226,19 +225,6 @@ def _in_order(batches: list[JointPositions]) -> JointPositions:
         log_time[order],
         position[order],
         None if effort is None else effort[order],
-    )
-
-
-def together(parts: Sequence[tuple[F64 | None, F64]]) -> F64 | None:
-    """What was measured beside several batches of values, NaN where it is missing; None if it is.
-
-    Args:
-        parts: what was measured beside (N, C) values, or None, and these.
-    """
-    if all(beside is None for beside, _ in parts):
-        return None
-    return np.concatenate(
-        [np.full(values.shape, np.nan) if beside is None else beside for beside, values in parts]
     )
 
 

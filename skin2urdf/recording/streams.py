@@ -8,11 +8,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from skin2urdf.arrays import F64, Bool, Int
+from skin2urdf.arrays import F64, Bool, Int, together
 from skin2urdf.recording.blocks import Block, Channels
 from skin2urdf.recording.cdr import Passed, accelerations
 from skin2urdf.recording.credibility import real_rates
-from skin2urdf.recording.joint_states import joint_positions, together
+from skin2urdf.recording.joint_states import joint_positions
 from skin2urdf.recording.messages import (
     ACCELERATION_LEAD,
     ACCELERATION_TAIL,

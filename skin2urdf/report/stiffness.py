@@ -18,7 +18,8 @@ def stiffness_words(
 ) -> list[str]:
     """How stiff each joint is, with standard deviation; nothing of joints without known torques.
 
-    Torques that are told as those of the load, with the other sign, make compliances below zero.
+    Torques that are told as those of the load make all compliances negative: the one that is known
+    best tells the sense of all. A single one of the other sense is none that a spring has.
 
     Args:
         names: D joints.
@@ -27,7 +28,9 @@ def stiffness_words(
         deviation: (D,) its standard deviations.
     """
     out = []
-    for name, sliding, c, sd in zip(names, slides, np.abs(compliance), deviation, strict=True):
+    known = np.divide(compliance, deviation, out=np.zeros(len(names)), where=deviation > 0)
+    sense = -1.0 if known[np.nan_to_num(np.abs(known)).argmax()] < 0 else 1.0
+    for name, sliding, c, sd in zip(names, slides, sense * compliance, deviation, strict=True):
         if not np.isfinite(c):
             continue
         unit = "kN/m" if sliding else "kNm/rad"
@@ -35,6 +38,6 @@ def stiffness_words(
             k = 1e-3 / c
             out.append(f"{name}: {number(k)} +- {number(k * sd / c)} {unit}")
         else:
-            least = 1e-3 / (c + 2 * sd)
+            least = 1e-3 / (max(c, 0.0) + 2 * sd)
             out.append(f"{name}: its load hardly moves it, more than {number(least)} {unit}")
     return out

@@ -137,12 +137,18 @@ def test_stiffness_is_told_where_torques_are_known() -> None:
     assert joints[third]["compliance"] == pytest.approx(-2.25e-3)
     assert joints[first]["compliance_sd"] == pytest.approx(5e-5)
     assert as_document(soft)["samples"]["joints"][first]["compliance"] is None
-    # Of torques of the load it is below zero, and as stiff.
-    compliance, deviation = np.array([1e-3, np.nan, -2e-4, 1e-6]), np.array([1e-5, 0, 1e-5, 1e-6])
-    told = stiffness_words("abcd", [False, False, True, False], compliance, deviation)
+
+
+def test_springs_of_one_robot_all_yield_in_one_sense() -> None:
+    compliance, deviation = np.array([1e-3, np.nan, 2e-4, -4e-5]), np.array([1e-5, 0, 1e-5, 1e-5])
+    slides = [False, False, True, False]
+    told = stiffness_words("abcd", slides, compliance, deviation)
     assert [words.split(":")[0] for words in told] == ["a", "c", "d"]
-    for words, k in zip(told, (1.0, 5.0, 1 / 3e-3), strict=True):
-        assert number(k) in words
+    # What yields against its torque by four deviations is no spring of 25 kNm/rad.
+    for words, k in zip(told, (1.0, 5.0, 50.0), strict=True):
+        assert f" {number(k)} " in words
+    # Torques of the load are those of the drive with another sign.
+    assert stiffness_words("abcd", slides, -compliance, deviation) == told
 
 
 def test_uneven_gears_and_slack_are_told_with_their_sizes() -> None:

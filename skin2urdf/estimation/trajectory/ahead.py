@@ -16,7 +16,6 @@ from skin2urdf.arrays import F64, Record
 from skin2urdf.estimation.problem.state import N_SU
 from skin2urdf.estimation.trajectory.arrow import eliminated, newton_step
 from skin2urdf.estimation.trajectory.fit import Fitted
-from skin2urdf.estimation.trajectory.shaken import Shaken
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,10 +45,9 @@ def step_ahead(fitted: Fitted, taken_off: tuple[F64, F64] | None = None) -> Ahea
         fitted: the fit.
         taken_off: parts (J,) and (U, n) of the gradient by which it is off its optimum on purpose.
     """
-    problem, state = fitted.problem, fitted.state
+    problem = fitted.problem
     free_joint, free_su = problem.free_joint, problem.free_su
-    shaken = Shaken.of(problem.tree, problem.logs, state, fitted.weights)
-    equations = shaken.taken_off(fitted.equations, problem.layout, state.front)
+    equations = fitted.minimised(fitted.equations)
     on_purpose = (0.0, 0.0) if taken_off is None else taken_off
     joint = np.where(free_joint, equations.joint_gradient + on_purpose[0], 0.0)
     su = np.where(free_su, equations.su_gradient + on_purpose[1], 0.0)

@@ -4,7 +4,8 @@ Positions are differentiated twice, so that accelerations carry noise, and least
 in what they rest on shortens: lever arms come out as if part of the acceleration had not been.
 With ``dq''`` the noise of a joint's acceleration, the prediction is off by ``tau dq''`` and its
 derivatives by ``(d tau) dq''``; their product does not average out. Its mean follows from the
-variance of ``dq''``, and one step takes it off (corrected scores: Stefanski 1985; Nakamura 1990).
+variance of ``dq''``, and a step or two take it off (corrected scores: Stefanski 1985; Nakamura
+1990).
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from skin2urdf.arrays import F64, Int, Record
+from skin2urdf.estimation.trajectory.ahead import step_ahead
 from skin2urdf.estimation.trajectory.arrow import eliminated, newton_step
 from skin2urdf.estimation.trajectory.fit import Fitted, held
 from skin2urdf.estimation.trajectory.problem import MotionProblem
@@ -30,6 +32,10 @@ _MOST = 1.25
 """Squared residuals of an SU over what they were, from which a step took off more than was there.
 Noise of variance C beside motion of S shortens by C / (S + C), which is at most half the noise
 (S = C) in what is predicted, and so at most a quarter of what noise leaves."""
+_STEPS = 4
+"""Steps at most. One takes off what noise did where that is some standard deviations."""
+_NEAR = 0.1
+"""Length of what a further step would change, over the error of noise, that may stay."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,17 +71,31 @@ def without_shortening(
         The fit, some standard deviations away, and what led there; the same fit and nothing where
         one step would not take it off, as in a log of motion so slow that it is lost in the noise.
     """
-    parts = _shortening(problem, fitted, fitted.state)
+    parts, found = _shortening(problem, fitted, fitted.state), fitted
     if not parts:
         return fitted, ()
-    layout = problem.layout
-    to_joint, to_su = whole_of(parts)
-    equations = replace(fitted.equations, joint_gradient=to_joint, su_gradient=to_su)
-    system = eliminated(equations, problem.free_joint, problem.free_su)
-    taken_off = held(problem, layout.moved(fitted.state, *newton_step(system, problem.free_joint)))
     left = _left(fitted, fitted)
-    small = bool((_left(taken_off, fitted) <= _MOST * left).all())
-    return (taken_off, parts) if small else (fitted, ())
+    for _ in range(_STEPS):
+        found = _a_step_further(found, whole_of(parts))
+        if not (_left(found, fitted) <= _MOST * left).all():
+            return fitted, ()
+        if step_ahead(found, whole_of(parts)).share <= _NEAR:
+            break
+        parts = _shortening(problem, found, found.state)
+    return found, parts
+
+
+def _a_step_further(fitted: Fitted, taken_off: tuple[F64, F64]) -> Fitted:
+    """A fit a step nearer to where its gradient and parts (J,) and (U, n) of it are zero."""
+    problem, equations = fitted.problem, fitted.minimised(fitted.equations)
+    pull = replace(
+        equations,
+        joint_gradient=equations.joint_gradient + taken_off[0],
+        su_gradient=equations.su_gradient + taken_off[1],
+    )
+    system = eliminated(pull, problem.free_joint, problem.free_su)
+    step = newton_step(system, problem.free_joint)
+    return held(problem, problem.layout.moved(fitted.state, *step))
 
 
 def hidden_offsets(problem: MotionProblem, fitted: Fitted) -> list[tuple[F64, F64]]:

@@ -78,6 +78,18 @@ class Fitted:
         """Normal equations at the state."""
         return self.problem.equations(self.state, self.predicted, self.weights)
 
+    def minimised(self, equations: Equations) -> Equations:
+        """Normal equations at the state, without what front ends gain by cutting noise off.
+
+        Of what a fit minimises that is no part, so that its optimum is where these are zero.
+
+        Args:
+            equations: of its samples, in all coordinates that a question needs.
+        """
+        problem, state = self.problem, self.state
+        shaken = Shaken.of(problem.tree, problem.logs, state, self.weights)
+        return shaken.taken_off(equations, problem.layout, state.front)
+
     def keep(self, equations: Equations) -> None:
         """Take normal equations at the state, which need not be worked out again."""
         vars(self)["equations"] = equations

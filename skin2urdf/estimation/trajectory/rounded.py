@@ -78,9 +78,11 @@ def _off(log: Trajectory, rng: np.random.Generator) -> Iterator[F64]:
         off = np.zeros((len(log.q), D))
         for rate in np.unique(raw):
             some = np.flatnonzero(raw == rate)
-            drawn = _Rounding(log.resolution[some], rng.uniform(size=len(some)))
-            by = drawn.seldom if rate < log.rate else drawn.often
-            off[:, some] = by(log.q[:, some], log.rate, float(rate))
+            drawn, q = _Rounding(log.resolution[some], rng.uniform(size=len(some))), log.q[:, some]
+            if rate < log.rate:
+                off[:, some] = drawn.seldom(q, log.rate, float(rate), float(rng.uniform()))
+            else:
+                off[:, some] = drawn.often(q, log.rate, float(rate))
         yield off
 
 
@@ -110,12 +112,22 @@ class _Rounding:
         ahead = np.arange(times) - 0.5 * (times - 1)
         return np.asarray(np.mean([self._off(q + each * further) for each in ahead], axis=0))
 
-    def seldom(self, q: F64, rate: float, raw: float) -> F64:
-        """(N, J) the same of encoders that are read more seldom."""
+    def seldom(self, q: F64, rate: float, raw: float, later: float) -> F64:
+        """(N, J) the same of encoders that are read more seldom.
+
+        A curve through readings has whole steps where these were taken, so that rounding it there
+        once more would leave nothing off.
+
+        Args:
+            q: positions.
+            rate: samples of them per second [Hz].
+            raw: the encoders' [Hz].
+            later: share of the time between two readings by which they are read later.
+        """
         grid = np.arange(len(q)) / rate
-        read = np.arange(int(grid[-1] * raw) + 2) / raw
+        read = (np.arange(int(grid[-1] * raw) + 3) - 1 + later) / raw
         there = np.stack([np.interp(read, grid, column) for column in q.T], axis=1)
-        return Spline(self._off(there)).within(grid * raw)
+        return Spline(self._off(there)).within(grid * raw + 1 - later)
 
     def _off(self, q: F64) -> F64:
         share = q / np.where(self.step > 0, self.step, 1.0) + self.turned

@@ -148,11 +148,13 @@ class Lacking:
     Attributes:
         problem: what was fitted, with all groups.
         equations: of that, where the fit is.
+        minimised: of what the fit minimised.
         groups: coordinates of the joint part that each group's numbers are.
     """
 
     problem: MotionProblem
     equations: Equations
+    minimised: Equations
     groups: tuple[Int, ...]
 
     def size(self, group: int, drawn: int | None = None) -> Size:
@@ -170,7 +172,7 @@ class Lacking:
         free = self.problem.free_joint[kept], self.problem.free_su
         at, *noise = (np.searchsorted(kept, self.groups[each]) for each in both)
         wide, none = np.full(len(at), _WIDE), np.zeros(len(at))
-        return _likeliest(self.equations.of_joint(kept), free, at, wide, none, *noise)
+        return _likeliest(self.minimised.of_joint(kept), free, at, wide, none, *noise)
 
     def pull(self, group: int) -> tuple[F64, F64]:
         """What a group of that size does to the estimate.
@@ -230,7 +232,7 @@ def lacking(problem: MotionProblem, fitted: Fitted, groups: Sequence[Unseen]) ->
         end = wider.layout.unseen.stop
         places.append(np.arange(end - more.n_numbers, end))
     equations = wider.equations(state, fitted.predicted, fitted.weights)
-    found = Lacking(wider, equations, tuple(places))
+    found = Lacking(wider, equations, fitted.minimised(equations), tuple(places))
     fitted.keep(found.without)
     return found
 
@@ -256,7 +258,8 @@ def learnt_size(problem: MotionProblem, fitted: Fitted, numbers: slice) -> Size:
     """
     at = problem.layout.unseen.start + np.arange(problem.layout.n_unseen)[numbers]
     spread, x = problem.priors.unseen[numbers], fitted.state.unseen[numbers]
-    return _likeliest(fitted.equations, (problem.free_joint, problem.free_su), at, spread, x)
+    equations = fitted.minimised(fitted.equations)
+    return _likeliest(equations, (problem.free_joint, problem.free_su), at, spread, x)
 
 
 def _likeliest(

@@ -55,3 +55,21 @@ def test_draws_shake_as_much_as_rounding_does(tmp_path: Path, joint_rate: float)
     assert here.mean(axis=0) == pytest.approx(there, rel=0.25)
     # So what is taken off for it is known better than to its root of a third.
     assert unsure(along.problem, along.fitted, again, [np.arange(2)])[0] < 0.5
+
+
+@pytest.mark.parametrize(("encoder_bits", "joint_rate", "imu_rate"), [(14, 25, 50), (13, 25, 500)])
+def test_what_slow_encoders_round_off_is_no_defect(
+    tmp_path: Path, encoder_bits: int, joint_rate: float, imu_rate: float
+) -> None:
+    robot = robot_of(ARM, tmp_path, SkinLayout(sus_per_segment=2, sus_on_base=1))
+    plain = SimulationSettings(
+        n_poses=4, seed=8, excite="all",
+        joint_rate=joint_rate, imu_rate=imu_rate, encoder_bits=encoder_bits,
+    )  # fmt: skip
+    sound = simulate(robot, plain).recording
+    along = calibrate(sound, CalibrationSettings(gravity_deviation=0.0)).along
+    assert along is not None
+    assert along.causes == ()
+    assert along.misfit < 1
+    # A fit from which noise was taken off has arrived at what it is to be.
+    assert along.ahead.share < 0.5

@@ -25,11 +25,13 @@ class Ahead(Record):
     Attributes:
         joint: (J,) and
         su: (U, n) the gradient that is left.
+        steps: (J,) and (U, n) the step.
         share: its length, over that of the error which noise alone makes of an estimate.
     """
 
     joint: F64
     su: F64
+    steps: tuple[F64, F64]
     share: float
 
     @property
@@ -45,15 +47,27 @@ def step_ahead(fitted: Fitted, taken_off: tuple[F64, F64] | None = None) -> Ahea
         fitted: the fit.
         taken_off: parts (J,) and (U, n) of the gradient by which it is off its optimum on purpose.
     """
+    equations = fitted.minimised(fitted.equations)
+    joint, su = equations.joint_gradient, equations.su_gradient
+    if taken_off is not None:
+        joint, su = joint + taken_off[0], su + taken_off[1]
+    return step_along(fitted, joint, su)
+
+
+def step_along(fitted: Fitted, joint: F64, su: F64) -> Ahead:
+    """The step that a gradient would have a fit take.
+
+    Args:
+        fitted: the fit.
+        joint: (J,) and
+        su: (U, n) the gradient.
+    """
     problem = fitted.problem
     free_joint, free_su = problem.free_joint, problem.free_su
-    equations = fitted.minimised(fitted.equations)
-    on_purpose = (0.0, 0.0) if taken_off is None else taken_off
-    joint = np.where(free_joint, equations.joint_gradient + on_purpose[0], 0.0)
-    su = np.where(free_su, equations.su_gradient + on_purpose[1], 0.0)
-    left = replace(equations, joint_gradient=joint, su_gradient=su)
+    joint, su = np.where(free_joint, joint, 0.0), np.where(free_su, su, 0.0)
+    left = replace(fitted.equations, joint_gradient=joint, su_gradient=su)
     steps = newton_step(eliminated(left, free_joint, free_su), free_joint)
     # By noise alone chi-squared is lower at an estimate than at the truth: by 1 per coordinate.
     fall = float(joint @ steps[0] + (su * steps[1]).sum())
     count = free_joint[: problem.layout.gravity].sum() + free_su[:, :N_SU].sum()
-    return Ahead(joint, su, float(np.sqrt(max(fall, 0.0) / max(count, 1))))
+    return Ahead(joint, su, steps, float(np.sqrt(max(fall, 0.0) / max(count, 1))))

@@ -16,8 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from skin2urdf.arrays import F64, Int, Record
-from skin2urdf.estimation.trajectory.ahead import step_ahead
-from skin2urdf.estimation.trajectory.arrow import eliminated, newton_step
+from skin2urdf.estimation.trajectory.ahead import step_ahead, step_along
 from skin2urdf.estimation.trajectory.fit import Fitted, held
 from skin2urdf.estimation.trajectory.problem import MotionProblem
 from skin2urdf.estimation.trajectory.records import Predicted
@@ -33,9 +32,7 @@ _MOST = 1.25
 Noise of variance C beside motion of S shortens by C / (S + C), which is at most half the noise
 (S = C) in what is predicted, and so at most a quarter of what noise leaves."""
 _STEPS = 4
-"""Steps at most. One takes off what noise did where that is some standard deviations."""
-_NEAR = 0.1
-"""Length of what a further step would change, over the error of noise, that may stay."""
+"""Steps at most, each from where the one before has led; the last is shorter than noise."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,27 +72,17 @@ def without_shortening(
     if not parts:
         return fitted, ()
     left = _left(fitted, fitted)
+    step = step_along(fitted, *whole_of(parts))
     for _ in range(_STEPS):
-        found = _a_step_further(found, whole_of(parts))
+        found = held(problem, problem.layout.moved(found.state, *step.steps))
         if not (_left(found, fitted) <= _MOST * left).all():
             return fitted, ()
-        if step_ahead(found, whole_of(parts)).share <= _NEAR:
+        if not step.is_most:
             break
+        # So far away it is another step that takes off what noise does there.
         parts = _shortening(problem, found, found.state)
+        step = step_ahead(found, whole_of(parts))
     return found, parts
-
-
-def _a_step_further(fitted: Fitted, taken_off: tuple[F64, F64]) -> Fitted:
-    """A fit a step nearer to where its gradient and parts (J,) and (U, n) of it are zero."""
-    problem, equations = fitted.problem, fitted.minimised(fitted.equations)
-    pull = replace(
-        equations,
-        joint_gradient=equations.joint_gradient + taken_off[0],
-        su_gradient=equations.su_gradient + taken_off[1],
-    )
-    system = eliminated(pull, problem.free_joint, problem.free_su)
-    step = newton_step(system, problem.free_joint)
-    return held(problem, problem.layout.moved(fitted.state, *step))
 
 
 def hidden_offsets(problem: MotionProblem, fitted: Fitted) -> list[tuple[F64, F64]]:

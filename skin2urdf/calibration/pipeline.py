@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from skin2urdf.arrays import F64, Bool
+from skin2urdf.calibration.around_poses import judged_by_samples
 from skin2urdf.calibration.beginning import Beginning, begin
 from skin2urdf.calibration.clock import Clock, Progress, Tell
 from skin2urdf.calibration.explanation import explain_readings
@@ -74,6 +75,8 @@ def calibrate(
     solution, along = (_follow_the_paper if by_the_paper else explain_readings)(begun, clock)
     # Of features, so that each pose can be predicted from the others.
     fit = clock.run("goodness of fit", lambda _: goodness(solution.found))
+    # Of all samples, which know of more than a rigid robot.
+    fit = judged_by_samples(fit, along, solution.features, solution.logs.sampled)
     if along is not None:
         solution = replace(solution, found=with_samples(solution.found, along))
     if not by_the_paper:

@@ -74,7 +74,9 @@ def _asked(document: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
                 f"all lengths, which rest on gravity and are uncertain by {share:.2g} % of "
                 "themselves",
             )
-    if document["goodness"]["prediction"] is None:
+    # Features of a rigid robot predict no pose of one with more, however many there are.
+    rigid = document["samples"] is None or not document["samples"]["causes"]
+    if rigid and document["goodness"]["prediction"] is None:
         yield "record more poses, ten or so", "whether stated errors can be believed"
 
 

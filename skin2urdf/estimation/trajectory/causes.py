@@ -278,11 +278,20 @@ class _Attempt:
         loads of a size that they all share would gain. To follow them takes fifty times as long.
         None is likely that says less than slack of any kind would, or too little for the misfit.
         """
+        likely = [cause for cause in causes if cause in BENDS and self.gains[cause] > self._enough]
+        return sorted(likely, key=lambda cause: -self.gains[cause])
+
+    def may_be_explained_by(self, bends: Unseen) -> bool:
+        """Whether deflections under known loads are likely to explain enough, by the same look."""
+        return size_of(self.problem, self.fitted, bends).gain > self._enough
+
+    @cached_property
+    def _enough(self) -> float:
+        """Logarithm of the likelihood that what bends has to gain to first order."""
         enough = 0.0 if self.slack_size is None else self.slack_size.gain
         if self.misfit > _EXPLAINED:
             enough = max(enough, 0.5 * (1 - MOST_OF_IT) * self._excess)
-        likely = [cause for cause in causes if cause in BENDS and self.gains[cause] > enough]
-        return sorted(likely, key=lambda cause: -self.gains[cause])
+        return enough
 
     @cached_property
     def gains(self) -> dict[str, float]:
@@ -363,8 +372,11 @@ class _Attempt:
         Torques are those that the log holds, or of links that are known.
         """
         best: _Attempt | None = None
-        for measured, fit_known in ((True, with_measured_torque), (False, with_known_torque)):
-            found = fit_known(self.problem, self.fitted)
+        ways = (
+            (True, with_measured_torque(self.problem, self.fitted, self.may_be_explained_by)),
+            (False, with_known_torque(self.problem, self.fitted)),
+        )
+        for measured, found in ways:
             if found is None or not yields(*found, in_either_sense=measured):
                 continue
             problem, fitted = found

@@ -191,19 +191,29 @@ def _later(log: Trajectory, torque: F64, late: F64) -> F64:
     return np.fft.irfft(gain * np.fft.rfft(padded, axis=0), len(padded), axis=0)[pad:-pad]
 
 
-def _deflections(logs: Sequence[Trajectory], joints: Int, torques: Sequence[F64]) -> UnderKnown:
-    """The deflections that torques make, per radian (metre) under the rms of each.
+def springs_under(joints: Int, torques: Sequence[F64]) -> UnderKnown:
+    """The deflections that torques make at once, per radian (metre) under the rms of each.
 
-    For every joint there are its deflection, and by how much that is late.
+    Args:
+        joints: (J,) which joints.
+        torques: per log (N, J) [N m or N], low-passed.
     """
     size = np.sqrt(np.mean(np.concatenate(torques) ** 2, axis=0))
     size = np.where(size > 0, size, 1.0)
+    at_once = np.zeros(len(joints), dtype=bool)
+    motions = tuple(-torque / size for torque in torques)
+    return UnderKnown(joints, motions, damping=at_once, size=size)
+
+
+def _deflections(logs: Sequence[Trajectory], joints: Int, torques: Sequence[F64]) -> UnderKnown:
+    """The same, and by how much the deflection of each joint is late."""
+    springs = springs_under(joints, torques)
     motions = tuple(
-        np.hstack([-torque / size, first_derivative(torque / size, log.rate)])
-        for log, torque in zip(logs, torques, strict=True)
+        np.hstack([bent, -first_derivative(bent, log.rate)])
+        for log, bent in zip(logs, springs.motions, strict=True)
     )
     damping = np.arange(2 * len(joints)) >= len(joints)
-    return UnderKnown(np.tile(joints, 2), motions, damping=damping, size=np.tile(size, 2))
+    return UnderKnown(np.tile(joints, 2), motions, damping=damping, size=np.tile(springs.size, 2))
 
 
 def _spread(tree: KinematicTree, elastic: UnderKnown) -> F64:

@@ -17,17 +17,23 @@ links do.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from skin2urdf.arrays import F64, Int
 from skin2urdf.estimation.trajectory.fit import Fitted, cost_with
-from skin2urdf.estimation.trajectory.known_torque import Under, fit_under, with_fresh_sensors
+from skin2urdf.estimation.trajectory.known_torque import (
+    Under,
+    fit_under,
+    springs_under,
+    with_fresh_sensors,
+)
 from skin2urdf.estimation.trajectory.problem import MotionProblem
 from skin2urdf.estimation.trajectory.shaken import Shaken
 from skin2urdf.estimation.trajectory.torques import bodies, inertial_sizes, loads_of, regressors
+from skin2urdf.estimation.trajectory.unseen import Unseen
 from skin2urdf.signals.filters import filtered
 from skin2urdf.signals.trajectory import Trajectory
 
@@ -47,13 +53,16 @@ N_OWN = 3
 
 
 def with_measured_torque(
-    problem: MotionProblem, fitted: Fitted
+    problem: MotionProblem, fitted: Fitted, may_explain: Callable[[Unseen], bool] = lambda _: True
 ) -> tuple[MotionProblem, Fitted] | None:
     """The fit with joints that yield under torques that were measured; None where none were.
 
     Args:
         problem: the rigid robot.
         fitted: its fit.
+        may_explain: tells of the deflections whether they explain enough to first order, as they do
+            wherever torques are those that bend joints: they are linear in compliances. Where they
+            do not, there is no fit.
     """
     joints = _measured(problem.logs)
     if not len(joints):
@@ -65,12 +74,15 @@ def with_measured_torque(
         loads, beside = _of_links(last, joints)
         return [tau - each for tau, each in zip(efforts, beside, strict=True)], loads
 
-    best = first = fit_under(problem, fresh, joints, along(fitted)[0], np.zeros(len(joints)))
+    torques, _ = along(fitted)
+    if not may_explain(springs_under(joints, torques)):
+        return None
+    best = first = fit_under(problem, fresh, joints, torques, np.zeros(len(joints)))
     least, kinds = _cost(first, first), [0, 1]
     for _ in range(_MOST):
         # Along the motion that links really make, both are known better.
-        torques, start = along(best.fitted), best.fitted.state
-        further = [fit_under(problem, start, joints, torques[kind], best.late) for kind in kinds]
+        both, start = along(best.fitted), best.fitted.state
+        further = [fit_under(problem, start, joints, both[kind], best.late) for kind in kinds]
         costs = [_cost(each, first) for each in further]
         winner = int(np.argmin(costs))
         if not costs[winner] < least:

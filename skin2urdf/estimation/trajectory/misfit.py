@@ -41,15 +41,32 @@ def span_means(
     means, variances = [], []
     for log, p, w in zip(problem.logs, predicted, weights, strict=True):
         n = max(1, int((log.time[-1] - log.time[0]) / seconds))
-        first = np.linspace(0, len(log.kept), n + 1).astype(int)[:-1]
-        w = w[..., :3]
-        total = np.add.reduceat(w, first, axis=0)
-        r = np.where(p.measured[..., None], p.residual, 0.0)
-        known = total > 0
-        moment = np.add.reduceat(w * r, first, axis=0)
-        means.append(np.divide(moment, total, out=np.zeros_like(total), where=known))
-        variances.append(np.divide(1.0, total, out=np.full_like(total, np.inf), where=known))
+        mean, variance = part_means(p, w, slice(0, len(log.kept)), n)
+        means.append(mean)
+        variances.append(variance)
     return np.concatenate(means), np.concatenate(variances)
+
+
+def part_means(predicted: Predicted, weights: F64, within: slice, n: int) -> tuple[F64, F64]:
+    """Mean residuals over n parts of a time, and their variances if residuals are noise.
+
+    Args:
+        predicted: residuals of a log.
+        weights: (K, U, 3) information of each of its samples [s^4/m^2].
+        within: its samples of that time, at least n.
+        n: number of parts.
+
+    Returns:
+        (n, U, 3) means [m/s^2], and (n, U, 3) variances; infinite where nothing was measured.
+    """
+    w, measured = weights[within, :, :3], predicted.measured[within, :, None]
+    first = np.linspace(0, len(w), n + 1).astype(int)[:-1]
+    total = np.add.reduceat(w, first, axis=0)
+    r = np.where(measured, predicted.residual[within], 0.0)
+    known = total > 0
+    moment = np.add.reduceat(w * r, first, axis=0)
+    means = np.divide(moment, total, out=np.zeros_like(total), where=known)
+    return means, np.divide(1.0, total, out=np.full_like(total, np.inf), where=known)
 
 
 def misfit_of_sus(means: F64, variances: F64) -> F64:

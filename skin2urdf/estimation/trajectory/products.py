@@ -11,6 +11,7 @@ low-passed twice afterwards, less that from the low-passed motion.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -63,19 +64,20 @@ def with_products(
         The problem, and per log the residuals at the fit, which are then those of the motion as it
         was sampled.
     """
-    whole = _as_sampled(problem, fitted.state)
+    state = fitted.state
+    whole, passed = _as_sampled(problem, state)
     logs, predicted = [], []
     for g, (log, p) in enumerate(zip(problem.logs, fitted.predicted, strict=True)):
         if len(log.positions):
-            at = whole.predict(fitted.state, g)
+            at = whole.predict(state, g)
+            first = p if passed is problem else passed.predict(state, g)
             # In place: with many SUs each such array is large.
-            beyond = _residual(p)
-            beyond -= _residual(at)
+            more = _residual(first)
+            more -= _residual(at)
+            p = _less(p, more)
             if log.beyond is not None:
-                beyond += log.beyond
-            log = replace(log, beyond=beyond)
-            turned = p.turned and at.turned and replace(p.turned, residual=at.turned.residual)
-            p = replace(p, residual=at.residual, turned=turned)
+                more += log.beyond
+            log = replace(log, beyond=more)
         logs.append(log)
         predicted.append(p)
     return problem.again(logs=logs), tuple(predicted)
@@ -95,24 +97,39 @@ def _residual(predicted: Predicted) -> F64:
     return residual if turned is None else np.concatenate([residual, turned.residual], axis=2)
 
 
-def _as_sampled(problem: MotionProblem, state: MotionState) -> MotionProblem:
-    """The problem with motion that is not low-passed, its prediction twice instead.
+def _less(predicted: Predicted, more: F64) -> Predicted:
+    """Residuals where readings are known to hold more: (K, U, 3), or (K, U, 6) with gyroscopes."""
+    turned = predicted.turned
+    if turned is not None:
+        turned = replace(turned, residual=turned.residual - more[..., 3:])
+    return replace(predicted, residual=predicted.residual - more[..., :3], turned=turned)
+
+
+def _as_sampled(problem: MotionProblem, state: MotionState) -> tuple[MotionProblem, MotionProblem]:
+    """The problem with motion that is not low-passed, its prediction twice instead; and as it was.
 
     What links do beyond their encoders is known low-passed, by what leaves nearly all of it: a gain
     of H becomes one of ``1 - (1 - H)^2`` where what is left out is added once more (twicing: Tukey
-    1977).
+    1977). Where the low-pass ends that is still too little: what rings there is low-passed from the
+    same motion in the second problem, so that the two differ in products alone.
     """
     logs = [_not_low_passed(log) for log in problem.logs]
     unseen, x = problem.unseen, state.unseen
     if unseen is None:
-        return problem.again(logs=logs)
-    settled = []
+        return problem.again(logs=logs), problem
+    sampled, passed = [], []
     for g, log in enumerate(problem.logs):
         moved = np.array(unseen.moved(log, g, x).q)
         moved[:, : log.q.shape[1]] -= log.q
-        settled.append(2 * moved - filtered(moved, log.taps) if len(log.positions) else moved)
-    known = replace(unseen, settled=tuple(settled), origin=x)
-    return MotionProblem(problem.tree, logs, problem.priors, problem.layout.n_knots, known)
+        known = len(log.positions) > 0
+        sampled.append(2 * moved - filtered(moved, log.taps) if known else moved)
+        passed.append(filtered(sampled[-1], log.taps) if known else moved)
+
+    def along(logs: Sequence[Trajectory], settled: Sequence[F64]) -> MotionProblem:
+        known = replace(unseen, settled=tuple(settled), origin=x)
+        return MotionProblem(problem.tree, logs, problem.priors, problem.layout.n_knots, known)
+
+    return along(logs, sampled), along(problem.logs, passed)
 
 
 def _not_low_passed(log: Trajectory) -> Trajectory:

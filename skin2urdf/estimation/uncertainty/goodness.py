@@ -53,7 +53,8 @@ class Goodness(Record):
     """Goodness of fit of D joints, U SUs and P poses.
 
     Attributes:
-        by_block: (P, U) every pose and SU.
+        by_block: (P, U) every pose and SU; of the means of all samples around the pose where these
+            are explained, else of features.
         by_su: (U,) every SU, all poses.
         by_pose: (P,) every pose, all SUs.
         by_joint: (D,) what the readings show of a joint's motion, all poses and SUs: the whitened
@@ -64,6 +65,8 @@ class Goodness(Record):
         patterned: (P,) True where more than gravity was measured: around poses with a pattern.
         scale: factor on all stated covariances (cost per degree of freedom, at least 1);
             ``held_out.per_dof`` over it is near 1 where the stated uncertainty is true.
+        of_features: whether the model that counts is the features' own. Where it has more, as
+            joints that yield, features do not tell how well it predicts.
     """
 
     by_block: Share
@@ -73,14 +76,17 @@ class Goodness(Record):
     held_out: Share
     patterned: Bool
     scale: float
+    of_features: bool = True
 
     @property
     def prediction(self) -> float:
         """Squared errors of held-out poses over stated variances; 1 is expected.
 
         Half of the measurements lie in poses that are predicted at least as well. NaN where no
-        pose can be predicted from the others.
+        pose can be predicted from the others, by the model that counts.
         """
+        if not self.of_features:
+            return float("nan")
         ratio, dof = self.held_out.per_dof, self.held_out.dof
         order = np.argsort(ratio)[: int(np.isfinite(ratio).sum())]
         if not len(order):

@@ -16,7 +16,7 @@ from synthetic import RATE, random_state, reading_errors, sampled_trajectory, se
 from skin2urdf.arrays import F64
 from skin2urdf.estimation.problem.cost import Priors
 from skin2urdf.estimation.problem.state import State
-from skin2urdf.estimation.trajectory import known_torque
+from skin2urdf.estimation.trajectory import known_torque, measured_torque
 from skin2urdf.estimation.trajectory.arrow import eliminated, joint_inverse
 from skin2urdf.estimation.trajectory.estimate import MotionEstimate, estimate_along, motion_priors
 from skin2urdf.model.kinematics import to_pinocchio
@@ -106,7 +106,13 @@ def test_stiffness_is_found_and_links_are_where_they_are(
     assert reading_errors(found.state, _truth(), _TREE) < off
 
 
-def test_efforts_that_are_no_torques_are_not_used() -> None:
+def test_efforts_that_are_no_torques_are_not_used_and_cost_no_fit(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def never(*_: object) -> known_torque.Under:
+        raise AssertionError("one look is enough")
+
+    monkeypatch.setattr(measured_torque, "fit_under", never)
     rng = np.random.default_rng(4)
     found = _found(np.cumsum(rng.standard_normal((_N, 2)), axis=0))
     assert found.under_known is None

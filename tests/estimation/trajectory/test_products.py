@@ -13,13 +13,19 @@ import pinocchio as pin
 import pytest
 from scipy.spatial.transform import Rotation
 from stand import UP
-from synthetic import RATE, random_state, sampled_trajectory, serial_tree
+from synthetic import CUTOFF, RATE, random_state, sampled_trajectory, serial_tree
 
 from skin2urdf.arrays import F64
 from skin2urdf.estimation.problem.cost import Priors
 from skin2urdf.estimation.problem.state import State
 from skin2urdf.estimation.trajectory.estimate import MotionEstimate, estimate_along, motion_priors
+from skin2urdf.estimation.trajectory.fit import held
+from skin2urdf.estimation.trajectory.problem import MotionProblem
+from skin2urdf.estimation.trajectory.products import with_products
+from skin2urdf.estimation.trajectory.state import MotionState
+from skin2urdf.estimation.trajectory.unseen import Unseen
 from skin2urdf.model.kinematics import to_pinocchio
+from skin2urdf.signals.filters import filtered
 
 _TREE = serial_tree(3)
 _SECONDS = 40.0
@@ -103,3 +109,33 @@ def test_gyroscopes_feel_products_as_well() -> None:
         assert turned is not None
         left.append(float(np.sqrt(np.mean(turned.residual**2))))
     assert left[0] < 0.05 * left[1]
+
+
+def test_what_rings_where_the_low_pass_ends_is_no_product() -> None:
+    """Readings of joints that ring at the cutoff while encoders stay are those to first order."""
+    t = np.arange(round(8.0 * RATE)) / RATE
+    ringing = np.outer(2e-4 * np.sin(2 * np.pi * CUTOFF * t), np.ones(3))
+    at_rest = np.tile([0.3, -0.5, 0.8], (len(t), 1))
+    log = sampled_trajectory(at_rest, np.zeros((len(t), 3, 3)))
+    unseen = Unseen(np.arange(3), (filtered(ringing, log.taps),))
+    priors = motion_priors(Priors(), gravity=0.0, front=(np.zeros(2), np.zeros(2)))
+    priors = replace(priors, unseen=np.ones(3))
+    problem = MotionProblem(_TREE, [log], priors, unseen=unseen)
+    state = MotionState(
+        placements=_truth(),
+        gravity=9.81,
+        front=np.zeros((3, 2)),
+        clock=np.zeros((1, 3, 2)),
+        knots=tuple(np.zeros((n, 3, 3)) for n in problem.layout.n_knots),
+        unseen=np.ones(3),
+        gyro=np.zeros((3, 0)),
+    )
+    found = held(problem, state)
+    told, predicted = with_products(problem, found)
+    still = problem.predict(replace(state, unseen=np.zeros(3)), 0)
+    by_ringing = np.abs(found.predicted[0].residual - still.residual).max()
+    beyond = told.logs[0].beyond
+    assert beyond is not None
+    assert np.abs(beyond).max() < 0.01 * by_ringing
+    again = told.predict(state, 0).residual
+    np.testing.assert_allclose(predicted[0].residual, again, atol=1e-9 * by_ringing)

@@ -29,7 +29,7 @@ from skin2urdf.estimation.trajectory.kinematics import (
     seen_before_joint,
     seen_from_parent,
 )
-from skin2urdf.estimation.trajectory.normal_equations import Sums
+from skin2urdf.estimation.trajectory.normal_equations import Sums, blocks_of
 from skin2urdf.estimation.trajectory.points import SharedPoints
 from skin2urdf.estimation.trajectory.priors import (
     MotionPriors,
@@ -322,8 +322,6 @@ class MotionProblem(Derivatives):
     ) -> list[tuple[F64, F64]]:
         """Gradients (J,) and (U, n) that residuals of accelerometers would make, without priors.
 
-        In what encoders do not see there are none.
-
         Args:
             state: where.
             predicted: each log held against the state, of which residuals do not count.
@@ -333,14 +331,15 @@ class MotionProblem(Derivatives):
         Returns:
             As many.
         """
-        every = [Sums.nothing(self.layout, self.tree.n_sus) for _ in pulls]
+        every, beyond = [Sums.nothing(self.layout, self.tree.n_sus) for _ in pulls], self.beyond()
         for link, carried in self._links(state, predicted, [np.ones_like(p) for p in pulls[0]]):
             links = [
                 replace(link, residual=np.ascontiguousarray(np.moveaxis(p[:, link.sus], 0, 2)))
                 for p in (each[link.log] for each in pulls)
             ]
+            blocks = list(blocks_of(link, beyond[link.log] if beyond else None))
             for sums, pulled in zip(every, links, strict=True):
-                sums.pull_joints(pulled)
+                sums.pull_joints(pulled, blocks)
             for some, own in self._own(state, link, carried):
                 for sums, pulled in zip(every, links, strict=True):
                     sums.pull_sus(pulled, some, own)

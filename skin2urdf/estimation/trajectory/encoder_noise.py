@@ -225,6 +225,7 @@ def _posed_log(log: Trajectory, pushed: Sequence[int]) -> Trajectory:
         qdd=qdd,
         readings=np.zeros((len(q), *log.readings.shape[1:])),
         kept=np.arange(len(q)),
+        thin=1,
         valid=log.valid[::EVERY],
         moving=log.moving[::EVERY],
         shaken=log.shaken[::EVERY],

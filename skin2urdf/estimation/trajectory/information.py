@@ -235,22 +235,20 @@ def _errors(
     samples = [parts_of(members) for members in parts.members]
     for link in every():
         of_parts, moment = samples[link.log], parts.moments[link.log]
-        which, first = (
-            np.array([s for s, _ in of_parts]),
-            np.flatnonzero(np.diff(moment, prepend=-1)),
-        )
+        which = np.array([s for s, _ in of_parts])
+        first = np.flatnonzero(np.diff(moment, prepend=-1))
         felt = np.zeros((V, *link.information.shape[1::-1]))
         for at, columns, P in link.blocks:
             felt[..., at] += np.tensordot(dx[:, columns], P, (1, 1))
-        pulls, whole = np.zeros_like(felt), np.zeros_like(felt[:1])
+        back, whole = np.zeros_like(felt), np.zeros_like(felt[:1])
         for of_su in link.of_sus:
             u, A = of_su.su, of_su.own
             left = of_su.residuals - of_su.reads(felt) - np.tensordot(dy[:, u], A, 1)
-            pulls += of_su.put_back(left)
+            back += of_su.put_back(left)
             scores, square = np.empty((V, len(which), len(A))), np.empty((len(which), len(A)))
-            for i, (_, at) in enumerate(of_parts):
-                part = A[:, :, at].reshape(len(A), -1)
-                np.matmul(left[:, :, at].reshape(V, -1), part.T, out=scores[:, i])
+            for i, (_, members) in enumerate(of_parts):
+                part = A[:, :, members].reshape(len(A), -1)
+                np.matmul(left[:, :, members].reshape(V, -1), part.T, out=scores[:, i])
                 np.einsum("ck,ck->c", part, part, out=square[i])
             scores = np.where(free_su[u], scores, 0.0)
             x[:, which] -= scores[..., N_SU:] @ by_x[u]
@@ -264,7 +262,7 @@ def _errors(
             by_sample, here = np.ascontiguousarray(np.moveaxis(P, 2, 0)), columns < J
             square = ((link.information[at] @ by_sample) * by_sample).sum(axis=1)
             for s, some in parts_of(parts.members[link.log][at]):
-                x[:, s, columns] += _on_columns(P[..., some], pulls[..., at][..., some])
+                x[:, s, columns] += _on_columns(P[..., some], back[..., at][..., some])
                 on_joint[s, columns] += square[some].sum(axis=0)
             pull = np.einsum("pck,pk->ck", P, whole[0, :, at])
             first = np.flatnonzero(np.diff(moment[at], prepend=-1))

@@ -110,7 +110,14 @@ def test_what_noise_does_to_slack_is_taken_off_as_well() -> None:
         predicted = (about.predict(state, 0),)
         return about.equations(state, predicted, fitted.weights).joint_gradient
 
+    # Of half the samples, each of which counts for more, the same comes.
+    half = log.thinned(2)
+    few, more = problem.again(logs=[half]), 2 * log.independence / half.independence
+    fewer = without_shortening(few, held(few, state))[1]
     unseen, size = problem.layout.unseen, np.sqrt(np.diag(fitted.equations.joint))
+    for part, of_few in zip(parts, fewer, strict=True):
+        off = (more * of_few.joint - part.joint) / size
+        assert np.linalg.norm(off) <= 0.1 * np.linalg.norm(part.joint / size)
     for j, part in enumerate(parts):
         # Of noise that is known, what goes with its square is left where both signs are added.
         both = gradient(j, 1.0) + gradient(j, -1.0) - 2 * gradient(j, 0.0)

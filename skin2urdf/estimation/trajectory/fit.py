@@ -41,7 +41,7 @@ _ROUGHLY = 30.0
 """Length of a step, in standard deviations, from which all coordinates may move."""
 _ENOUGH, _THINNEST = 1500, 4
 """Samples that lead near, and the part of all that they are at least."""
-_MOST_VALUES = 1 << 24
+MOST_VALUES = 1 << 24
 """Values of all samples, SUs and axes from which samples that tell nothing of their own are left
 out: one array of so many takes 128 MiB, and about ten are needed at a time."""
 _QUIET = 1e-5
@@ -126,15 +126,16 @@ def fit(
     )[1]  # fmt: skip
 
 
-def independent(logs: Sequence[Trajectory]) -> list[Trajectory]:
+def independent(logs: Sequence[Trajectory], most: int = MOST_VALUES) -> list[Trajectory]:
     """Logs with about as many samples as are independent of each other, where they hold very many.
 
     Low-passed as they are, neighbours share most of their noise: to leave some out loses little.
 
     Args:
         logs: trajectories.
+        most: values of all samples, SUs and axes up to which none is left out.
     """
-    if sum(3 * log.valid.size for log in logs) <= _MOST_VALUES:
+    if sum(3 * log.valid.size for log in logs) <= most:
         return list(logs)
     return [log.thinned(round(1 / log.independence)) for log in logs]
 

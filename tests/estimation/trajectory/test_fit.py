@@ -217,17 +217,16 @@ def test_a_part_of_the_samples_is_predicted_as_all_are() -> None:
         np.testing.assert_allclose(of_part, of_all[::3], atol=1e-12)
 
 
-def test_samples_are_left_out_only_where_they_are_very_many(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_samples_are_left_out_only_where_they_are_very_many() -> None:
     log = replace(_trajectory(np.random.default_rng(1)), independence=0.6)
     assert independent([log]) == [log]
-    monkeypatch.setattr("skin2urdf.estimation.trajectory.fit._MOST_VALUES", 3 * log.valid.size - 1)
-    few = independent([log])[0]
+    most = 3 * log.valid.size
+    assert independent([log], most) == [log]
+    few = independent([log], most - 1)[0]
     assert (few.thin, few.independence) == (2, 1.0)
     np.testing.assert_array_equal(few.kept, log.kept[::2])
-    # Where none is left over, none is left out.
-    assert independent([replace(log, independence=0.8)])[0].thin == 1
+    # Where each tells something of its own, all stay.
+    assert independent([replace(log, independence=0.8)], most - 1)[0].thin == 1
 
 
 def test_a_fit_goes_on_while_clocks_do() -> None:

@@ -20,6 +20,7 @@ from skin2urdf.estimation.trajectory.estimate import (
     estimate_along,
     motion_priors,
 )
+from skin2urdf.estimation.trajectory.fit import independent
 from skin2urdf.estimation.trajectory.front_end import common_front_end
 from skin2urdf.estimation.trajectory.kinematics import levers
 from skin2urdf.estimation.trajectory.priors import MotionPriors
@@ -93,7 +94,7 @@ def fit_samples(
         return None
     priors = sample_priors(settings, found.cost.priors)
     return estimate_along(
-        trajectories, tree, found.state, priors, latency, tell,
+        independent(trajectories), tree, found.state, priors, latency, tell,
         most=most, without=without, look_further=look_further,
         alike=settings.estimation.intrinsics, mended=_mended(logs.sampled, tree.su_names),
     )  # fmt: skip

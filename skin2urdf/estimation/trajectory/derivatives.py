@@ -44,7 +44,7 @@ from skin2urdf.structure.records import KinematicTree
 
 
 @dataclass(frozen=True, eq=False)
-class _Carried:
+class Carried:
     """The SUs of a link in a log, and what their own derivatives are made of.
 
     Attributes:
@@ -148,9 +148,9 @@ class Derivatives:
         T = skeleton.placements(state.placements.T_parent_joint)
         return (q, qd, qdd), frame_motions(skeleton.tree, T, up, q, qd, qdd)
 
-    def _links(
+    def links(
         self, state: MotionState, predicted: Sequence[Predicted], weights: Sequence[F64]
-    ) -> Iterator[tuple[LinkRows, _Carried]]:
+    ) -> Iterator[tuple[LinkRows, Carried]]:
         """Every log and link whose SUs count, and what the rest of their derivatives is made of."""
         matrices = state.placements.sensor_matrix() * sense(self.priors, state)
         for g, (p, w) in enumerate(zip(predicted, weights, strict=True)):
@@ -170,23 +170,23 @@ class Derivatives:
                         weights=np.ascontiguousarray(np.moveaxis(w[:, link.sus, :3], 0, 2)),
                         residual=np.ascontiguousarray(np.moveaxis(left, 0, 2)),
                     ),
-                    _Carried(link, frames, p, w),
+                    Carried(link, frames, p, w),
                 )
 
     def _rows(
         self, state: MotionState, predicted: Sequence[Predicted], weights: Sequence[F64]
     ) -> Iterator[Rows]:
         """Whitened derivatives and residuals of every log and SU."""
-        for link, carried in self._links(state, predicted, weights):
+        for link, carried in self.links(state, predicted, weights):
             yield from self._rows_of(state, link, carried)
 
-    def _rows_of(self, state: MotionState, link: LinkRows, carried: _Carried) -> Iterator[Rows]:
+    def _rows_of(self, state: MotionState, link: LinkRows, carried: Carried) -> Iterator[Rows]:
         """The rows of the SUs of a link."""
         C, K = len(link.columns), link.weights.shape[2]
         of_points = link.of_points.reshape(len(link.of_points), -1)
         every = (
             pair
-            for at, each in self._own(state, link, carried)
+            for at, each in self.own(state, link, carried)
             for pair in zip(range(at.start, at.stop), each, strict=True)
         )
         for i, own in every:
@@ -200,10 +200,10 @@ class Derivatives:
             yield Rows(
                 link.log, u, link.columns, A, link.residual[i] * root, link.joints, by_motion
             )
-            yield from self._gyro_rows(state, link.log, u, carried)
+            yield from self.gyro_rows(state, link.log, u, carried)
 
-    def _own(
-        self, state: MotionState, link: LinkRows, carried: _Carried
+    def own(
+        self, state: MotionState, link: LinkRows, carried: Carried
     ) -> Iterator[tuple[slice, F64]]:
         """Of some SUs of a link at a time, by their places there, derivatives (s, n, 3, K)."""
         first, K = 0, link.weights.shape[2]
@@ -229,7 +229,7 @@ class Derivatives:
             yield slice(first, first + len(own)), own
             first += len(own)
 
-    def _gyro_rows(self, state: MotionState, g: int, u: int, carried: _Carried) -> Iterator[Rows]:
+    def gyro_rows(self, state: MotionState, g: int, u: int, carried: Carried) -> Iterator[Rows]:
         """The rows of an SU's gyroscope, if it has one."""
         turned = carried.predicted.turned
         if turned is None or not self.gyros[u]:

@@ -26,7 +26,7 @@ def su_covariances(equations: Equations) -> F64:
     """
     own = _inverse(equations.su)
     gain = own @ equations.mixed
-    left = equations.joint - np.einsum("unj,unk->jk", equations.mixed, gain)
+    left = equations.joint - np.tensordot(equations.mixed, gain, ((0, 1), (0, 1)))
     return np.asarray(own + gain @ _inverse(left) @ np.swapaxes(gain, -1, -2))
 
 

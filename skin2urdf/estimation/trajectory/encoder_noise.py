@@ -6,6 +6,10 @@ With ``dq''`` the noise of a joint's acceleration, the prediction is off by ``ta
 derivatives by ``(d tau) dq''``; their product does not average out. Its mean follows from the
 variance of ``dq''``, and a step or two take it off (corrected scores: Stefanski 1985; Nakamura
 1990).
+
+Where joints are somewhat beyond their encoders, a link elsewhere has another tau as well. Slack of
+two joints makes up for most of what another axis between them does, so that a part of the mean
+which is left out of either moves both, along what hardly shows.
 """
 
 from __future__ import annotations
@@ -22,6 +26,7 @@ from skin2urdf.estimation.trajectory.problem import MotionProblem
 from skin2urdf.estimation.trajectory.records import Predicted
 from skin2urdf.estimation.trajectory.shaken import EVERY
 from skin2urdf.estimation.trajectory.state import MotionState
+from skin2urdf.estimation.trajectory.unseen import Unseen
 from skin2urdf.signals.trajectory import Trajectory
 from skin2urdf.structure.records import KinematicTree
 
@@ -136,13 +141,12 @@ def _shortening(
     layout, tree = problem.layout, problem.tree
     state = replace(
         where,
-        unseen=np.zeros(0),
+        unseen=np.zeros(layout.n_unseen),
         knots=tuple(k[:0] for k in where.knots),
         gyro=np.zeros((tree.n_sus, 0)),
     )
     still = _posed(problem, [])
     at_rest = _predicted(still, state)
-    shared = slice(0, layout.gravity + 1)
     # What is steady shows nothing of clocks and front ends; of these the fit itself takes it off.
     own = slice(0, layout.front.start)
     groups = _never_in_one_chain(tree)
@@ -168,11 +172,9 @@ def _shortening(
     # What stands still has the same derivatives whichever joint is pushed.
     at_still = still.gradients(state, at_rest, by_still)
     for pushed, (joint, su), (of_joint, of_su) in zip(groups, by_driven, at_still, strict=True):
-        to_joint, to_su = np.zeros(layout.n_joint), np.zeros((tree.n_sus, layout.n_su))
-        to_joint[shared] = (joint - of_joint)[shared]
-        to_joint[layout.further] = (joint - of_joint)[still.layout.further]
+        to_su = np.zeros((tree.n_sus, layout.n_su))
         to_su[:, own] = (su - of_su)[:, own]
-        parts.append(Shortening(np.array(pushed), to_joint, to_su))
+        parts.append(Shortening(np.array(pushed), joint - of_joint, to_su))
     return tuple(parts)
 
 
@@ -197,9 +199,24 @@ def _never_in_one_chain(tree: KinematicTree) -> list[list[int]]:
 
 def _posed(problem: MotionProblem, pushed: Sequence[int]) -> MotionProblem:
     """A problem whose logs stand still in some of its positions, some joints accelerating by 1."""
-    priors = replace(problem.priors, unseen=np.zeros(0))
     logs = [_posed_log(log, pushed) for log in problem.logs]
-    return MotionProblem(problem.tree, logs, priors)
+    return MotionProblem(problem.tree, logs, problem.priors, unseen=_standing(problem))
+
+
+def _standing(problem: MotionProblem) -> Unseen | None:
+    """What numbers of unseen motion make of positions, where nothing moves; None without any."""
+    unseen = problem.unseen
+    if unseen is None:
+        return None
+    kept = []
+    for motions in unseen.at_kept(problem.logs):
+        here = np.zeros_like(motions[:, :, ::EVERY])
+        here[0] = motions[0, :, ::EVERY]
+        kept.append(here)
+    return Unseen(
+        unseen.joint, (), column=unseen.columns, unit=unseen.units, number=unseen.number,
+        kept=tuple(kept),
+    )  # fmt: skip
 
 
 def _posed_log(log: Trajectory, pushed: Sequence[int]) -> Trajectory:
@@ -215,6 +232,7 @@ def _posed_log(log: Trajectory, pushed: Sequence[int]) -> Trajectory:
         qdd=qdd,
         readings=np.zeros((len(q), *log.readings.shape[1:])),
         kept=np.arange(len(q)),
+        thin=1,
         valid=log.valid[::EVERY],
         moving=log.moving[::EVERY],
         shaken=log.shaken[::EVERY],

@@ -17,6 +17,7 @@ from skin2urdf.estimation.trajectory.problem import MotionProblem
 from skin2urdf.estimation.trajectory.records import Equations, Predicted
 from skin2urdf.estimation.trajectory.shaken import Shaken, made_by_encoders
 from skin2urdf.estimation.trajectory.state import MotionState
+from skin2urdf.signals.trajectory import Trajectory
 
 _HUBER = 3.0
 """Residual, in standard deviations, beyond which a sample counts less; noise is one in 400."""
@@ -40,6 +41,9 @@ _ROUGHLY = 30.0
 """Length of a step, in standard deviations, from which all coordinates may move."""
 _ENOUGH, _THINNEST = 1500, 4
 """Samples that lead near, and the part of all that they are at least."""
+MOST_VALUES = 1 << 24
+"""Values of all samples, SUs and axes from which samples that tell nothing of their own are left
+out: one array of so many takes 128 MiB, and about ten are needed at a time."""
 _QUIET = 1e-5
 """Noise of a sample at least [m/s^2], 1 ug: no accelerometer has less, and simulated ones without
 noise are fitted no worse for it."""
@@ -132,6 +136,20 @@ def fit(
         lambda share: tell(begin + (1.0 - begin) * share), far,
         predicted=predicted, known=equations if near else None,
     )[1]  # fmt: skip
+
+
+def independent(logs: Sequence[Trajectory], most: int = MOST_VALUES) -> list[Trajectory]:
+    """Logs with about as many samples as are independent of each other, where they hold very many.
+
+    Low-passed as they are, neighbours share most of their noise: to leave some out loses little.
+
+    Args:
+        logs: trajectories.
+        most: values of all samples, SUs and axes up to which none is left out.
+    """
+    if sum(3 * log.valid.size for log in logs) <= most:
+        return list(logs)
+    return [log.thinned(round(1 / log.independence)) for log in logs]
 
 
 def leading(problem: MotionProblem) -> MotionProblem | None:

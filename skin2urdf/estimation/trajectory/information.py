@@ -23,8 +23,8 @@ from skin2urdf.estimation.trajectory.arrow import eliminated, newton_step
 from skin2urdf.estimation.trajectory.clusters import Clusters, clusters
 from skin2urdf.estimation.trajectory.fit import Fitted
 from skin2urdf.estimation.trajectory.problem import MotionProblem, parts_of
-from skin2urdf.estimation.trajectory.records import Versions
 from skin2urdf.estimation.trajectory.state import Layout
+from skin2urdf.estimation.trajectory.versions import Versions, versions
 from skin2urdf.model.prediction import Chains
 
 _DRAWS = 16
@@ -165,7 +165,7 @@ def motion_information(
     su = full.su[:, :N_SU, :N_SU] - cross @ by_y
     coupling = mixed[:, :N_SU] - cross @ by_x
     joint = np.where(free_joint[:, None] & free_joint, full.joint, 0.0)
-    joint -= np.einsum("unj,unk->jk", mixed[:, own], by_x)
+    joint -= np.tensordot(mixed[:, own], by_x, ((0, 1), (0, 1)))
     weight = problem.priors.sensors.position**-2.0
     held = N_JOINT * np.arange(tree.n_joints)[:, None] + np.arange(2)
     joint[held, held] -= weight
@@ -225,36 +225,49 @@ def _errors(
     """
     layout, U, full = problem.layout, problem.tree.n_sus, fitted.equations
     free_joint, free_su, J = problem.free_joint, problem.free_su, layout.gravity
-    versions = _versions(problem, fitted)
-    dx, dy = _steps(problem, fitted, versions())
+    every = _versions(problem, fitted)
+    dx, dy = _steps(problem, fitted, every())
     S, V = len(parts.place), len(dx)
     x, y = np.zeros((V, S, layout.n_joint)), np.zeros((U, V, S, N_SU))
     on_joint, on_su = np.zeros((S, layout.n_joint)), np.zeros((S, U, N_SU))
     moments = np.zeros((J, 1 + max(int(each.max()) for each in parts.moments)))
     lean = eliminated(full.of_joint(np.arange(J)), free_joint[:J], free_su).lean
     samples = [parts_of(members) for members in parts.members]
-    for rows in versions():
-        u, own, A = rows.su, np.array(rows.columns), rows.derivatives
-        step, nj = np.concatenate([dx[:, own], dy[:, u]], axis=1), len(own)
-        left = rows.residuals - np.tensordot(step, A, 1)
-        which = np.array([s for s, _ in samples[rows.log]])
-        scores, square = np.empty((V, len(which), len(A))), np.empty((len(which), len(A)))
-        for i, (_, at) in enumerate(samples[rows.log]):
-            part = A[:, :, at].reshape(len(A), -1)
-            np.matmul(left[:, :, at].reshape(V, -1), part.T, out=scores[:, i])
-            np.einsum("ck,ck->c", part, part, out=square[i])
-        of_su = np.where(free_su[u], scores[..., nj:], 0.0)
-        x[:, which[:, None], own] += scores[..., :nj]
-        x[:, which] -= of_su[..., N_SU:] @ by_x[u]
-        y[u][:, which] += of_su[..., :N_SU] - of_su[..., N_SU:] @ by_y[u]
-        on_joint[which[:, None], own] += square[:, :nj]
-        on_su[which, u] += square[:, nj : nj + N_SU]
-        moment = parts.moments[rows.log]
+    for link in every():
+        of_parts, moment = samples[link.log], parts.moments[link.log]
+        which = np.array([s for s, _ in of_parts])
         first = np.flatnonzero(np.diff(moment, prepend=-1))
-        pull = np.einsum("cik,ik->ck", A, rows.residuals[0])
-        pull, here = np.add.reduceat(pull, first, axis=1), own < J
-        moments[np.ix_(own[here], moment[first])] += pull[:nj][here]
-        moments[:, moment[first]] += lean[u].T @ pull[nj:]
+        felt = np.zeros((V, *link.information.shape[1::-1]))
+        for at, columns, P in link.blocks:
+            felt[..., at] += np.tensordot(dx[:, columns], P, (1, 1))
+        back, whole = np.zeros_like(felt), np.zeros_like(felt[:1])
+        for of_su in link.of_sus:
+            u, A = of_su.su, of_su.own
+            left = of_su.residuals - of_su.reads(felt) - np.tensordot(dy[:, u], A, 1)
+            back += of_su.put_back(left)
+            scores, square = np.empty((V, len(which), len(A))), np.empty((len(which), len(A)))
+            for i, (_, members) in enumerate(of_parts):
+                part = A[:, :, members].reshape(len(A), -1)
+                np.matmul(left[:, :, members].reshape(V, -1), part.T, out=scores[:, i])
+                np.einsum("ck,ck->c", part, part, out=square[i])
+            scores = np.where(free_su[u], scores, 0.0)
+            x[:, which] -= scores[..., N_SU:] @ by_x[u]
+            y[u][:, which] += scores[..., :N_SU] - scores[..., N_SU:] @ by_y[u]
+            on_su[which, u] += square[:, :N_SU]
+            whole += of_su.put_back(of_su.residuals[:1])
+            pull = np.add.reduceat(np.einsum("cik,ik->ck", A, of_su.residuals[0]), first, axis=1)
+            moments[:, moment[first]] += lean[u].T @ pull
+        for at, columns, P in link.blocks:
+            # What all SUs of the link say together of the joint part.
+            by_sample, here = np.ascontiguousarray(np.moveaxis(P, 2, 0)), columns < J
+            square = ((link.information[at] @ by_sample) * by_sample).sum(axis=1)
+            for s, some in parts_of(parts.members[link.log][at]):
+                x[:, s, columns] += _on_columns(P[..., some], back[..., at][..., some])
+                on_joint[s, columns] += square[some].sum(axis=0)
+            pull = np.einsum("pck,pk->ck", P, whole[0, :, at])
+            first = np.flatnonzero(np.diff(moment[at], prepend=-1))
+            pull = np.add.reduceat(pull, first, axis=1)
+            moments[np.ix_(columns[here], moment[at][first])] += pull[here]
     x = np.where(free_joint, x, 0.0)
     pulls = [Pulls(x[v, :, :J], x[v, :, J:], y[:, v]) for v in range(V)]
     shares = _shares(on_joint[:, :J]), _shares(on_su), _shares(on_joint[:, J:])
@@ -265,27 +278,35 @@ def _versions(problem: MotionProblem, fitted: Fitted) -> Callable[[], Iterable[V
     """What gives the versions of a fit, which are kept where they take little memory."""
 
     def anew() -> Iterable[Versions]:
-        return problem.versions(fitted.state, fitted.predicted, fitted.weights, _DRAWS)
+        return versions(problem, fitted.state, fitted.predicted, fitted.weights, _DRAWS)
 
     numbers = problem.layout.n_joint + problem.layout.n_su + 1 + _DRAWS
     if 8 * numbers * sum(p.residual.size for p in fitted.predicted) > _AT_HAND:
         return anew
-    kept = list(anew())
+    kept = [replace(link, of_sus=list(link.of_sus)) for link in anew()]
     return lambda: kept
 
 
-def _steps(problem: MotionProblem, fitted: Fitted, versions: Iterable[Versions]) -> tuple[F64, F64]:
+def _on_columns(P: F64, pulls: F64) -> F64:
+    """(V, c) what pulls (V, p, k) on what points feel say of columns, of derivatives (p, c, k)."""
+    return np.asarray(np.tensordot(pulls, P, ((1, 2), (0, 2))))
+
+
+def _steps(problem: MotionProblem, fitted: Fitted, every: Iterable[Versions]) -> tuple[F64, F64]:
     """Steps (V, J + Z) and (V, U, n) from a fit to that of every version."""
     full, free_joint = fitted.equations, problem.free_joint
     # The estimate itself is off the optimum where the noise of encoders was taken off.
     joint = np.tile(full.joint_gradient, (1 + _DRAWS, 1))
     su = np.tile(full.su_gradient, (1 + _DRAWS, 1, 1))
     joint[1:], su[1:] = 0.0, 0.0
-    for rows in versions:
-        A, nj = rows.derivatives, len(rows.columns)
-        drawn = rows.residuals[1:].reshape(_DRAWS, -1) @ A.reshape(len(A), -1).T
-        joint[1:, rows.columns] += drawn[:, :nj]
-        su[1:, rows.su] += drawn[:, nj:]
+    for link in every:
+        pulls = np.zeros((_DRAWS, *link.information.shape[1::-1]))
+        for of_su in link.of_sus:
+            drawn, A = of_su.residuals[1:], of_su.own
+            pulls += of_su.put_back(drawn)
+            su[1:, of_su.su] += drawn.reshape(_DRAWS, -1) @ A.reshape(len(A), -1).T
+        for at, columns, P in link.blocks:
+            joint[1:, columns] += _on_columns(P, pulls[..., at])
     system = eliminated(full, free_joint, problem.free_su)
     steps = [
         newton_step(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -90,17 +91,15 @@ class Sums:
         P = _by_sample(link.by_coordinates)
         weighed = link.information @ P
         self.joint[np.ix_(columns, columns)] += _symmetric(_product(P, weighed))
-        self.pull_joints(link)
-        blocks = []
-        for at, numbers, B in beyond.blocks(link.joints, link.by_motion) if beyond else ():
-            blocks.append((at, numbers, np.ascontiguousarray(B.swapaxes(0, 1))))
-            own = _by_sample(blocks[-1][2])
+        blocks = list(blocks_of(link, beyond))
+        self.pull_joints(link, blocks)
+        for at, numbers, B in blocks:
+            own = _by_sample(B)
             H = _product(own, weighed[at])
             self.joint[np.ix_(numbers, columns)] += H
             self.joint[np.ix_(columns, numbers)] += H.T
             H = _product(own, link.information[at] @ own)
             self.joint[np.ix_(numbers, numbers)] += _symmetric(H)
-            self.joint_gradient[numbers] += _product(own, link.pulls[at, :, None])[:, 0]
         return blocks
 
     def add_sus(self, link: LinkRows, some: slice, own: F64, blocks: list[Block]) -> None:
@@ -125,15 +124,34 @@ class Sums:
             coupled = (of_axes[..., at] @ felt.swapaxes(2, 3)).sum(axis=1)
             self.mixed[np.ix_(sus, np.arange(own.shape[1]), of_numbers)] += coupled
 
-    def pull_joints(self, link: LinkRows) -> None:
-        """Add what the residuals of all SUs of a link say of joints, unseen motion aside."""
+    def pull_joints(self, link: LinkRows, blocks: Sequence[Block]) -> None:
+        """Add what the residuals of all SUs of a link say of the joint part.
+
+        Args:
+            link: the SUs and the points that tell what they feel.
+            blocks: what :func:`blocks_of` gives of the link.
+        """
         pull = link.by_coordinates.swapaxes(0, 1).reshape(len(link.columns), -1)
         self.joint_gradient[link.columns] += pull @ link.pulls.T.ravel()
+        for at, numbers, B in blocks:
+            pull = B.swapaxes(0, 1).reshape(len(numbers), -1)
+            self.joint_gradient[numbers] += pull @ link.pulls[at].T.ravel()
 
     def pull_sus(self, link: LinkRows, some: slice, own: F64) -> None:
         """Add what the residuals of some SUs of a link say of their own parts; as above."""
         pulled = (link.weights[some] * link.residual[some]).reshape(len(own), -1, 1)
         self.su_gradient[link.sus[some]] += (own.reshape(*own.shape[:2], -1) @ pulled)[..., 0]
+
+
+def blocks_of(link: LinkRows, beyond: Beyond | None) -> Iterator[Block]:
+    """Derivatives of what the points of a link feel, in numbers of unseen motion.
+
+    Args:
+        link: the link.
+        beyond: what encoders do not see in that log.
+    """
+    for at, numbers, B in beyond.blocks(link.joints, link.by_motion) if beyond else ():
+        yield at, numbers, np.ascontiguousarray(B.swapaxes(0, 1))
 
 
 def _by_sample(x: F64) -> F64:

@@ -29,7 +29,7 @@ from skin2urdf.estimation.trajectory.kinematics import (
     seen_before_joint,
     seen_from_parent,
 )
-from skin2urdf.estimation.trajectory.normal_equations import Sums
+from skin2urdf.estimation.trajectory.normal_equations import Sums, blocks_of
 from skin2urdf.estimation.trajectory.points import SharedPoints
 from skin2urdf.estimation.trajectory.priors import (
     MotionPriors,
@@ -38,7 +38,7 @@ from skin2urdf.estimation.trajectory.priors import (
     sense,
     with_priors,
 )
-from skin2urdf.estimation.trajectory.records import Equations, Predicted, Spans, Versions
+from skin2urdf.estimation.trajectory.records import Equations, Predicted, Spans
 from skin2urdf.estimation.trajectory.skeleton import N_HINGES
 from skin2urdf.estimation.trajectory.state import N_GYRO, MotionState
 from skin2urdf.model.records import KinematicModel
@@ -298,17 +298,17 @@ class MotionProblem(Derivatives):
                 (K, U, 6) with that of gyroscopes [s^2/rad^2] where a log has any.
         """
         sums, beyond = Sums.nothing(self.layout, self.tree.n_sus), self.beyond()
-        for link, carried in self._links(state, predicted, weights):
+        for link, carried in self.links(state, predicted, weights):
             unseen = beyond[link.log] if beyond else None
             if not link.shared:
                 for rows in self._rows_of(state, link, carried):
                     sums.add(rows, unseen)
                 continue
             blocks = sums.add_joints(link, unseen)
-            for some, own in self._own(state, link, carried):
+            for some, own in self.own(state, link, carried):
                 sums.add_sus(link, some, own, blocks)
             for u in link.sus.tolist():
-                for rows in self._gyro_rows(state, link.log, u, carried):
+                for rows in self.gyro_rows(state, link.log, u, carried):
                     sums.add(rows, unseen)
         chosen = self.chosen(state)
         sums.joint[:] += chosen.T @ chosen / _HELD**2
@@ -322,8 +322,6 @@ class MotionProblem(Derivatives):
     ) -> list[tuple[F64, F64]]:
         """Gradients (J,) and (U, n) that residuals of accelerometers would make, without priors.
 
-        In what encoders do not see there are none.
-
         Args:
             state: where.
             predicted: each log held against the state, of which residuals do not count.
@@ -333,15 +331,16 @@ class MotionProblem(Derivatives):
         Returns:
             As many.
         """
-        every = [Sums.nothing(self.layout, self.tree.n_sus) for _ in pulls]
-        for link, carried in self._links(state, predicted, [np.ones_like(p) for p in pulls[0]]):
+        every, beyond = [Sums.nothing(self.layout, self.tree.n_sus) for _ in pulls], self.beyond()
+        for link, carried in self.links(state, predicted, [np.ones_like(p) for p in pulls[0]]):
             links = [
                 replace(link, residual=np.ascontiguousarray(np.moveaxis(p[:, link.sus], 0, 2)))
                 for p in (each[link.log] for each in pulls)
             ]
+            blocks = list(blocks_of(link, beyond[link.log] if beyond else None))
             for sums, pulled in zip(every, links, strict=True):
-                sums.pull_joints(pulled)
-            for some, own in self._own(state, link, carried):
+                sums.pull_joints(pulled, blocks)
+            for some, own in self.own(state, link, carried):
                 for sums, pulled in zip(every, links, strict=True):
                     sums.pull_sus(pulled, some, own)
         return [(sums.joint_gradient, sums.su_gradient) for sums in every]
@@ -370,41 +369,18 @@ class MotionProblem(Derivatives):
         mixed = np.zeros((S, U, n, width))
         for u in range(U):
             columns[u, : len(of_all[u])] = of_all[u]
-        for rows in self.versions(state, predicted, weights, 0):
-            u, own, nj = rows.su, rows.columns, len(rows.columns)
-            place = np.searchsorted(columns[u][columns[u] >= 0], own)
+        beyond = self.beyond()
+        for rows in self._rows(state, predicted, weights):
+            u = rows.su
+            own, A = rows.whole(beyond[rows.log] if beyond else None)
+            nj, place = len(own), np.searchsorted(columns[u][columns[u] >= 0], own)
             for s, which in parts_of(members[rows.log]):
-                part = rows.derivatives[:, :, which].reshape(len(rows.derivatives), -1)
+                part = A[:, :, which].reshape(len(A), -1)
                 H = part @ part.T
                 joint[s][np.ix_(own, own)] += H[:nj, :nj]
                 su[s, u] += H[nj:, nj:]
                 mixed[s, u][:, place] += H[nj:, :nj]
         return Spans(joint, su, mixed, columns)
-
-    def versions(
-        self,
-        state: MotionState,
-        predicted: Sequence[Predicted],
-        weights: Sequence[F64],
-        n_draws: int,
-    ) -> Iterator[Versions]:
-        """Whitened residuals of every log and SU, and independent noise in their place.
-
-        The noise is the same whenever this is asked for, so that it need not be kept.
-
-        Args:
-            state: where.
-            predicted: residuals of each log there.
-            weights: per log (K, U, 3) information of each sample [s^4/m^2].
-            n_draws: versions with noise.
-        """
-        rng, beyond = np.random.default_rng(0), self.beyond()
-        for rows in self._rows(state, predicted, weights):
-            own, A = rows.whole(beyond[rows.log] if beyond else None)
-            residuals = np.empty((1 + n_draws, *rows.residual.shape))
-            residuals[0] = rows.residual
-            rng.standard_normal(out=residuals[1:])
-            yield Versions(rows.log, rows.su, own, A, residuals)
 
     def pulls_of_joints(
         self, state: MotionState, predicted: Sequence[Predicted], weights: Sequence[F64]

@@ -94,25 +94,6 @@ class Spans:
 
 
 @dataclass(frozen=True, eq=False)
-class Versions:
-    """What an SU leaves in a log, as it is and as independent noise of unit size would be.
-
-    Attributes:
-        log: number of the log.
-        su: number of the SU.
-        columns: C columns of the joint part that the readings depend on.
-        derivatives: (C + n, 3, K) whitened, in these and in the SU's own coordinates.
-        residuals: (V, 3, K) whitened residuals of V versions, the first as they are.
-    """
-
-    log: int
-    su: int
-    columns: list[int]
-    derivatives: F64
-    residuals: F64
-
-
-@dataclass(frozen=True, eq=False)
 class Gyros(Record):
     """What was found of the gyroscopes of U SUs.
 

@@ -5,14 +5,23 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 from random_robots import Joint, robot_of
 from simulated import held_against
+from synthetic import random_state, sampled_trajectory, serial_tree, stays
 
 from skin2urdf import calibrate
+from skin2urdf.arrays import F64
 from skin2urdf.calibration.settings import CalibrationSettings
+from skin2urdf.estimation.problem.cost import Priors
 from skin2urdf.estimation.trajectory.encoder_noise import hidden_offsets, without_shortening
-from skin2urdf.estimation.trajectory.fit import fit
+from skin2urdf.estimation.trajectory.estimate import motion_priors
+from skin2urdf.estimation.trajectory.fit import fit, held
+from skin2urdf.estimation.trajectory.problem import MotionProblem
+from skin2urdf.estimation.trajectory.slack import slack, with_unseen
+from skin2urdf.estimation.trajectory.state import MotionState
 from skin2urdf.model.canonical import canonical
+from skin2urdf.model.specific_force import specific_forces
 from skin2urdf.simulation import SimulationSettings, simulate
 from skin2urdf.simulation.robots import SkinLayout
 
@@ -62,3 +71,58 @@ def test_what_coarse_encoders_do_to_lengths_is_taken_off(tmp_path: Path) -> None
         for each in (found, shortened)
     )
     assert right < 0.7 * wrong
+
+
+def test_what_noise_does_to_slack_is_taken_off_as_well() -> None:
+    tree = serial_tree(3)
+    rng = np.random.default_rng(3)
+    truth = replace(random_state(rng, tree, 1, 0.3), up=np.array([[0.0, 0.0, 1.0]]))
+    q = stays(rng.uniform(-1.5, 1.5, (8, 3)), 300, 500)
+    rate = 125.0
+    qd, qdd = np.gradient(q, 1 / rate, axis=0), np.zeros_like(q)
+    qdd[1:-1] = (q[2:] - 2 * q[1:-1] + q[:-2]) * rate**2
+    ideal = specific_forces(truth.model(tree), q, qd, qdd, np.array([0.0, 0.0, 9.81]))
+    read = np.einsum("uij,kuj->kui", truth.sensor_matrix(), ideal) + truth.bias
+    read += 7e-3 * rng.standard_normal(read.shape)
+    log = sampled_trajectory(q, read, still_below=1e-3)
+    shaken = np.ones_like(log.shaken)
+    log = replace(log, noise=np.full(3, 1e-4), shaken=shaken)
+    priors = motion_priors(Priors(), gravity=0.0, front=(np.zeros(2), np.zeros(2)))
+    places = slack(tree, [log])
+    assert places is not None
+    problem = with_unseen(MotionProblem(tree, [log], priors), places, 1e-4)
+    state = MotionState(
+        placements=truth,
+        gravity=priors.sensors.gravity,
+        front=np.zeros((3, 2)),
+        clock=np.zeros((1, 3, 2)),
+        knots=(np.zeros((0, 3, 3)),),
+        unseen=np.zeros(problem.layout.n_unseen),
+    )
+    fitted = held(problem, state)
+    parts = without_shortening(problem, fitted)[1]
+    assert [part.joints.tolist() for part in parts] == [[0], [1], [2]]
+
+    def gradient(pushed: int, by: float) -> F64:
+        qdd = np.array(log.qdd)
+        qdd[:, pushed] += by
+        about = problem.again(logs=[replace(log, qdd=qdd)])
+        predicted = (about.predict(state, 0),)
+        return about.equations(state, predicted, fitted.weights).joint_gradient
+
+    # Of half the samples, each of which counts for more, the same comes.
+    half = log.thinned(2)
+    few, more = problem.again(logs=[half]), 2 * log.independence / half.independence
+    fewer = without_shortening(few, held(few, state))[1]
+    unseen, size = problem.layout.unseen, np.sqrt(np.diag(fitted.equations.joint))
+    for part, of_few in zip(parts, fewer, strict=True):
+        off = (more * of_few.joint - part.joint) / size
+        assert np.linalg.norm(off) <= 0.1 * np.linalg.norm(part.joint / size)
+    for j, part in enumerate(parts):
+        # Of noise that is known, what goes with its square is left where both signs are added.
+        both = gradient(j, 1.0) + gradient(j, -1.0) - 2 * gradient(j, 0.0)
+        expected = -0.5 * 1e-4 * both / size
+        for which in (slice(0, unseen.start), unseen):
+            one, other = part.joint[which] / size[which], expected[which]
+            # Where nothing is expected, as in slack by the last joint, differences leave rounding.
+            assert np.linalg.norm(one - other) <= 0.1 * np.linalg.norm(other) + 1e-9

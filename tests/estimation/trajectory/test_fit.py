@@ -13,7 +13,7 @@ from skin2urdf.arrays import F64
 from skin2urdf.estimation.problem.cost import Priors
 from skin2urdf.estimation.problem.state import State
 from skin2urdf.estimation.trajectory.estimate import MotionEstimate, estimate_along, motion_priors
-from skin2urdf.estimation.trajectory.fit import fit
+from skin2urdf.estimation.trajectory.fit import fit, independent
 from skin2urdf.estimation.trajectory.front_end import droop as front_droop
 from skin2urdf.estimation.trajectory.problem import MotionProblem
 from skin2urdf.estimation.trajectory.state import MotionState
@@ -215,6 +215,18 @@ def test_a_part_of_the_samples_is_predicted_as_all_are() -> None:
         strict=True,
     ):
         np.testing.assert_allclose(of_part, of_all[::3], atol=1e-12)
+
+
+def test_samples_are_left_out_only_where_they_are_very_many() -> None:
+    log = replace(_trajectory(np.random.default_rng(1)), independence=0.6)
+    assert independent([log]) == [log]
+    most = 3 * log.valid.size
+    assert independent([log], most) == [log]
+    few = independent([log], most - 1)[0]
+    assert (few.thin, few.independence) == (2, 1.0)
+    np.testing.assert_array_equal(few.kept, log.kept[::2])
+    # Where each tells something of its own, all stay.
+    assert independent([replace(log, independence=0.8)], most - 1)[0].thin == 1
 
 
 def test_a_fit_goes_on_while_clocks_do() -> None:

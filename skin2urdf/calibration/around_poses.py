@@ -2,7 +2,8 @@
 
 Features around poses know a rigid robot that follows its encoders, with sensors that are always
 the same. Joints that yield, gears that are uneven and biases that drift leave much in them, more in
-some SUs and poses than in others, and nothing in samples that are explained with these.
+some SUs and poses than in others, and nothing in samples that are explained with these. Play and
+slack are no more than sizes of what is left from place to place: there features count as well.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ from dataclasses import replace
 import numpy as np
 
 from skin2urdf.calibration.result import GOOD_FIT
+from skin2urdf.estimation.trajectory.causes import PLAY
 from skin2urdf.estimation.trajectory.estimate import MotionEstimate
 from skin2urdf.estimation.trajectory.misfit import SPAN, part_means
 from skin2urdf.estimation.uncertainty.goodness import Goodness, Share
@@ -32,9 +34,9 @@ def judged_by_samples(
         sampled: the logs.
 
     Returns:
-        The same of features where samples are not explained.
+        The same of features where samples are not explained, or by slack that is of any shape.
     """
-    if along is None or not along.misfit <= GOOD_FIT:
+    if along is None or not along.misfit <= GOOD_FIT or {"slack", PLAY} & set(along.causes):
         return fit
     whole = samples_around_poses(along, features, sampled)
     # Of poses so short that filters reach beyond them, features tell alone.

@@ -101,6 +101,8 @@ def test_features_tell_where_samples_are_not_explained() -> None:
     unexplained = replace(along, misfit=2 * GOOD_FIT)
     assert judged_by_samples(fit, unexplained, features, _sampled()) is fit
     assert judged_by_samples(fit, None, features, _sampled()) is fit
+    loose = replace(along, causes=("elastic", "slack"))
+    assert judged_by_samples(fit, loose, features, _sampled()) is fit
 
 
 def test_features_tell_of_poses_without_samples() -> None:

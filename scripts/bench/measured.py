@@ -48,6 +48,7 @@ class Figures:
         exit_status: of the command line.
         refusal: its words where it gave no result.
         named: kind and subject of all that was said to be wrong.
+        causes: what was added to a rigid robot with steady sensors, as joints that yield.
         notes: of the calibration.
         cost_per_dof: of the calibration.
         tree_right: whether the tree is right.
@@ -66,6 +67,7 @@ class Figures:
     exit_status: int = 0
     refusal: str = ""
     named: tuple[tuple[str, str], ...] = ()
+    causes: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
     cost_per_dof: float | None = None
     tree_right: bool = False
@@ -115,6 +117,7 @@ def _compared(found: Calibration, truth: Truth, folder: Path, seconds: float) ->
         verdict=found.quality,
         exit_status=_exit_status(found),
         named=tuple((fault.kind, fault.subject) for fault in found.faults),
+        causes=() if found.along is None else found.along.causes,
         notes=tuple(note_words(found.notes)),
         cost_per_dof=float(found.estimate.cost_per_dof),
         n_sus=len(truth.sus),

@@ -21,7 +21,7 @@ LIMIT = 2.0
 HEAD = (
     ("re-", "cordings"), ("true", "mm"), ("stated", "mm"), ("worst", "ratio"), ("true", "deg"),
     ("stated", "deg"), ("worst", "ratio"), ("known", "deg"), ("NEES", "mm"), ("", "deg"),
-    ("good/fair", "/none"), ("SUs not", "known"), ("time", "s"), ("", "named or refused"),
+    ("good/fair", "/none"), ("SUs not", "known"), ("time", "s"), ("", "named, told or refused"),
 )  # fmt: skip
 LEGEND = (
     "True and stated errors are root mean squares over recordings, SUs and configurations. Ratio: "
@@ -66,8 +66,9 @@ def shortfalls(trial: Trial) -> list[str]:
     reasons = misstated(own)
     # No row hits a joint, moves an SU on its segment, or breaks one.
     reasons += [f"named {kind} {subject}" for kind, subject in own.named if kind in _FALSE]
-    if trial.case.row == SOUND and own.named:
-        reasons.append("something named in a sound recording")
+    if trial.case.row == SOUND:
+        told = [*(kind for kind, _ in own.named), *own.causes]
+        reasons += [f"{what} told in a sound recording" for what in told]
     return reasons
 
 
@@ -96,8 +97,9 @@ def cells(outcomes: Sequence[Figures | Failure]) -> tuple[str, ...]:
     verdicts = Counter(
         f.verdict if f.verdict in ("good", "fair") and not f.refusal else "none" for f in done
     )
-    named = Counter(kind for f in done for kind in sorted({kind for kind, _ in f.named}))
-    said = [f"{kind} {n}" for kind, n in named.most_common()]
+    told = ({kind for kind, _ in f.named} | set(f.causes) for f in done)
+    kinds = Counter(kind for each in told for kind in sorted(each))
+    said = [f"{kind} {n}" for kind, n in kinds.most_common()]
     said += sorted({f.refusal.splitlines()[0][:60] for f in done if f.refusal})
     return (
         figures.count(len(done), len(outcomes)),

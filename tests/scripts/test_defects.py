@@ -66,10 +66,11 @@ def test_what_can_not_be_believed_falls_short(figures: Figures, fallen: int) -> 
     assert report([trial(figures)])
 
 
-def test_a_named_cause_is_no_shortfall_beside_a_defect() -> None:
-    named = replace(GOOD, named=(("elastic", "panda_joint2"),))
-    assert not shortfalls(trial(named, "gears 14/7 kNm/rad"))
-    assert shortfalls(trial(named))
+def test_a_cause_is_no_shortfall_beside_a_defect() -> None:
+    told = replace(GOOD, causes=("elastic", "slack"))
+    assert not shortfalls(trial(told, "gears 14/7 kNm/rad"))
+    assert len(shortfalls(trial(told))) == 2
+    assert "elastic 1; slack 1" in report([trial(told)])
 
 
 def test_cases_have_keys_of_their_own() -> None:

@@ -73,17 +73,20 @@ def calibrate(
     by_the_paper = settings.method == "paper"
     # Physics of real robots, or what is wrong, and what all samples say of either.
     solution, along = (_follow_the_paper if by_the_paper else explain_readings)(begun, clock)
-    # Of features, so that each pose can be predicted from the others.
-    fit = clock.run("goodness of fit", lambda _: goodness(solution.found))
-    # Of all samples, which know of more than a rigid robot.
-    fit = judged_by_samples(fit, along, solution.features, solution.logs.sampled)
+    # Of features, so that each pose can be predicted from the others, and of all samples, which
+    # know of more than a rigid robot.
+    features, sampled = solution.features, solution.logs.sampled
+    fit = clock.run(
+        "goodness of fit",
+        lambda _: judged_by_samples(goodness(solution.found), along, features, sampled),
+    )
     if along is not None:
         solution = replace(solution, found=with_samples(solution.found, along))
     if not by_the_paper:
         check_fit(solution.found, along)
     information = clock.run("all samples", lambda _: along.information) if along else None
     seen = clock.run("observability", lambda _: observability(solution.found, information))
-    late = late_publishers(along, solution.logs.sampled)
+    late = late_publishers(along, sampled)
     off = all_that_are_off(begun.publishers, late)
     return _calibration(recordings, solution, along, fit, seen, off, clock)
 

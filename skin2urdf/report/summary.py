@@ -93,7 +93,10 @@ def _prediction(calibration: Calibration) -> str:
     if not fit.patterned.any():
         return "poses left out: none has a pattern to be predicted; the fit of all samples counts"
     if not fit.of_features:
-        return "poses left out: features know of no more than a rigid robot; all samples count"
+        return (
+            "poses left out: not predicted, as more than a rigid robot was found; the fit of all "
+            "samples counts"
+        )
     if not np.isfinite(fit.prediction):
         return "poses left out: too few poses to predict one from the others"
     return (

@@ -71,7 +71,7 @@ def without_shortening(
 
     Returns:
         The fit, some standard deviations away, and what led there; the same fit and nothing where
-        one step would not take it off, as in a log of motion so slow that it is lost in the noise.
+        steps would not take it off, as in a log of motion so slow that it is lost in the noise.
     """
     parts, found = _shortening(problem, fitted, fitted.state), fitted
     if not parts:

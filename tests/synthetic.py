@@ -17,6 +17,7 @@ from skin2urdf.arrays import F64, Int
 from skin2urdf.estimation.problem.blocks import feature_blocks
 from skin2urdf.estimation.problem.cost import Cost, Priors
 from skin2urdf.estimation.problem.state import State, Step
+from skin2urdf.estimation.trajectory.state import MotionState
 from skin2urdf.geometry.units import GRAVITY
 from skin2urdf.model.specific_force import specific_forces
 from skin2urdf.signals.filters import filtered, first_derivative, low_pass, second_derivative
@@ -257,3 +258,17 @@ def stays(at: F64, stay: int, move: int) -> F64:
     for a, b in pairwise(at):
         parts += [a + s * (b - a), np.tile(b, (stay, 1))]
     return np.concatenate(parts)
+
+
+def motion_state(placements: State, unseen: F64, gravity: float = 9.81) -> MotionState:
+    """One log of sensors that are on time and have no low-pass of their own."""
+    U = len(placements.T_joint_su)
+    return MotionState(
+        placements=placements,
+        gravity=gravity,
+        front=np.zeros((U, 2)),
+        clock=np.zeros((1, U, 2)),
+        knots=(np.zeros((0, U, 3)),),
+        unseen=unseen,
+        gyro=np.zeros((U, 0)),
+    )

@@ -12,7 +12,15 @@ from functools import cache
 import numpy as np
 import pinocchio as pin
 import pytest
-from synthetic import RATE, random_state, reading_errors, sampled_trajectory, serial_tree, stays
+from synthetic import (
+    RATE,
+    motion_state,
+    random_state,
+    reading_errors,
+    sampled_trajectory,
+    serial_tree,
+    stays,
+)
 
 from skin2urdf.arrays import F64
 from skin2urdf.estimation.problem.cost import Priors
@@ -162,14 +170,7 @@ def test_equations_hold_the_gradient_in_what_yields(*, base: bool) -> None:
         elastic, x = followed(elastic, _TREE, [log], _truth(), 9.81, x)
     yielding = replace(priors, unseen=elastic.spread)
     problem = MotionProblem(_TREE, [log], yielding, unseen=elastic)
-    state = MotionState(
-        placements=_truth(),
-        gravity=9.81,
-        front=np.zeros((2, 2)),
-        clock=np.zeros((1, 2, 2)),
-        knots=(np.zeros((0, 2, 3)),),
-        unseen=x,
-    )
+    state = motion_state(_truth(), x)
     weights = [np.full((*log.valid.shape, 3), 1e4)]
 
     def chi2(at: MotionState) -> float:

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from random_robots import Joint, robot_of
 from simulated import held_against
-from synthetic import random_state, sampled_trajectory, serial_tree, stays
+from synthetic import motion_state, random_state, sampled_trajectory, serial_tree, stays
 
 from skin2urdf import calibrate
 from skin2urdf.arrays import F64
@@ -19,7 +19,6 @@ from skin2urdf.estimation.trajectory.estimate import motion_priors
 from skin2urdf.estimation.trajectory.fit import fit, held
 from skin2urdf.estimation.trajectory.problem import MotionProblem
 from skin2urdf.estimation.trajectory.slack import slack, with_unseen
-from skin2urdf.estimation.trajectory.state import MotionState
 from skin2urdf.model.canonical import canonical
 from skin2urdf.model.specific_force import specific_forces
 from skin2urdf.simulation import SimulationSettings, simulate
@@ -91,14 +90,7 @@ def test_what_noise_does_to_slack_is_taken_off_as_well() -> None:
     places = slack(tree, [log])
     assert places is not None
     problem = with_unseen(MotionProblem(tree, [log], priors), places, 1e-4)
-    state = MotionState(
-        placements=truth,
-        gravity=priors.sensors.gravity,
-        front=np.zeros((3, 2)),
-        clock=np.zeros((1, 3, 2)),
-        knots=(np.zeros((0, 3, 3)),),
-        unseen=np.zeros(problem.layout.n_unseen),
-    )
+    state = motion_state(truth, np.zeros(problem.layout.n_unseen), priors.sensors.gravity)
     fitted = held(problem, state)
     parts = without_shortening(problem, fitted)[1]
     assert [part.joints.tolist() for part in parts] == [[0], [1], [2]]

@@ -6,14 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from synthetic import RATE, random_state, sampled_trajectory, serial_tree
+from synthetic import RATE, motion_state, random_state, sampled_trajectory, serial_tree
 
 from skin2urdf.estimation.problem.cost import Priors
 from skin2urdf.estimation.trajectory.estimate import motion_priors
 from skin2urdf.estimation.trajectory.on_the_base import turned_as_the_base
 from skin2urdf.estimation.trajectory.problem import MotionProblem
 from skin2urdf.estimation.trajectory.skeleton import shift, turn
-from skin2urdf.estimation.trajectory.state import MotionState
 from skin2urdf.estimation.trajectory.unseen import Unseen
 from skin2urdf.geometry.so3 import rotation_exp, rotation_log
 from skin2urdf.signals.filters import second_derivative
@@ -47,14 +46,7 @@ def test_an_su_is_turned_and_placed_whatever_it_begins_with(degrees: float) -> N
     T = np.array(state.T_joint_su)
     T[1, :3, :3] = rotation_exp(np.radians(degrees) * _UP) @ R
     T[1, :3, 3] = 0.0 if degrees < 180.0 else -2 * _LEVER - _PLACE
-    begin = MotionState(
-        placements=replace(state, T_joint_su=T),
-        gravity=9.81,
-        front=np.zeros((2, 2)),
-        clock=np.zeros((1, 2, 2)),
-        knots=(np.zeros((0, 2, 3)),),
-        unseen=np.ones(1),
-    )
+    begin = motion_state(replace(state, T_joint_su=T), np.ones(1))
     found = turned_as_the_base(problem, begin, 2.0).placements.T_joint_su[1]
     assert np.linalg.norm(rotation_log(found[:3, :3].T @ R)) < 0.06
     np.testing.assert_allclose(found[:3, 3], _PLACE, atol=0.05)

@@ -13,7 +13,7 @@ import pinocchio as pin
 import pytest
 from scipy.spatial.transform import Rotation
 from stand import UP
-from synthetic import CUTOFF, RATE, random_state, sampled_trajectory, serial_tree
+from synthetic import CUTOFF, RATE, motion_state, random_state, sampled_trajectory, serial_tree
 
 from skin2urdf.arrays import F64
 from skin2urdf.estimation.problem.cost import Priors
@@ -22,7 +22,6 @@ from skin2urdf.estimation.trajectory.estimate import MotionEstimate, estimate_al
 from skin2urdf.estimation.trajectory.fit import held
 from skin2urdf.estimation.trajectory.problem import MotionProblem
 from skin2urdf.estimation.trajectory.products import with_products
-from skin2urdf.estimation.trajectory.state import MotionState
 from skin2urdf.estimation.trajectory.unseen import Unseen
 from skin2urdf.model.kinematics import to_pinocchio
 from skin2urdf.signals.filters import filtered
@@ -121,15 +120,7 @@ def test_what_rings_where_the_low_pass_ends_is_no_product() -> None:
     priors = motion_priors(Priors(), gravity=0.0, front=(np.zeros(2), np.zeros(2)))
     priors = replace(priors, unseen=np.ones(3))
     problem = MotionProblem(_TREE, [log], priors, unseen=unseen)
-    state = MotionState(
-        placements=_truth(),
-        gravity=9.81,
-        front=np.zeros((3, 2)),
-        clock=np.zeros((1, 3, 2)),
-        knots=tuple(np.zeros((n, 3, 3)) for n in problem.layout.n_knots),
-        unseen=np.ones(3),
-        gyro=np.zeros((3, 0)),
-    )
+    state = motion_state(_truth(), np.ones(3))
     found = held(problem, state)
     told, predicted = with_products(problem, found)
     still = problem.predict(replace(state, unseen=np.zeros(3)), 0)

@@ -96,6 +96,8 @@ def test_what_a_fit_lacks_is_seen_together_as_it_is_alone() -> None:
     for group, more in enumerate((places, gears)):
         alone = lacking(problem, held_against, [more])
         assert alone.size(0).gain == pytest.approx(both.size(group).gain, rel=1e-5)
+        for one, other in zip(alone.pulls(0), both.pulls(group), strict=True):
+            np.testing.assert_allclose(one, other, rtol=0, atol=1e-12 * np.abs(other).max())
         for one, other in zip(alone.pull(0), both.pull(group), strict=True):
             # Sums in another order: along what hardly shows, numbers are rounding, and pulls
             # differ by 9e-5 of the largest.

@@ -75,8 +75,8 @@ def _asked(document: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
                 "themselves",
             )
     # Features of a rigid robot predict no pose of one with more, however many there are.
-    rigid = document["samples"] is None or not document["samples"]["causes"]
-    if rigid and document["goodness"]["prediction"] is None:
+    fit = document["goodness"]
+    if fit["prediction"] is None and fit.get("of_features", True):
         yield "record more poses, ten or so", "whether stated errors can be believed"
 
 

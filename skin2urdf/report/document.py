@@ -171,6 +171,7 @@ def _goodness(calibration: Calibration) -> dict[str, Any]:
     return {
         "scale": fit.scale,
         "prediction": fit.prediction,
+        "of_features": fit.of_features,
         "widening": calibration.observability.widening,
         "by_su": dict(zip(tree.su_names, by_su, strict=True)),
         "by_joint": dict(zip(tree.joint_names, _parts(fit.by_joint), strict=True)),

@@ -210,6 +210,19 @@ def test_advice_names_each_remedy_once(contents: Contents) -> None:
     assert len(set(told)) == len(told)
 
 
+def test_poses_that_features_do_not_predict_ask_for_no_more_poses(contents: Contents) -> None:
+    """A robot with more than rigid links is judged by all samples, however many poses it has."""
+
+    def asked(*, of_features: bool) -> set[str]:
+        goodness = {**contents.document["goodness"], "prediction": None}
+        goodness["of_features"] = of_features
+        return {each.remedy for each in advice({**contents.document, "goodness": goodness})}
+
+    known = {each.remedy for each in advice(contents.document)}
+    assert asked(of_features=False) == known
+    assert len(asked(of_features=True) - known) == 1
+
+
 def test_the_command_writes_a_page_beside_the_urdf(
     urdf: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -68,7 +68,7 @@ class Exchanged(Amendment):
 class Changes:
     """What changes in the middle of a log: the sense of an encoder, the names of SUs."""
 
-    rank: Literal[0, 1, 2, 3] = 2
+    rank: Literal[0, 1, 2] = 1
 
     def propose(self, search: Search, now: Attempt | None) -> Sequence[Candidate]:
         """All that changes in any log, senses and names apart."""

@@ -63,7 +63,7 @@ class LeftOut(Amendment):
 class Contact:
     """Something touched the robot: in those moments readings do not follow the joints' motion."""
 
-    rank: Literal[0, 1, 2, 3] = 0
+    rank: Literal[0, 1, 2] = 0
 
     def propose(self, search: Search, now: Attempt | None) -> Sequence[Candidate]:
         """All moments that stand out; a large one may hide a small one, which is seen next.

@@ -50,7 +50,7 @@ _WHOLE_TURN = 1e-3
 class Encoders:
     """Offsets and scales of single encoders."""
 
-    rank: Literal[0, 1, 2, 3] = 0
+    rank: Literal[0, 1, 2] = 0
 
     def propose(self, search: Search, now: Attempt | None) -> Sequence[Candidate]:
         """For every joint the error that explains most of what an estimate leaves."""

@@ -38,7 +38,7 @@ class Negated(Amendment):
 class Mirrored:
     """The readings themselves tell an SU's handedness where nothing is wrong with the joints."""
 
-    rank: Literal[0, 1, 2, 3] = 0
+    rank: Literal[0, 1, 2] = 0
 
     def propose(self, search: Search, now: Attempt | None) -> Sequence[Candidate]:  # noqa: ARG002
         """All SUs together that look mirrored: a few of them bend the others."""

@@ -68,7 +68,7 @@ def columns_of(logs: Logs, names: Sequence[str], called: Sequence[str]) -> Int:
 class Names:
     """SUs whose names in one log are not those of the log with the most poses."""
 
-    rank: Literal[0, 1, 2, 3] = 1
+    rank: Literal[0, 1, 2] = 0
 
     def propose(self, search: Search, now: Attempt | None) -> Sequence[Candidate]:
         """All names of a log that do not agree, in all logs."""

@@ -25,7 +25,7 @@ from skin2urdf.hypotheses.measure import brought, excess, explains, gain, price,
 from skin2urdf.hypotheses.records import Amendment, Attempt, Candidate
 from skin2urdf.recording.records import Recording
 
-_RANKS = (0, 1, 2, 3)
+_RANKS = (0, 1, 2)
 _MOST = 12
 """Attempts of a search: a log with more to amend is better recorded again."""
 _LEFT = 0.1
@@ -46,12 +46,13 @@ class Kind(Protocol):
     """A kind of hypotheses.
 
     Attributes:
-        rank: what looking costs: 0 for a score test, 1 for estimates from one log alone, 2 for
-            estimates from parts of logs, 3 for estimates of other structures. Kinds of a higher
-            rank look only at what nothing of a lower rank explains.
+        rank: what looking costs: 0 for less than an attempt, which is a score test or what one log
+            alone predicts of the others, 1 for estimates from parts of logs, 2 for estimates of
+            other structures. Kinds of a higher rank look only at what nothing of a lower rank
+            explains.
     """
 
-    rank: Literal[0, 1, 2, 3]
+    rank: Literal[0, 1, 2]
 
     def propose(self, search: Search, now: Attempt | None) -> Sequence[Candidate]:
         """Candidates that an attempt suggests.
@@ -143,7 +144,7 @@ def _better(
         proposed = []
         for i, kind in enumerate(kinds):
             if kind.rank == rank:
-                search.tell((rank - _RANKS[0] + i / len(kinds)) / len(_RANKS))
+                search.tell((rank + i / len(kinds)) / len(_RANKS))
                 proposed += [c for c in kind.propose(search, now) if c.key not in failed]
         search.tried += sum(candidate.among for candidate in proposed)
         promised = {c: promise(now, c, search.tried) for c in (*waiting, *proposed)}

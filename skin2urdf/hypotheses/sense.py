@@ -44,7 +44,7 @@ _ABOUT = 72
 class Senses:
     """Encoders that count the other way in a later log than in the first."""
 
-    rank: Literal[0, 1, 2, 3] = 1
+    rank: Literal[0, 1, 2] = 0
 
     def propose(self, search: Search, now: Attempt | None) -> Sequence[Candidate]:
         """All joints that are turned in a later log, as the first log alone predicts it."""

@@ -97,7 +97,7 @@ class Slipped(Amendment):
 class Slips:
     """SUs that slipped."""
 
-    rank: Literal[0, 1, 2, 3] = 0
+    rank: Literal[0, 1, 2] = 0
 
     def propose(self, search: Search, now: Attempt | None) -> Sequence[Candidate]:  # noqa: ARG002
         """Every SU whose readings fit two placements far better than one."""

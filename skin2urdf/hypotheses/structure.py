@@ -46,7 +46,7 @@ class Known(Amendment):
 class Structures:
     """Structures that the activity of the SUs leaves possible."""
 
-    rank: Literal[0, 1, 2, 3] = 3
+    rank: Literal[0, 1, 2] = 2
 
     def propose(self, search: Search, now: Attempt | None) -> Sequence[Candidate]:
         """The structure that a second look shows, where what is known does not fit."""

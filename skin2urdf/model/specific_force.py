@@ -41,10 +41,39 @@ def forces_in_time(model: KinematicModel, q: F64, qd: F64, qdd: F64, gravity_up:
             T, slides = model.T_parent_joint[j], bool(tree.prismatic[j])
             parent = motion[p] if p >= 0 else base
             motion.append(_beyond_joint(parent, T, slides, q[j], qd[j], qdd[j]))
-        for u in np.flatnonzero(tree.su_joint == j):
-            T = model.T_joint_su[u]
-            out[u] = T[:3, :3].T @ _at(motion[j] if j >= 0 else base, T[:3, 3])
+        sus = np.flatnonzero(tree.su_joint == j)
+        if len(sus):
+            out[sus] = _felt_by(model.T_joint_su[sus], motion[j] if j >= 0 else base)
     return out
+
+
+def _felt_by(T: F64, motion: F64) -> F64:
+    """(S, 3, N) specific force at frames T (S, 4, 4) that are fixed in a moving one.
+
+    It is affine in the place r: ``f + A r``, with ``A r = a x r + w x (w x r)``. One product with
+    A and f gives that of all.
+
+    Args:
+        T: the frames.
+        motion: of the one they are fixed in, as in :func:`_at`.
+    """
+    w, (x, y, z), force = motion
+    felt = np.empty((4, 3, motion.shape[2]))
+    A = felt[:3]
+    np.multiply(w[:, None], w, out=A)
+    A[range(3), range(3)] -= (w * w).sum(axis=0)
+    A[0, 1] -= z
+    A[0, 2] += y
+    A[1, 0] += z
+    A[1, 2] -= x
+    A[2, 0] -= y
+    A[2, 1] += x
+    felt[3] = force
+    weight = np.empty((len(T), 3, 4, 3))
+    weight[:, :, 3] = np.swapaxes(T[:, :3, :3], 1, 2)
+    np.multiply(weight[:, :, 3, :, None], T[:, None, None, :3, 3], out=weight[:, :, :3])
+    read = weight.reshape(-1, 12) @ felt.reshape(12, -1)
+    return np.asarray(read.reshape(len(T), 3, -1))
 
 
 def angular_velocities(model: KinematicModel, q: F64, qd: F64) -> F64:

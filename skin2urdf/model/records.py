@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
-from skin2urdf.arrays import F64, Int, Record, frozen
+from skin2urdf.arrays import F64, Record, frozen
 from skin2urdf.geometry.se3 import adjoint
 from skin2urdf.structure.records import KinematicTree
 
@@ -24,13 +24,6 @@ class KinematicModel(Record):
     tree: KinematicTree
     T_parent_joint: F64
     T_joint_su: F64
-
-    def of_sus(self, which: Int) -> KinematicModel:
-        """The same robot with some of its SUs, by their numbers."""
-        tree = self.tree
-        names, joints = tuple(tree.su_names[u] for u in which), tree.su_joint[which]
-        some = replace(tree, su_names=names, su_joint=joints)
-        return KinematicModel(some, self.T_parent_joint, self.T_joint_su[which])
 
 
 @dataclass(frozen=True, eq=False)

@@ -340,8 +340,10 @@ def _residuals(
     inner = (band.inner(window) for band in bands)
     out = [np.empty((b - a, U, 3)) for a, b in inner]
 
+    of_sus = curvature(pose.q, dq, qd, qdd, log)
+
     def look(sus: slice) -> None:
-        beyond, _ = curvature(pose.q, dq, qd, qdd, log, sus)
+        beyond, _ = of_sus(sus)
         left = readings[part, sus] - beyond
         left -= (X @ coefficients[:, sus].reshape(X.shape[1], -1)).reshape(left.shape)
         left *= (s.valid[part, sus] & witness[sus])[..., None]

@@ -23,9 +23,11 @@ from skin2urdf.signals.swings import Swing
 from skin2urdf.signals.turn_evidence import turn_evidence
 from skin2urdf.threads import each
 
-Curvature = Callable[[F64, F64, F64, F64, int, slice], tuple[F64, F64]]
-"""(q (D,), dq (N, D), qd, qdd, log, SUs) -> (N, u, 3) readings of some SUs beyond first order
-around pose q, and (1 + 2 D, u, 3) the coefficients that the first order should have."""
+OfSus = Callable[[slice], tuple[F64, F64]]
+"""SUs -> (N, u, 3) their readings beyond first order around a pose, and (1 + 2 D, u, 3) the
+coefficients that the first order should have."""
+Curvature = Callable[[F64, F64, F64, F64, int], OfSus]
+"""What gives those of (q (D,), dq (N, D), qd, qdd, log), of a motion around pose q."""
 _TOGETHER = 64
 """SUs whose samples around a pose are in memory at a time: some 10 MB, of which several copies."""
 
@@ -127,8 +129,11 @@ def _poses(
 
     def regress(near: tuple[Neighbourhood, Swing]) -> _Pose:
         pose, swing = near
+        beyond = None
+        if curvature is not None:
+            beyond = curvature(pose.q, swing.dq, swing.qd, swing.qdd, log)
         parts = [
-            _readings(s, readings, pose, swing, curvature, log, reach, sus)
+            _readings(s, readings, pose, swing, beyond, reach, sus)
             for sus in sus_together(len(lag))
         ]
         y, expected = (np.concatenate(both, axis=1) for both in zip(*parts, strict=True))
@@ -174,8 +179,7 @@ def _readings(
     readings: F64,
     pose: Neighbourhood,
     swing: Swing,
-    curvature: Curvature | None,
-    log: int,
+    of_sus: OfSus | None,
     reach: int,
     sus: slice,
 ) -> tuple[F64, F64]:
@@ -186,8 +190,7 @@ def _readings(
         readings: (N, U, 3) of it, on the joints' clock [m/s^2].
         pose: the pose.
         swing: what joints do around it.
-        curvature: predicts what is beyond first order, which is taken off.
-        log: number of the log.
+        of_sus: predicts what is beyond first order, which is taken off.
         reach: samples by which readings were shifted at most.
         sus: which.
 
@@ -196,8 +199,8 @@ def _readings(
     """
     y = np.concatenate([readings[lo:hi, sus] for lo, hi in s.swings.pieces(pose)])
     expected = np.zeros((swing.X.shape[1], *y.shape[1:]))
-    if curvature is not None:
-        beyond, expected = curvature(pose.q, swing.dq, swing.qd, swing.qdd, log, sus)
+    if of_sus is not None:
+        beyond, expected = of_sus(sus)
         y -= beyond
         _recompute(swing, y, s, pose, reach, sus)
     return s.swings.kept(y, pose), expected

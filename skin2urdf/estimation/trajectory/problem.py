@@ -269,7 +269,7 @@ class MotionProblem(Derivatives):
         predicted: Sequence[Predicted],
         weights: Sequence[F64],
         free_su: Bool,
-    ) -> tuple[MotionState, tuple[Predicted, ...]]:
+    ) -> MotionState:
         """The best bias and shape of every SU for its placement, a linear problem.
 
         Where gravity stands still in an SU, its tilt and its bias can hardly be told apart. The
@@ -277,7 +277,8 @@ class MotionProblem(Derivatives):
 
         Args:
             state: placements, and sensors to begin with.
-            predicted: residuals of each log there.
+            predicted: residuals of each log there, which are changed in place: with many SUs each
+                array of them is large.
             weights: per log (K, U, 3) information of each sample [s^4/m^2]; gyroscopes' behind it.
             free_su: (U, n) coordinates that may move.
         """
@@ -304,17 +305,14 @@ class MotionProblem(Derivatives):
             bias=state.placements.bias + x[:, :3],
             shape=state.placements.shape + x[:, 3:],
         )
-        moved = []
         for g, p in enumerate(predicted):
-            residual = p.residual.copy(order="K")
 
-            def take_off(u: int, ideal: F64, residual: F64 = residual) -> None:
+            def take_off(u: int, ideal: F64, residual: F64 = p.residual) -> None:
                 by_felt = np.tensordot(x[u], SENSES, (0, 1))
                 residual[:, u] -= (by_felt[:, 1:] @ ideal + by_felt[:, :1]).T
 
             self.ideal(state, g, p, take_off)
-            moved.append(replace(p, residual=residual))
-        return replace(state, placements=places), tuple(moved)
+        return replace(state, placements=places)
 
     def equations(
         self, state: MotionState, predicted: Sequence[Predicted], weights: Sequence[F64]

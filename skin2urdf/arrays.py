@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes
 import re
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, fields
 from functools import cache
 from typing import Any, TypeAlias
@@ -80,6 +81,16 @@ def keep_freed_memory() -> None:
         return  # another C library
     mallopt(_M_MMAP_MAX, 0)
     mallopt(_M_TRIM_THRESHOLD, _KEPT)
+
+
+def give_back_freed_memory() -> None:
+    """Give freed memory to the system, where the C library has a call for it.
+
+    Arrays of many sizes in turns leave gaps, which a heap keeps: with 1,000 SUs 440 MiB are kept
+    where 390 are used once features are taken, and 970 where 330 are used once samples are fitted.
+    """
+    with suppress(OSError, AttributeError, TypeError):
+        ctypes.CDLL(None).malloc_trim(0)
 
 
 _M_TRIM_THRESHOLD, _M_MMAP_MAX = -1, -4

@@ -26,7 +26,7 @@ SOURCES = [*MODULES.values(), *sorted((ROOT / "scripts").rglob("*.py"))]
 
 # What the modules of a layer may import beside their own layer. A name covers what is below it;
 # "*.records" stands for the records of every folder. Data flows down this table.
-BASE = ("arrays", "errors", "files", "faults", "notes", "geometry")
+BASE = ("arrays", "errors", "files", "faults", "notes", "geometry", "threads")
 LAYERS: dict[str, tuple[str, ...]] = {
     "arrays": (),
     "errors": (),
@@ -34,6 +34,7 @@ LAYERS: dict[str, tuple[str, ...]] = {
     "faults": (),
     "notes": (),
     "geometry": ("arrays",),
+    "threads": (),
     "recording": BASE,
     "signals": (*BASE, "recording"),
     "structure": (*BASE, "signals"),

@@ -23,15 +23,16 @@ from skin2urdf.estimation.start.order import ordered
 from skin2urdf.estimation.start.starts import felt_up
 from skin2urdf.estimation.uncertainty.health import are_plausible, unlike_the_rest
 from skin2urdf.faults import Fault
-from skin2urdf.model.specific_force import beyond_first_order, first_order
+from skin2urdf.model.specific_force import AroundPose
 from skin2urdf.notes import Note
 from skin2urdf.recording.records import Recording
-from skin2urdf.signals.features import Curvature, extract_features
+from skin2urdf.signals.features import Curvature, OfSus, extract_features
 from skin2urdf.signals.records import Features
 from skin2urdf.signals.sampling import Sampled, sampled_together
 from skin2urdf.structure.activity import Activity, activity
 from skin2urdf.structure.first_features import first_features
 from skin2urdf.structure.from_motion import trees_from_motion
+from skin2urdf.structure.ordering import places_of
 from skin2urdf.structure.records import KinematicTree
 from skin2urdf.structure.tree import kinematic_tree
 
@@ -488,22 +489,25 @@ def predicted_curvature(found: Estimate, features: Features) -> Curvature:
     """Predicts, from an estimate, what readings hold to first order and beyond around a pose."""
     tree, state = found.tree, found.state
     dof = [features.dof_names.index(n) for n in tree.joint_names]
-    su = [features.su_names.index(n) for n in tree.su_names]
-    model, M = state.model(tree), state.sensor_matrix()
+    column = places_of(tree.su_names, features.su_names)
+    model, sensors = state.model(tree), state.sensor_matrix()
     gravity = found.cost.priors.gravity
     rows = [0, *(1 + d for d in dof), *(1 + features.n_dofs + d for d in dof)]
 
-    def read(ideal: F64) -> F64:
-        out = np.zeros((len(ideal), features.n_sus, 3))
-        out[:, su] = (ideal.swapaxes(0, 1) @ M.swapaxes(1, 2)).swapaxes(0, 1)
-        return out
-
-    def predict(q: F64, dq: F64, qd: F64, qdd: F64, log: int) -> tuple[F64, F64]:
+    def predict(q: F64, dq: F64, qd: F64, qdd: F64, log: int) -> OfSus:
         up = state.up[log] * gravity
-        beyond = beyond_first_order(model, q[dof], dq[:, dof], qd[:, dof], qdd[:, dof], up)
-        coefficients = np.zeros((1 + 2 * features.n_dofs, features.n_sus, 3))
-        coefficients[rows] = read(first_order(model, q[dof], up))
-        return read(beyond), coefficients
+        around = AroundPose.of(model, sensors, q[dof], dq[:, dof], qd[:, dof], qdd[:, dof], up)
+
+        def of_sus(sus: slice) -> tuple[F64, F64]:
+            here = np.flatnonzero((column >= sus.start) & (column < sus.stop))
+            at, n_sus = column[here] - sus.start, sus.stop - sus.start
+            beyond = np.zeros((len(dq), n_sus, 3))
+            beyond[:, at] = around.beyond(here)
+            coefficients = np.zeros((1 + 2 * features.n_dofs, n_sus, 3))
+            coefficients[np.ix_(rows, at)] = around.coefficients[:, here]
+            return beyond, coefficients
+
+        return of_sus
 
     return predict
 

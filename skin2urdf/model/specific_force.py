@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import dataclass
+
 import numpy as np
 
-from skin2urdf.arrays import F64
+from skin2urdf.arrays import F64, Int
 from skin2urdf.geometry.so3 import skew
 from skin2urdf.model.kinematics import PinocchioTree
 from skin2urdf.model.prediction import Chains, su_kinematics
@@ -25,26 +28,85 @@ def specific_forces(model: KinematicModel, q: F64, qd: F64, qdd: F64, gravity_up
         (N, U, 3) in the SUs' frames [m/s^2].
     """
     q, qd, qdd = (np.ascontiguousarray(x.T) for x in (q, qd, qdd))
-    return np.ascontiguousarray(np.moveaxis(forces_in_time(model, q, qd, qdd, gravity_up), 2, 0))
+    out = np.empty((q.shape[1], model.tree.n_sus, 3))
+    for j, felt in felt_by_links(model, q, qd, qdd, gravity_up).items():
+        sus = np.flatnonzero(model.tree.su_joint == j)
+        out[:, sus] = (felt.T @ _weights(model.T_joint_su[sus]).T).reshape(len(out), -1, 3)
+    return out
 
 
 def forces_in_time(model: KinematicModel, q: F64, qd: F64, qdd: F64, gravity_up: F64) -> F64:
     """The same, samples last: (U, 3, N) of (D, N) positions, velocities and accelerations."""
+    out = np.empty((model.tree.n_sus, 3, q.shape[1]))
+    for j, felt in felt_by_links(model, q, qd, qdd, gravity_up).items():
+        sus = np.flatnonzero(model.tree.su_joint == j)
+        out[sus] = (_weights(model.T_joint_su[sus]) @ felt).reshape(len(sus), 3, -1)
+    return out
+
+
+def felt_by_links(
+    model: KinematicModel, q: F64, qd: F64, qdd: F64, gravity_up: F64
+) -> dict[int, F64]:
+    """What links that carry SUs feel along a trajectory, by the joint that carries each.
+
+    Specific force is affine in the place r: ``f + A r``, with ``A r = a x r + w x (w x r)``. So
+    one product with A and f gives that of all SUs on a link.
+
+    Args:
+        model: the robot.
+        q: (D, N) joint positions, velocities and accelerations, samples last.
+        qd: (D, N).
+        qdd: (D, N).
+        gravity_up: (3,) as in :func:`specific_forces`.
+
+    Returns:
+        (12, N) the nine entries of A, and f; joint -1 stands for the ground.
+    """
     tree = model.tree
     base = np.zeros((3, 3, q.shape[1]))
     base[2] = gravity_up[:, None]
-    motion: list[F64] = []
-    out = np.empty((tree.n_sus, 3, q.shape[1]))
-    for j in range(-1, tree.n_joints):
-        if j >= 0:
-            p = int(tree.parent[j])
-            T, slides = model.T_parent_joint[j], bool(tree.prismatic[j])
-            parent = motion[p] if p >= 0 else base
-            motion.append(_beyond_joint(parent, T, slides, q[j], qd[j], qdd[j]))
-        for u in np.flatnonzero(tree.su_joint == j):
-            T = model.T_joint_su[u]
-            out[u] = T[:3, :3].T @ _at(motion[j] if j >= 0 else base, T[:3, 3])
-    return out
+    motion = [base]
+    for j, p in enumerate(tree.parent.tolist()):
+        T, slides = model.T_parent_joint[j], bool(tree.prismatic[j])
+        motion.append(_beyond_joint(motion[p + 1], T, slides, q[j], qd[j], qdd[j]))
+    return {j: _affine(motion[j + 1]) for j in np.unique(tree.su_joint).tolist()}
+
+
+def _affine(motion: F64) -> F64:
+    """(12, N) specific force in a moving frame: per position of a point (9), and at the origin.
+
+    Args:
+        motion: as in :func:`_at`.
+    """
+    w, (x, y, z), force = motion
+    felt = np.empty((4, 3, motion.shape[2]))
+    A = felt[:3]
+    np.multiply(w[:, None], w, out=A)
+    A[range(3), range(3)] -= (w * w).sum(axis=0)
+    A[0, 1] -= z
+    A[0, 2] += y
+    A[1, 0] += z
+    A[1, 2] -= x
+    A[2, 0] -= y
+    A[2, 1] += x
+    felt[3] = force
+    return felt.reshape(12, -1)
+
+
+def _weights(T: F64, sensors: F64 | None = None) -> F64:
+    """(3 S, 12) what makes the readings of SUs at T (S, 4, 4) of what their link feels.
+
+    Args:
+        T: placements on the link.
+        sensors: (S, 3, 3) by which each reads what it feels in its frame; perfect by default.
+    """
+    read = np.swapaxes(T[:, :3, :3], 1, 2)
+    if sensors is not None:
+        read = sensors @ read
+    weight = np.empty((len(T), 3, 4, 3))
+    weight[:, :, 3] = read
+    np.multiply(read[..., None], T[:, None, None, :3, 3], out=weight[:, :, :3])
+    return weight.reshape(-1, 12)
 
 
 def angular_velocities(model: KinematicModel, q: F64, qd: F64) -> F64:
@@ -145,22 +207,59 @@ def first_order(model: KinematicModel, q: F64, gravity_up: F64) -> F64:
     return out
 
 
-def beyond_first_order(
-    model: KinematicModel, q: F64, dq: F64, qd: F64, qdd: F64, gravity_up: F64
-) -> F64:
-    """Specific force minus its first-order part in (dq, qdd) around the pose q.
+@dataclass(frozen=True, eq=False)
+class AroundPose:
+    """What SUs read along a motion around a pose, to first order and beyond.
 
-    Args:
+    Attributes:
         model: the robot.
-        q: (D,) the pose.
-        dq: (N, D) positions relative to it.
-        qd: (N, D) velocities.
-        qdd: (N, D) accelerations.
-        gravity_up: (3,) as in :func:`specific_forces`.
-
-    Returns:
-        (N, U, 3) [m/s^2].
+        sensors: (U, 3, 3) by which each SU reads what it feels in its frame.
+        felt: what links feel, see :func:`felt_by_links`.
+        motion: (N, 1 + 2 D) a constant, positions relative to the pose, and accelerations.
+        coefficients: (1 + 2 D, U, 3) what SUs read of these to first order.
     """
-    motion = np.concatenate([np.ones((len(dq), 1)), dq, qdd], axis=1)
-    linear = np.tensordot(motion, first_order(model, q, gravity_up), 1)
-    return np.asarray(specific_forces(model, q + dq, qd, qdd, gravity_up) - linear)
+
+    model: KinematicModel
+    sensors: F64
+    felt: Mapping[int, F64]
+    motion: F64
+    coefficients: F64
+
+    @staticmethod
+    def of(
+        model: KinematicModel,
+        sensors: F64,
+        q: F64,
+        dq: F64,
+        qd: F64,
+        qdd: F64,
+        gravity_up: F64,
+    ) -> AroundPose:
+        """Of a motion.
+
+        Args:
+            model: the robot.
+            sensors: (U, 3, 3) as above.
+            q: (D,) the pose.
+            dq: (N, D) positions relative to it.
+            qd: (N, D) velocities.
+            qdd: (N, D) accelerations.
+            gravity_up: (3,) as in :func:`specific_forces`.
+        """
+        motion = np.concatenate([np.ones((len(dq), 1)), dq, qdd], axis=1)
+        linear = np.einsum("uij,nuj->nui", sensors, first_order(model, q, gravity_up))
+        at, speed, push = (np.ascontiguousarray(x.T) for x in (q + dq, qd, qdd))
+        felt = felt_by_links(model, at, speed, push, gravity_up)
+        return AroundPose(model, sensors, felt, motion, linear)
+
+    def beyond(self, sus: Int) -> F64:
+        """(N, u, 3) what some SUs read beyond first order [m/s^2]."""
+        out = np.empty((len(self.motion), len(sus), 3))
+        joints = self.model.tree.su_joint[sus]
+        for j in np.unique(joints).tolist():
+            at = np.flatnonzero(joints == j)
+            here = sus[at]
+            read = self.felt[j].T @ _weights(self.model.T_joint_su[here], self.sensors[here]).T
+            read -= self.motion @ self.coefficients[:, here].reshape(self.motion.shape[1], -1)
+            out[:, at] = read.reshape(len(out), -1, 3)
+        return out

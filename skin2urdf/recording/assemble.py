@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -23,6 +23,7 @@ from skin2urdf.recording.records import JointStream, Recording, SuStream
 from skin2urdf.recording.shelf import Shelf, put_away
 from skin2urdf.recording.streams import Samples
 from skin2urdf.recording.timing import Chosen, SampleTimes, Stamped, sample_times_of
+from skin2urdf.threads import each
 
 # Streams whose stamps differ from the log time this much more than others' were stamped by a
 # clock of their own (a device that counts from its start, say), not late [s].
@@ -139,30 +140,38 @@ def timed_sus(
     Returns:
         One stream per SU, sorted by name, and notes for the user.
     """
-    streams: list[TimedStream] = []
     names, notes = writable(su_names(list(gathered)), "SU")
     few: list[str] = []
     repeating: dict[str, float] = {}
-    waiting: list[Source] = []
-    count = 0
-    for name, (topic, frame) in zip(names, list(gathered), strict=True):
-        samples, found = _sound(name, topic, frame, gathered.pop((topic, frame)))
-        notes += found
-        if samples is not None and samples.stamp.size < 2:
-            few.append(f"SU {name} ({topic})")
-        elif samples is not None:
-            held = measurements(samples.values, _span(samples))
-            if held.times > 1.0:
-                repeating[name] = held.times
-                samples = samples.at(held.kept)
-            waiting.append(Source(name, topic, samples))
-            count += samples.stamp.size
+
+    def together() -> Iterator[list[Source]]:
         # What is timed together leaves the memory together.
-        if count >= TIMED_TOGETHER:
-            streams += _put(waiting, shelf, notes)
-            count = 0
-    streams += _put(waiting, shelf, notes)
-    notes += held_notes(repeating)
+        waiting: list[Source] = []
+        count = 0
+        for name, (topic, frame) in zip(names, list(gathered), strict=True):
+            samples, found = _sound(name, topic, frame, gathered.pop((topic, frame)))
+            notes.extend(found)
+            if samples is not None and samples.stamp.size < 2:
+                few.append(f"SU {name} ({topic})")
+            elif samples is not None:
+                held = measurements(samples.values, _span(samples))
+                if held.times > 1.0:
+                    repeating[name] = held.times
+                    samples = samples.at(held.kept)
+                waiting.append(Source(name, topic, samples))
+                count += samples.stamp.size
+            if count >= TIMED_TOGETHER:
+                yield waiting
+                waiting, count = [], 0
+        yield waiting
+
+    streams: list[TimedStream] = []
+    of_spikes: list[ReadingNote] = []
+    for timed, found in each(lambda some: _put(some, shelf), together(), len(names)):
+        streams += timed
+        of_spikes += found
+        shelf.put_away()
+    notes += [*of_spikes, *held_notes(repeating)]
     if few:
         words = f"left out, with fewer than two usable samples: {shortened(few)}"
         notes.append(ReadingNote("too few", words, tuple(few)))
@@ -198,9 +207,9 @@ def _sound(
     return samples, notes
 
 
-def _put(waiting: list[Source], shelf: Shelf, notes: list[ReadingNote]) -> list[TimedStream]:
+def _put(waiting: list[Source], shelf: Shelf) -> tuple[list[TimedStream], list[ReadingNote]]:
     """Time the samples of some SUs, without spikes, and put them on the shelf; none waits then."""
-    streams = []
+    streams, notes = [], []
     for stream in _timed(waiting):
         alone = spikes(stream.values)
         if alone.any():
@@ -223,8 +232,7 @@ def _put(waiting: list[Source], shelf: Shelf, notes: list[ReadingNote]) -> list[
             )
         )
     waiting.clear()
-    shelf.put_away()
-    return streams
+    return streams, notes
 
 
 def timing_notes(streams: Sequence[TimedStream]) -> list[ReadingNote]:

@@ -5,7 +5,6 @@ Only record headers are walked in Python; messages stay bytes (https://mcap.dev/
 
 from __future__ import annotations
 
-import os
 import struct
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
@@ -39,15 +38,13 @@ from skin2urdf.recording.gather import U8, gather
 from skin2urdf.recording.inputs import LogFile
 from skin2urdf.recording.messages import canonical_type
 from skin2urdf.recording.regions import UNPARSABLE, Region, find_records, index_channels, regions
+from skin2urdf.threads import WORKERS
 
 # Bytes of a file that are in memory at a time: some chunks of rosbag2's 4 MB.
 WINDOW = 1 << 24
 # Channel ids of MCAP have 16 bits.
 CHANNEL_IDS = 1 << 16
 UNDEFINED = -1
-# Decompression and checksums leave Python's lock, so that they run beside all that is done with the
-# messages of the chunk before.
-WORKERS = min(4, len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else 2)
 # Regions that are unpacked ahead, and what they may claim together [byte].
 AHEAD = 1
 LARGEST_AHEAD = 1 << 26
@@ -98,6 +95,8 @@ class McapFile:
         Raises:
             UnreadableInputError: the file was shortened while it was read.
         """
+        # Decompression and checksums leave Python's lock, so that they run beside all that is done
+        # with the messages of the chunk before.
         with ThreadPoolExecutor(WORKERS) as self._pool:
             yield from self._all_blocks()
 

@@ -7,7 +7,7 @@ motion of a step everywhere.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -16,6 +16,7 @@ from skin2urdf.arrays import F64, Int
 from skin2urdf.notes import ReadingNote
 from skin2urdf.recording.naming import shortened
 from skin2urdf.recording.records import SuStream
+from skin2urdf.threads import each
 
 # A sensor that hardly moves repeats itself where its steps are of a digit or two. Between larger
 # ones it does so by a chance of some per cent at most, where noise is as large as the digits.
@@ -79,7 +80,7 @@ def measurements(values: F64, span: float) -> Held:
     return Held(np.repeat(start, number) + np.rint(times * within).astype(np.int64), times)
 
 
-def as_measured(sus: Iterable[SuStream]) -> tuple[list[SuStream], list[ReadingNote]]:
+def as_measured(sus: Sequence[SuStream]) -> tuple[list[SuStream], list[ReadingNote]]:
     """Leave the repetitions out of streams.
 
     Args:
@@ -88,16 +89,16 @@ def as_measured(sus: Iterable[SuStream]) -> tuple[list[SuStream], list[ReadingNo
     Returns:
         The streams with each measurement once, and a note on each that had others.
     """
-    out: list[SuStream] = []
-    repeating: dict[str, float] = {}
-    for su in sus:
+
+    def once(su: SuStream) -> tuple[SuStream, float]:
         held = measurements(su.specific_force, float(np.ptp(su.time)) if len(su.time) else 0.0)
-        if held.times > 1.0:
-            repeating[su.name] = held.times
-            su = su.at(held.kept)
-        out.append(su)
-        su.put_away()
-    return out, held_notes(repeating)
+        measured = su.at(held.kept) if held.times > 1.0 else su
+        measured.put_away()
+        return measured, held.times
+
+    found = list(each(once, sus, len(sus)))
+    repeating = {su.name: times for su, times in found if times > 1.0}
+    return [su for su, _ in found], held_notes(repeating)
 
 
 def held_notes(repeating: Mapping[str, float]) -> list[ReadingNote]:

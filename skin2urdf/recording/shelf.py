@@ -10,6 +10,7 @@ import contextlib
 import mmap
 import os
 import tempfile
+import threading
 import weakref
 from typing import Any
 
@@ -29,13 +30,15 @@ PAGE = mmap.PAGESIZE
 class Shelf:
     """Makes room for arrays: in memory at first, in files once there are many.
 
-    Where no file can be made, as without room for it, all of them are in memory.
+    Where no file can be made, as without room for it, all of them are in memory. Several threads
+    may ask for room.
     """
 
     def __init__(self) -> None:
         self._given = 0
         self._free = memoryview(b"")
         self._files: weakref.WeakSet[mmap.mmap] = weakref.WeakSet()
+        self._lock = threading.Lock()
 
     def empty(self, shape: tuple[int, ...], dtype: DTypeLike = np.float64) -> NDArray[Any]:
         """An array that is to be filled.
@@ -64,18 +67,19 @@ class Shelf:
 
     def _place(self, size: int) -> memoryview | None:
         """So many bytes of a file; None where none is needed, or none can be had."""
-        self._given += size
-        if not size or self._given <= ORDINARY:
-            return None
-        whole = -(-size // PAGE) * PAGE
-        if len(self._free) < whole:
-            file = _new_file(max(whole, FILE))
-            if file is None:
+        with self._lock:
+            self._given += size
+            if not size or self._given <= ORDINARY:
                 return None
-            self._files.add(file)
-            self._free = memoryview(file)
-        place, self._free = self._free[:size], self._free[whole:]
-        return place
+            whole = -(-size // PAGE) * PAGE
+            if len(self._free) < whole:
+                file = _new_file(max(whole, FILE))
+                if file is None:
+                    return None
+                self._files.add(file)
+                self._free = memoryview(file)
+            place, self._free = self._free[:size], self._free[whole:]
+            return place
 
 
 def room_for_streams(samples: int, streams: int, axes: int = 3) -> NDArray[Any]:

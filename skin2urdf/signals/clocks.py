@@ -43,6 +43,7 @@ from skin2urdf.signals.stretches import (
     binned,
     stretches,
 )
+from skin2urdf.threads import each
 
 LARGEST_OFFSET = 2.0
 """Offset of a clock that is looked for [s]."""
@@ -105,8 +106,10 @@ def su_clocks(sus: Sequence[SuStream], motion: Motion) -> tuple[SuClock, ...]:
     middle = grid.start + (grid.size - 1) / (2 * grid.rate)
     sus_heard = [su for su in sus if len(su.time) >= SAMPLES]
     clocks: list[SuClock] = []
-    for some in _in_parts(sus_heard):
-        clocks += _clocks(some, motion, found, middle)
+    for part in each(
+        lambda some: _clocks(some, motion, found, middle), _in_parts(sus_heard), len(sus_heard)
+    ):
+        clocks += part
     vague = [u for u, clock in enumerate(clocks) if clock.latency_sd > _VAGUE]
     rough = _by_the_whole_log([sus_heard[u] for u in vague], motion, middle)
     for u, others in zip(vague, rough, strict=True):
@@ -186,14 +189,17 @@ def _by_the_whole_log(
     q = binned(motion.q)[:, motion.moved]
     of_all = (_Commotion(speeds(q, rate), rate), _Expanded(Expansion(q, rate), rate))
     alone = [Expansion(column[:, None], rate) for column in q.T]
-    for su in sus:
+
+    def looked_at(su: SuStream) -> list[SuClock]:
         integral = Integral.of(su)
         su.put_away()
         nothing = SuClock(su.name, 0.0, np.inf, 0.0, np.inf, middle)
         found = [_by_one_way(integral, nothing, motion, way) for way in of_all]
         if not any(np.isfinite(clock.latency_sd) for clock in found):
             found.append(_by_one_way(integral, nothing, motion, _Alone(alone, rate)))
-        yield found
+        return found
+
+    yield from each(looked_at, sus, len(sus))
 
 
 class _Way(Protocol):

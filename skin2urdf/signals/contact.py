@@ -17,15 +17,16 @@ from scipy.special import chdtri, ndtri
 
 from skin2urdf.arrays import F64, Bool
 from skin2urdf.geometry.units import GRAVITY
-from skin2urdf.signals.features import Curvature
+from skin2urdf.signals.features import Curvature, sus_together
 from skin2urdf.signals.filters import aligned, filtered, low_pass, noise_bandwidth
 from skin2urdf.signals.mending import computed
-from skin2urdf.signals.poses import find_stops, stop_blur
+from skin2urdf.signals.poses import Neighbourhood, find_stops, stop_blur
 from skin2urdf.signals.records import Features
 from skin2urdf.signals.regression import regressors
 from skin2urdf.signals.ringing import rises_after_stops
 from skin2urdf.signals.rounding import regressor_noise
 from skin2urdf.signals.sampling import Sampled
+from skin2urdf.threads import do_each
 
 _FALSE_ALARM = 1e-6
 """Probability that noise alone stands out anywhere in the logs, were it steady and normal."""
@@ -113,12 +114,12 @@ def disturbances(
         stops = find_stops(s.motion)
         readings = aligned(s.readings, grid.rate, features.latency)
         bands = [_Band.of(s, features.n_dofs, *each) for each in _bands(s)]
-        reach = max(len(band.taps) // 2 for band in bands)
-        for p, window, left in _residuals(s, readings, features, curvature, log, reach):
-            for band in bands:
+        for p, pose, window in _windows(s, features, log):
+            left = _residuals(s, readings, features, curvature, log, (p, pose, window), bands)
+            for band, residual in zip(bands, left, strict=True):
                 done += 1
                 progress(done / windows)
-                begin, residual = band.passed(s, window, left)
+                begin, _ = band.inner(window)
                 own = own_noise(residual, features.tau[p], band.variance)
                 pushes = push_strengths(residual, features.tau[p], band.variance, own)
                 size = standing_out(pushes, grid.rate)
@@ -271,52 +272,86 @@ class _Band:
         variance = regressor_noise(s.motion, cutoff)[0][1 + n_dofs :]
         return _Band(cutoff, low_pass(cutoff, s.motion.grid.rate), allowance, variance)
 
-    def passed(self, s: Sampled, window: tuple[int, int], left: tuple[int, F64]) -> tuple[int, F64]:
-        """First sample and low-passed residuals (N, U, 3) of a window.
+    def inner(self, window: tuple[int, int]) -> tuple[int, int]:
+        """The samples of a window that filters do not reach beyond, where it is long enough."""
+        begin, end = window
+        trim = min(len(self.taps) // 2, max(0, (end - begin) // 4))
+        return begin + trim, end - trim
+
+    def passed(self, s: Sampled, window: tuple[int, int], left: tuple[int, F64], sus: slice) -> F64:
+        """Low-passed residuals (N, u, 3) of some SUs within a window.
 
         Args:
             s: the log.
             window: its first grid sample and one past its last.
             left: the first sample of what is known in and around it, and that.
+            sus: which.
         """
         (begin, end), (first, around) = window, left
         half = len(self.taps) // 2
         lo, hi = max(first, begin - half), min(first + len(around), end + half)
-        trim = min(half, max(0, (end - begin) // 4))
         part = around[lo - first : hi - first]
         smooth = filtered(part.reshape(len(part), -1), self.taps).reshape(part.shape)
-        a, b = begin + trim, end - trim
+        a, b = self.inner(window)
         # An SU that lost samples would show what computing them again got wrong.
-        whole = np.all(s.valid[a:b] & ~s.computed[a:b], axis=0)
-        return a, smooth[a - lo : b - lo] * np.asarray(whole)[:, None]
+        whole = np.all(s.valid[a:b, sus] & ~s.computed[a:b, sus], axis=0)
+        return np.asarray(smooth[a - lo : b - lo] * np.asarray(whole)[:, None])
+
+
+def _windows(
+    s: Sampled, features: Features, log: int
+) -> Iterator[tuple[int, Neighbourhood, tuple[int, int]]]:
+    """Every window of a log, with the number of its pose among the features, and its pose."""
+    number = {tuple(features.span[p]): int(p) for p in np.flatnonzero(features.log == log)}
+    for pose in s.neighbourhoods:
+        p = number.get(pose.span(s.motion.grid))
+        if p is not None:
+            yield from ((p, pose, window) for window in pose.windows)
 
 
 def _residuals(
-    s: Sampled, readings: F64, features: Features, curvature: Curvature, log: int, reach: int
-) -> Iterator[tuple[int, tuple[int, int], tuple[int, F64]]]:
-    """Pose, first and end sample of every window, and residuals (N, U, 3) from some sample on.
+    s: Sampled,
+    readings: F64,
+    features: Features,
+    curvature: Curvature,
+    log: int,
+    place: tuple[int, Neighbourhood, tuple[int, int]],
+    bands: Sequence[_Band],
+) -> list[F64]:
+    """Low-passed residuals (N, U, 3) within a window, of each band.
 
-    They reach so many samples beyond the window.
+    Args:
+        s: the log.
+        readings: (M, U, 3) of it, on the joints' clock [m/s^2].
+        features: of all logs.
+        curvature: predicts what readings hold beyond first order around a pose.
+        log: number of the log.
+        place: number of the pose, the pose, and the window.
+        bands: frequencies that are wanted.
     """
-    motion = s.motion
+    (p, pose, window), motion, U = place, s.motion, features.n_sus
     lossy = {fault.subject for fault in s.faults if fault.kind == "intermittent"}
     witness = np.array([name not in lossy for name in features.su_names])
-    number = {tuple(features.span[p]): int(p) for p in np.flatnonzero(features.log == log)}
-    for pose in s.neighbourhoods:
-        p = number.get(pose.span(motion.grid))
-        if p is None:
-            continue
-        coefficients = np.moveaxis(features.coefficients[p], 0, 1)
-        for begin, end in pose.windows:
-            lo, hi = max(0, begin - reach), min(motion.grid.size, end + reach)
-            part = slice(lo, hi)
-            dq, qd, qdd = motion.q[part] - pose.q, motion.qd[part], motion.qdd[part]
-            X, _ = regressors(dq, qd, qdd, True)
-            beyond, _ = curvature(pose.q, dq, qd, qdd, log)
-            left = readings[part] - beyond
-            left -= (X @ coefficients.reshape(X.shape[1], -1)).reshape(left.shape)
-            left *= (s.valid[part] & witness)[..., None]
-            yield p, (begin, end), (lo, left)
+    reach = max(len(band.taps) // 2 for band in bands)
+    part = slice(max(0, window[0] - reach), min(motion.grid.size, window[1] + reach))
+    dq, qd, qdd = motion.q[part] - pose.q, motion.qd[part], motion.qdd[part]
+    X, _ = regressors(dq, qd, qdd, True)
+    coefficients = np.moveaxis(features.coefficients[p], 0, 1)
+    inner = (band.inner(window) for band in bands)
+    out = [np.empty((b - a, U, 3)) for a, b in inner]
+
+    of_sus = curvature(pose.q, dq, qd, qdd, log)
+
+    def look(sus: slice) -> None:
+        beyond, _ = of_sus(sus)
+        left = readings[part, sus] - beyond
+        left -= (X @ coefficients[:, sus].reshape(X.shape[1], -1)).reshape(left.shape)
+        left *= (s.valid[part, sus] & witness[sus])[..., None]
+        for band, residual in zip(bands, out, strict=True):
+            residual[:, sus] = band.passed(s, window, (part.start, left), sus)
+
+    do_each(look, sus_together(U), U)
+    return out
 
 
 def standing_out(pushes: F64, rate: float) -> F64:

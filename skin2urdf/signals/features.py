@@ -21,10 +21,15 @@ from skin2urdf.signals.sampling import Sampled, static_moves
 from skin2urdf.signals.steadiness import allowance, moderated
 from skin2urdf.signals.swings import Swing
 from skin2urdf.signals.turn_evidence import turn_evidence
+from skin2urdf.threads import each
 
-Curvature = Callable[[F64, F64, F64, F64, int], tuple[F64, F64]]
-"""(q (D,), dq (N, D), qd, qdd, log) -> (N, U, 3) readings beyond first order around pose q, and
-(1 + 2 D, U, 3) the coefficients that the first order should have."""
+OfSus = Callable[[slice], tuple[F64, F64]]
+"""SUs -> (N, u, 3) their readings beyond first order around a pose, and (1 + 2 D, u, 3) the
+coefficients that the first order should have."""
+Curvature = Callable[[F64, F64, F64, F64, int], OfSus]
+"""What gives those of (q (D,), dq (N, D), qd, qdd, log), of a motion around pose q."""
+_TOGETHER = 64
+"""SUs whose samples around a pose are in memory at a time: some 10 MB, of which several copies."""
 
 
 def extract_features(
@@ -121,15 +126,17 @@ def _poses(
     readings = aligned(s.readings, rate, lag)
     reach = int(np.ceil(np.max(np.abs(lag), initial=0.0) * rate))
     around = swings.with_nuisances if curvature is None else swings.linear
-    out = []
-    for done, (pose, swing) in enumerate(zip(s.neighbourhoods, around, strict=True)):
-        told(done)
-        y = readings[swing.spans]
-        expected = np.zeros((swing.X.shape[1], len(lag), 3))
+
+    def regress(near: tuple[Neighbourhood, Swing]) -> _Pose:
+        pose, swing = near
+        beyond = None
         if curvature is not None:
-            beyond, expected = curvature(pose.q, swing.dq, swing.qd, swing.qdd, log)
-            y = y - beyond
-            _recompute(swing, y, s, pose, reach)
+            beyond = curvature(pose.q, swing.dq, swing.qd, swing.qdd, log)
+        parts = [
+            _readings(s, readings, pose, swing, beyond, reach, sus)
+            for sus in sus_together(len(lag))
+        ]
+        y, expected = (np.concatenate(both, axis=1) for both in zip(*parts, strict=True))
         usable, lost = [], []
         for (a, b), (lo, hi) in zip(pose.windows, swings.pieces(pose), strict=True):
             trim = min(half, max(0, (b - a) // 4))
@@ -141,22 +148,62 @@ def _poses(
         ok = np.concatenate(usable)
         found = pose_fit(
             Samples(
-                swing.low_passed, swing.nuisances, swings.kept(y, pose), ok, expected,
+                swing.low_passed, swing.nuisances, y, ok, expected,
                 swings.noise, swings.independence, rate / every, s.cutoff,
             )
         )  # fmt: skip
         measured = _measured(ok, np.concatenate(lost))
-        out.append(
-            _Pose(
-                q=pose.q,
-                log=log,
-                fit=replace(found, noise=found.noise / measured),
-                encoders=swing.encoders,
-                span=pose.span(motion.grid),
-                left=pose.left,
-            )
+        return _Pose(
+            q=pose.q,
+            log=log,
+            fit=replace(found, noise=found.noise / measured),
+            encoders=swing.encoders,
+            span=pose.span(motion.grid),
+            left=pose.left,
         )
+
+    out = []
+    for found in each(regress, zip(s.neighbourhoods, around, strict=True), len(lag)):
+        out.append(found)
+        told(len(out))
     return [p for p in out if np.isfinite(p.fit.noise).any()]
+
+
+def sus_together(n_sus: int) -> list[slice]:
+    """SUs by as many as are worked on at a time."""
+    return [slice(u, min(u + _TOGETHER, n_sus)) for u in range(0, n_sus, _TOGETHER)]
+
+
+def _readings(
+    s: Sampled,
+    readings: F64,
+    pose: Neighbourhood,
+    swing: Swing,
+    of_sus: OfSus | None,
+    reach: int,
+    sus: slice,
+) -> tuple[F64, F64]:
+    """Low-passed readings (K, u, 3) of some SUs around a pose, and what is expected of them.
+
+    Args:
+        s: the log.
+        readings: (N, U, 3) of it, on the joints' clock [m/s^2].
+        pose: the pose.
+        swing: what joints do around it.
+        of_sus: predicts what is beyond first order, which is taken off.
+        reach: samples by which readings were shifted at most.
+        sus: which.
+
+    Returns:
+        These, and (1 + 2 D, u, 3) coefficients; 0 where nothing predicts them.
+    """
+    y = np.concatenate([readings[lo:hi, sus] for lo, hi in s.swings.pieces(pose)])
+    expected = np.zeros((swing.X.shape[1], *y.shape[1:]))
+    if of_sus is not None:
+        beyond, expected = of_sus(sus)
+        y -= beyond
+        _recompute(swing, y, s, pose, reach, sus)
+    return s.swings.kept(y, pose), expected
 
 
 def _moderated(poses: Sequence[_Pose]) -> list[_Pose]:
@@ -174,14 +221,17 @@ def _moderated(poses: Sequence[_Pose]) -> list[_Pose]:
     return [replace(p, fit=replace(p.fit, noise=n)) for p, n in zip(poses, noise, strict=True)]
 
 
-def _recompute(swing: Swing, y: F64, s: Sampled, pose: Neighbourhood, reach: int) -> None:
-    """Compute missing samples of y (N, U, 3) again, in place, now that the regressors explain it.
+def _recompute(
+    swing: Swing, y: F64, s: Sampled, pose: Neighbourhood, reach: int, sus: slice
+) -> None:
+    """Compute missing samples of y (N, u, 3) again, in place, now that the regressors explain it.
 
     They are low-passed, the readings can not be while samples are missing: their noise does
     no harm in a regression, that of the encoders would.
     """
     X, spans, taps, pieces = swing.X, swing.spans, s.swings.taps, s.swings.pieces(pose)
-    if not s.computed[spans].any():
+    lost = np.concatenate([s.computed[lo:hi, sus] for lo, hi in pieces])
+    if not lost.any():
         return
     starts = np.cumsum([0, *(hi - lo for lo, hi in pieces)])
     smooth = np.concatenate([filtered(X[i:j], taps) for i, j in pairwise(starts)])
@@ -189,19 +239,19 @@ def _recompute(swing: Swing, y: F64, s: Sampled, pose: Neighbourhood, reach: int
         [(np.arange(*ends) >= a) & (np.arange(*ends) < b)
          for (a, b), ends in zip(pose.windows, pieces, strict=True)]
     )  # fmt: skip
-    measured = eroded_columns(s.valid[spans] & ~s.computed[spans], reach)
+    measured = eroded_columns(s.valid[spans, sus] & ~lost, reach)
     scale = np.sqrt((smooth[inside] ** 2).mean(axis=0))
     known = scale > 1e-9
     Z = smooth[:, known] / scale[known]
     alike: dict[bytes, list[int]] = {}
-    for u in np.flatnonzero(s.computed[spans].any(axis=0)):
-        lacks = measured[:, u].tobytes() + s.computed[spans, u].tobytes()
+    for u in np.flatnonzero(lost.any(axis=0)):
+        lacks = measured[:, u].tobytes() + lost[:, u].tobytes()
         alike.setdefault(lacks, []).append(int(u))
-    for sus in map(np.array, alike.values()):
-        ok, missing = inside & measured[:, sus[0]], inside & s.computed[spans, sus[0]]
-        readings = y[np.ix_(ok, sus)].reshape(-1, 3 * len(sus))
+    for some in map(np.array, alike.values()):
+        ok, missing = inside & measured[:, some[0]], inside & lost[:, some[0]]
+        readings = y[np.ix_(ok, some)].reshape(-1, 3 * len(some))
         solution = np.linalg.lstsq(Z[ok], readings, rcond=1e-6)[0]
-        y[np.ix_(missing, sus)] = (Z[missing] @ solution).reshape(-1, len(sus), 3)
+        y[np.ix_(missing, some)] = (Z[missing] @ solution).reshape(-1, len(some), 3)
 
 
 def _measured(used: Bool, computed: Bool) -> F64:

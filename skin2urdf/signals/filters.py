@@ -15,6 +15,7 @@ from scipy.ndimage import convolve1d, map_coordinates, minimum_filter1d, spline_
 
 from skin2urdf.arrays import F64, Bool, Int
 from skin2urdf.recording.shelf import STREAMS_IN_MEMORY, Shelf, put_away, room_for_streams
+from skin2urdf.threads import do_each
 
 # Central differences of eighth order: at a tenth of the sampling rate still exact to 1e-5.
 FIRST_DIFFERENCES = np.array(
@@ -359,8 +360,11 @@ def aligned(readings: F64, rate: float, lag: F64) -> F64:
     if not lag.any():
         return readings
     out = room_for_streams(*readings.shape)
-    for u, late in enumerate(lag):
-        out[:, u] = shifted(readings[:, u], rate, float(late))
+
+    def align(u: int) -> None:
+        out[:, u] = shifted(readings[:, u], rate, float(lag[u]))
         if u % STREAMS_IN_MEMORY == 0:
             put_away(readings, out)
+
+    do_each(align, range(len(lag)), len(lag))
     return out

@@ -11,6 +11,7 @@ from skin2urdf.arrays import F64, Bool, Int
 from skin2urdf.faults import Fault
 from skin2urdf.geometry.units import GRAVITY
 from skin2urdf.recording.records import SuStream
+from skin2urdf.threads import each
 
 _PLAUSIBLE = (0.6, 1.4)
 """Static readings of a working sensor, in g."""
@@ -85,14 +86,20 @@ def checked(
         span: begin and end of the joints' streams [s].
         pauses: begin and end of the times at which no joints were recorded either [s].
     """
-    still, at_rest, noise = list[Bool](), np.zeros(len(sus)), np.zeros(len(sus))
-    for u, su in enumerate(sus):
-        still.append(_within(su.time, rests))
-        at_rest[u] = _repeated(su.specific_force[still[u]])
-        noise[u] = rest_noise(su.specific_force, still[u])
+
+    def resting(su: SuStream) -> tuple[Bool, float, float]:
+        still = _within(su.time, rests)
+        values = su.specific_force
+        found = still, _repeated(values[still]), rest_noise(values, still)
         su.put_away()
-    out = []
-    for u, su in enumerate(sus):
+        return found
+
+    of_all = list(each(resting, sus, len(sus)))
+    still = [moments for moments, _, _ in of_all]
+    at_rest, noise = (np.array([found[i] for found in of_all]) for i in (1, 2))
+
+    def look(u: int) -> Checked:
+        su = sus[u]
         others = np.delete(at_rest, u)
         chance = float(np.median(others)) if len(others) else 0.0
         kept, faults = _thawed(su, chance)
@@ -108,9 +115,10 @@ def checked(
         clipped = clipping(whole.specific_force, still[u][kept])
         if share := float(clipped.mean()) if len(clipped) else 0.0:
             faults = [*faults, Fault("saturated", su.name, size=share)]
-        out.append(Checked(whole, clipped, tuple(faults)))
         su.put_away()
-    return out
+        return Checked(whole, clipped, tuple(faults))
+
+    return list(each(look, range(len(sus)), len(sus)))
 
 
 def unusable(name: str, readings: F64, still: Bool, valid: Bool, gravity: float) -> Fault | None:

@@ -15,6 +15,7 @@ import numpy as np
 from skin2urdf.arrays import F64, Int, Record
 from skin2urdf.signals.filters import filtered, low_pass
 from skin2urdf.signals.motion import SMOOTH, Motion
+from skin2urdf.threads import do_each
 
 _CLEAR = 5.0
 """Standard deviations of noise from which steps count: chance makes one in a million samples, a
@@ -58,13 +59,17 @@ class Leaps(Record):
         joints = spread * np.where(np.abs(joints) > _CLEAR * noise, joints, 0.0)
         ratio = rate * period
         felt = np.zeros((len(kept), len(ratio)))
-        for u, read in enumerate(readings):
+
+        def look(numbered: tuple[int, F64]) -> None:
+            u, read = numbered
             # Those that are read more often than the grid has samples are low-passed to it.
             if ratio[u] > 1:
                 steps = _steps(read, taps)
                 usual = np.median(np.abs(steps), axis=0) / 0.6745
                 clear = np.where(np.abs(steps) > _CLEAR * usual, steps, 0.0)
                 felt[:, u] = ratio[u] ** 2 * _low_passed((clear**2).mean(axis=1), taps)[kept]
+
+        do_each(look, enumerate(readings), len(ratio))
         return cls(_low_passed(joints**2, taps)[kept], felt, ratio)
 
     def ordered(self, dofs: Int, sus: Int) -> Leaps:

@@ -32,6 +32,7 @@ from skin2urdf.signals.poses import (
 from skin2urdf.signals.records import StaticMoves, SuClock
 from skin2urdf.signals.swings import Swings
 from skin2urdf.signals.turning import Turning, sampled_turning
+from skin2urdf.threads import each
 
 _POSED = 0.5
 """Share of the work that is done once poses are found and streams checked."""
@@ -128,7 +129,8 @@ def sample_recording(
     grid = motion.grid
     at_rest = [(grid.start + r.begin / grid.rate, grid.start + r.end / grid.rate) for r in rests]
     span = (grid.start, grid.start + grid.size / grid.rate)
-    measured, held = as_measured(_without_spikes(su) for su in recording.sus)
+    n_sus = len(recording.sus)
+    measured, held = as_measured(list(each(_without_spikes, recording.sus, n_sus)))
     clocks = {clock.su: clock for clock in su_clocks(measured, motion)}
     sus = [_on_time(su, clocks.get(su.name)) for su in measured]
     streams = {c.stream.name: c for c in checked(sus, at_rest, span, _pauses(motion))}
@@ -140,29 +142,32 @@ def sample_recording(
     still = np.zeros(grid.size, dtype=bool)
     for r in rests:
         still[r.begin : r.end] = True
-    for u, name in enumerate(su_names):
-        tell(_POSED + (1 - _POSED) * u / len(su_names))
-        if name not in streams:
+
+    def put(u: int) -> tuple[list[Noted], list[Fault]]:
+        found = streams.get(su_names[u])
+        if found is None:
             readings[:, u] = 0.0
-            continue
-        found = streams[name]
-        stream = found.stream
+            return [], []
+        stream, name = found.stream, su_names[u]
         readings[:, u], ok = sample(stream.time, stream.specific_force, grid)
         period[u] = np.median(np.diff(stream.time)) if len(stream.time) > 1 else 0.0
         valid[:, u] = ok & motion.valid & ~spread(stream.time, found.clipped, grid)
         stream.put_away()
-        if u % STREAMS_IN_MEMORY == 0:
-            put_away(readings)
         factor = _unit(readings[still & valid[:, u], u])
         if factor != 1.0:
             readings[:, u] *= factor
-            notes.append(Note("unit g", (name,)))
         fault = unusable(name, readings[:, u], still, valid[:, u], GRAVITY)
-        faults += found.faults
         if fault is not None:
             valid[:, u] = False
-            if not found.faults:
-                faults.append(fault)
+        told = [] if fault is None or found.faults else [fault]
+        return [Note("unit g", (name,))] if factor != 1.0 else [], [*found.faults, *told]
+
+    for u, (noted, broken) in enumerate(each(put, range(len(su_names)), n_sus)):
+        tell(_POSED + (1 - _POSED) * u / len(su_names))
+        notes += noted
+        faults += broken
+        if u % STREAMS_IN_MEMORY == 0:
+            put_away(readings)
     put_away(readings)
     turning, converted = sampled_turning(
         {name: found.stream for name, found in streams.items()}, su_names, motion, still

@@ -26,6 +26,7 @@ from skin2urdf.signals.filters import (
 from skin2urdf.signals.leaps import Leaps
 from skin2urdf.signals.sampling import Sampled
 from skin2urdf.signals.stillness import MOVING, averaged_share, with_averages, without_toggling
+from skin2urdf.threads import do_each, each
 
 _RATE_OVER_CUTOFF = 2.4
 """Samples kept per second over the low-pass' cutoff [Hz]: readings that were low-passed twice hold
@@ -126,7 +127,8 @@ class Trajectory(Record):
         """Splines through values (N, U, 3); logs that differ in other things share them."""
         of, splines = self.known.get(name, (None, ()))
         if of is not values:
-            splines = tuple(Spline(x, shelf) for x in values.swapaxes(0, 1))
+            columns = values.swapaxes(0, 1)
+            splines = tuple(each(lambda x: Spline(x, shelf), columns, len(columns)))
             self.known[name] = values, splines
         return splines
 
@@ -286,8 +288,11 @@ def trajectory(
     every = max(1, int(rate / (_RATE_OVER_CUTOFF * sampled.cutoff)))
     kept = np.arange(half, motion.grid.size - half, every)
     readings = room_for_streams(motion.grid.size, len(sus))
-    for u, column in enumerate(sus):
-        readings[:, u] = filtered(filtered(sampled.readings[:, column], taps), taps)
+
+    def low_passed(u: int) -> None:
+        readings[:, u] = filtered(filtered(sampled.readings[:, sus[u]], taps), taps)
+
+    do_each(low_passed, range(len(sus)), len(sus))
     readings.flags.writeable = False  # of which the record then needs no copy
     whole = (sampled.valid & ~sampled.computed & motion.valid[:, None])[:, sus]
     margin = 2 * half + int(np.ceil(reach * rate))

@@ -10,8 +10,8 @@ from synthetic import pinocchio_jacobians, pinocchio_model, random_state, random
 from skin2urdf.arrays import F64
 from skin2urdf.estimation.problem.state import State
 from skin2urdf.model.specific_force import (
+    AroundPose,
     angular_velocities,
-    beyond_first_order,
     specific_forces,
 )
 from skin2urdf.structure.records import KinematicTree
@@ -31,6 +31,13 @@ def by_pinocchio(tree: KinematicTree, state: State, q: F64, qd: F64, qdd: F64) -
             a = pin.getFrameClassicalAcceleration(model, data, frame, pin.LOCAL).linear
             out[n, u] = a + data.oMf[frame].rotation.T @ UP
     return out
+
+
+def beyond(tree: KinematicTree, state: State, pose: F64, *motion: F64) -> F64:
+    """(N, U, 3) what perfect sensors read beyond first order."""
+    perfect = np.broadcast_to(np.eye(3), (tree.n_sus, 3, 3))
+    around = AroundPose.of(state.model(tree), perfect, pose, *motion, UP)
+    return around.beyond(np.arange(tree.n_sus))
 
 
 @pytest.fixture(scope="module", params=range(4))
@@ -70,16 +77,14 @@ def test_the_rest_is_what_first_order_leaves(robot: tuple[KinematicTree, State])
     s = np.cross(f0[:, None], w)
     linear = f0 + np.einsum("nd,udi->nui", dq, s) + np.einsum("nd,udi->nui", qdd, v)
     expected = by_pinocchio(tree, state, pose + dq, qd, qdd) - linear
-    found = beyond_first_order(state.model(tree), pose, dq, qd, qdd, UP)
+    found = beyond(tree, state, pose, dq, qd, qdd)
     np.testing.assert_allclose(found, expected, atol=1e-10)
 
 
 def test_nothing_is_left_at_rest_in_the_pose(robot: tuple[KinematicTree, State]) -> None:
     tree, state = robot
     pose, zero = np.full(tree.n_joints, 0.4), np.zeros((3, tree.n_joints))
-    np.testing.assert_allclose(
-        beyond_first_order(state.model(tree), pose, zero, zero, zero, UP), 0.0, atol=1e-12
-    )
+    np.testing.assert_allclose(beyond(tree, state, pose, zero, zero, zero), 0.0, atol=1e-12)
 
 
 def test_what_is_left_is_of_second_order(robot: tuple[KinematicTree, State]) -> None:
@@ -89,10 +94,22 @@ def test_what_is_left_is_of_second_order(robot: tuple[KinematicTree, State]) -> 
     motion = [rng.standard_normal((20, tree.n_joints)) for _ in range(3)]
 
     def size(scale: float) -> float:
-        rest = beyond_first_order(state.model(tree), pose, *(scale * x for x in motion), UP)
+        rest = beyond(tree, state, pose, *(scale * x for x in motion))
         return float(np.linalg.norm(rest))
 
     assert size(1e-3) / size(5e-4) == pytest.approx(4.0, rel=0.02)
+
+
+def test_imperfect_sensors_read_what_they_make_of_it(robot: tuple[KinematicTree, State]) -> None:
+    tree, state = robot
+    rng = np.random.default_rng(6)
+    sensors = np.eye(3) + 0.1 * rng.standard_normal((tree.n_sus, 3, 3))
+    pose, some = rng.standard_normal(tree.n_joints), np.array([3, 0, 4])
+    motion = [rng.standard_normal((20, tree.n_joints)) for _ in range(3)]
+    around = AroundPose.of(state.model(tree), sensors, pose, *motion, UP)
+    ideal = beyond(tree, state, pose, *motion)[:, some]
+    expected = np.einsum("uij,nuj->nui", sensors[some], ideal)
+    np.testing.assert_allclose(around.beyond(some), expected, atol=1e-10)
 
 
 def test_a_pendulum_feels_its_textbook_forces() -> None:

@@ -27,6 +27,7 @@ from skin2urdf.geometry.units import GRAVITY
 from skin2urdf.model.kinematics import PinocchioTree
 from skin2urdf.model.prediction import SuKinematics, zero_frames
 from skin2urdf.structure.records import KinematicTree
+from skin2urdf.threads import each
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,13 +140,13 @@ class Cost:
             T_joint_su[:, :3, 3] / self.priors.position,
         )
         frames = (state.T_parent_joint[:, :3, :3], state.T_joint_su[:, :3, :3])
-        groups = tuple(group.at(point) for group in self._groups)
+        groups = tuple(each(lambda group: group.at(point), self._groups, self.tree.n_sus))
         return Evaluation(self, groups, point, frames, prior, offsets)
 
     def with_sensors(self, here: Evaluation, bias: F64, shape: F64) -> Evaluation:
         """An evaluation with other biases (U, 3) [m/s^2] and shapes (U, 6) of the sensors."""
         point = replace(here.point, bias=bias, sensor=sensor_matrices(shape))
-        groups = tuple(each.group.read(point, each.kin, each.Y) for each in here.groups)
+        groups = tuple(some.group.read(point, some.kin, some.Y) for some in here.groups)
         prior = self._prior_residual(bias, shape)
         return Evaluation(self, groups, point, here.frames, prior, here.offsets)
 
@@ -215,9 +216,9 @@ class Evaluation:
     def chi2_by_block(self) -> F64:
         """(P, U) chi-squared of each pose and SU."""
         out = np.zeros(self.cost.blocks.count.shape)
-        for each in self.groups:
-            r = each.residual
-            out[:, each.group.sus] = np.einsum("puij,puij->pu", r, r)
+        for some in self.groups:
+            r = some.residual
+            out[:, some.group.sus] = np.einsum("puij,puij->pu", r, r)
         return out
 
     def gradient(self) -> Step:
@@ -226,8 +227,9 @@ class Evaluation:
         wrench = np.zeros((*point.p.shape[:2], 6))
         gravity = np.zeros_like(point.up)
         sus = np.zeros((tree.n_sus, N_SU))
-        for each in self.groups:
-            part, own = each.adjoint(), each.group.sus
+        parts = each(Residuals.adjoint, self.groups, tree.n_sus)
+        for some, part in zip(self.groups, parts, strict=True):
+            own = some.group.sus
             wrench += part.joints
             gravity += part.gravity
             S = part.sensor
@@ -262,12 +264,13 @@ class Evaluation:
         n_logs = 2 * (self.cost.n_logs - 1)
         J = np.zeros((U, P, chains.n_rows, 3, C + N_SU))
         # Group by group, since on the way there are arrays several times as large as the result.
-        for each in self.groups:
-            length, c = each.group.chains.joint.shape[1], each.group.columns.shape[1]
+        parts = each(Residuals.jacobian, self.groups, U)
+        for some, part in zip(self.groups, parts, strict=True):
+            length, c = some.group.chains.joint.shape[1], some.group.columns.shape[1]
             rows = np.r_[0, 1 : 1 + length, 1 + L : 1 + L + length]
             to = np.r_[: c - n_logs, C - n_logs : C + N_SU]
-            at = np.ix_(each.group.sus, np.arange(P), rows, np.arange(3), to)
-            J[at] = each.jacobian().reshape(*(len(index.ravel()) for index in at))
+            at = np.ix_(some.group.sus, np.arange(P), rows, np.arange(3), to)
+            J[at] = part.reshape(*(len(index.ravel()) for index in at))
         J = J.reshape(U, -1, C + N_SU)
         return J[..., :C], np.concatenate([J[..., C:], self._prior_rows()], axis=1)
 
@@ -289,9 +292,8 @@ class Evaluation:
         prior_rows = self._prior_rows()
         su = np.swapaxes(prior_rows, 1, 2) @ prior_rows
         mixed = np.zeros((U, N_SU, C))
-        for each in self.groups:
-            J, own, at = each.jacobian(), each.group.sus, each.group.columns
-            products = np.swapaxes(J, 1, 2) @ J
+        for some, products in zip(self.groups, each(_products, self.groups, U), strict=True):
+            own, at = some.group.sus, some.group.columns
             c = at.shape[1]
             np.add.at(H, (at[:, :, None], at[:, None, :]), products[:, :c, :c])
             su[own] += products[:, c:, c:]
@@ -314,3 +316,9 @@ class Evaluation:
         """Derivatives of the offset residuals in tx, ty (D, 3, 2) and tx, ty, tz (U, 3, 3)."""
         scale = 1 / self.cost.priors.position
         return self.frames[0][..., :2] * scale, self.frames[1] * scale
+
+
+def _products(some: Residuals) -> F64:
+    """(u, C + 15, C + 15) products of the derivatives of some SUs' residuals."""
+    J = some.jacobian()
+    return np.swapaxes(J, 1, 2) @ J

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 
@@ -41,6 +41,7 @@ from skin2urdf.estimation.trajectory.state import Layout, MotionState
 from skin2urdf.estimation.trajectory.unseen import Unseen
 from skin2urdf.signals.trajectory import Trajectory
 from skin2urdf.structure.records import KinematicTree
+from skin2urdf.threads import each
 
 
 @dataclass(frozen=True, eq=False)
@@ -206,7 +207,14 @@ class Derivatives:
         self, state: MotionState, link: LinkRows, carried: Carried
     ) -> Iterator[tuple[slice, F64]]:
         """Of some SUs of a link at a time, by their places there, derivatives (s, n, 3, K)."""
-        first, K = 0, link.weights.shape[2]
+        parts = self.own_parts(state, link, carried)
+        return each(lambda part: (part[0], part[1]()), parts, len(link.sus))
+
+    def own_parts(
+        self, state: MotionState, link: LinkRows, carried: Carried
+    ) -> Iterator[tuple[slice, Callable[[], F64]]]:
+        """The same places, and what works the derivatives out: for several at a time, if wanted."""
+        K = link.weights.shape[2]
         motion = carried.frames[1][carried.link.joint]
         felt = np.concatenate([motion.A.reshape(9, K), motion.f])
         predicted, (within, rate, margin) = carried.predicted, compared(self.logs[link.log])
@@ -215,7 +223,8 @@ class Derivatives:
             for x in np.split(predicted.felt, 2, axis=1)
             if predicted.rates is None
         ]
-        for some in carried.link.parts():
+
+        def of(some: SharedPoints) -> F64:
             if predicted.rates is not None:
                 rates = predicted.rates[:, :, some.sus].transpose(2, 0, 3, 1)
             else:
@@ -226,8 +235,12 @@ class Derivatives:
             np.matmul(weight, felt, out=flat[:, : weight.shape[1]])
             for rate, out in zip(rates, own, strict=True):
                 self._further_columns(link.log, rate, out)
-            yield slice(first, first + len(own)), own
-            first += len(own)
+            return own
+
+        first = 0
+        for some in carried.link.parts():
+            yield slice(first, first + len(some.sus)), partial(of, some)
+            first += len(some.sus)
 
     def gyro_rows(self, state: MotionState, g: int, u: int, carried: Carried) -> Iterator[Rows]:
         """The rows of an SU's gyroscope, if it has one."""

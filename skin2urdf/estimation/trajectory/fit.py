@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from skin2urdf.arrays import F64, Bool
+from skin2urdf.arrays import F64, Bool, give_back_freed_memory
 from skin2urdf.estimation.problem.state import N_SU
 from skin2urdf.estimation.trajectory.arrow import eliminated, newton_step
 from skin2urdf.estimation.trajectory.gyro import rate_weights
@@ -18,6 +18,7 @@ from skin2urdf.estimation.trajectory.records import Equations, Predicted
 from skin2urdf.estimation.trajectory.shaken import Shaken, made_by_encoders
 from skin2urdf.estimation.trajectory.state import MotionState
 from skin2urdf.signals.trajectory import Trajectory
+from skin2urdf.threads import MANY
 
 _HUBER = 3.0
 """Residual, in standard deviations, beyond which a sample counts less; noise is one in 400."""
@@ -131,11 +132,14 @@ def fit(
         start, predicted = rough.state, rough.predicted if rough.problem is problem else None
     begin = 0.0 if near else 0.5
     free = problem.free_joint, problem.free_su
-    return _descend(
+    found = _descend(
         problem, start, free, tolerance, iterations,
         lambda share: tell(begin + (1.0 - begin) * share), far,
         predicted=predicted, known=equations if near else None,
     )[1]  # fmt: skip
+    if problem.tree.n_sus >= MANY:
+        give_back_freed_memory()
+    return found
 
 
 def independent(logs: Sequence[Trajectory], most: int = MOST_VALUES) -> list[Trajectory]:
@@ -270,7 +274,7 @@ def _descend(
             if led is not None:
                 about, trial = led.problem, led.state
                 ahead = tuple(about.predict(trial, g) for g in range(len(problem.logs)))
-                trial, ahead = about.refit_sensors(trial, ahead, weights, free_su)
+                trial = about.refit_sensors(trial, ahead, weights, free_su)
                 there = _cost(about, trial, ahead, weights, shaken)
                 if there <= cost:
                     break
@@ -313,6 +317,8 @@ def held(problem: MotionProblem, state: MotionState) -> Fitted:
         problem: the logs, the tree and what is known before.
         state: where.
     """
+    if problem.tree.n_sus >= MANY:
+        give_back_freed_memory()
     predicted = tuple(problem.predict(state, g) for g in range(len(problem.logs)))
     noise, weights = _noise(problem, state, predicted)
     shaken = Shaken.of(problem.tree, problem.logs, state, weights)

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -24,8 +25,9 @@ from skin2urdf.estimation.trajectory.clusters import Clusters, clusters
 from skin2urdf.estimation.trajectory.fit import Fitted
 from skin2urdf.estimation.trajectory.problem import MotionProblem, parts_of
 from skin2urdf.estimation.trajectory.state import Layout
-from skin2urdf.estimation.trajectory.versions import Versions, versions
+from skin2urdf.estimation.trajectory.versions import Versions, VersionsOfSus, versions
 from skin2urdf.model.prediction import Chains
+from skin2urdf.threads import each
 
 _DRAWS = 16
 """Versions with independent noise; their mean is known to a few per cent."""
@@ -232,31 +234,46 @@ def _errors(
     on_joint, on_su = np.zeros((S, layout.n_joint)), np.zeros((S, U, N_SU))
     moments = np.zeros((J, 1 + max(int(each.max()) for each in parts.moments)))
     lean = eliminated(full.of_joint(np.arange(J)), free_joint[:J], free_su).lean
-    samples = [parts_of(members) for members in parts.members]
     for link in every():
-        of_parts, moment = samples[link.log], parts.moments[link.log]
-        which = np.array([s for s, _ in of_parts])
+        at_once, moment = _Sorted.of(parts.members[link.log]), parts.moments[link.log]
         first = np.flatnonzero(np.diff(moment, prepend=-1))
         felt = np.zeros((V, *link.information.shape[1::-1]))
         for at, columns, P in link.blocks:
             felt[..., at] += np.tensordot(dx[:, columns], P, (1, 1))
+
+        def look(
+            make: Callable[[], VersionsOfSus],
+            felt: F64 = felt,
+            at_once: _Sorted = at_once,
+            first: Int = first,
+        ) -> tuple[F64, F64, F64, F64]:
+            of_sus = make()
+            sus, A = of_sus.sus, of_sus.own
+            left = of_sus.residuals - of_sus.reads(felt)
+            steps = np.moveaxis(dy[:, sus], 0, 1) @ A.reshape(*A.shape[:2], -1)
+            left -= np.moveaxis(steps, 0, 1).reshape(left.shape)
+            scores, square = at_once.products(left, A)
+            scores = np.where(free_su[sus, None, None], scores, 0.0)
+            own, others = scores[..., :N_SU], scores[..., N_SU:]
+            own = own - (others.reshape(len(A), -1, others.shape[3]) @ by_y[sus]).reshape(own.shape)
+            y[np.ix_(sus, np.arange(V), at_once.parts)] += own
+            on_su[np.ix_(at_once.parts, sus)] += square[:, :, :N_SU]
+            pulls = np.add.reduceat(
+                np.einsum("ucik,uik->uck", A, of_sus.residuals[0]), first, axis=2
+            )
+            return (
+                of_sus.put_back(left),
+                of_sus.put_back(of_sus.residuals[:1]),
+                np.tensordot(others, by_x[sus], ((0, 3), (0, 1))),
+                np.tensordot(lean[sus], pulls, ((0, 1), (0, 1))),
+            )
+
         back, whole = np.zeros_like(felt), np.zeros_like(felt[:1])
-        for of_su in link.of_sus:
-            u, A = of_su.su, of_su.own
-            left = of_su.residuals - of_su.reads(felt) - np.tensordot(dy[:, u], A, 1)
-            back += of_su.put_back(left)
-            scores, square = np.empty((V, len(which), len(A))), np.empty((len(which), len(A)))
-            for i, (_, members) in enumerate(of_parts):
-                part = A[:, :, members].reshape(len(A), -1)
-                np.matmul(left[:, :, members].reshape(V, -1), part.T, out=scores[:, i])
-                np.einsum("ck,ck->c", part, part, out=square[i])
-            scores = np.where(free_su[u], scores, 0.0)
-            x[:, which] -= scores[..., N_SU:] @ by_x[u]
-            y[u][:, which] += scores[..., :N_SU] - scores[..., N_SU:] @ by_y[u]
-            on_su[which, u] += square[:, :N_SU]
-            whole += of_su.put_back(of_su.residuals[:1])
-            pull = np.add.reduceat(np.einsum("cik,ik->ck", A, of_su.residuals[0]), first, axis=1)
-            moments[:, moment[first]] += lean[u].T @ pull
+        for put_back, as_it_is, follow, pull in each(look, link.of_sus, link.n_sus):
+            back += put_back
+            whole += as_it_is
+            x[:, at_once.parts] -= follow
+            moments[:, moment[first]] += pull
         for at, columns, P in link.blocks:
             # What all SUs of the link say together of the joint part.
             by_sample, here = np.ascontiguousarray(np.moveaxis(P, 2, 0)), columns < J
@@ -274,6 +291,43 @@ def _errors(
     return pulls, shares, moments.T * free_joint[:J]
 
 
+@dataclass(frozen=True, eq=False)
+class _Sorted:
+    """Samples of a log in the order of the parts of the time that they are in.
+
+    Attributes:
+        order: (K,) the samples.
+        parts: (p,) the parts that there are.
+        ends: (p + 1,) where each begins in that order, and where the last ends.
+    """
+
+    order: Int
+    parts: Int
+    ends: Int
+
+    @staticmethod
+    def of(members: Int) -> _Sorted:
+        """Of the parts (K,) that the samples are in."""
+        order = np.argsort(members, kind="stable")
+        parts, first = np.unique(members[order], return_index=True)
+        return _Sorted(order, parts, np.append(first, len(order)))
+
+    def products(self, left: F64, own: F64) -> tuple[F64, F64]:
+        """Products of residuals (V, s, 3, K) and derivatives (s, n, 3, K), summed in every part.
+
+        Returns:
+            (s, V, p, n), and (p, s, n) squares of the derivatives.
+        """
+        by_axis = np.moveaxis(left[..., self.order], 0, 2)
+        A = own[..., self.order].swapaxes(1, 2)
+        scores = np.empty((len(own), len(left), len(self.parts), own.shape[1]))
+        for i, (begin, end) in enumerate(pairwise(self.ends)):
+            part = by_axis[..., begin:end] @ A[..., begin:end].swapaxes(2, 3)
+            part.sum(axis=1, out=scores[:, :, i])
+        squares = np.einsum("sink,sink->snk", A, A)
+        return scores, np.moveaxis(np.add.reduceat(squares, self.ends[:-1], axis=2), 2, 0)
+
+
 def _versions(problem: MotionProblem, fitted: Fitted) -> Callable[[], Iterable[Versions]]:
     """What gives the versions of a fit, which are kept where they take little memory."""
 
@@ -283,7 +337,7 @@ def _versions(problem: MotionProblem, fitted: Fitted) -> Callable[[], Iterable[V
     numbers = problem.layout.n_joint + problem.layout.n_su + 1 + _DRAWS
     if 8 * numbers * sum(p.residual.size for p in fitted.predicted) > _AT_HAND:
         return anew
-    kept = [replace(link, of_sus=list(link.of_sus)) for link in anew()]
+    kept = [link.kept() for link in anew()]
     return lambda: kept
 
 
@@ -300,11 +354,18 @@ def _steps(problem: MotionProblem, fitted: Fitted, every: Iterable[Versions]) ->
     su = np.tile(full.su_gradient, (1 + _DRAWS, 1, 1))
     joint[1:], su[1:] = 0.0, 0.0
     for link in every:
+
+        def look(make: Callable[[], VersionsOfSus]) -> F64:
+            of_sus = make()
+            drawn, A = of_sus.residuals[1:], of_sus.own
+            by_su = np.moveaxis(drawn, 0, 1).reshape(len(A), _DRAWS, -1)
+            scores = by_su @ A.reshape(*A.shape[:2], -1).swapaxes(1, 2)
+            su[1:, of_sus.sus] += scores.swapaxes(0, 1)
+            return of_sus.put_back(drawn)
+
         pulls = np.zeros((_DRAWS, *link.information.shape[1::-1]))
-        for of_su in link.of_sus:
-            drawn, A = of_su.residuals[1:], of_su.own
-            pulls += of_su.put_back(drawn)
-            su[1:, of_su.su] += drawn.reshape(_DRAWS, -1) @ A.reshape(len(A), -1).T
+        for put_back in each(look, link.of_sus, link.n_sus):
+            pulls += put_back
         for at, columns, P in link.blocks:
             joint[1:, columns] += _on_columns(P, pulls[..., at])
     system = eliminated(full, free_joint, problem.free_su)

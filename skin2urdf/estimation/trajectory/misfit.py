@@ -10,6 +10,7 @@ from skin2urdf.arrays import F64, Int
 from skin2urdf.estimation.trajectory.fit import Fitted
 from skin2urdf.estimation.trajectory.problem import MotionProblem
 from skin2urdf.estimation.trajectory.records import Predicted
+from skin2urdf.threads import MANY
 
 SPAN = 2.0
 """Length of the spans of time whose errors count as independent [s]: far longer than the low-pass,
@@ -59,12 +60,17 @@ def part_means(predicted: Predicted, weights: F64, within: slice, n: int) -> tup
     Returns:
         (n, U, 3) means [m/s^2], and (n, U, 3) variances; infinite where nothing was measured.
     """
-    w, measured = weights[within, :, :3], predicted.measured[within, :, None]
+    w = weights[within, :, :3]
     first = np.linspace(0, len(w), n + 1).astype(int)[:-1]
     total = np.add.reduceat(w, first, axis=0)
-    r = np.where(measured, predicted.residual[within], 0.0)
     known = total > 0
-    moment = np.add.reduceat(w * r, first, axis=0)
+    moment = np.empty_like(total)
+    # Of very many SUs not all at a time, as products are as large as the residuals.
+    for u in range(0, w.shape[1], MANY):
+        sus = slice(u, u + MANY)
+        measured = predicted.measured[within, sus, None]
+        r = np.where(measured, predicted.residual[within, sus], 0.0)
+        moment[:, sus] = np.add.reduceat(w[:, sus] * r, first, axis=0)
     means = np.divide(moment, total, out=np.zeros_like(total), where=known)
     return means, np.divide(1.0, total, out=np.full_like(total, np.inf), where=known)
 

@@ -39,7 +39,9 @@ def turned_as_the_base(problem: MotionProblem, state: MotionState, seconds: floa
         up = state.placements.up[g] * state.gravity
         tilted = moved.qdd[:, -6:-3] - np.cross(moved.q[:, -3:], up)
         both = filtered(np.hstack([tilted, moved.qdd[:, -3:]]), log.taps)[log.kept]
-        of_logs.append((log, p, dict(problem.ideal(state, g, p)), both))
+        felt: dict[int, F64] = {}
+        problem.ideal(state, g, p, felt.__setitem__)
+        of_logs.append((log, p, felt, both))
     for u in np.flatnonzero(problem.tree.su_joint < 0).tolist():
         read, ideal, frame, turning = [], [], [], []
         for log, p, felt, both in of_logs:

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 
@@ -17,6 +17,7 @@ from skin2urdf.estimation.problem.state import (
 from skin2urdf.estimation.trajectory.azimuth import turned
 from skin2urdf.estimation.trajectory.derivatives import (
     SENSES,
+    Carried,
     Derivatives,
     compared,
     fixed_path,
@@ -29,7 +30,8 @@ from skin2urdf.estimation.trajectory.kinematics import (
     seen_before_joint,
     seen_from_parent,
 )
-from skin2urdf.estimation.trajectory.normal_equations import Sums, blocks_of
+from skin2urdf.estimation.trajectory.links import LinkRows
+from skin2urdf.estimation.trajectory.normal_equations import Block, Sums, blocks_of
 from skin2urdf.estimation.trajectory.points import SharedPoints
 from skin2urdf.estimation.trajectory.priors import (
     MotionPriors,
@@ -45,6 +47,7 @@ from skin2urdf.model.records import KinematicModel
 from skin2urdf.model.specific_force import forces_in_time
 from skin2urdf.signals.filters import FIRST_DIFFERENCES, passed
 from skin2urdf.signals.trajectory import Trajectory
+from skin2urdf.threads import do_each
 
 _HELD = 1e-6
 """Deviation by which what nothing shows is held [m or rad]: far less than is stated of any."""
@@ -160,14 +163,21 @@ class MotionProblem(Derivatives):
         residual = np.empty((self.tree.n_sus, 3, len(log.kept))).transpose(2, 0, 1)
         matrices, splines = places.sensor_matrix(), self.logs[g].splines
         within, rate, margin = compared(log)
-        for link in self.points(state):
-            of_points = Spectrum.of(link.series(felt[:, :3]), rate, margin)
-            for some in link.parts():
-                heard = of_points.mixed(some.sensed(matrices[some.sus]))
-                read = front_end(heard, state.front[some.sus])[..., within]
-                for u, mine in zip(some.sus, read, strict=True):
-                    bias = places.bias[u] + shares @ state.knots[g][:, u]
-                    residual[:, u] = splines[u].at(at[:, u]) - mine.T - bias
+
+        def compare(part: tuple[SharedPoints, Spectrum]) -> None:
+            some, of_points = part
+            heard = of_points.mixed(some.sensed(matrices[some.sus]))
+            read = front_end(heard, state.front[some.sus])[..., within]
+            for u, mine in zip(some.sus, read, strict=True):
+                bias = places.bias[u] + shares @ state.knots[g][:, u]
+                residual[:, u] = splines[u].at(at[:, u]) - mine.T - bias
+
+        of_links = (
+            (link, Spectrum.of(link.series(felt[:, :3]), rate, margin))
+            for link in self.points(state)
+        )
+        parts = ((some, of_points) for link, of_points in of_links for some in link.parts())
+        do_each(compare, parts, self.tree.n_sus)
         if log.beyond is not None:
             residual -= log.beyond[..., :3]
         measured = log.valid & np.isfinite(residual).all(axis=2)
@@ -207,14 +217,28 @@ class MotionProblem(Derivatives):
             out[:, :, some] = both.reshape(len(T), 6, -1)
         return out
 
-    def ideal(self, state: MotionState, g: int, predicted: Predicted) -> Iterator[tuple[int, F64]]:
-        """What perfect sensors in the SUs' places would read, SU by SU: (3, K) [m/s^2]."""
+    def ideal(
+        self, state: MotionState, g: int, predicted: Predicted, use: Callable[[int, F64], object]
+    ) -> None:
+        """Use what perfect sensors in the SUs' places would read.
+
+        Args:
+            state: where.
+            g: number of the log.
+            predicted: the log held against the state.
+            use: is called with the number of each SU and what it would read, (3, K) [m/s^2]; for
+                several at a time where there are many.
+        """
         within, _, _ = compared(self.logs[g])
         perfect = np.broadcast_to(np.eye(3), (self.tree.n_sus, 3, 3))
         felt = predicted.felt[:, :3, within]
-        for link in self.points(state):
-            for some in link.parts():
-                yield from zip(some.sus, some.read(perfect[some.sus], felt), strict=True)
+
+        def read(some: SharedPoints) -> None:
+            for u, mine in zip(some.sus.tolist(), some.read(perfect[some.sus], felt), strict=True):
+                use(u, mine)
+
+        parts = (some for link in self.points(state) for some in link.parts())
+        do_each(read, parts, self.tree.n_sus)
 
     def bent(self, state: MotionState) -> tuple[F64, ...]:
         """Per log (K, D + 6) what is beyond encoders of joints, and of the base [rad or m]."""
@@ -245,7 +269,7 @@ class MotionProblem(Derivatives):
         predicted: Sequence[Predicted],
         weights: Sequence[F64],
         free_su: Bool,
-    ) -> tuple[MotionState, tuple[Predicted, ...]]:
+    ) -> MotionState:
         """The best bias and shape of every SU for its placement, a linear problem.
 
         Where gravity stands still in an SU, its tilt and its bias can hardly be told apart. The
@@ -253,7 +277,8 @@ class MotionProblem(Derivatives):
 
         Args:
             state: placements, and sensors to begin with.
-            predicted: residuals of each log there.
+            predicted: residuals of each log there, which are changed in place: with many SUs each
+                array of them is large.
             weights: per log (K, U, 3) information of each sample [s^4/m^2]; gyroscopes' behind it.
             free_su: (U, n) coordinates that may move.
         """
@@ -262,12 +287,15 @@ class MotionProblem(Derivatives):
         _, prior, _, gradient = self.prior_information(state)
         moments, pulls = np.zeros((len(free), 3, 4, 4)), np.zeros((len(free), 3, 4))
         for g, (p, w) in enumerate(zip(predicted, weights, strict=True)):
-            for u, ideal in self.ideal(state, g, p):
+
+            def add(u: int, ideal: F64, p: Predicted = p, w: F64 = w) -> None:
                 felt = np.concatenate([np.ones((1, ideal.shape[1])), ideal])
                 weighed = w[:, u, :3].T[:, None] * felt
                 left = np.where(p.measured[:, u], p.residual[:, u].T, 0.0)
                 moments[u] += weighed @ felt.T
                 pulls[u] += (weighed @ left[:, :, None])[..., 0]
+
+            self.ideal(state, g, p, add)
         H = prior[:, at, at] + np.einsum("ica,uiab,idb->ucd", SENSES, moments, SENSES)
         b = gradient[:, at] + np.einsum("ica,uia->uc", SENSES, pulls)
         H = np.where(free[:, :, None] & free[:, None], H, 0.0) + np.eye(H.shape[1]) * ~free[:, None]
@@ -277,14 +305,14 @@ class MotionProblem(Derivatives):
             bias=state.placements.bias + x[:, :3],
             shape=state.placements.shape + x[:, 3:],
         )
-        moved = []
         for g, p in enumerate(predicted):
-            residual = p.residual.copy(order="K")
-            for u, ideal in self.ideal(state, g, p):
+
+            def take_off(u: int, ideal: F64, residual: F64 = p.residual) -> None:
                 by_felt = np.tensordot(x[u], SENSES, (0, 1))
                 residual[:, u] -= (by_felt[:, 1:] @ ideal + by_felt[:, :1]).T
-            moved.append(replace(p, residual=residual))
-        return replace(state, placements=places), tuple(moved)
+
+            self.ideal(state, g, p, take_off)
+        return replace(state, placements=places)
 
     def equations(
         self, state: MotionState, predicted: Sequence[Predicted], weights: Sequence[F64]
@@ -298,18 +326,26 @@ class MotionProblem(Derivatives):
                 (K, U, 6) with that of gyroscopes [s^2/rad^2] where a log has any.
         """
         sums, beyond = Sums.nothing(self.layout, self.tree.n_sus), self.beyond()
-        for link, carried in self.links(state, predicted, weights):
-            unseen = beyond[link.log] if beyond else None
-            if not link.shared:
-                for rows in self._rows_of(state, link, carried):
-                    sums.add(rows, unseen)
-                continue
-            blocks = sums.add_joints(link, unseen)
-            for some, own in self.own(state, link, carried):
-                sums.add_sus(link, some, own, blocks)
+        heard: list[tuple[LinkRows, Carried]] = []
+
+        def parts() -> Iterator[Callable[[], None]]:
+            for link, carried in self.links(state, predicted, weights):
+                unseen = beyond[link.log] if beyond else None
+                if not link.shared:
+                    for rows in self._rows_of(state, link, carried):
+                        sums.add(rows, unseen)
+                    continue
+                blocks = sums.add_joints(link, unseen)
+                for some, own in self.own_parts(state, link, carried):
+                    yield partial(_add_sus, sums, link, some, own, blocks)
+                if self.gyros[link.sus].any():
+                    heard.append((link, carried))
+
+        do_each(lambda add: add(), parts(), self.tree.n_sus)
+        for link, carried in heard:
             for u in link.sus.tolist():
                 for rows in self.gyro_rows(state, link.log, u, carried):
-                    sums.add(rows, unseen)
+                    sums.add(rows, beyond[link.log] if beyond else None)
         chosen = self.chosen(state)
         sums.joint[:] += chosen.T @ chosen / _HELD**2
         return with_priors(self.priors, self.layout, self._seconds, state, sums.equations())
@@ -332,17 +368,20 @@ class MotionProblem(Derivatives):
             As many.
         """
         every, beyond = [Sums.nothing(self.layout, self.tree.n_sus) for _ in pulls], self.beyond()
-        for link, carried in self.links(state, predicted, [np.ones_like(p) for p in pulls[0]]):
-            links = [
-                replace(link, residual=np.ascontiguousarray(np.moveaxis(p[:, link.sus], 0, 2)))
-                for p in (each[link.log] for each in pulls)
-            ]
-            blocks = list(blocks_of(link, beyond[link.log] if beyond else None))
-            for sums, pulled in zip(every, links, strict=True):
-                sums.pull_joints(pulled, blocks)
-            for some, own in self.own(state, link, carried):
+
+        def parts() -> Iterator[Callable[[], None]]:
+            for link, carried in self.links(state, predicted, [np.ones_like(p) for p in pulls[0]]):
+                links = [
+                    replace(link, residual=np.ascontiguousarray(np.moveaxis(p[:, link.sus], 0, 2)))
+                    for p in (each[link.log] for each in pulls)
+                ]
+                blocks = list(blocks_of(link, beyond[link.log] if beyond else None))
                 for sums, pulled in zip(every, links, strict=True):
-                    sums.pull_sus(pulled, some, own)
+                    sums.pull_joints(pulled, blocks)
+                for some, own in self.own_parts(state, link, carried):
+                    yield partial(_pull_sus, every, links, some, own)
+
+        do_each(lambda pull: pull(), parts(), self.tree.n_sus)
         return [(sums.joint_gradient, sums.su_gradient) for sums in every]
 
     def spans(
@@ -466,6 +505,22 @@ class MotionProblem(Derivatives):
     def prior_chi2(self, state: MotionState) -> float:
         """Chi-squared of the priors at a state."""
         return prior_chi2(self.priors, self.layout, self._seconds, state)
+
+
+def _add_sus(
+    sums: Sums, link: LinkRows, some: slice, own: Callable[[], F64], blocks: list[Block]
+) -> None:
+    """Add what some SUs of a link say of their own parts."""
+    sums.add_sus(link, some, own(), blocks)
+
+
+def _pull_sus(
+    every: Sequence[Sums], links: Sequence[LinkRows], some: slice, own: Callable[[], F64]
+) -> None:
+    """Add what several residuals of some SUs of a link say of their own parts."""
+    derivatives = own()
+    for sums, pulled in zip(every, links, strict=True):
+        sums.pull_sus(pulled, some, derivatives)
 
 
 def parts_of(members: Int) -> list[tuple[int, Int]]:

@@ -7,12 +7,13 @@ read the same few points: their residuals are put back on these first.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
-from skin2urdf.arrays import F64
+from skin2urdf.arrays import F64, Int
 from skin2urdf.estimation.trajectory.derivatives import Carried
 from skin2urdf.estimation.trajectory.links import LinkRows
 from skin2urdf.estimation.trajectory.normal_equations import Block, blocks_of
@@ -30,41 +31,49 @@ class Versions:
         blocks: derivatives of what p points of the link feel in the joint part, a stretch of time
             and some columns at a time; a gyroscope is a link of one SU, whose axes are the points.
         information: (K, 3 p, 3 p) of all the SUs on what the points feel.
-        of_sus: the SUs, one after the other; where many, each is made when its turn comes.
+        n_sus: number of these.
+        of_sus: what makes those of some of the SUs at a time, for several such at a time.
     """
 
     log: int
     blocks: Sequence[Block]
     information: F64
-    of_sus: Iterable[VersionsOfSu]
+    n_sus: int
+    of_sus: Iterable[Callable[[], VersionsOfSus]]
+
+    def kept(self) -> Versions:
+        """The same, made once and for all."""
+        return replace(self, of_sus=[partial(_known, make()) for make in self.of_sus])
 
 
 @dataclass(frozen=True, eq=False)
-class VersionsOfSu:
-    """Versions of what an SU leaves in a log.
+class VersionsOfSus:
+    """Versions of what some SUs leave in a log.
 
     Attributes:
-        su: number of the SU.
-        sensed: (3, 3 p) what makes readings of what the p points of its link feel.
-        root: (3, K) one over the standard deviation of each of its readings.
-        own: (n, 3, K) whitened derivatives in its own coordinates.
-        residuals: (V, 3, K) whitened residuals of V versions, the first as they are, the others
+        sus: (s,) numbers of the SUs.
+        sensed: (s, 3, 3 p) what makes readings of what the p points of their link feel.
+        root: (s, 3, K) one over the standard deviation of each of their readings.
+        own: (s, n, 3, K) whitened derivatives in their own coordinates.
+        residuals: (V, s, 3, K) whitened residuals of V versions, the first as they are, the others
             independent noise of unit size.
     """
 
-    su: int
+    sus: Int
     sensed: F64
     root: F64
     own: F64
     residuals: F64
 
     def reads(self, felt: F64) -> F64:
-        """(V, 3, K) whitened readings of what the points feel (V, 3 p, K)."""
-        return np.asarray(self.root * (self.sensed @ felt))
+        """(V, s, 3, K) whitened readings of what the points feel (V, 3 p, K)."""
+        read = self.sensed.reshape(-1, felt.shape[1]) @ felt
+        return np.asarray(read.reshape(len(felt), *self.root.shape) * self.root)
 
     def put_back(self, residuals: F64) -> F64:
-        """(V, 3 p, K) what whitened residuals (V, 3, K) say of what the points feel."""
-        return np.asarray(self.sensed.T @ (self.root * residuals))
+        """(V, 3 p, K) what whitened residuals (V, s, 3, K) say of what the points feel."""
+        weighed = (residuals * self.root).reshape(len(residuals), -1, residuals.shape[-1])
+        return np.asarray(self.sensed.reshape(weighed.shape[1], -1).T @ weighed)
 
 
 def versions(
@@ -87,28 +96,46 @@ def versions(
     """
     rng, beyond = np.random.default_rng(0), problem.beyond()
 
-    def drawn(residual: F64) -> F64:
-        out = np.empty((1 + n_draws, *residual.shape))
-        out[0] = residual
-        rng.standard_normal(out=out[1:])
+    def drawn(residuals: F64) -> F64:
+        out = np.empty((1 + n_draws, *residuals.shape))
+        out[0] = residuals
+        for u in range(len(residuals)):
+            out[1:, u] = rng.standard_normal((n_draws, *residuals.shape[1:]))
         return out
 
     for link, carried in problem.links(state, predicted, weights):
         further = blocks_of(link, beyond[link.log] if beyond else None)
         blocks = [(slice(None), np.array(link.columns), link.by_coordinates), *further]
 
-        def of_sus(link: LinkRows = link, carried: Carried = carried) -> Iterator[VersionsOfSu]:
-            for some, every in problem.own(state, link, carried):
-                for i, own in zip(range(some.start, some.stop), every, strict=True):
-                    root = np.sqrt(link.weights[i])
-                    u, residuals = int(link.sus[i]), drawn(link.residual[i] * root)
-                    yield VersionsOfSu(u, link.sensed[i], root, own * root, residuals)
+        def of_sus(
+            link: LinkRows = link, carried: Carried = carried
+        ) -> Iterator[Callable[[], VersionsOfSus]]:
+            # Noise is drawn in the order of the SUs.
+            for some, own in problem.own_parts(state, link, carried):
+                root = np.sqrt(link.weights[some])
+                yield partial(_made, link, some, root, own, drawn(link.residual[some] * root))
 
-        yield Versions(link.log, blocks, link.information, of_sus())
+        yield Versions(link.log, blocks, link.information, len(link.sus), of_sus())
         for u in link.sus.tolist():
             for rows in problem.gyro_rows(state, link.log, u, carried):
                 A, C, K = rows.by_coordinates, len(rows.columns), rows.residual.shape[1]
                 alone = [(slice(None), np.array(rows.columns), A[:C].swapaxes(0, 1))]
-                axes, residuals = np.eye(3), drawn(rows.residual)
-                gyro = VersionsOfSu(u, axes, np.ones((3, K)), A[C:], residuals)
-                yield Versions(link.log, alone, np.tile(axes, (K, 1, 1)), [gyro])
+                axes, residuals = np.eye(3), drawn(rows.residual[None])
+                gyro = VersionsOfSus(
+                    np.array([u]), axes[None], np.ones((1, 3, K)), A[None, C:], residuals
+                )
+                information = np.tile(axes, (K, 1, 1))
+                yield Versions(link.log, alone, information, 1, [partial(_known, gyro)])
+
+
+def _made(
+    link: LinkRows, some: slice, root: F64, own: Callable[[], F64], residuals: F64
+) -> VersionsOfSus:
+    """Versions of some SUs of a link, whose derivatives are yet to be worked out."""
+    whitened = own() * root[:, None]
+    return VersionsOfSus(link.sus[some], link.sensed[some], root, whitened, residuals)
+
+
+def _known(of_sus: VersionsOfSus) -> VersionsOfSus:
+    """Those that are made already."""
+    return of_sus

@@ -27,7 +27,7 @@ def readings_on_a_stand(
     """(N, K, 3) noiseless readings [m/s^2], and (N, 2) turns of the stand about x and y [rad].
 
     Args:
-        tree: a chain of D revolute joints, with K SUs.
+        tree: D revolute joints, with K SUs.
         truth: its placements and sensors.
         inertias: (D,) of what each joint carries, in its frame.
         q: (N, D) positions of its joints at the rate of the grid.
@@ -38,9 +38,9 @@ def readings_on_a_stand(
     model.addJoint(0, pin.JointModelRX(), below, "about x")
     model.addJoint(1, pin.JointModelRY(), pin.SE3.Identity(), "about y")
     for j, at in enumerate(plain.jointPlacements[1:]):
-        model.addJoint(
-            j + 2, pin.JointModelRZ(), below.inverse() * at if j == 0 else at, f"joint {j}"
-        )
+        parent = int(tree.parent[j])
+        place = below.inverse() * at if parent < 0 else at
+        model.addJoint(parent + 3, pin.JointModelRZ(), place, f"joint {j}")
     for j, inertia in enumerate(inertias):
         model.inertias[j + 3] = inertia
     frames = []

@@ -13,6 +13,7 @@ from skin2urdf.calibration.result import GOOD_FIT
 from skin2urdf.calibration.rounds import Logs, Solution
 from skin2urdf.calibration.settings import CalibrationSettings
 from skin2urdf.estimation.problem.cost import Priors
+from skin2urdf.estimation.problem.state import N_JOINT
 from skin2urdf.estimation.solve.estimate import Estimate
 from skin2urdf.estimation.trajectory.causes import BENDS, PLAY
 from skin2urdf.estimation.trajectory.estimate import (
@@ -431,5 +432,12 @@ def _share_compared(trajectories: Sequence[Trajectory], sampled: Sequence[Sample
 
 
 def with_samples(found: Estimate, along: MotionEstimate) -> Estimate:
-    """An estimate with the placements and sensors that all samples show."""
-    return replace(found, state=along.state)
+    """An estimate with the placements and sensors that all samples show.
+
+    Where limbs are relative to each other shows in no more than what a base does that gives way.
+    That is told to be open, and all begin at the base's origin.
+    """
+    T = np.array(along.state.T_parent_joint)
+    first = np.unique(along.problem.between_limbs // N_JOINT)
+    T[first, :3, 3] = found.state.T_parent_joint[first, :3, 3]
+    return replace(found, state=replace(along.state, T_parent_joint=T))

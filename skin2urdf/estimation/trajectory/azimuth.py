@@ -10,7 +10,8 @@ from __future__ import annotations
 import numpy as np
 
 from skin2urdf.arrays import F64
-from skin2urdf.estimation.problem.state import N_JOINT, State, identifiable
+from skin2urdf.estimation.problem.state import N_JOINT, State
+from skin2urdf.estimation.trajectory.skeleton import joints_on_hinges
 from skin2urdf.geometry.se3 import adjoint, inverse
 from skin2urdf.structure.records import KinematicTree
 
@@ -31,7 +32,7 @@ def turned(tree: KinematicTree, state: State, axis: F64) -> tuple[F64, F64]:
         frames [m, rad], per radian.
     """
     whole = np.concatenate([np.zeros(3), axis])
-    joints, free = np.zeros((tree.n_joints, N_JOINT)), identifiable(tree, 1).joints
+    joints, free = np.zeros((tree.n_joints, N_JOINT)), joints_on_hinges(tree)
     # What a joint can not do itself, since it is along or about its axis, those beyond have to.
     left = np.zeros((tree.n_joints, 6))
     for j, (parent, T) in enumerate(zip(tree.parent, state.T_parent_joint, strict=True)):

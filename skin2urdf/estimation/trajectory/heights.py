@@ -12,7 +12,8 @@ from __future__ import annotations
 import numpy as np
 
 from skin2urdf.arrays import F64
-from skin2urdf.estimation.problem.state import N_JOINT, State, identifiable
+from skin2urdf.estimation.problem.state import N_JOINT, State
+from skin2urdf.estimation.trajectory.skeleton import joints_on_hinges
 from skin2urdf.structure.records import KinematicTree
 
 
@@ -29,14 +30,14 @@ def rise(tree: KinematicTree, state: State) -> tuple[F64, F64]:
         joint can move that way.
     """
     joints, sus = np.zeros((tree.n_joints, N_JOINT)), np.zeros((tree.n_sus, 3))
-    free = identifiable(tree, 1).joints[:, :2]
+    free = joints_on_hinges(tree)[:, :2]
     first = np.flatnonzero(tree.parent < 0)
     along = state.T_parent_joint[first[0], :3, 2] if len(first) else np.zeros(3)
     # What a joint can not do itself, since its axis is along it, those beyond have to.
     left = np.zeros((tree.n_joints, 3))
     for j, (parent, T) in enumerate(zip(tree.parent, state.T_parent_joint, strict=True)):
         left[j] = T[:3, :3].T @ (left[parent] if parent >= 0 else along)
-        if parent < 0 and not tree.prismatic[j]:
+        if parent < 0 and not tree.prismatic[j] and not free[j].any():
             left[j, :2] = 0.0
         joints[j, :2] = np.where(free[j], left[j, :2], 0.0)
         left[j] -= np.append(joints[j, :2], 0.0)

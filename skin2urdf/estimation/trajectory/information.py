@@ -41,8 +41,8 @@ class MotionInformation:
     """Information of a fit on placements, bias and shape, and what disturbs it.
 
     Coordinates x are those of joints and logs, z what all SUs share beyond them (gravity's size,
-    numbers of unseen motion), y those of each SU (placement, bias, shape), whatever its clock and
-    front end are.
+    numbers of unseen motion, where limbs are on a base that moves), y those of each SU (placement,
+    bias, shape), whatever its clock and front end are.
 
     Attributes:
         equations: information on x and y for known z, without the prior on offsets.
@@ -154,7 +154,7 @@ def motion_information(
     """
     layout, tree, full = problem.layout, problem.tree, fitted.equations
     free_joint, free_su = problem.free_joint, problem.free_su
-    J, own = layout.gravity, slice(N_SU, layout.n_su)
+    own = slice(N_SU, layout.n_su)
     # What an SU's clock and front end explain is taken off.
     both = free_su[:, own, None] & free_su[:, None, own]
     S = np.where(both, full.su[:, own, own], 0.0)
@@ -170,10 +170,12 @@ def motion_information(
     joint -= np.tensordot(mixed[:, own], by_x, ((0, 1), (0, 1)))
     weight = problem.priors.sensors.position**-2.0
     held = N_JOINT * np.arange(tree.n_joints)[:, None] + np.arange(2)
+    held = np.setdiff1d(held, problem.between_limbs)
     joint[held, held] -= weight
     su[:, range(3), range(3)] -= weight
     parts = clusters(tree, problem.logs)
-    pulls, shares, moments = _errors(problem, fitted, parts, by_x, by_y)
+    split = _Split.of(problem)
+    pulls, shares, moments = _errors(problem, fitted, parts, by_x, by_y, split)
     lacking = (
         np.array([joint for joint, _ in defects]).reshape(-1, layout.n_joint) * free_joint,
         np.array([own for _, own in defects]).reshape(-1, tree.n_sus, layout.n_su) * free_su,
@@ -181,36 +183,81 @@ def motion_information(
     none = np.zeros((0, layout.n_joint)), np.zeros((0, tree.n_sus, layout.n_su))
     off_joint, off_su = none if rounding is None else rounding
     joint_prior, su_prior, _, _ = problem.prior_information(fitted.state)
+    joint_prior[problem.between_limbs] = weight
     scores = _roots(np.where(free_su[:, :, None] & free_su[:, None, :], su_prior, 0.0))
     chains = Chains.of(tree)
     columns = columns_of(chains, tree.n_joints, layout.n_logs)
     return MotionInformation(
         equations=NormalEquations(
-            joint=joint[:J, :J],
+            joint=split.x(split.x(joint).T),
             su=su,
-            mixed=_of_chains(coupling[..., :J], columns, chains),
+            mixed=_of_chains(split.x(coupling), columns, chains),
             columns=columns,
         ),
-        shared=joint[J:, J:] + np.diag(~free_joint[J:] * 1.0),
-        shared_joint=joint[J:, :J],
-        shared_su=coupling[..., J:],
-        defects=_pulls(*lacking, by_x, by_y, J),
-        rounding=_pulls(off_joint * free_joint, off_su * free_su, by_x, by_y, J),
+        shared=split.z(split.z(joint).T) + np.diag(1.0 - split.z(free_joint.astype(np.float64))),
+        shared_joint=split.x(split.z(joint).T),
+        shared_su=split.z(coupling),
+        defects=_pulls(*lacking, by_x, by_y, split),
+        rounding=_pulls(off_joint * free_joint, off_su * free_su, by_x, by_y, split),
         errors=pulls[0].times(np.sqrt(max(1.0, misfit))),
         draws=tuple(pulls[1:]),
-        prior_xz=-scores[..., N_SU:] @ by_x,
+        prior_xz=split.both(-scores[..., N_SU:] @ by_x),
         prior_y=scores[..., :N_SU] - scores[..., N_SU:] @ by_y,
         clusters=parts,
         moments=moments,
-        kinds=_kinds(layout, tree.n_sus),
+        kinds=_kinds(layout, tree.n_sus, len(problem.between_limbs)),
         shares=shares,
-        prior_joint=np.where(free_joint, joint_prior, 0.0),
+        prior_joint=split.both(np.where(free_joint, joint_prior, 0.0)),
         sensors=problem.priors.sensors,
     )
 
 
+@dataclass(frozen=True, eq=False)
+class _Split:
+    """The joint part's coordinates as x and z, last in any array.
+
+    Where limbs are on a base that moves is no coordinate of a robot that stands still, and becomes
+    one of those that all SUs share: the last of them.
+
+    Attributes:
+        gravity: number of the first that is of z.
+        limbs: coordinates among those before that are of z as well.
+    """
+
+    gravity: int
+    limbs: Int
+
+    @staticmethod
+    def of(problem: MotionProblem) -> _Split:
+        return _Split(problem.layout.gravity, problem.between_limbs)
+
+    def x(self, values: F64) -> F64:
+        """(..., J) of joints and logs; 0 where limbs are."""
+        out = values[..., : self.gravity]
+        if len(self.limbs):
+            out = np.array(out)
+            out[..., self.limbs] = 0
+        return out
+
+    def z(self, values: F64) -> F64:
+        """(..., Z) of all else."""
+        beyond = values[..., self.gravity :]
+        if not len(self.limbs):
+            return beyond
+        return np.concatenate([beyond, values[..., self.limbs]], axis=-1)
+
+    def both(self, values: F64) -> F64:
+        """(..., J + Z) one behind the other."""
+        return np.concatenate([self.x(values), self.z(values)], axis=-1)
+
+
 def _errors(
-    problem: MotionProblem, fitted: Fitted, parts: Clusters, by_x: F64, by_y: F64
+    problem: MotionProblem,
+    fitted: Fitted,
+    parts: Clusters,
+    by_x: F64,
+    by_y: F64,
+    split: _Split,
 ) -> tuple[list[Pulls], tuple[F64, F64, F64], F64]:
     """Pulls of parts of the time in every version, after a fit to it.
 
@@ -220,6 +267,7 @@ def _errors(
         parts: of the time.
         by_x: (U, m, J + Z) and
         by_y: (U, m, 15) how an SU's clock and front end follow the rest.
+        split: which of the joint part's coordinates are of x and of z.
 
     Returns:
         Pulls of each version; shares (S, J), (S, U, 15) and (S, Z) of the information that each
@@ -286,9 +334,9 @@ def _errors(
             pull = np.add.reduceat(pull, first, axis=1)
             moments[np.ix_(columns[here], moment[at][first])] += pull[here]
     x = np.where(free_joint, x, 0.0)
-    pulls = [Pulls(x[v, :, :J], x[v, :, J:], y[:, v]) for v in range(V)]
-    shares = _shares(on_joint[:, :J]), _shares(on_su), _shares(on_joint[:, J:])
-    return pulls, shares, moments.T * free_joint[:J]
+    pulls = [Pulls(split.x(x[v]), split.z(x[v]), y[:, v]) for v in range(V)]
+    shares = _shares(split.x(on_joint)), _shares(on_su), _shares(split.z(on_joint))
+    return pulls, shares, moments.T * split.x(free_joint.astype(np.float64))
 
 
 @dataclass(frozen=True, eq=False)
@@ -383,12 +431,12 @@ def _steps(problem: MotionProblem, fitted: Fitted, every: Iterable[Versions]) ->
     return np.array([x for x, _ in steps]), np.array([y for _, y in steps])
 
 
-def _pulls(joint_scores: F64, su_scores: F64, by_x: F64, by_y: F64, J: int) -> Pulls:
+def _pulls(joint_scores: F64, su_scores: F64, by_x: F64, by_y: F64, split: _Split) -> Pulls:
     """Pulls on x, z and y of gradients in all coordinates, the rest following."""
     nuisance = su_scores[..., N_SU:]
     both = joint_scores - np.einsum("eum,umj->ej", nuisance, by_x)
     y = su_scores[..., :N_SU] - np.einsum("eum,umi->eui", nuisance, by_y)
-    return Pulls(both[:, :J], both[:, J:], np.swapaxes(y, 0, 1))
+    return Pulls(split.x(both), split.z(both), np.swapaxes(y, 0, 1))
 
 
 def _roots(information: F64) -> F64:
@@ -397,12 +445,16 @@ def _roots(information: F64) -> F64:
     return np.swapaxes(V * np.sqrt(np.maximum(lam, 0.0))[:, None, :], 1, 2)
 
 
-def _kinds(layout: Layout, n_sus: int) -> tuple[Int, Int, Int]:
-    """Kinds of coordinates (J,), (U, 15) and (Z,): offsets, turns, biases, scales, cross axes."""
+def _kinds(layout: Layout, n_sus: int, n_between: int) -> tuple[Int, Int, Int]:
+    """Kinds of coordinates (J,), (U, 15) and (Z,): offsets, turns, biases, scales, cross axes.
+
+    Of Z the last ones, of which there are ``n_between``, tell where limbs are.
+    """
     of_joints = np.ones(layout.gravity, dtype=np.int64)  # gravity turns in every log
     of_joints[layout.joints] = np.arange(N_JOINT * layout.n_joints) % N_JOINT // 2
     of_sus = np.tile(np.arange(N_SU) // 3, (n_sus, 1))
-    return of_joints, of_sus, np.zeros(layout.n_joint - layout.gravity, dtype=np.int64)
+    n_shared = layout.n_joint - layout.gravity + n_between
+    return of_joints, of_sus, np.zeros(n_shared, dtype=np.int64)
 
 
 def _shares(information: F64) -> F64:

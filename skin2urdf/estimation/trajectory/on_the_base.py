@@ -1,4 +1,7 @@
-"""How SUs on a base that gives way are turned about gravity, of which nothing shows before."""
+"""How limbs and SUs on a base that gives way are turned about gravity.
+
+Of a base that stands still nothing shows it, and a fit begins with what is as good as any.
+"""
 
 from __future__ import annotations
 
@@ -7,14 +10,90 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from skin2urdf.arrays import F64
+from skin2urdf.arrays import F64, Complex
+from skin2urdf.estimation.trajectory.fit import Fitted
+from skin2urdf.estimation.trajectory.kinematics import frame_motions
 from skin2urdf.estimation.trajectory.problem import MotionProblem
 from skin2urdf.estimation.trajectory.state import MotionState
-from skin2urdf.geometry.so3 import rotation_exp
+from skin2urdf.geometry.so3 import frame_with_z, rotation_exp
 from skin2urdf.signals.filters import filtered
 
 _TURNS = 120
 """Turns that are compared: by 3 deg, from which a fit finds its way."""
+_APART = np.deg2rad(5.0)
+"""Angle between the directions of gravity of two logs from which they tell the turn of limbs about
+it [rad]: half a degree of cross-axis error is then six degrees of turn."""
+
+
+def limbs_turned_alike(problem: MotionProblem, fitted: Fitted, seconds: float) -> MotionState:
+    """A state with limbs turned about gravity as they feel the base tilt together.
+
+    A fit to a base that stands still leaves the tilt in the readings: over spans of time that are
+    longer than any swing, all limbs are tilted alike, each seen by its own turn. Which turns make
+    that most alike, the leading eigenvector of what any two have in common tells (synchronisation
+    of angles: Singer 2011), of which a single pair with little in common knows nothing.
+
+    Args:
+        problem: with a base that stands still; nothing is done where it moves, of a robot with one
+            limb, and where several directions of gravity tell how limbs are turned.
+        fitted: its fit.
+        seconds: length of the spans [s].
+    """
+    tree, state = problem.tree, fitted.state
+    places = state.placements
+    roots = np.flatnonzero(tree.parent < 0)
+    tilted = np.linalg.norm(np.cross(places.up, places.up[0]), axis=1).max() > np.sin(_APART)
+    if len(roots) < 2 or tilted or problem.skeleton.tree is not tree:
+        return state
+    felt = np.concatenate(
+        [_tilts(problem, fitted, g, seconds) for g in range(len(problem.logs))], axis=1
+    )
+    size = np.linalg.norm(felt, axis=1, keepdims=True)
+    alike = np.divide(felt, size, out=np.zeros_like(felt), where=size > 0)
+    _, V = np.linalg.eigh(alike @ alike.conj().T)
+    angle = np.angle(V[1, -1] * V[1:, -1].conj())
+    T = np.array(places.T_parent_joint)
+    for root, by in zip(roots, angle, strict=True):
+        turn = rotation_exp(by * places.up[0])
+        T[root, :3] = turn @ T[root, :3]
+    return replace(state, placements=replace(places, T_parent_joint=T))
+
+
+def _tilts(problem: MotionProblem, fitted: Fitted, g: int, seconds: float) -> Complex:
+    """(1 + L, S) what is left along two horizontal axes over spans of a log, as x + iy [m/s^2].
+
+    Args:
+        problem: what was fitted.
+        fitted: its fit.
+        g: number of the log.
+        seconds: length of the spans [s].
+
+    Returns:
+        Of what stands on the base, and of each limb; without their means.
+    """
+    tree, log, p = problem.tree, problem.logs[g], fitted.predicted[g]
+    places, weights = fitted.state.placements, fitted.weights[g][..., 0]
+    q = np.ascontiguousarray(log.q[log.kept, : tree.n_joints].T)
+    still = np.zeros_like(q)
+    _, carried = frame_motions(tree, places.T_parent_joint, places.up[g], q, still, still)
+    across = frame_with_z(places.up[0])[:, :2] @ np.array([1.0, 1.0j])
+    limb = np.array([tree.chain(j)[0] if j >= 0 else -1 for j in tree.su_joint])
+    n = max(1, int((log.time[-1] - log.time[0]) / seconds))
+    first = np.linspace(0, len(log.kept), n + 1).astype(int)[:-1]
+    out = []
+    for root in (-1, *np.flatnonzero(tree.parent < 0)):
+        pulls, total = np.zeros(len(log.kept), dtype=np.complex128), np.zeros(len(log.kept))
+        for u in np.flatnonzero(limb == root):
+            w = np.where(p.measured[:, u], weights[:, u], 0.0)
+            axes = np.einsum("jik,i->kj", carried[tree.su_joint[u]].R_frame_base, across)
+            axes = axes @ places.T_joint_su[u, :3, :3]
+            left = np.where(w[:, None] > 0, p.residual[:, u, :3], 0.0)
+            pulls += w * (left * axes).sum(axis=1)
+            total += w
+        span, of_span = np.add.reduceat(pulls, first), np.add.reduceat(total, first)
+        felt = np.divide(span, of_span, out=np.zeros_like(span), where=of_span > 0)
+        out.append(felt - felt.mean())
+    return np.array(out)
 
 
 def turned_as_the_base(problem: MotionProblem, state: MotionState, seconds: float) -> MotionState:

@@ -41,7 +41,7 @@ from skin2urdf.estimation.trajectory.priors import (
     with_priors,
 )
 from skin2urdf.estimation.trajectory.records import Equations, Predicted, Spans
-from skin2urdf.estimation.trajectory.skeleton import N_HINGES
+from skin2urdf.estimation.trajectory.skeleton import N_HINGES, joints_on_hinges
 from skin2urdf.estimation.trajectory.state import N_GYRO, MotionState
 from skin2urdf.model.records import KinematicModel
 from skin2urdf.model.specific_force import forces_in_time
@@ -124,11 +124,20 @@ class MotionProblem(Derivatives):
         return joint, su & self.free_su
 
     @cached_property
+    def between_limbs(self) -> Int:
+        """Coordinates of the joint part that tell where limbs are, if only the base shows it."""
+        if self.skeleton.tree is self.tree or self.priors.blueprint is not None:
+            return np.zeros(0, dtype=np.int64)
+        still = identifiable(self.tree, 1).joints
+        return np.flatnonzero((joints_on_hinges(self.tree) & ~still).ravel())
+
+    @cached_property
     def _free(self) -> tuple[Bool, Bool]:
         layout, tree, priors = self.layout, self.tree, self.priors
         placements = identifiable(tree, len(self.logs), True)
         joint = np.ones(layout.n_joint, dtype=bool)
         joint[layout.joints] = placements.joints.ravel()
+        joint[self.between_limbs] = True
         if priors.blueprint:
             joint[layout.joints], joint[layout.further] = priors.blueprint.free()
         joint[layout.gravity] = priors.gravity > 0

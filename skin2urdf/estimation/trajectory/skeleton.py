@@ -15,7 +15,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from skin2urdf.arrays import F64, Int, frozen
+from skin2urdf.arrays import F64, Bool, Int, frozen
+from skin2urdf.estimation.problem.state import identifiable
 from skin2urdf.model.records import KinematicModel
 from skin2urdf.structure.records import JointType, KinematicTree
 
@@ -31,6 +32,22 @@ def shift(tree: KinematicTree, axis: int) -> int:
 def turn(tree: KinematicTree, axis: int) -> int:
     """Number of the base's turn about an axis, behind the joints of the tree."""
     return tree.n_joints + 3 + axis
+
+
+def joints_on_hinges(tree: KinematicTree) -> Bool:
+    """(D, 4) coordinates tx, ty, rx, ry of joints that readings show if the base moves.
+
+    Where the first limb is relative to the base's frame is a choice. Where the others are is not:
+    by their distance from the first they load the base more or less, and feel more of its swing.
+    """
+    free = np.array(identifiable(tree, 1).joints)
+    slides = tree.prismatic
+    # Limbs on what only slides are as unconnected as limbs on the base.
+    first = [
+        j for j in range(tree.n_joints) if not slides[j] and slides[list(tree.chain(j)[:-1])].all()
+    ]
+    free[first[1:], :2] = True
+    return free
 
 
 @dataclass(frozen=True, eq=False)

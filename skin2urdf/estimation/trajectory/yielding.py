@@ -16,7 +16,10 @@ from skin2urdf.estimation.trajectory.balance import balanced, bending, unsettled
 from skin2urdf.estimation.trajectory.bending import Bending
 from skin2urdf.estimation.trajectory.fit import Fitted, Led, cost_with, fit, fit_following, held
 from skin2urdf.estimation.trajectory.misfit import MOST_OF_IT, SPAN, misfit_of
-from skin2urdf.estimation.trajectory.on_the_base import turned_as_the_base
+from skin2urdf.estimation.trajectory.on_the_base import (
+    limbs_turned_alike,
+    turned_as_the_base,
+)
 from skin2urdf.estimation.trajectory.problem import MotionProblem
 from skin2urdf.estimation.trajectory.products import with_products
 from skin2urdf.estimation.trajectory.shaken import Shaken
@@ -53,7 +56,8 @@ def fit_yielding(
     Torques go with the motion of the links, which is known once the deflections are, and with the
     masses, which are known once the stiffness is: every step follows what it has found.
     """
-    tree, state = problem.tree, fitted.state
+    tree = problem.tree
+    state = limbs_turned_alike(problem, fitted, SPAN) if base else fitted.state
     logs = [_at_rest_before(log) for log in problem.logs]
     n_knots = problem.layout.n_knots
     promised = 1 + MOST_OF_IT * (misfit_of(problem, fitted, SPAN) - 1)
@@ -72,7 +76,7 @@ def fit_yielding(
         led = follow(before, at)
         return led if cast(Bending, led.problem.unseen).holds else None
 
-    # How SUs on the base are turned is known when its motion is.
+    # How SUs on the base are turned is known when its motion is, which all limbs feel.
     moved = [replace(log, valid=log.valid & ((tree.su_joint >= 0) | (not base))) for log in logs]
     first = moved if base else [log.slower(_SLOWER[0]) for log in moved]
     bends = bending(tree, first, state.placements, state.gravity, joints=elastic, base=base)

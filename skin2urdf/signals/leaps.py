@@ -11,9 +11,10 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 
 from skin2urdf.arrays import F64, Int, Record
-from skin2urdf.signals.filters import filtered, low_pass
+from skin2urdf.signals.filters import filtered, low_pass, second_derivative
 from skin2urdf.signals.motion import SMOOTH, Motion
 from skin2urdf.threads import do_each
 
@@ -90,6 +91,32 @@ class Leaps(Record):
             levers: (U, D) reading per acceleration of a joint at most [m, or 1].
         """
         return np.asarray(self.joints @ (levers**2 * self.period[:, None] ** 2).T)
+
+
+def between_positions(q: F64, rate: float, raw_rate: F64, taps: F64) -> F64:
+    """Variance (N, D) of accelerations that positions leave open between those that were read.
+
+    Curves of fifth order go through them (:mod:`~skin2urdf.signals.filters`). How far those of
+    third order are off these is more than these are off the motion, by about as much as it is less
+    smooth than they are: a joint that swings at 3 Hz, or stops, in a stream of 20 Hz.
+
+    Args:
+        q: (N, D) positions on a grid, low-passed [rad or m].
+        rate: of the grid [Hz].
+        raw_rate: (D,) of the positions that were read [Hz].
+        taps: of the low-pass.
+    """
+    time, out = np.arange(len(q)) / rate, np.zeros(q.shape)
+    twice = np.convolve(taps, taps)
+    around = np.abs(twice) / np.abs(twice).sum()
+    for raw in np.unique(raw_rate[raw_rate < rate]):
+        its = np.flatnonzero(raw_rate == raw)
+        read = np.arange(0.0, time[-1], 1 / raw)
+        positions = CubicSpline(time, q[:, its])(read)
+        off = CubicSpline(read, positions)(np.minimum(time, read[-1])) - q[:, its]
+        squares = filtered(second_derivative(off, rate), taps) ** 2
+        out[:, its] = filtered(squares, around).clip(0.0)
+    return out
 
 
 def _steps(x: F64, taps: F64) -> F64:

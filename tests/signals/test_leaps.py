@@ -7,8 +7,8 @@ import pytest
 
 from skin2urdf.arrays import F64
 from skin2urdf.recording.records import JointStream, Recording
-from skin2urdf.signals.filters import filtered, low_pass, sample
-from skin2urdf.signals.leaps import Leaps
+from skin2urdf.signals.filters import filtered, low_pass, sample, second_derivative
+from skin2urdf.signals.leaps import Leaps, between_positions
 from skin2urdf.signals.motion import Motion, joint_motion
 
 CUTOFF = 10.0
@@ -107,3 +107,29 @@ def test_columns_are_exchanged_together() -> None:
     expected = leaps.variance(levers)[:, sus]
     assert swapped.variance(levers[np.ix_(sus, dofs)]) == pytest.approx(expected)
     assert (swapped.readings == leaps.readings[:, sus]).all()
+
+
+@pytest.mark.parametrize("rate", [20.0, 25.0, 50.0, 125.0])
+def test_what_joints_do_between_positions_is_covered(rate: float) -> None:
+    """A swing of 3 Hz, which begins and ends as patterns do, in streams of several rates."""
+    span = np.clip(np.arange(0.0, 20.0, 1e-3) - 5.0, 0.0, 8.0)
+    begins = np.clip(np.minimum(span, 8.0 - span) / 0.5, 0.0, 1.0)
+    smooth = begins**3 * (10.0 - 15.0 * begins + 6.0 * begins**2)
+    fine = np.arange(0.0, 20.0, 1e-3)
+    position = 0.05 * smooth * np.sin(2 * np.pi * 3.1 * span)
+    time = np.arange(0.0, 19.9, 1 / rate)
+    motion = joint_motion(Recording((JointStream("j", time, np.interp(time, fine, position)),), ()))
+    grid, taps = motion.grid, low_pass(8.0, motion.grid.rate)
+    q = filtered(motion.q, taps)
+    true = filtered(np.interp(grid.time, fine, position)[:, None], taps)
+    off = filtered(second_derivative(q - true, grid.rate), taps)[:, 0]
+    variance = between_positions(q, grid.rate, motion.raw_rate, taps)[:, 0]
+    if rate == 125.0:
+        assert variance.max() < 1e-12
+        return
+    moments = [slice(k, k + 62) for k in range(300, 2000, 62)]
+    for moment in moments:
+        left, stated = (off[moment] ** 2).mean(), variance[moment].mean()
+        assert left <= 9 * stated + 1e-10
+    # What is read often enough leaves next to nothing of 19 rad/s^2.
+    assert np.sqrt(variance.max()) < {20.0: 3.0, 25.0: 1.0, 50.0: 0.05}[rate]

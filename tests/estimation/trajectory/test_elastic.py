@@ -93,8 +93,11 @@ def _trajectory(
     return sampled_trajectory(q + deflection, read).without_first(4.0)
 
 
-def _from_place_to_place(compliance: F64, gap: float) -> Trajectory:
-    """Forty seconds between sixteen places, with gears that yield and have play [rad]."""
+def _from_place_to_place(compliance: F64, gap: float, step: float = 1e-9) -> Trajectory:
+    """Forty seconds between sixteen places, with gears that yield and have play [rad].
+
+    Encoders have steps [rad].
+    """
     rng = np.random.default_rng(4)
     q = stays(rng.uniform(-1.5, 1.5, (16, 2)), 130, 170)
     qd, qdd = first_derivative(q, RATE), second_derivative(q, RATE)
@@ -106,7 +109,7 @@ def _from_place_to_place(compliance: F64, gap: float) -> Trajectory:
     read = np.einsum("uij,kuj->kui", truth.sensor_matrix(), ideal) + truth.bias
     read = read + 7e-3 * rng.standard_normal(read.shape)
     motors = q + compliance * torque + 0.5 * gap * side
-    return sampled_trajectory(motors, read, still_below=1e-3)
+    return sampled_trajectory(np.round(motors / step) * step, read, still_below=1e-3)
 
 
 def _fit(log: Trajectory) -> MotionEstimate:
@@ -142,6 +145,10 @@ def test_play_is_told_from_springs() -> None:
     assert "elastic" not in loose.causes
     assert "elastic" in soft.causes
     assert "play" not in soft.causes
+    # Beside steps of encoders half as large, a gap is taken for one as well.
+    coarse = _fit(_from_place_to_place(0.0 * _SOFT, 3e-3, 1.5e-3))
+    assert "play" in coarse.tried
+    assert "elastic" not in coarse.tried
 
 
 def test_what_yields_passes_the_low_pass_as_motion_does() -> None:

@@ -173,7 +173,7 @@ def _with_physics(rigid: _Attempt, without: Collection[str]) -> tuple[_Attempt, 
     if _DRIFT in left and rigid.problem.priors.sensors.bias == 0:
         left.remove(_DRIFT)
     best, tried = rigid, list[_Attempt]()
-    while left and best.lacks:
+    while left and best.needs_a_cause:
         further: list[_Attempt] = []
         drifts = [_DRIFT] if _DRIFT in left and best.misfit > _EXPLAINED else []
         for cause in (*drifts, *best.likely(left)):
@@ -182,7 +182,7 @@ def _with_physics(rigid: _Attempt, without: Collection[str]) -> tuple[_Attempt, 
                 play = replace(further[-1], causes=(*best.causes, PLAY))
                 return play, [*tried, play]
             tried.append(further[-1])
-            if not further[-1].lacks and _explains_most(further[-1], best):
+            if not further[-1].needs_a_cause and _explains_most(further[-1], best):
                 return further[-1], tried
             if cause in BENDS and any(_explains_most(each, best) for each in further):
                 break  # what is less likely waits for what is left then
@@ -248,11 +248,25 @@ class _Attempt:
         return None if self.places is None else lacking(self.problem, self.fitted, [self.places])
 
     @property
+    def slack_left(self) -> float:
+        """Mean square of slack that the readings show for certain [rad^2]."""
+        size = self.slack_size
+        return size.size**2 if size is not None and size.gain > _CERTAIN else 0.0
+
+    @property
     def lacks(self) -> bool:
         """Whether the readings show something that the problem has not."""
         if self.misfit > _EXPLAINED:
             return True
         return self.slack_size is not None and self.slack_size.gain > _CERTAIN
+
+    @property
+    def needs_a_cause(self) -> bool:
+        """Whether the readings show more than slack that encoders may have rounded off."""
+        if self.misfit > _EXPLAINED:
+            return True
+        size, rounding = self.slack_size, rounded_off(self.problem.tree, self.problem.logs)
+        return size is not None and self.lacks and size.gain_beyond(rounding) > _DOUBTED
 
     @cached_property
     def has_play(self) -> bool:
@@ -397,13 +411,14 @@ class _Attempt:
 
 
 def _explains_most(one: _Attempt, other: _Attempt) -> bool:
-    """Whether an attempt takes most of what another one leaves."""
+    """Whether an attempt takes most of what another one leaves.
+
+    Of slack its size counts: likelihoods are in the noise that a fit leaves, which falls with what
+    it explains.
+    """
     if other.misfit > _EXPLAINED:
         return one.misfit - 1 < MOST_OF_IT * (other.misfit - 1)
-    if one.slack_size is None or other.slack_size is None:
-        return False
-    small = one.slack_size.gain < MOST_OF_IT * other.slack_size.gain
-    return small and one.misfit < _EXPLAINED
+    return one.misfit < _EXPLAINED and one.slack_left < MOST_OF_IT * other.slack_left
 
 
 def _with_drifting_biases(problem: MotionProblem, fitted: Fitted) -> tuple[MotionProblem, Fitted]:

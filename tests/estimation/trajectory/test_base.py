@@ -5,6 +5,7 @@ Motions are Pinocchio's, of a robot with inertias and with two more joints below
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
 
@@ -25,7 +26,7 @@ from skin2urdf.estimation.trajectory.bending import Bending
 from skin2urdf.estimation.trajectory.estimate import MotionEstimate, estimate_along, motion_priors
 from skin2urdf.estimation.trajectory.fit import Fitted
 from skin2urdf.estimation.trajectory.problem import MotionProblem
-from skin2urdf.estimation.trajectory.slack import Size, size_of
+from skin2urdf.estimation.trajectory.slack import Lacking, Size, lacking, size_of
 from skin2urdf.estimation.trajectory.unseen import Unseen
 from skin2urdf.estimation.uncertainty.observability import Subject, observability_along
 from skin2urdf.geometry.so3 import rotation_exp, rotation_log
@@ -159,6 +160,23 @@ def test_what_each_number_does_to_the_turns_is_what_another_number_makes() -> No
         told = np.zeros_like(change)
         told[:, found.joint[entries] - _TREE.n_joints - 3] = found.on_grid[0][np.ix_(kept, entries)]
         assert np.linalg.norm(told - change) < 0.01 * np.linalg.norm(change)
+
+
+def test_what_a_base_leaves_is_judged_by_its_size(monkeypatch: pytest.MonkeyPatch) -> None:
+    """In noise that falls with what is explained, little that is left is as certain as much was."""
+
+    class Certain(Lacking):
+        def size(self, group: int, drawn: int | None = None) -> Size:
+            size = super().size(group, drawn)
+            return replace(size, gain=max(size.gain, 13.0))
+
+    def in_less_noise(problem: MotionProblem, fitted: Fitted, more: Sequence[Unseen]) -> Lacking:
+        return Certain(**vars(lacking(problem, fitted, more)))
+
+    monkeypatch.setattr(causes, "lacking", in_less_noise)
+    found, _ = _on_a_stand.__wrapped__(1 / 100_000)
+    assert found.causes[0] == "base"
+    assert found.misfit < 1.5
 
 
 def test_a_base_that_says_little_at_first_is_followed_where_slack_leaves_much(

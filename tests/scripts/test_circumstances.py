@@ -12,7 +12,7 @@ from batch.store import Store
 from bench.measured import Figures
 from drawn.circumstances import drawn
 from drawn.table import complete, report, shortfalls
-from drawn.trials import Case, Outcome, Trial, perform
+from drawn.trials import Case, Outcome, Trial
 from good_figures import GOOD
 
 from skin2urdf.simulation.defects import Defect, LocalGravity
@@ -85,10 +85,3 @@ def test_errors_that_are_no_words_and_long_times_count() -> None:
 def test_impossible_options_are_refused_in_words(capsys: pytest.CaptureFixture[str]) -> None:
     assert circumstances.main(["--joints", "1"]) == 2
     assert "--joints" in capsys.readouterr().err
-
-
-def test_what_joints_do_between_two_positions_is_no_hit() -> None:
-    """Sensors without noise show what curves through positions of 20 Hz miss of patterns."""
-    found = perform(Case(690017))
-    assert found.figures.named == ()
-    assert found.figures.verdict == "good"

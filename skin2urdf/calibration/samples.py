@@ -28,7 +28,6 @@ from skin2urdf.estimation.trajectory.priors import MotionPriors
 from skin2urdf.estimation.trajectory.publishers import likelihood
 from skin2urdf.estimation.uncertainty.health import are_plausible
 from skin2urdf.signals.clocks import as_far_as_confirmed, is_off
-from skin2urdf.signals.leaps import between_positions
 from skin2urdf.signals.records import Features, JointClock, SuClock
 from skin2urdf.signals.sampling import Sampled
 from skin2urdf.signals.trajectory import Trajectory, in_order, trajectory
@@ -395,12 +394,9 @@ def _usual(along: MotionEstimate, g: int) -> F64:
     nor is what joints do between two positions that were read.
     """
     log, noise = along.problem.logs[g], along.fitted.noise[g][..., :3]
-    also = np.zeros(noise.shape[:2])
+    also = log.between_positions @ (levers(along.problem.tree, along.state) ** 2).T
     if log.leaps is not None:
         also += log.leaps.readings
-    if len(log.raw_rate):
-        joints = between_positions(log.q, log.rate, log.raw_rate, log.taps)[log.kept]
-        also += joints @ (levers(along.problem.tree, along.state) ** 2).T
     return np.asarray(np.hypot(noise, np.sqrt(also)[..., None]))
 
 

@@ -31,6 +31,28 @@ def skew(v: F64) -> F64:
     return m
 
 
+def force_per_position(w: F64, wd: F64) -> F64:
+    """(3, 3, N) ``[wd]x + [w]x [w]x``: specific force per position of a point in a moving frame.
+
+    Args:
+        w: (3, N) angular velocity in the frame [rad/s], and
+        wd: (3, N) angular acceleration [rad/s^2]; samples last, where NumPy is fastest.
+
+    Returns:
+        By which the specific force at a point is larger than that at the origin [1/s^2].
+    """
+    A = w[:, None] * w
+    A[range(3), range(3)] -= (w * w).sum(axis=0)
+    x, y, z = wd
+    A[0, 1] -= z
+    A[0, 2] += y
+    A[1, 0] += z
+    A[1, 2] -= x
+    A[2, 0] -= y
+    A[2, 1] += x
+    return A
+
+
 def cross(a: F64, b: F64) -> F64:
     """Cross product over the last axis with broadcasting; several times faster than NumPy's."""
     a0, a1, a2 = a[..., 0], a[..., 1], a[..., 2]

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from skin2urdf.arrays import F64, Int
-from skin2urdf.geometry.so3 import skew
+from skin2urdf.geometry.so3 import force_per_position, skew
 from skin2urdf.model.kinematics import PinocchioTree
 from skin2urdf.model.prediction import Chains, su_kinematics
 from skin2urdf.model.records import KinematicModel
@@ -78,18 +78,9 @@ def _affine(motion: F64) -> F64:
     Args:
         motion: as in :func:`_at`.
     """
-    w, (x, y, z), force = motion
+    w, wd, force = motion
     felt = np.empty((4, 3, motion.shape[2]))
-    A = felt[:3]
-    np.multiply(w[:, None], w, out=A)
-    A[range(3), range(3)] -= (w * w).sum(axis=0)
-    A[0, 1] -= z
-    A[0, 2] += y
-    A[1, 0] += z
-    A[1, 2] -= x
-    A[2, 0] -= y
-    A[2, 1] += x
-    felt[3] = force
+    felt[:3], felt[3] = force_per_position(w, wd), force
     return felt.reshape(12, -1)
 
 

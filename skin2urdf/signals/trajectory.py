@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -23,7 +24,7 @@ from skin2urdf.signals.filters import (
     noise_bandwidth,
     second_derivative,
 )
-from skin2urdf.signals.leaps import Leaps
+from skin2urdf.signals.leaps import Leaps, between_positions
 from skin2urdf.signals.sampling import Sampled
 from skin2urdf.signals.stillness import MOVING, averaged_share, with_averages, without_toggling
 from skin2urdf.threads import do_each, each
@@ -131,6 +132,13 @@ class Trajectory(Record):
             splines = tuple(each(lambda x: Spline(x, shelf), columns, len(columns)))
             self.known[name] = values, splines
         return splines
+
+    @cached_property
+    def between_positions(self) -> F64:
+        """(K, D) variance of accelerations that positions leave open between those read."""
+        if not len(self.raw_rate):
+            return np.zeros((len(self.kept), self.q.shape[1]))
+        return between_positions(self.q, self.rate, self.raw_rate, self.taps)[self.kept]
 
     @property
     def since_middle(self) -> F64:

@@ -204,13 +204,13 @@ def _with_uneven_gears(rigid: _Attempt, by_bends: float) -> _Attempt:
         by_bends: what the likeliest of what bends says.
     """
     best = rigid
-    while best.slack_size is not None and best.slack_size.gain > _CERTAIN:
+    while (slack_size := best.certain_slack) is not None:
         proposed = {name: best.sized(more) for name, more in best.uneven() if more is not None}
         if not proposed:
             break
         name = max(proposed, key=lambda each: proposed[each][1].gain)
         more, size = proposed[name]
-        if size.gain <= max(best.slack_size.gain, by_bends):
+        if size.gain <= max(slack_size.gain, by_bends):
             break
         best = best.with_more(name, more, size.size)
     return best
@@ -248,25 +248,28 @@ class _Attempt:
         return None if self.places is None else lacking(self.problem, self.fitted, [self.places])
 
     @property
+    def certain_slack(self) -> Size | None:
+        """The same where the readings show it for certain."""
+        size = self.slack_size
+        return size if size is not None and size.gain > _CERTAIN else None
+
+    @property
     def slack_left(self) -> float:
         """Mean square of slack that the readings show for certain [rad^2]."""
-        size = self.slack_size
-        return size.size**2 if size is not None and size.gain > _CERTAIN else 0.0
+        return self.certain_slack.size**2 if self.certain_slack is not None else 0.0
 
     @property
     def lacks(self) -> bool:
         """Whether the readings show something that the problem has not."""
-        if self.misfit > _EXPLAINED:
-            return True
-        return self.slack_size is not None and self.slack_size.gain > _CERTAIN
+        return self.misfit > _EXPLAINED or self.certain_slack is not None
 
     @property
     def needs_a_cause(self) -> bool:
         """Whether the readings show more than slack that encoders may have rounded off."""
         if self.misfit > _EXPLAINED:
             return True
-        size, rounding = self.slack_size, rounded_off(self.problem.tree, self.problem.logs)
-        return size is not None and self.lacks and size.gain_beyond(rounding) > _DOUBTED
+        size, rounding = self.certain_slack, rounded_off(self.problem.tree, self.problem.logs)
+        return size is not None and size.gain_beyond(rounding) > _DOUBTED
 
     @cached_property
     def has_play(self) -> bool:
@@ -345,10 +348,10 @@ class _Attempt:
 
         So little leaves a fit where it is but for a step, of which the equations are known.
         """
-        if self.shown is None or self.slack_size is None or self.slack_size.gain <= _CERTAIN:
+        size = self.certain_slack
+        if self.shown is None or size is None:
             return None
         rounding = rounded_off(self.problem.tree, self.problem.logs)
-        size = self.slack_size
         if size.gain_beyond(rounding) > _DOUBTED:
             size = self._size_beside_rounding() or size
         if size.gain_beyond(rounding) > _DOUBTED:
@@ -371,8 +374,7 @@ class _Attempt:
 
     def slackened(self) -> _Attempt:
         """With slack where the readings show any for certain, else as it is."""
-        certain = self.slack_size is not None and self.slack_size.gain > _CERTAIN
-        return self.with_slack() if certain else self
+        return self if self.certain_slack is None else self.with_slack()
 
     def with_slack(self) -> _Attempt:
         """With slack of the size that the readings show."""

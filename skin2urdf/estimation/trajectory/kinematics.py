@@ -29,6 +29,7 @@ import numpy as np
 from skin2urdf.arrays import F64
 from skin2urdf.estimation.problem.state import State
 from skin2urdf.estimation.trajectory.points import shared_points
+from skin2urdf.geometry.so3 import force_per_position
 from skin2urdf.structure.records import KinematicTree
 
 # Vectors along a trajectory are (3, K): samples last, where NumPy is fastest.
@@ -53,16 +54,7 @@ class FrameMotion:
     @cached_property
     def A(self) -> F64:
         """(3, 3, K) specific force per position of a point that moves along [1/s^2]."""
-        A = self.w[:, None] * self.w
-        A[range(3), range(3)] -= (self.w * self.w).sum(axis=0)
-        x, y, z = self.a
-        A[0, 1] -= z
-        A[0, 2] += y
-        A[1, 0] += z
-        A[1, 2] -= x
-        A[2, 0] -= y
-        A[2, 1] += x
-        return A
+        return force_per_position(self.w, self.a)
 
 
 @dataclass(frozen=True, eq=False)

@@ -168,6 +168,15 @@ class Trajectory(Record):
         for q in several:
             yield filtered(with_averages(q, share, self.rate), self.taps)
 
+    def with_joints_off(self, off: F64) -> Trajectory:
+        """The same with positions (N, D) that are off by so much, low-passed as they are."""
+        return replace(
+            self,
+            q=self.q + off,
+            qd=self.qd + first_derivative(off, self.rate),
+            qdd=self.qdd + second_derivative(off, self.rate),
+        )
+
     def joints_taken(self, joints: Int, late: F64) -> Trajectory:
         """The same with the positions of some joints as they are so much later.
 

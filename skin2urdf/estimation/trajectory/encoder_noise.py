@@ -25,6 +25,7 @@ from skin2urdf.estimation.trajectory.fit import Fitted, held
 from skin2urdf.estimation.trajectory.problem import MotionProblem
 from skin2urdf.estimation.trajectory.records import Predicted
 from skin2urdf.estimation.trajectory.shaken import EVERY
+from skin2urdf.estimation.trajectory.shaken_loads import ShakenLoads, shaken_loads
 from skin2urdf.estimation.trajectory.state import MotionState
 from skin2urdf.estimation.trajectory.unseen import Unseen
 from skin2urdf.signals.trajectory import Trajectory
@@ -62,7 +63,7 @@ def whole_of(parts: Sequence[Shortening]) -> tuple[F64, F64]:
 
 def without_shortening(
     problem: MotionProblem, fitted: Fitted
-) -> tuple[Fitted, tuple[Shortening, ...]]:
+) -> tuple[Fitted, tuple[Shortening, ...], ShakenLoads | None]:
     """A fit without what the noise of encoders does to it.
 
     Args:
@@ -70,24 +71,49 @@ def without_shortening(
         fitted: its optimum.
 
     Returns:
-        The fit, some standard deviations away, and what led there; the same fit and nothing where
-        steps would not take it off, as in a log of motion so slow that it is lost in the noise.
+        The fit, some standard deviations away, what led there, and what of that noise does through
+        loads; the same fit and nothing where steps would not take it off, as in a log of motion so
+        slow that it is lost in the noise.
     """
-    parts, found = _shortening(problem, fitted, fitted.state), fitted
+    parts, loads = _shortening(problem, fitted, fitted.state), shaken_loads(problem, fitted)
     if not parts:
-        return fitted, ()
-    left = _left(fitted, fitted)
-    step = step_along(fitted, *whole_of(parts))
+        return fitted, (), loads
+    if loads is not None:
+        joint, su = loads.mean
+        # What more noise does is what noise has done: the reverse takes it off.
+        there = _taken_off(problem, fitted, parts, (Shortening(loads.joints, -joint, -su),))
+        if there is not None:
+            return *there, replace(loads, taken_off=True)
+    there = _taken_off(problem, fitted, parts, ())
+    return (fitted, (), loads) if there is None else (*there, loads)
+
+
+def _taken_off(
+    problem: MotionProblem,
+    fitted: Fitted,
+    parts: tuple[Shortening, ...],
+    through: tuple[Shortening, ...],
+) -> tuple[Fitted, tuple[Shortening, ...]] | None:
+    """A fit without what noise does to it, and what that is; None where steps would not do.
+
+    Args:
+        problem: what was fitted.
+        fitted: its optimum.
+        parts: what noise does there to lengths, which is another thing elsewhere.
+        through: what it does through loads, which is taken to be the same.
+    """
+    left, found = _left(fitted, fitted), fitted
+    step = step_along(fitted, *whole_of([*parts, *through]))
     for _ in range(_STEPS):
         found = held(problem, problem.layout.moved(found.state, *step.steps))
         if not (_left(found, fitted) <= _MOST * left).all():
-            return fitted, ()
+            return None
         if not step.is_most:
             break
         # So far away it is another step that takes off what noise does there.
         parts = _shortening(problem, found, found.state)
-        step = step_ahead(found, whole_of(parts))
-    return found, parts
+        step = step_ahead(found, whole_of([*parts, *through]))
+    return found, (*parts, *through)
 
 
 def hidden_offsets(problem: MotionProblem, fitted: Fitted) -> list[tuple[F64, F64]]:

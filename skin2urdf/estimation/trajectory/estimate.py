@@ -50,6 +50,7 @@ from skin2urdf.estimation.trajectory.rounded import lost_in_averages, rounded_of
 from skin2urdf.estimation.trajectory.senses import in_likelier_sense
 from skin2urdf.estimation.trajectory.sensors import with_sensors_alike
 from skin2urdf.estimation.trajectory.shaken import Shaken
+from skin2urdf.estimation.trajectory.shaken_loads import ShakenLoads
 from skin2urdf.estimation.trajectory.slack import lacking
 from skin2urdf.estimation.trajectory.state import MotionState
 from skin2urdf.estimation.trajectory.swaying import swaying
@@ -82,6 +83,7 @@ class MotionEstimate:
         late: clocks of publishers of joint states; None where none is off.
         corrected: what the noise of encoders does to lengths and was taken off.
         hidden: parts (J,) and (U, n) of the gradient, each of something that it hides.
+        loads: what it does through the loads that links bend under; None where they do not.
     """
 
     problem: MotionProblem
@@ -94,6 +96,7 @@ class MotionEstimate:
     late: Late | None = None
     corrected: tuple[Shortening, ...] = ()
     hidden: tuple[tuple[F64, F64], ...] = ()
+    loads: ShakenLoads | None = None
 
     @property
     def state(self) -> State:
@@ -131,8 +134,9 @@ class MotionEstimate:
         Args:
             again: what encoders round off, drawn anew.
         """
+        through = self.loads.off if self.loads is not None else []
         if not self.corrected:
-            return []
+            return through
         groups = [each.joints for each in self.corrected]
         *each_off, all_off = unsure(
             self.problem, self.fitted, again, [*groups, np.concatenate(groups)]
@@ -141,6 +145,7 @@ class MotionEstimate:
         return [
             *((off * c.joint, off * c.su) for off, c in zip(each_off, self.corrected, strict=True)),
             (all_off * joint, all_off * su),
+            *through,
         ]
 
     @cached_property
@@ -319,8 +324,9 @@ def estimate_along(
         problem, fitted = with_sensors_alike(problem, fitted)
     corrected: tuple[Shortening, ...] = ()
     hidden: list[tuple[F64, F64]] = []
+    loads: ShakenLoads | None = None
     if lengths:
-        fitted, corrected = without_shortening(problem, fitted)
+        fitted, corrected, loads = without_shortening(problem, fitted)
         hidden = hidden_offsets(problem, fitted)
     left = misfit_of(problem, fitted, SPAN)
     if late is not None:
@@ -328,7 +334,9 @@ def estimate_along(
     tell(1.0)
     gyros = found_gyros(problem, fitted, contradict)
     what = found.causes, found.tried, found.under_known
-    return MotionEstimate(problem, fitted, left, gyros, *what, late, corrected, tuple(hidden))
+    return MotionEstimate(
+        problem, fitted, left, gyros, *what, late, corrected, tuple(hidden), loads
+    )
 
 
 def _of_a_rigid_robot(

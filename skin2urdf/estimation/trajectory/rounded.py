@@ -34,15 +34,24 @@ def rounded_off_again(logs: Sequence[Trajectory]) -> Unseen | None:
     """
     if not any(log.resolution.any() for log in logs):
         return None
-    rng = np.random.default_rng(0)
     D = logs[0].q.shape[1]
     kept = tuple(np.empty((3, DRAWS, D, len(log.kept))) for log in logs)
-    for log, drawn in zip(logs, kept, strict=True):
-        for draw, off in enumerate(log.as_sampled(_off(log, rng))):
+    for draw, off_of_logs in enumerate(drawn_anew(logs)):
+        for log, drawn, off in zip(logs, kept, off_of_logs, strict=True):
             drawn[:, draw] = passed_at_kept(off, 1, log)
     flat = tuple(each.reshape(3, DRAWS * D, -1) for each in kept)
     joint, number = np.tile(np.arange(D), DRAWS), np.repeat(np.arange(DRAWS), D)
     return Unseen(joint, (), number=number, kept=flat)
+
+
+def drawn_anew(logs: Sequence[Trajectory]) -> Iterator[tuple[F64, ...]]:
+    """Per draw, by how much rounded positions (N, D) of each log are off, as it is sampled.
+
+    Args:
+        logs: trajectories of the D joints.
+    """
+    rng = np.random.default_rng(0)
+    yield from zip(*(log.as_sampled(_off(log, rng)) for log in logs), strict=True)
 
 
 def lost_in_averages(logs: Sequence[Trajectory]) -> Unseen | None:

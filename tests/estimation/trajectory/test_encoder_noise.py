@@ -43,7 +43,7 @@ def test_noise_in_which_motion_is_lost_is_left_alone(tmp_path: Path) -> None:
         replace(log, noise=None if log.noise is None else 1e5 * log.noise) for log in known.logs
     ]
     lost = known.again(logs=logs)
-    assert without_shortening(lost, along.fitted) == (along.fitted, ())
+    assert without_shortening(lost, along.fitted) == (along.fitted, (), None)
     # Most of the accelerations is noise: what is found of offsets says nothing along any axis.
     logs = [replace(log, noise=10 * (log.qdd[log.kept] ** 2).mean(axis=0)) for log in known.logs]
     hidden = hidden_offsets(known.again(logs=logs), along.fitted)

@@ -1,0 +1,97 @@
+"""What encoders' noise does through loads, on a stand whose tilt is Pinocchio's."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+from itertools import islice
+
+import numpy as np
+import pinocchio as pin
+from stand import UP, readings_on_a_stand
+from synthetic import random_state, sampled_trajectory, serial_tree, stays
+
+from skin2urdf.arrays import F64
+from skin2urdf.estimation.problem.cost import Priors
+from skin2urdf.estimation.problem.state import State
+from skin2urdf.estimation.trajectory.ahead import step_along
+from skin2urdf.estimation.trajectory.estimate import MotionEstimate, estimate_along, motion_priors
+from skin2urdf.estimation.trajectory.rounded import drawn_anew
+from skin2urdf.estimation.trajectory.shaken_loads import ShakenLoads, shaken_loads
+from skin2urdf.signals.trajectory import Trajectory
+
+_CHAIN = serial_tree(2)
+_TREE = replace(_CHAIN, su_names=(*_CHAIN.su_names, "base"), su_joint=np.array([0, 1, -1]))
+_BODIES = [
+    pin.Inertia(mass, np.array(lever), 0.02 * mass * np.eye(3))
+    for mass, lever in ((20.0, (0.2, 0.1, 0.1)), (8.0, (0.3, 0.1, -0.1)))
+]
+_TRUTH = replace(random_state(np.random.default_rng(3), _TREE, 1, 0.3), up=UP[None])
+
+
+@cache
+def _log() -> Trajectory:
+    """On a stand of 30 kNm/rad, with encoders of 17 bits and sensors that are nearly exact."""
+    q = stays(np.random.default_rng(1).uniform(-1.5, 1.5, (8, 2)), 180, 120)
+    read, _ = readings_on_a_stand(_TREE, _TRUTH, _BODIES, q, 1 / 30_000)
+    read = read + 5e-4 * np.random.default_rng(2).standard_normal(read.shape)
+    step = 2 * np.pi / 2**17
+    log = sampled_trajectory(step * np.round(q / step), read, still_below=1e-3)
+    log = replace(log, resolution=np.full(2, step))
+    return replace(log, noise=log.rounding)
+
+
+def _estimated(log: Trajectory) -> MotionEstimate:
+    priors = motion_priors(Priors(), gravity=0.0, front=(np.zeros(2), np.zeros(2)))
+    return estimate_along([log], _TREE, _TRUTH, priors, np.zeros(3))
+
+
+@cache
+def _found() -> MotionEstimate:
+    return _estimated(_log())
+
+
+def _height(state: State) -> float:
+    """How far the first SU is above the second joint along the first axis, across the second [m].
+
+    A base that stands still shows nothing of it.
+    """
+    second = state.T_parent_joint[1]
+    up = np.array([0.0, 0.0, 1.0]) - second[2, 2] * second[:3, 2]
+    apart: F64 = state.T_joint_su[0, :3, 3] - second[:3, 3]
+    return float(up @ apart / np.linalg.norm(up))
+
+
+def test_what_a_draw_does_through_loads_is_what_it_does_to_an_estimate() -> None:
+    found, log = _found(), _log()
+    loads, fitted, layout = found.loads, found.fitted, found.problem.layout
+    assert loads is not None
+    assert loads.taken_off
+    expected, seen = [], []
+    for draw, (off,) in enumerate(islice(drawn_anew([log]), 2)):
+        step = step_along(fitted, loads.joint[draw], loads.su[draw])
+        moved = layout.moved(fitted.state, *step.steps).placements
+        expected.append(_height(moved) - _height(found.state))
+        seen.append(_height(_estimated(log.with_joints_off(off)).state) - _height(found.state))
+    np.testing.assert_array_equal(np.sign(seen), np.sign(expected))
+    assert np.abs(np.subtract(seen, expected)).sum() < 0.5 * np.abs(seen).sum()
+
+
+def test_exact_encoders_and_links_that_follow_no_loads_are_shaken_by_none() -> None:
+    found = _found()
+    exact = found.problem.again(logs=[replace(_log(), resolution=np.zeros(2))])
+    assert shaken_loads(exact, found.fitted) is None
+    stiff = found.problem.stiff()
+    state = replace(found.fitted.state, unseen=np.zeros(0))
+    assert shaken_loads(stiff, replace(found.fitted, problem=stiff, state=state)) is None
+
+
+def test_what_is_not_taken_off_is_an_error() -> None:
+    rng = np.random.default_rng(0)
+    loads = ShakenLoads(np.arange(2), 3 + rng.normal(size=(8, 5)), rng.normal(size=(8, 2, 4)))
+    off = np.array([joint for joint, _ in loads.off])
+    np.testing.assert_allclose(off[-1], loads.joint.mean(axis=0))
+    # The variance of a mean of eight, and nothing else, is left where it is taken off.
+    known = np.array([joint for joint, _ in replace(loads, taken_off=True).off])
+    np.testing.assert_allclose(known, off[:-1])
+    np.testing.assert_allclose((known**2).sum(axis=0), loads.joint.var(axis=0) / 8)

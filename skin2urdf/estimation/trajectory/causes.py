@@ -114,6 +114,12 @@ def explained(
         other = _of_what_seemed_unlikely(rigid, slackened, attempts, without)
         if other is not None:
             best, slackened = other, other.slackened()
+    if _DRIFT in best.causes[:-1]:
+        # What was looked for first may have stood for what was found after it.
+        steady = best.steady()
+        if not _explains_most(slackened, steady.slackened()):
+            best, slackened = steady, steady.slackened()
+            attempts.append(best)
     if slackened is not best:
         best = slackened
         attempts.append(best)
@@ -375,6 +381,15 @@ class _Attempt:
     def slackened(self) -> _Attempt:
         """With slack where the readings show any for certain, else as it is."""
         return self if self.certain_slack is None else self.with_slack()
+
+    def steady(self) -> _Attempt:
+        """Without biases that walk, with all other causes where they are but for a step."""
+        problem, state = self.problem, self.fitted.state
+        priors = replace(problem.priors, bias_walk=0.0)
+        steady = MotionProblem(problem.tree, problem.logs, priors, unseen=problem.unseen)
+        state = replace(state, knots=tuple(each[:0] for each in state.knots))
+        causes = tuple(cause for cause in self.causes if cause != _DRIFT)
+        return replace(self, problem=steady, fitted=fit(steady, state, near=True), causes=causes)
 
     def with_slack(self) -> _Attempt:
         """With slack of the size that the readings show."""

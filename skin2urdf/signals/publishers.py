@@ -171,21 +171,28 @@ def _line(motion: Motion, joints: Int, readings: F64, valid: Bool) -> tuple[floa
     if profile is None:
         return None
     lags, time, rows = profile.lags, profile.time, np.arange(len(profile.time))
-    total = np.zeros((len(time), len(own)))
+    total, without = np.zeros((len(time), len(own))), 0.0
+
+    def along(offset: float, drift: float, grid: F64) -> Int:
+        """(W,) where a line is on a grid of lags."""
+        at = np.rint((offset + drift * time - grid[0]) * rate).astype(int)
+        return np.asarray(np.clip(at, 0, len(grid) - 1))
+
     for u in np.flatnonzero(profile.counted.sum(axis=0) >= FEWEST):
         use, weight = profile.counted[:, u], profile.free[:, u, None]
         score = weight[..., None] * profile.score[..., u]
         if not weight[use].any():
             continue
-        # Whatever the publisher's lag is in every stretch.
-        either = score[use].max(axis=1)
-        offset, drift = best_line(time[use], either, lags, LARGEST_OFFSET, LARGEST_DRIFT, span)
-        at = np.rint((offset + drift * time - lags[0]) * rate).astype(int)
-        at = np.clip(at, 0, len(lags) - 1)
-        total += np.where(use[:, None], score[rows, :, at], 0.0)
+        # Whatever the publisher's lag is in every stretch, and where it has none: what an SU that
+        # feels no other publisher explains by one clock, it explains by its own as well.
+        lines = [
+            along(*best_line(time[use], seen, lags, LARGEST_OFFSET, LARGEST_DRIFT, span), lags)
+            for seen in (score[use].max(axis=1), score[use, most])
+        ]
+        total += np.where(use[:, None], score[rows, :, lines[0]], 0.0)
+        without += float(score[rows, most, lines[1]][use].sum())
     offset, drift = best_line(time, total, own, LARGEST_LAG, LARGEST_DRIFT, span)
-    at = np.clip(np.rint((offset + drift * time - own[0]) * rate).astype(int), 0, len(own) - 1)
-    gain = float((total[rows, at] - total[:, most]).sum())
+    gain = float(total[rows, along(offset, drift, own)].sum()) - without
     return (offset, drift) if gain > 2 * _CERTAIN else None
 
 

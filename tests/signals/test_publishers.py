@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
+from random_robots import Joint, robot_of
 from sensitive.logs import published_apart
 from simulated import simulation
 
@@ -18,6 +20,8 @@ from skin2urdf.signals.publishers import (
     together,
 )
 from skin2urdf.signals.records import JointClock
+from skin2urdf.simulation import SimulationSettings, simulate
+from skin2urdf.simulation.robots import SkinLayout
 
 _WRIST = ("wrist_2_joint", "wrist_3_joint")
 
@@ -83,3 +87,16 @@ def test_what_is_left_of_a_clock_adds_to_what_was_found() -> None:
     assert (whole.latency_sd, whole.drift_sd) == (1e-5, 1e-7)
     assert unsure is other
     assert all_that_are_off([[first]], [[then, other]]) == ((whole,),)
+
+
+def test_two_arms_of_which_no_su_feels_both_tell_no_clock(tmp_path: Path) -> None:
+    arms = [
+        (Joint(f"{side}_1", -1, "revolute", rpy=(1.2, 0.3, 0.0)),
+         Joint(f"{side}_2", first, "revolute", xyz=(0.3, 0.0, 0.1), rpy=(1.4, 0.0, 0.0)))
+        for side, first in (("left", 0), ("right", 2))
+    ]  # fmt: skip
+    robot = robot_of([*arms[0], *arms[1]], tmp_path, SkinLayout(1, 1))
+    settings = SimulationSettings(n_poses=4, seed=2, excite="one", imu_rate=250, joint_rate=125)
+    recording = simulate(robot, settings).recording
+    right = ("right_1", "right_2")
+    assert joint_clocks(published_apart(recording, right, 0.1, 3e-4)) == ()

@@ -54,6 +54,7 @@ from skin2urdf.estimation.trajectory.shaken_loads import ShakenLoads
 from skin2urdf.estimation.trajectory.slack import lacking
 from skin2urdf.estimation.trajectory.state import MotionState
 from skin2urdf.estimation.trajectory.swaying import swaying
+from skin2urdf.estimation.trajectory.time_scale import of_the_other_clock
 from skin2urdf.estimation.trajectory.unseen import Unseen
 from skin2urdf.estimation.trajectory.unsure import unsure
 from skin2urdf.signals.trajectory import Trajectory
@@ -82,7 +83,8 @@ class MotionEstimate:
             not see; None where none do, or torques are not known.
         late: clocks of publishers of joint states; None where none is off.
         corrected: what the noise of encoders does to lengths and was taken off.
-        hidden: parts (J,) and (U, n) of the gradient, each of something that it hides.
+        hidden: parts (J,) and (U, n) of the gradient, each of something that it hides, or that
+            nothing tells of the clock of a limb.
         loads: what it does through the loads that links bend under; None where they do not.
     """
 
@@ -327,7 +329,8 @@ def estimate_along(
     loads: ShakenLoads | None = None
     if lengths:
         fitted, corrected, loads = without_shortening(problem, fitted)
-        hidden = hidden_offsets(problem, fitted)
+        drift = mended[..., 1] + fitted.state.clock[..., 1]
+        hidden = [*hidden_offsets(problem, fitted), *of_the_other_clock(problem, fitted, drift)]
     left = misfit_of(problem, fitted, SPAN)
     if late is not None:
         late = with_deviations(late, problem, fitted, left)

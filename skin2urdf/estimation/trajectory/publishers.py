@@ -86,7 +86,7 @@ def with_publishers(
     Returns:
         The problem and its fit, without numbers of clocks; what was found, None where nothing.
     """
-    clocks = [(g, joints) for g, log in enumerate(problem.logs) for joints in _others(log)]
+    clocks = [(g, joints) for g, log in enumerate(problem.logs) for joints in beyond_first(log)]
     if not clocks:
         return problem, fitted, None
     late = np.zeros((len(clocks), N_CLOCK))
@@ -125,6 +125,17 @@ def with_publishers(
     return problem, fit(problem, state, near=True), clock
 
 
+def beyond_first(log: Trajectory) -> list[Int]:
+    """Joints of each publisher whose clock may be off that of most joints.
+
+    Args:
+        log: the trajectory.
+    """
+    if not len(log.publisher):
+        return []
+    return publishers_beyond_first(log.publisher, np.asarray(log.moving.any(axis=0)))
+
+
 def with_deviations(late: Late, problem: MotionProblem, fitted: Fitted, misfit: float) -> Late:
     """Clocks with deviations under all errors that the residuals of a fit show.
 
@@ -142,13 +153,6 @@ def with_deviations(late: Late, problem: MotionProblem, fitted: Fitted, misfit: 
     deviation = np.sqrt(variance.clip(min=0.0)).reshape(-1, N_CLOCK)
     halves = np.array([_half(problem.logs[g]) for g, _ in clocks])
     return replace(late, latency_sd=deviation[:, 0], drift_sd=deviation[:, 1] / halves)
-
-
-def _others(log: Trajectory) -> list[Int]:
-    """Joints of each publisher whose clock may be off that of most joints."""
-    if not len(log.publisher):
-        return []
-    return publishers_beyond_first(log.publisher, np.asarray(log.moving.any(axis=0)))
 
 
 def _half(log: Trajectory) -> float:

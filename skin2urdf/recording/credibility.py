@@ -98,7 +98,11 @@ def spikes(values: F64) -> Bool:
     if not suspects.size or usual == 0.0:
         return found
     last = len(values) - 1
-    nearby = values[np.clip(suspects[:, None] + np.arange(-3, 4), 0, last)]
+    reach = np.arange(-3, 4)
+    nearby = values[np.clip(suspects[:, None] + reach, 0, last)]
+    # Around one, samples go on as the robot turns, by the same from each to the next.
+    slope = np.median(np.diff(nearby, axis=1), axis=1)
+    nearby = nearby - slope[:, None] * reach[:, None]
     middle = np.median(nearby, axis=1)
     off = np.linalg.norm(nearby - middle[:, None], axis=2)
     around = np.clip(suspects[:, None] - 1 + np.arange(-_AROUND, _AROUND + 1), 0, kink.size - 1)

@@ -38,6 +38,16 @@ def test_single_samples_far_from_all_around_them_are_found(size: float, digit: f
     assert np.array_equal(np.flatnonzero(spikes(values)), at)
 
 
+def test_a_spike_on_the_way_from_one_turn_to_the_next_is_found() -> None:
+    rng = np.random.default_rng(3)
+    ramp = np.arange(2000)[:, None] * [0.17, 0.01, 0.17]
+    values = np.abs(ramp % 40 - 20) + 0.01 * rng.standard_normal((2000, 3))
+    assert not spikes(values).any()
+    at = np.arange(30, 1990, 61)
+    values[at, 1] += 2.7
+    assert np.array_equal(np.flatnonzero(spikes(values)), at)
+
+
 def test_a_shock_that_lasts_is_a_reading() -> None:
     rng = np.random.default_rng(2)
     values = moving(8000, rng)

@@ -117,8 +117,9 @@ def explained(
     if _DRIFT in best.causes[:-1]:
         # What was looked for first may have stood for what was found after it.
         steady = best.steady()
-        if not _explains_most(slackened, steady.slackened()):
-            best, slackened = steady, steady.slackened()
+        other = steady.slackened()
+        if not _explains_most(slackened, other):
+            best, slackened = steady, other
             attempts.append(best)
     if slackened is not best:
         best = slackened

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import pinocchio as pin
-from synthetic import RATE
+from synthetic import RATE, random_state, serial_tree
 
 from skin2urdf.arrays import F64
 from skin2urdf.estimation.problem.state import State
@@ -17,6 +18,15 @@ from skin2urdf.structure.records import KinematicTree
 UP = np.array([0.0, 0.0, 1.0])
 DEPTH = 0.3
 """How far below the base's frame is the point that the stand turns about [m]."""
+TREE = replace(serial_tree(2), su_names=("su0", "su1", "base"), su_joint=np.array([0, 1, -1]))
+"""Two joints with an SU each, and one on the base."""
+BODIES = [
+    pin.Inertia(mass, np.array(lever), 0.02 * mass * np.eye(3))
+    for mass, lever in ((20.0, (0.2, 0.1, 0.1)), (8.0, (0.3, 0.1, -0.1)))
+]
+"""What those joints carry."""
+TRUTH = replace(random_state(np.random.default_rng(3), TREE, 1, 0.3), up=UP[None])
+"""Where they are."""
 _SOLVED = 3
 """Times that the tilt is taken from moments, which hardly depend on it."""
 

@@ -240,6 +240,20 @@ def sampled_trajectory(
     )
 
 
+def readings_along(tree: KinematicTree, truth: State, q: F64) -> F64:
+    """(N, U, 3) noiseless readings of SUs along positions (N, D) at ``RATE`` [m/s^2].
+
+    Args:
+        tree: the structure.
+        truth: placements and sensors; gravity is along the base's z axis.
+        q: positions of its joints [rad or m].
+    """
+    qd, qdd = np.gradient(q, 1 / RATE, axis=0), np.zeros_like(q)
+    qdd[1:-1] = (q[2:] - 2 * q[1:-1] + q[:-2]) * RATE**2
+    ideal = specific_forces(truth.model(tree), q, qd, qdd, np.array([0.0, 0.0, 9.81]))
+    return np.asarray(np.einsum("uij,kuj->kui", truth.sensor_matrix(), ideal) + truth.bias)
+
+
 def reading_errors(found: State, truth: State, tree: KinematicTree) -> float:
     """Root mean square error of what SUs of two joints read along another motion [m/s^2]."""
     q = np.random.default_rng(9).uniform(-1, 1, (40, 2))

@@ -8,6 +8,9 @@ simple as a square of noise says by how much: positions are rounded off anew (:m
 loads balanced along them, and what that does to the gradient is found in the mean over the draws,
 as more noise does to an estimate what the noise in it has done already (simulation extrapolation:
 Cook and Stefanski 1994).
+
+Draws are of rounding: of noise that is more than that nothing is drawn, and what gyroscopes feel of
+it is left out.
 """
 
 from __future__ import annotations

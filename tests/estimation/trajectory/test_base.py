@@ -10,15 +10,14 @@ from dataclasses import replace
 from functools import cache
 
 import numpy as np
-import pinocchio as pin
 import pytest
 from scipy.stats import ortho_group
-from stand import DEPTH, UP, readings_on_a_stand
-from synthetic import RATE, random_state, sampled_trajectory, serial_tree, stays
+from stand import BODIES, DEPTH, TREE, TRUTH, UP, readings_on_a_stand
+from synthetic import RATE, sampled_trajectory, stays
 
 from skin2urdf.arrays import F64
 from skin2urdf.estimation.problem.cost import Priors
-from skin2urdf.estimation.problem.state import State, identifiable
+from skin2urdf.estimation.problem.state import identifiable
 from skin2urdf.estimation.trajectory import causes
 from skin2urdf.estimation.trajectory.azimuth import turned
 from skin2urdf.estimation.trajectory.balance import bending, followed
@@ -32,19 +31,7 @@ from skin2urdf.estimation.uncertainty.observability import Subject, observabilit
 from skin2urdf.geometry.so3 import rotation_exp, rotation_log
 from skin2urdf.signals.filters import filtered, low_pass
 
-_CHAIN = serial_tree(2)
-_TREE = replace(_CHAIN, su_names=(*_CHAIN.su_names, "base"), su_joint=np.array([0, 1, -1]))
 _STAY, _MOVE, _PLACES = 180, 120, 8
-_BODIES = [
-    pin.Inertia(mass, np.array(lever), 0.02 * mass * np.eye(3))
-    for mass, lever in ((20.0, (0.2, 0.1, 0.1)), (8.0, (0.3, 0.1, -0.1)))
-]
-
-
-@cache
-def _truth() -> State:
-    state = random_state(np.random.default_rng(3), _TREE, 1, 0.3)
-    return replace(state, up=UP[None])
 
 
 @cache
@@ -54,10 +41,10 @@ def _on_a_stand(compliance: float) -> tuple[MotionEstimate, F64]:
     Args:
         compliance: by how much it turns about a point below it [rad/(N m)].
     """
-    truth = _truth()
+    truth = TRUTH
     at = np.random.default_rng(1).uniform(-1.5, 1.5, (_PLACES, 2))
     q = stays(at, _STAY, _MOVE)
-    read, tilt = readings_on_a_stand(_TREE, truth, _BODIES, q, compliance)
+    read, tilt = readings_on_a_stand(TREE, truth, BODIES, q, compliance)
     read = read + 7e-3 * np.random.default_rng(2).standard_normal(read.shape)
     priors = motion_priors(Priors(), gravity=0.0, front=(np.zeros(2), np.zeros(2)))
     log = sampled_trajectory(q, read)
@@ -65,7 +52,7 @@ def _on_a_stand(compliance: float) -> tuple[MotionEstimate, F64]:
     T = np.array(truth.T_joint_su)
     T[2, :3, :3] = rotation_exp(2.5 * UP) @ T[2, :3, :3]
     T[2, :3, 3] = 0.0
-    return estimate_along([log], _TREE, replace(truth, T_joint_su=T), priors, np.zeros(3)), tilt
+    return estimate_along([log], TREE, replace(truth, T_joint_su=T), priors, np.zeros(3)), tilt
 
 
 def test_a_base_that_gives_way_is_followed() -> None:
@@ -81,7 +68,7 @@ def test_a_base_that_gives_way_is_followed() -> None:
     np.testing.assert_allclose(found.base_motion[3:5], np.ptp(smooth, axis=0), rtol=0.2)
     assert np.max(found.deflections) < 0.1 * np.ptp(smooth, axis=0).max()
     # An SU on the base begins 2.5 rad off; its tilt and its bias are hardly told apart.
-    turned = found.state.T_joint_su[2, :3, :3].T @ _truth().T_joint_su[2, :3, :3]
+    turned = found.state.T_joint_su[2, :3, :3].T @ TRUTH.T_joint_su[2, :3, :3]
     assert np.linalg.norm(rotation_log(turned)) < 0.3
     stiff, _ = _on_a_stand(0.0)
     assert stiff.causes == ()
@@ -93,7 +80,7 @@ def test_a_base_that_gives_way_is_followed() -> None:
 def test_how_a_base_stands_is_chosen_or_stated_to_be_open() -> None:
     """Nothing shows its turn about gravity, nor how it leans all the time."""
     found, _ = _on_a_stand(1 / 30_000)
-    tree, state, free = _TREE, found.state, identifiable(_TREE, 1)
+    tree, state, free = TREE, found.state, identifiable(TREE, 1)
     subject = Subject(tree, state, free, np.zeros((1, 2)), Priors(), Priors())
     seen = observability_along(subject, found.information)
     covariance = seen.covariance.joint[: free.joints.size, : free.joints.size]
@@ -111,7 +98,7 @@ def test_how_a_base_stands_is_chosen_or_stated_to_be_open() -> None:
 def test_what_numbers_stand_for_does_not_change_what_is_stated() -> None:
     """Loads may be mixed as one likes, where as much is known of the mixtures before."""
     found, _ = _on_a_stand(1 / 30_000)
-    free, info = identifiable(_TREE, 1), found.information
+    free, info = identifiable(TREE, 1), found.information
     J, Z = info.shared_joint.shape[1], len(info.shared)
     known = info.prior_joint[J:] > 0
     unit = np.where(known, info.prior_joint[J:].clip(min=1e-300) ** -0.5, 1.0)
@@ -119,7 +106,7 @@ def test_what_numbers_stand_for_does_not_change_what_is_stated() -> None:
     mixed[np.ix_(known, known)] = ortho_group.rvs(int(known.sum()), random_state=1)
     axes = unit[:, None] * mixed / unit
     others = info.along(axes)
-    subject = Subject(_TREE, found.state, free, np.zeros((1, 2)), Priors(), Priors())
+    subject = Subject(TREE, found.state, free, np.zeros((1, 2)), Priors(), Priors())
     stated, mixtures = (
         np.sqrt(np.diag(observability_along(subject, each).covariance.joint)[:J])
         for each in (info, others)
@@ -130,9 +117,9 @@ def test_what_numbers_stand_for_does_not_change_what_is_stated() -> None:
 
 def test_what_each_number_does_to_the_turns_is_what_another_number_makes() -> None:
     q = stays(np.random.default_rng(1).uniform(-1.0, 1.0, (3, 2)), _STAY, _MOVE)
-    log, truth = sampled_trajectory(q, np.zeros((len(q), 3, 3))), _truth()
-    loads = bending(_TREE, [log], truth, 9.81, joints=False, base=True)
-    masses = np.concatenate([body.toDynamicParameters() for body in _BODIES])
+    log, truth = sampled_trajectory(q, np.zeros((len(q), 3, 3))), TRUTH
+    loads = bending(TREE, [log], truth, 9.81, joints=False, base=True)
+    masses = np.concatenate([body.toDynamicParameters() for body in BODIES])
     x = np.zeros(loads.n_numbers)
     P = len(loads.basis)
     x[:P] = np.linalg.lstsq(loads.basis.T, masses / 20_000, rcond=None)[0]
@@ -142,23 +129,23 @@ def test_what_each_number_does_to_the_turns_is_what_another_number_makes() -> No
         loads, compliance=np.array([[1.0, 0.2, 0.1], [0.2, 0.8, -0.2], [0.1, -0.2, 0.5]])
     )
     for _ in range(3):
-        found, x = followed(found, _TREE, [log], truth, 9.81, x)
+        found, x = followed(found, TREE, [log], truth, 9.81, x)
     turns, kept = slice(-3, None), log.kept
     steps = {n: 1e-3 * abs(x[n]) + 1e-7 for n in range(P)}
     steps |= dict.fromkeys(range(P, P + 9), 1e-2)
     steps |= dict.fromkeys(range(P + 9, P + 15), 1e-6) | dict.fromkeys(range(P + 15, P + 18), 1e-3)
     for n in [0, 1, *range(P, P + 18)]:
-        entries = np.flatnonzero((found.number == n) & (found.joint >= _TREE.n_joints + 3))
+        entries = np.flatnonzero((found.number == n) & (found.joint >= TREE.n_joints + 3))
         if not len(entries):
             continue  # what yields most is the scale of all
         step = steps[n] * np.eye(len(x))[n]
         more, less = (
-            followed(found, _TREE, [log], truth, 9.81, x + far)[0].settled[0][kept, turns]
+            followed(found, TREE, [log], truth, 9.81, x + far)[0].settled[0][kept, turns]
             for far in (step, -step)
         )
         change = (more - less) / (2 * steps[n])
         told = np.zeros_like(change)
-        told[:, found.joint[entries] - _TREE.n_joints - 3] = found.on_grid[0][np.ix_(kept, entries)]
+        told[:, found.joint[entries] - TREE.n_joints - 3] = found.on_grid[0][np.ix_(kept, entries)]
         assert np.linalg.norm(told - change) < 0.01 * np.linalg.norm(change)
 
 

@@ -8,7 +8,14 @@ from pathlib import Path
 import numpy as np
 from random_robots import Joint, robot_of
 from simulated import held_against
-from synthetic import motion_state, random_state, sampled_trajectory, serial_tree, stays
+from synthetic import (
+    motion_state,
+    random_state,
+    readings_along,
+    sampled_trajectory,
+    serial_tree,
+    stays,
+)
 
 from skin2urdf import calibrate
 from skin2urdf.arrays import F64
@@ -20,7 +27,6 @@ from skin2urdf.estimation.trajectory.fit import fit, held
 from skin2urdf.estimation.trajectory.problem import MotionProblem
 from skin2urdf.estimation.trajectory.slack import slack, with_unseen
 from skin2urdf.model.canonical import canonical
-from skin2urdf.model.specific_force import specific_forces
 from skin2urdf.simulation import SimulationSettings, simulate
 from skin2urdf.simulation.robots import SkinLayout
 
@@ -77,11 +83,7 @@ def test_what_noise_does_to_slack_is_taken_off_as_well() -> None:
     rng = np.random.default_rng(3)
     truth = replace(random_state(rng, tree, 1, 0.3), up=np.array([[0.0, 0.0, 1.0]]))
     q = stays(rng.uniform(-1.5, 1.5, (8, 3)), 300, 500)
-    rate = 125.0
-    qd, qdd = np.gradient(q, 1 / rate, axis=0), np.zeros_like(q)
-    qdd[1:-1] = (q[2:] - 2 * q[1:-1] + q[:-2]) * rate**2
-    ideal = specific_forces(truth.model(tree), q, qd, qdd, np.array([0.0, 0.0, 9.81]))
-    read = np.einsum("uij,kuj->kui", truth.sensor_matrix(), ideal) + truth.bias
+    read = readings_along(tree, truth, q)
     read += 7e-3 * rng.standard_normal(read.shape)
     log = sampled_trajectory(q, read, still_below=1e-3)
     shaken = np.ones_like(log.shaken)

@@ -7,33 +7,25 @@ from functools import cache
 from itertools import islice
 
 import numpy as np
-import pinocchio as pin
-from stand import UP, readings_on_a_stand
-from synthetic import random_state, sampled_trajectory, serial_tree, stays
+from stand import BODIES, TREE, TRUTH, readings_on_a_stand
+from synthetic import sampled_trajectory, stays
 
 from skin2urdf.arrays import F64
 from skin2urdf.estimation.problem.cost import Priors
 from skin2urdf.estimation.problem.state import State
 from skin2urdf.estimation.trajectory.ahead import step_along
+from skin2urdf.estimation.trajectory.encoder_noise import without_shortening
 from skin2urdf.estimation.trajectory.estimate import MotionEstimate, estimate_along, motion_priors
 from skin2urdf.estimation.trajectory.rounded import drawn_anew
 from skin2urdf.estimation.trajectory.shaken_loads import ShakenLoads, shaken_loads
 from skin2urdf.signals.trajectory import Trajectory
-
-_CHAIN = serial_tree(2)
-_TREE = replace(_CHAIN, su_names=(*_CHAIN.su_names, "base"), su_joint=np.array([0, 1, -1]))
-_BODIES = [
-    pin.Inertia(mass, np.array(lever), 0.02 * mass * np.eye(3))
-    for mass, lever in ((20.0, (0.2, 0.1, 0.1)), (8.0, (0.3, 0.1, -0.1)))
-]
-_TRUTH = replace(random_state(np.random.default_rng(3), _TREE, 1, 0.3), up=UP[None])
 
 
 @cache
 def _log() -> Trajectory:
     """On a stand of 30 kNm/rad, with encoders of 17 bits and sensors that are nearly exact."""
     q = stays(np.random.default_rng(1).uniform(-1.5, 1.5, (8, 2)), 180, 120)
-    read, _ = readings_on_a_stand(_TREE, _TRUTH, _BODIES, q, 1 / 30_000)
+    read, _ = readings_on_a_stand(TREE, TRUTH, BODIES, q, 1 / 30_000)
     read = read + 5e-4 * np.random.default_rng(2).standard_normal(read.shape)
     step = 2 * np.pi / 2**17
     log = sampled_trajectory(step * np.round(q / step), read, still_below=1e-3)
@@ -43,7 +35,7 @@ def _log() -> Trajectory:
 
 def _estimated(log: Trajectory) -> MotionEstimate:
     priors = motion_priors(Priors(), gravity=0.0, front=(np.zeros(2), np.zeros(2)))
-    return estimate_along([log], _TREE, _TRUTH, priors, np.zeros(3))
+    return estimate_along([log], TREE, TRUTH, priors, np.zeros(3))
 
 
 @cache
@@ -84,6 +76,19 @@ def test_exact_encoders_and_links_that_follow_no_loads_are_shaken_by_none() -> N
     stiff = found.problem.stiff()
     state = replace(found.fitted.state, unseen=np.zeros(0))
     assert shaken_loads(stiff, replace(found.fitted, problem=stiff, state=state)) is None
+
+
+def test_a_step_that_would_leave_more_than_it_takes_is_not_taken() -> None:
+    """With draws of sixteen times the step, what loads do leads to where residuals grow."""
+    found = _found()
+    coarse = replace(_log(), resolution=16 * _log().resolution)
+    problem = found.problem.again(logs=[coarse])
+    fitted, parts, loads = without_shortening(problem, found.fitted)
+    assert loads is not None
+    assert not loads.taken_off
+    # What goes past loads is taken off all the same.
+    assert len(parts) == TREE.n_joints
+    assert fitted is not found.fitted
 
 
 def test_what_is_not_taken_off_is_an_error() -> None:

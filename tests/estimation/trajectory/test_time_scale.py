@@ -5,7 +5,14 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from synthetic import motion_state, random_state, sampled_trajectory, serial_tree, stays
+from synthetic import (
+    motion_state,
+    random_state,
+    readings_along,
+    sampled_trajectory,
+    serial_tree,
+    stays,
+)
 
 from skin2urdf.arrays import F64
 from skin2urdf.estimation.problem.cost import Priors
@@ -14,7 +21,6 @@ from skin2urdf.estimation.trajectory.estimate import motion_priors
 from skin2urdf.estimation.trajectory.fit import Fitted, fit
 from skin2urdf.estimation.trajectory.problem import MotionProblem
 from skin2urdf.estimation.trajectory.time_scale import of_the_other_clock
-from skin2urdf.model.specific_force import specific_forces
 from skin2urdf.signals.trajectory import Trajectory
 
 _TREE = replace(serial_tree(4), parent=np.array([-1, 0, -1, 2]))
@@ -28,11 +34,7 @@ _DRIFT = 1e-3
 def _log(publisher: F64) -> Trajectory:
     rng = np.random.default_rng(4)
     q = stays(rng.uniform(-1.5, 1.5, (8, 4)), 100, 200)
-    rate = 125.0
-    qd, qdd = np.gradient(q, 1 / rate, axis=0), np.zeros_like(q)
-    qdd[1:-1] = (q[2:] - 2 * q[1:-1] + q[:-2]) * rate**2
-    ideal = specific_forces(_TRUTH.model(_TREE), q, qd, qdd, np.array([0.0, 0.0, 9.81]))
-    read = np.einsum("uij,kuj->kui", _TRUTH.sensor_matrix(), ideal) + _TRUTH.bias
+    read = readings_along(_TREE, _TRUTH, q)
     read += 1e-3 * rng.standard_normal(read.shape)
     return replace(sampled_trajectory(q, read), publisher=publisher.astype(np.int64))
 

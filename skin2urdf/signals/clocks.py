@@ -469,6 +469,10 @@ def _refined(time: F64, score: F64, lags: F64, offset: float, drift: float) -> _
     square = weight * (y - X @ solution) ** 2
     scale = (_PRIOR_FREEDOM + float(square.mean()) * freedom) / (_PRIOR_FREEDOM + freedom)
     sd = np.sqrt(2 * scale * np.diag(np.linalg.inv(products)))
+    # Stretches of one pattern leave the same beside linear motion, which no number of them tells
+    # from an offset.
+    alike = float(weight @ certain**-0.5 / weight.sum())
     if abs(solution[0]) > 1.1 * LARGEST_OFFSET or abs(solution[1]) > 1.1 * LARGEST_DRIFT:
         return None
-    return _Line(float(solution[0]), float(solution[1]), float(sd[0]), float(sd[1]), len(y))
+    offset_sd = float(np.hypot(sd[0], alike))
+    return _Line(float(solution[0]), float(solution[1]), offset_sd, float(sd[1]), len(y))

@@ -184,3 +184,18 @@ def test_a_rest_confirms_no_clock() -> None:
     for goal in np.random.default_rng(0).uniform(-1.0, 1.0, (20, 2)):
         two.move(goal, 3.0)
     assert 1.0 < as_far_as_confirmed(clock, two.motion()).latency_sd / clock.latency_sd < 3.0
+
+
+@pytest.mark.parametrize(("late", "told"), [(8e-3, False), (60e-3, True)])
+def test_slow_swings_that_are_alike_confirm_each_other_by_little(late: float, told: bool) -> None:
+    """A link that hangs back behind its encoder by milliseconds does so in every one of them."""
+    path = JointPath(np.zeros(2)).rest(2.0)
+    for _ in range(30):
+        path.swing({0: 0.2}, 6.0, 0.35).rest(1.0).swing({1: 0.1}).rest(1.0)
+    time = np.arange(0.0, path.time[-1], 5e-3)
+    q = path.at(time - late)[:, 0]
+    felt = 9.81 * np.stack([np.sin(q), np.cos(q), 0 * q], axis=1)
+    noise = 0.02 * np.random.default_rng(30).standard_normal(felt.shape)
+    su = SuStream("su", time, felt + noise)
+    clocks = su_clocks([su], joint_motion(path.recording(100.0, [su])))
+    assert [abs(clock.latency - late) < 2e-3 for clock in clocks] == [True] * told

@@ -30,6 +30,7 @@ from skin2urdf.estimation.trajectory.fit import Fitted, fit, held, leading
 from skin2urdf.estimation.trajectory.following import follow_motion
 from skin2urdf.estimation.trajectory.front_end import begin_front, droop, droop_variance
 from skin2urdf.estimation.trajectory.gyro import gyro_deviations
+from skin2urdf.estimation.trajectory.impossible_fronts import with_possible_fronts
 from skin2urdf.estimation.trajectory.information import MotionInformation, motion_information
 from skin2urdf.estimation.trajectory.leaning import with_leaning_base
 from skin2urdf.estimation.trajectory.listening import found_gyros, listened
@@ -372,7 +373,8 @@ def _led(
     """The fit from where it begins, with joints in the likelier sense, and products of motions."""
     fitted = fit(problem, begin, iterations=iterations, tolerance=NEAR, tell=tell)
     fitted = in_likelier_sense(problem, fitted, iterations)
-    return fit_with_products(problem, fitted, iterations)
+    problem, fitted = fit_with_products(problem, fitted, iterations)
+    return with_possible_fronts(problem, fitted, iterations)
 
 
 def _shaking(problem: MotionProblem, fitted: Fitted) -> tuple[F64, F64]:

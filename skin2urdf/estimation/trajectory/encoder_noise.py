@@ -33,10 +33,10 @@ from skin2urdf.structure.records import KinematicTree
 
 LEVER = 0.5
 """Offset of an SU from its joint [m] of which shares may be hidden: that of an arm."""
-_MOST = 1.25
+_MOST = 2.0
 """Squared residuals of an SU over what they were, from which a step took off more than was there.
-Noise of variance C beside motion of S shortens by C / (S + C), which is at most half the noise
-(S = C) in what is predicted, and so at most a quarter of what noise leaves."""
+Noise of variance C beside motion of S shortens by C / (S + C) and leaves S C / (S + C), where the
+right lengths leave C: (S + C) / S as much, twice where motion is as large as the noise."""
 _STEPS = 4
 """Steps at most, each from where the one before has led; the last is shorter than noise."""
 
@@ -72,8 +72,8 @@ def without_shortening(
 
     Returns:
         The fit, some standard deviations away, what led there, and what of that noise does through
-        loads; the same fit and nothing where steps would not take it off, as in a log of motion so
-        slow that it is lost in the noise.
+        loads; the same fit and nothing where steps would not take it off (see `hidden_lengths`), as
+        in a log of motion so slow that it is lost in the noise.
     """
     parts, loads = _shortening(problem, fitted, fitted.state), shaken_loads(problem, fitted)
     if not parts:
@@ -116,23 +116,33 @@ def _taken_off(
     return found, (*parts, *through)
 
 
-def hidden_offsets(problem: MotionProblem, fitted: Fitted) -> list[tuple[F64, F64]]:
-    """What encoders' noise hides of SUs' offsets where their motion is lost in it.
-
-    Noise of variance C beside motion of S leaves S / (S + C) of an offset, whatever it is: what is
-    found of one says nothing then of the rest, which may be as long as an arm.
+def hidden_lengths(
+    problem: MotionProblem, fitted: Fitted, corrected: Sequence[Shortening]
+) -> list[tuple[F64, F64]]:
+    """What the noise of encoders does to lengths and was not taken off, as far as is known.
 
     Args:
         problem: what was fitted.
         fitted: its optimum.
+        corrected: what was taken off.
 
     Returns:
-        Parts (J,) and (U, n) of the gradient, one for an offset of all SUs along each axis; none
-        where motion is more than the noise.
+        Parts (J,) and (U, n) of the gradient. Where motion is lost in noise of variance C beside
+        its own S, S / (S + C) is left of an offset, whatever it is: what is found of one says
+        nothing then of the rest, which may be as long as an arm, along each axis. Where it is not
+        lost, all that the noise does; none where that was taken off.
     """
-    there = _shortening(problem, fitted, fitted.state) if _lost(problem.logs) else ()
+    lost = _lost(problem.logs)
+    there = _shortening(problem, fitted, fitted.state) if lost or not corrected else ()
     if not there:
         return []
+    return _hidden_offsets(problem, fitted, there) if lost else [whole_of(there)]
+
+
+def _hidden_offsets(
+    problem: MotionProblem, fitted: Fitted, there: Sequence[Shortening]
+) -> list[tuple[F64, F64]]:
+    """What noise would do to offsets of an arm's length beyond what it does `there`."""
     out = []
     for axis in range(3):
         T = np.array(fitted.state.placements.T_joint_su)

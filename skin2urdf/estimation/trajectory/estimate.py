@@ -22,7 +22,7 @@ from skin2urdf.estimation.trajectory.doubtful_fronts import (
 from skin2urdf.estimation.trajectory.elastic import UnderKnown
 from skin2urdf.estimation.trajectory.encoder_noise import (
     Shortening,
-    hidden_offsets,
+    hidden_lengths,
     whole_of,
     without_shortening,
 )
@@ -331,7 +331,10 @@ def estimate_along(
     if lengths:
         fitted, corrected, loads = without_shortening(problem, fitted)
         drift = mended[..., 1] + fitted.state.clock[..., 1]
-        hidden = [*hidden_offsets(problem, fitted), *of_the_other_clock(problem, fitted, drift)]
+        hidden = [
+            *hidden_lengths(problem, fitted, corrected),
+            *of_the_other_clock(problem, fitted, drift),
+        ]
     left = misfit_of(problem, fitted, SPAN)
     if late is not None:
         late = with_deviations(late, problem, fitted, left)

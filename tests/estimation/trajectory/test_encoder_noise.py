@@ -6,6 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pytest
 from random_robots import Joint, robot_of
 from simulated import held_against
 from synthetic import (
@@ -21,7 +22,7 @@ from skin2urdf import calibrate
 from skin2urdf.arrays import F64
 from skin2urdf.calibration.settings import CalibrationSettings
 from skin2urdf.estimation.problem.cost import Priors
-from skin2urdf.estimation.trajectory.encoder_noise import hidden_offsets, without_shortening
+from skin2urdf.estimation.trajectory.encoder_noise import hidden_lengths, without_shortening
 from skin2urdf.estimation.trajectory.estimate import motion_priors
 from skin2urdf.estimation.trajectory.fit import fit, held
 from skin2urdf.estimation.trajectory.problem import MotionProblem
@@ -29,6 +30,7 @@ from skin2urdf.estimation.trajectory.slack import slack, with_unseen
 from skin2urdf.model.canonical import canonical
 from skin2urdf.simulation import SimulationSettings, simulate
 from skin2urdf.simulation.robots import SkinLayout
+from skin2urdf.simulation.settings import Excitation
 
 ARM = (
     Joint("first", -1, "revolute", rpy=(1.2, 0.3, 0.0)),
@@ -44,7 +46,9 @@ def test_noise_in_which_motion_is_lost_is_left_alone(tmp_path: Path) -> None:
     assert along is not None
     known = along.problem
     assert without_shortening(known, along.fitted)[0] is not along.fitted
-    assert hidden_offsets(known, along.fitted) == []
+    assert hidden_lengths(known, along.fitted, along.corrected) == []
+    # What steps would not take off is stated.
+    assert len(hidden_lengths(known, along.fitted, ())) == 1
     logs = [
         replace(log, noise=None if log.noise is None else 1e5 * log.noise) for log in known.logs
     ]
@@ -52,17 +56,21 @@ def test_noise_in_which_motion_is_lost_is_left_alone(tmp_path: Path) -> None:
     assert without_shortening(lost, along.fitted) == (along.fitted, (), None)
     # Most of the accelerations is noise: what is found of offsets says nothing along any axis.
     logs = [replace(log, noise=10 * (log.qdd[log.kept] ** 2).mean(axis=0)) for log in known.logs]
-    hidden = hidden_offsets(known.again(logs=logs), along.fitted)
+    hidden = hidden_lengths(known.again(logs=logs), along.fitted, along.corrected)
     assert len(hidden) == 3
     beyond = along.problem.tree.su_joint >= 0
     # One along the only axis that turns an SU moves nothing.
     assert (sum(abs(own[beyond, :3]).max(axis=1) for _, own in hidden) > 0).all()
 
 
-def test_what_coarse_encoders_do_to_lengths_is_taken_off(tmp_path: Path) -> None:
+@pytest.mark.parametrize(("excite", "bits"), [("none", 12), ("series", 11)])
+def test_what_coarse_encoders_do_to_lengths_is_taken_off(
+    tmp_path: Path, excite: Excitation, bits: int
+) -> None:
+    """Of 11 bits it is a quarter of what joints accelerate by, and residuals grow by as much."""
     layout = SkinLayout(sus_per_segment=2, sus_on_base=1)
     settings = SimulationSettings(
-        seed=3, excite="none", minutes=1.0, encoder_bits=12, imu_rate=250.0, joint_rate=125.0
+        seed=3, excite=excite, minutes=1.0, encoder_bits=bits, imu_rate=250.0, joint_rate=125.0
     )  # fmt: skip
     simulation = simulate(robot_of(ARM, tmp_path, layout), settings)
     found = calibrate(simulation.recording, CalibrationSettings(gravity_deviation=0.0))

@@ -19,10 +19,10 @@ from skin2urdf.calibration.refusal import check_hope
 from skin2urdf.calibration.result import BAD_FIT, BAD_MISFIT, GOOD_FIT, HOPELESS_FIT
 from skin2urdf.calibration.rounds import Solution
 from skin2urdf.calibration.samples import (
-    are_sound_encoders,
+    differs_by_physics,
     fit_samples,
     is_explained_by_physics,
-    names_an_encoder,
+    names_what_differs_by_place,
     rejected,
     stands_out,
     without_false_hits,
@@ -69,7 +69,7 @@ def explain_readings(begun: Beginning, clock: Clock) -> tuple[Solution, MotionEs
     )
     check_hope(solution.found)
     known = looked if first is not None and _untouched(first, solution) else None
-    if not unexplained and names_an_encoder(solution) and not begun.leaps:
+    if not unexplained and names_what_differs_by_place(solution) and not begun.leaps:
         # Features that leave hardly more than noise did not ask for a look: coarse encoders do.
         # Leaps are off these logs already, and certain.
         looked = _look(first, clock)
@@ -126,7 +126,7 @@ def _fit_along(
     if along is None:
         return solution, None
     first = begun.first
-    if first is not None and plain is not None and are_sound_encoders(solution, along, plain):
+    if first is not None and plain is not None and differs_by_physics(solution, along, plain):
         solution, along = first, plain
     fitted = along
     solution, along = clock.run(

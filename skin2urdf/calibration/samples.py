@@ -41,8 +41,8 @@ _HIT = 3.0
 """Mean size of what is left during a hit, in standard deviations of noise, from which it is one."""
 _MOMENT = 0.5
 """Length of moments that may stand out [s]: about that of the shortest hit that matters."""
-_OF_ENCODERS = frozenset({"encoder jump", "encoder scale"})
-"""Faults of encoders that leave links off by other amounts from place to place."""
+_OF_PLACES = frozenset({"encoder jump", "encoder scale", "loose"})
+"""Faults that leave what is felt off by other amounts from place to place."""
 _STAYS = 0.5
 """Share of the slack that stays where encoders were mended that had nothing."""
 _MOST = 0.5
@@ -331,35 +331,38 @@ def without_false_hits(
     return replace(everything, faults=()), again
 
 
-def names_an_encoder(solution: Solution) -> bool:
-    """Whether some encoder's zero or scale was found to be wrong."""
-    return any(fault.kind in _OF_ENCODERS for fault in solution.faults)
+def names_what_differs_by_place(solution: Solution) -> bool:
+    """Whether some encoder's zero or scale, or an SU's place from some time on, is called wrong."""
+    return any(fault.kind in _OF_PLACES for fault in solution.faults)
 
 
-def are_sound_encoders(
+def differs_by_physics(
     solution: Solution, along: MotionEstimate, plain: MotionEstimate | None
 ) -> bool:
-    """Whether what was found of encoders is no more than rounding, or the play of gears.
+    """Whether what was found of encoders and loose SUs is rounding, the play of gears or a drift.
 
     An encoder that is wrong is off from place to place, and so are links that have play. What was
     wrong is gone once it is mended; play stays. What encoders round off bends features by more
-    than they tell: all samples are as likely without what it looks like.
+    than they tell: all samples are as likely without what it looks like. So do gears that yield:
+    what was taken off for them alone comes back as slack. A bias that drifts looks like an SU that
+    was turned, to features alone.
 
     Args:
-        solution: the estimate, with errors of encoders among its faults.
+        solution: the estimate, with its faults.
         along: the fit of its logs.
         plain: the fit of the logs in which nothing was mended; None where there is none.
     """
     kinds = {fault.kind for fault in solution.faults}
-    if plain is None or not kinds & _OF_ENCODERS or not kinds <= {"contact", *_OF_ENCODERS}:
+    if plain is None or not kinds & _OF_PLACES or not kinds <= {"contact", *_OF_PLACES}:
         return False
     if not (plain.misfit <= GOOD_FIT and are_plausible(plain.state).all()):
         return False
     if 0 < plain.slack * _STAYS < along.slack:
         return True
-    # Slack and other causes would explain what is wrong with an encoder as well.
+    # Slack and other causes would explain what is wrong as well.
     as_stiff = plain.slack <= along.slack and set(plain.causes) <= set(along.causes)
-    return as_stiff and likelihood(plain.fitted) >= likelihood(along.fitted)
+    needs_more = set(plain.causes) < set(along.causes)
+    return as_stiff and (needs_more or likelihood(plain.fitted) >= likelihood(along.fitted))
 
 
 def stands_out(

@@ -13,6 +13,11 @@ ARM = 0.1
 
 _SCALE = np.array([1.0, 1.0, 1.0, ARM, ARM, ARM])
 _MAX_STEPS = 30
+_FIRST_DAMPING, _MOST_DAMPING = 1e-6, 1e3
+"""Share of its own information by which a step is held, once it does not lead down at once: from a
+thousandth of its length on."""
+_ARRIVED = 1e-12
+"""Part of the cost below which a step gains nothing."""
 
 
 def align(
@@ -69,23 +74,41 @@ def _turned(T: F64) -> F64:
 
 
 def _from(X: F64, T_est_su: F64, T_true_su: F64, P: F64) -> tuple[float, F64, F64]:
-    """Cost, X and D where Gauss-Newton ends from a first X."""
-    D = _first_displacements(X @ T_est_su, T_true_su, P)
-    best = (np.inf, X, D)
-    for _ in range(_MAX_STEPS):
+    """Cost, X and D where Gauss-Newton ends from a first X.
+
+    SUs that are all free along about the same axis leave X nearly free along it as well. A step
+    that would lead far out there is damped (Marquardt 1963) until it leads down.
+    """
+
+    def left(X: F64, D: F64) -> tuple[F64, float]:
         r = se3.log(inverse(X @ T_est_su @ D) @ T_true_su) * _SCALE
-        cost = float(np.sum(r**2))
-        if cost >= best[0]:
-            break
-        best = (cost, X, D)
+        return r, float(np.sum(r**2))
+
+    D = _first_displacements(X @ T_est_su, T_true_su, P)
+    r, cost = left(X, D)
+    damping = 0.0
+    for _ in range(_MAX_STEPS):
         A = _SCALE[:, None] * se3.adjoint(inverse(T_est_su @ D))
         # What a displacement takes up is the mean along its directions. It is projected out of A,
         # and thereby out of r: A_seen is orthogonal to it.
-        A_seen = A - P @ A.mean(axis=0)
-        step = np.linalg.lstsq(A_seen.reshape(-1, 6), r.reshape(-1), rcond=1e-10)[0]
-        D = D @ _displacement(P, (r - A @ step).mean(axis=0))
-        X = X @ se3.exp(step)
-    return best
+        A_seen = (A - P @ A.mean(axis=0)).reshape(-1, 6)
+        held = np.sqrt(damping) * np.diag(np.linalg.norm(A_seen, axis=0))
+        rows, values = np.vstack([A_seen, held]), np.append(r.reshape(-1), np.zeros(6))
+        step = np.linalg.lstsq(rows, values, rcond=1e-10)[0]
+        further = D @ _displacement(P, (r - A @ step).mean(axis=0))
+        there = X @ se3.exp(step)
+        r_there, cost_there = left(there, further)
+        if cost_there < cost:
+            arrived = cost - cost_there <= _ARRIVED * cost
+            X, D, r, cost = there, further, r_there, cost_there
+            damping *= 0.1
+            if arrived:
+                break
+        elif damping > _MOST_DAMPING:
+            break
+        else:
+            damping = max(10 * damping, _FIRST_DAMPING)
+    return cost, X, D
 
 
 def displace(T_est_su: F64, T_true_su: F64, P: F64) -> F64:

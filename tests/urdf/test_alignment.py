@@ -111,3 +111,29 @@ def test_sus_that_are_free_along_one_axis_do_not_turn_the_base(seed: int) -> Non
     T_true = frames(rng, 1)[0] @ T_est @ D_true
     X, D = align(T_est, T_true, free)
     assert cost(X, D, T_est, T_true) < 1e-12
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_a_limb_that_is_free_along_its_axes_is_aligned_all_the_same(seed: int) -> None:
+    """All places are open along nearly one axis: the frame may lie anywhere along it as well."""
+    rng = np.random.default_rng(seed)
+    first, second = rng.uniform(-1.5, 1.5, (2, 60, 1))
+    turn = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
+    link, tool = frames(rng, 2)
+
+    def limb(tilt: float) -> np.ndarray:
+        """Poses of an SU on either link; the second axis is tilted against the first."""
+        elbow = np.eye(4)
+        elbow[:3, :3] = Rotation.from_rotvec([tilt, 0.0, 0.0]).as_matrix()
+        elbow[:3, 3] = 0.3, 0.1, -0.1
+        T_first = se3.exp(first * turn)
+        T_second = T_first @ elbow @ se3.exp(second * turn)
+        return np.stack([T_first @ link, T_second @ tool], axis=1)
+
+    free = [np.array([[*T[2, :3], 0.0, 0.0, 0.0]]) for T in (link, tool)]
+    off = np.stack([se3.exp(x * rows[0]) for x, rows in zip((0.3, -0.2), free, strict=True)])
+    wrong = se3.exp(0.03 * rng.standard_normal((2, 6)))
+    X_true, T_est = frames(rng, 1)[0], limb(1e-4)
+    T_true = X_true @ limb(0.03) @ off @ wrong
+    X, D = align(T_est, T_true, free)
+    assert cost(X, D, T_est, T_true) <= cost(X_true, off, T_est, T_true)

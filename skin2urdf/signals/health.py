@@ -50,9 +50,10 @@ _NOISY = 5.0
 """Noise over the median SU's from which an SU is named. Units of one sort differ by some tens of
 per cent, and the estimate of a noise from thousands of samples by a few."""
 _IMPULSIVE = 10.0
-"""Root mean square of the steps between samples at rest, over what their median says of normal
-noise, from which readings hold what no motion made: of normal noise it is 1, of digits 2 at most;
-of zeros in one of a thousand samples of an axis in which gravity is, 10 with noise of 2 mg."""
+"""Root mean square of second differences of samples at rest, over what the median of their steps
+says of normal noise, from which readings hold what no motion made: of normal noise it is 1, of
+digits 2 at most; of zeros in one of a thousand samples of an axis in which gravity is, 10 with
+noise of 2 mg."""
 _LEAST_NOISE = 1e-3
 """Noise [m/s^2] that no accelerometer's falls below: what is less is not held against others."""
 
@@ -261,7 +262,9 @@ def _impulses(su: SuStream, rests: Sequence[tuple[float, float]], noise: float) 
         a, b = np.searchsorted(su.time, [begin, end])
         if b - a > 2:
             steps = np.abs(np.diff(su.specific_force[a:b], axis=0))
-            sizes.append(float(np.sqrt((steps**2).mean() / 2)))
+            # Of what swings on at the begin of a rest a sample is near the mean of its neighbours.
+            bends = np.diff(su.specific_force[a:b], n=2, axis=0)
+            sizes.append(float(np.sqrt((bends**2).mean() / 6)))
             digit = min(digit, float(steps[steps > 0].min(initial=np.inf)))
     usual = float(max(noise, digit if np.isfinite(digit) else 0.0, _LEAST_NOISE))
     times = float(np.median(sizes)) / usual if sizes else 0.0

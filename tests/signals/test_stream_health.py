@@ -62,6 +62,16 @@ def test_values_that_no_motion_made_cost_an_su_and_a_hit_does_not() -> None:
     assert [len(c.stream.time) for c in found] == [0, 5000, 5000]
 
 
+def test_what_swings_on_when_a_rest_begins_is_no_fault() -> None:
+    """Of sensors without noise that is all there is at rest."""
+    rests = [(2.0 * k, 2.0 * k + 1.5) for k in range(10)]
+    since = np.arange(5000) / 250.0 % 2.0
+    swing = 3.0 * np.exp(-since / 0.08) * np.sin(2 * np.pi * 4.0 * since)
+    swinging = stream(np.outer(swing, (0.6, 0.8, 0.0)) + np.array([0.0, 4.4, 8.8]))
+    found = checked([swinging] * 3, rests, (0.0, 20.0))
+    assert [c.faults for c in found] == [()] * 3
+
+
 def test_noise_is_measured_at_rest() -> None:
     samples = noise(sd=0.02)
     assert rest_noise(samples, np.ones(len(samples), dtype=bool)) == pytest.approx(0.02, rel=0.05)

@@ -17,7 +17,6 @@ from skin2urdf.estimation.trajectory.fit import Fitted, cost_with, fit
 from skin2urdf.estimation.trajectory.front_end import N_FRONT, begin_front
 from skin2urdf.estimation.trajectory.problem import MotionProblem
 from skin2urdf.estimation.trajectory.products import fit_with_products
-from skin2urdf.estimation.trajectory.shaken import Shaken
 
 UNSURE = 1 / np.sqrt(3)
 """Standard deviation of what the noise of encoders does, over what is taken off for it, where that
@@ -29,7 +28,7 @@ _BEYOND_DOUBT = 5.0
 def has_doubtful_fronts(fitted: Fitted) -> bool:
     """Whether the low-passes of a fit cut off more of encoders' noise than chance makes them."""
     front = fitted.state.front
-    return _shaken(fitted).cut_off(front) > N_FRONT * len(front)
+    return fitted.shaken.cut_off(front) > N_FRONT * len(front)
 
 
 def without_doubtful_fronts(
@@ -45,14 +44,9 @@ def without_doubtful_fronts(
     state = fitted.state
     front = np.tile(begin_front(problem.priors.front, fast=True), (len(state.front), 1))
     fast = fit(problem, replace(state, front=front), near=True, iterations=iterations)
-    shaken = _shaken(fast)
+    shaken = fast.shaken
     gain = fast.chi2 - cost_with(fast.weights, shaken, fitted)
     taken_off = shaken.cut_off(state.front) - shaken.cut_off(fast.state.front)
     if gain > _BEYOND_DOUBT * UNSURE * max(taken_off, 0.0):
         return problem, fitted
     return fit_with_products(problem, fast, iterations)
-
-
-def _shaken(fitted: Fitted) -> Shaken:
-    problem = fitted.problem
-    return Shaken.of(problem.tree, problem.logs, fitted.state, fitted.weights)

@@ -50,7 +50,6 @@ from skin2urdf.estimation.trajectory.records import Gyros
 from skin2urdf.estimation.trajectory.rounded import lost_in_averages, rounded_off_again
 from skin2urdf.estimation.trajectory.senses import in_likelier_sense
 from skin2urdf.estimation.trajectory.sensors import with_sensors_alike
-from skin2urdf.estimation.trajectory.shaken import Shaken
 from skin2urdf.estimation.trajectory.shaken_loads import ShakenLoads
 from skin2urdf.estimation.trajectory.slack import lacking
 from skin2urdf.estimation.trajectory.state import MotionState
@@ -382,9 +381,8 @@ def _led(
 
 def _shaking(problem: MotionProblem, fitted: Fitted) -> tuple[F64, F64]:
     """Parts (J,) and (U, n) of the gradient by what front ends would cut off of encoders' noise."""
-    layout, state = problem.layout, fitted.state
-    shaken = Shaken.of(problem.tree, problem.logs, state, fitted.weights)
-    return np.zeros(layout.n_joint), shaken.pull(layout, state.front)
+    layout = problem.layout
+    return np.zeros(layout.n_joint), fitted.shaken.pull(layout, fitted.state.front)
 
 
 def _links_may_explain(problem: MotionProblem, fitted: Fitted) -> bool:

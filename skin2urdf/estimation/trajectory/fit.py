@@ -83,6 +83,11 @@ class Fitted:
         """Normal equations at the state."""
         return self.problem.equations(self.state, self.predicted, self.weights)
 
+    @cached_property
+    def shaken(self) -> Shaken:
+        """What the noise of encoders makes of predictions at the state, with these weights."""
+        return Shaken.of(self.problem.tree, self.problem.logs, self.state, self.weights)
+
     def minimised(self, equations: Equations) -> Equations:
         """Normal equations at the state, without what front ends gain by cutting noise off.
 
@@ -91,9 +96,7 @@ class Fitted:
         Args:
             equations: of its samples, in all coordinates that a question needs.
         """
-        problem, state = self.problem, self.state
-        shaken = Shaken.of(problem.tree, problem.logs, state, self.weights)
-        return shaken.taken_off(equations, problem.layout, state.front)
+        return self.shaken.taken_off(equations, self.problem.layout, self.state.front)
 
     def keep(self, equations: Equations) -> None:
         """Take normal equations at the state, which need not be worked out again."""

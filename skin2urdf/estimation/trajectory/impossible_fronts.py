@@ -1,6 +1,7 @@
 """Low-passes that no sensor has: those that droop by more than their lag allows.
 
-A stable filter has r of zero or more, so that its droop is at most half the square of its lag. A
+A stable filter has r of zero or more (see :mod:`front_end`), so that its droop, ``b^2 / 2 - r``, is
+at most half the square of its lag b. A
 fit may leave that range, so that sensors without any low-pass scatter about none. Where few
 frequencies are felt, as by an SU on a first joint, another optimum lies out there: a droop without
 a lag, which a shorter lever arm makes up for. Which of the two a fit finds is a matter of its way,
@@ -19,7 +20,6 @@ from skin2urdf.estimation.trajectory.fit import Fitted, cost_with, fit
 from skin2urdf.estimation.trajectory.front_end import begin_front
 from skin2urdf.estimation.trajectory.problem import MotionProblem
 from skin2urdf.estimation.trajectory.products import fit_with_products
-from skin2urdf.estimation.trajectory.shaken import Shaken
 
 _BEYOND = 3.0
 """Standard deviations by which a droop exceeds what its lag allows: of 100 sensors without any
@@ -38,6 +38,9 @@ def with_possible_fronts(
         problem: the logs, the tree and what is known before.
         fitted: its fit.
         iterations: linearisations, at most, of another fit.
+
+    Returns:
+        The problem and the fit, with products of motions as of the fit where it is another one.
     """
     odd = _droops_without_lag(fitted)
     if not odd.any():
@@ -45,8 +48,7 @@ def with_possible_fronts(
     state = fitted.state
     front = np.where(odd[:, None], begin_front(problem.priors.front), state.front)
     other = fit(problem, replace(state, front=front), near=True, iterations=iterations)
-    shaken = Shaken.of(problem.tree, problem.logs, state, fitted.weights)
-    costs = cost_with(fitted.weights, shaken, other) - fitted.chi2
+    costs = cost_with(fitted.weights, fitted.shaken, other) - fitted.chi2
     if costs > _CERTAIN**2 * int(odd.sum()):
         return problem, fitted
     return fit_with_products(problem, other, iterations)

@@ -345,7 +345,7 @@ def differs_by_physics(
     wrong is gone once it is mended; play stays. What encoders round off bends features by more
     than they tell: all samples are as likely without what it looks like. So do gears that yield:
     what was taken off for them alone comes back as slack. A bias that drifts looks like an SU that
-    was turned, to features alone.
+    was turned, to features alone; play that stays says nothing of whether one was.
 
     Args:
         solution: the estimate, with its faults.
@@ -357,7 +357,7 @@ def differs_by_physics(
         return False
     if not (plain.misfit <= GOOD_FIT and are_plausible(plain.state).all()):
         return False
-    if 0 < plain.slack * _STAYS < along.slack:
+    if "loose" not in kinds and 0 < plain.slack * _STAYS < along.slack:
         return True
     # Slack and other causes would explain what is wrong as well.
     as_stiff = plain.slack <= along.slack and set(plain.causes) <= set(along.causes)

@@ -47,13 +47,16 @@ def test_jumps_within_the_slack_that_all_samples_show_are_no_hits() -> None:
     plain = replace(along, misfit=1.0)
     assert differs_by_physics(mended, along, plain)
     # Nor did an SU slip where all samples are as likely without: a bias drifts.
-    assert differs_by_physics(replace(first, faults=(Fault("loose", "su"),)), along, plain)
+    slipped = replace(first, faults=(Fault("loose", "su"),))
+    assert differs_by_physics(slipped, along, plain)
     # Nor where all samples are as likely without: rounding makes features tell too much.
     stiff = replace(along, causes=())
     assert differs_by_physics(mended, stiff, replace(plain, causes=()))
     assert not differs_by_physics(mended, stiff, plain)
     louder = replace(along.fitted, noise=tuple(2 * noise for noise in along.fitted.noise))
     assert not differs_by_physics(mended, stiff, replace(plain, causes=(), fitted=louder))
+    # Play that stays says nothing of an SU.
+    assert not differs_by_physics(slipped, along, replace(plain, fitted=louder))
     # Logs that need slack only once they are mended were better left alone, however likely.
     assert differs_by_physics(mended, along, replace(plain, causes=(), fitted=louder))
     assert not differs_by_physics(mended, along, replace(along, misfit=20.0))

@@ -39,7 +39,8 @@ def _refuse_beyond(
     """Refuse an estimate that leaves more of the readings than a limit."""
     if cost <= limit:  # NaN is none
         return
-    what, remedy = why_bad(found, limit)
+    of_samples = None if along is None else (along.misfit, along.misfit_of_sus)
+    what, remedy = why_bad(found, limit, of_samples)
     if along is not None and along.tried:
         what, remedy = why_unexplained(along.tried, along.misfit, what, remedy)
     raise BadFitError(what, remedy, cost_per_dof=cost)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from skin2urdf.arrays import Bool
+from skin2urdf.arrays import F64, Bool
 from skin2urdf.estimation.problem.state import State
 from skin2urdf.estimation.solve.estimate import Estimate
 from skin2urdf.estimation.start.inward import inward_starts
@@ -86,19 +86,27 @@ def health_notes(estimate: Estimate, goodness: Goodness) -> tuple[Note, ...]:
     return tuple(notes)
 
 
-def why_bad(found: Estimate, limit: float) -> tuple[str, str]:
+def why_bad(
+    found: Estimate, limit: float, of_samples: tuple[float, F64] | None = None
+) -> tuple[str, str]:
     """What a bad fit looks like, SU by SU, and what to do about it.
 
     Args:
         found: the best estimate.
         limit: cost beyond which an SU counts as affected.
+        of_samples: what all samples leave over noise, and of each SU (U,), NaN of one without any;
+            None where the features of the estimate decide.
     """
-    per = found.chi2_by_block.sum(axis=0) / np.maximum(found.count.sum(axis=0), 1)
+    if of_samples is None:
+        per = found.chi2_by_block.sum(axis=0) / np.maximum(found.count.sum(axis=0), 1)
+        cost = found.cost_per_dof
+    else:
+        cost, per = of_samples[0], np.nan_to_num(of_samples[1])
     worst = np.argsort(-per)[:3]
     named = ", ".join(f"{found.tree.su_names[u]} ({per[u]:.0f})" for u in worst)
     what = (
         f"no robot of {found.tree.n_joints} joints explains the readings: cost per degree of "
-        f"freedom {found.cost_per_dof:.0f} where 1 is expected; worst SUs (theirs): {named}"
+        f"freedom {cost:.0f} where 1 is expected; worst SUs (theirs): {named}"
     )
     if all(per[u] > limit for u in range(len(per)) if found.tree.su_joint[u] >= 0):
         where = (

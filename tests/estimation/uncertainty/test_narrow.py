@@ -28,6 +28,15 @@ def test_priors_far_below_what_was_found_are_named(name: str, option: str) -> No
     assert option in why_bad(narrow, 50.0)[1]
 
 
+def test_the_worst_sus_are_those_of_all_samples_where_these_decide() -> None:
+    """Features of a log without patterns are rests, which leave nothing of what moves show."""
+    found = calibration().estimate
+    names = found.tree.su_names
+    left = np.where(np.arange(len(names)) < 3, 30.0, 1.0)
+    told = why_bad(found, 10.0, (24.0, left))[0]
+    assert [name in told for name in names] == (left > 1).tolist()
+
+
 def test_errors_that_were_denied_show_in_the_size_of_gravity() -> None:
     found = calibration().estimate
     sus = found.free.sus.copy()

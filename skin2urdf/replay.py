@@ -107,6 +107,7 @@ def replay(
         drift=0.0,
         bias_walk=0.0,
         unseen=np.zeros(0),
+        curvature=1.0,  # as the document has it
     )
     problem = MotionProblem(tree, [path], known)
     return recording, tuple(_traces(problem, state, problem.predict(state, 0), 0, g))
@@ -154,6 +155,7 @@ def _state(document: Mapping[str, Any], tree: KinematicTree, g: int) -> MotionSt
     sus = [document["sus"][name] for name in tree.su_names]
     samples = document["samples"]
     front, clock = np.zeros((tree.n_sus, 2)), np.zeros((1, tree.n_sus, 2))
+    curvature = np.zeros((tree.n_sus, 3))
     gravity = float(document["settings"]["estimation"]["priors"]["gravity"])
     clock[0, :, 0] = [su["latency"] or 0.0 for su in sus]
     if samples is not None:
@@ -162,6 +164,7 @@ def _state(document: Mapping[str, Any], tree: KinematicTree, g: int) -> MotionSt
         front = np.array([part["front_end"] for part in parts], dtype=np.float64)
         clock[0, :, 0] = [part["lag"][g] for part in parts]
         clock[0, :, 1] = [part["clock_drift"][g] for part in parts]
+        curvature = np.array([part["curvature"] for part in parts], dtype=np.float64)
     placements = State(
         T_parent_joint=np.array([j["T_parent_joint"] for j in joints]).reshape(-1, 4, 4),
         T_joint_su=np.array([su["T_joint_su"] for su in sus]).reshape(-1, 4, 4),
@@ -176,6 +179,7 @@ def _state(document: Mapping[str, Any], tree: KinematicTree, g: int) -> MotionSt
         clock=clock,
         knots=(np.zeros((0, tree.n_sus, 3)),),
         unseen=np.zeros(0),
+        curvature=curvature,
     )
 
 

@@ -15,7 +15,7 @@ from skin2urdf.calibration.settings import CalibrationSettings
 from skin2urdf.estimation.problem.cost import Priors
 from skin2urdf.estimation.problem.state import N_JOINT
 from skin2urdf.estimation.solve.estimate import Estimate
-from skin2urdf.estimation.trajectory.causes import BENDS, PLAY
+from skin2urdf.estimation.trajectory.causes import BENDS, CERTAIN, PLAY
 from skin2urdf.estimation.trajectory.estimate import (
     MotionEstimate,
     estimate_along,
@@ -25,7 +25,6 @@ from skin2urdf.estimation.trajectory.fit import independent
 from skin2urdf.estimation.trajectory.front_end import common_front_end
 from skin2urdf.estimation.trajectory.kinematics import levers
 from skin2urdf.estimation.trajectory.priors import MotionPriors
-from skin2urdf.estimation.trajectory.publishers import likelihood
 from skin2urdf.estimation.uncertainty.health import are_plausible
 from skin2urdf.signals.clocks import as_far_as_confirmed, is_off
 from skin2urdf.signals.records import Features, JointClock, SuClock
@@ -362,7 +361,30 @@ def differs_by_physics(
     # Slack and other causes would explain what is wrong as well.
     as_stiff = plain.slack <= along.slack and set(plain.causes) <= set(along.causes)
     needs_more = set(plain.causes) < set(along.causes)
-    return as_stiff and (needs_more or likelihood(plain.fitted) >= likelihood(along.fitted))
+    return as_stiff and (needs_more or _gained(plain, along) <= CERTAIN)
+
+
+def _gained(plain: MotionEstimate, along: MotionEstimate) -> float:
+    """Logarithm of the likelihood that mended logs gain, of the readings that both fits compare.
+
+    Where an encoder jumps, none are compared; what is in one fit alone tells nothing of the other.
+    An SU that came loose counts from then on.
+
+    Args:
+        plain: the fit of the logs in which nothing was mended.
+        along: that of the mended ones, of as many logs.
+    """
+    names = plain.problem.tree.su_names, along.problem.tree.su_names
+    _, here, there = np.intersect1d(*names, return_indices=True)
+    gain = 0.0
+    for g, (a, b) in enumerate(zip(plain.problem.logs, along.problem.logs, strict=True)):
+        _, i, j = np.intersect1d(a.time.round(6), b.time.round(6), return_indices=True)
+        before, after = (fit.fitted.predicted[g] for fit in (plain, along))
+        both = before.measured[np.ix_(i, here)] & after.measured[np.ix_(j, there)]
+        squares = before.residual[np.ix_(i, here)] ** 2 - after.residual[np.ix_(j, there)] ** 2
+        weights = along.fitted.weights[g][np.ix_(j, there)][..., :3]
+        gain += 0.5 * float((weights * squares)[both].sum())
+    return gain
 
 
 def stands_out(

@@ -298,6 +298,7 @@ def _samples(calibration: Calibration) -> dict[str, Any] | None:
     deviations = np.sqrt(np.einsum("uii->ui", along.su_covariances).clip(0.0))
     # Lag and drift of each log: (G, U, 2).
     of_clocks = np.array([deviations[:, layout.clock(g)] for g in range(len(state.clock))])
+    curvature, curvature_sd = along.curvature
     known = along.compliance(calibration.observability.covariance.joint)
     yields = zip(along.deflections, *known, strict=True)
     return {
@@ -321,6 +322,8 @@ def _samples(calibration: Calibration) -> dict[str, Any] | None:
                 "clock_drift": state.clock[:, u, 1],
                 "clock_drift_sd": of_clocks[:, u, 1],
                 "bias_drift": along.drifts[u],
+                "curvature": curvature[u],
+                "curvature_sd": curvature_sd[u],
             }
             for u, name in enumerate(names)
         },

@@ -10,7 +10,7 @@ import numpy as np
 from skin2urdf.arrays import F64
 from skin2urdf.calibration.result import Calibration
 from skin2urdf.estimation.trajectory.estimate import MotionEstimate
-from skin2urdf.geometry.units import MILLI_G
+from skin2urdf.geometry.units import GRAVITY, MILLI_G
 from skin2urdf.recording.naming import shortened
 from skin2urdf.report.clocks import clock_notes, publisher_notes
 from skin2urdf.report.faults import fault_words
@@ -28,6 +28,8 @@ _GEARS = {"harmonics": "once and twice per turn", "ripples": "many times per tur
 """How errors of gears are told."""
 _SLOW_DROOP = 4e-6
 """Droop of a pole at 56 Hz [s^2], which changes a pattern of 4 Hz by a quarter of a per cent."""
+_FULL_SCALE = 4 * GRAVITY
+"""Reading at which nonlinearity is told [m/s^2]: the range that most accelerometers are set to."""
 _CERTAIN = 3.0
 """Standard deviations from which a low-pass is told of."""
 _DEG = float(np.rad2deg(1.0))
@@ -254,6 +256,13 @@ def sensor_notes(along: MotionEstimate | None, of: Sequence[str] | None = None) 
         notes.append(
             f"biases drift within a log, by up to {number(along.drifts.max() / MILLI_G)} mg; they "
             "were followed: let sensors warm up before a recording"
+        )
+    curved = along.curvature[0]
+    if curved.any():
+        part = number(100 * np.abs(curved).max() * _FULL_SCALE)
+        notes.append(
+            f"sensors are not linear: axes read up to {part} % of 4 g more or less there than a "
+            "straight line does; it was followed"
         )
     largest = _largest(along.problem.tree, along.deflections)
     if "elastic" in along.causes:

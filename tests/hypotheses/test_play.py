@@ -53,7 +53,8 @@ def test_jumps_within_the_slack_that_all_samples_show_are_no_hits() -> None:
     stiff = replace(along, causes=())
     assert differs_by_physics(mended, stiff, replace(plain, causes=()))
     assert not differs_by_physics(mended, stiff, plain)
-    louder = replace(along.fitted, noise=tuple(2 * noise for noise in along.fitted.noise))
+    left = [replace(p, residual=2 * p.residual) for p in along.fitted.predicted]
+    louder = replace(along.fitted, predicted=tuple(left))
     assert not differs_by_physics(mended, stiff, replace(plain, causes=(), fitted=louder))
     # Play that stays says nothing of an SU.
     assert not differs_by_physics(slipped, along, replace(plain, fitted=louder))

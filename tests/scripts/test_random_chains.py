@@ -111,7 +111,7 @@ def test_a_chain_whose_process_died_is_of_its_kind_and_failed() -> None:
 
 
 def test_a_dask_cluster_does_the_same_work(tmp_path: Path) -> None:
-    """A cluster on loopback, in processes of its own: this one only talks to its scheduler.
+    """A cluster on loopback, in a process of its own: this one only talks to its scheduler.
 
     Its worker knows nothing of the scripts but what the batch sends.
     """
@@ -137,7 +137,8 @@ from distributed import LocalCluster
 
 if __name__ == "__main__":
     with LocalCluster(
-        n_workers=1, threads_per_worker=1, host="127.0.0.1", dashboard_address=None
+        n_workers=1, threads_per_worker=1, host="127.0.0.1", dashboard_address=None,
+        processes=False, protocol="tcp",
     ) as cluster:
         script, output = sys.argv[1:]
         arguments = ["--chains", "2", "--first-seed", "5", "--output", output]

@@ -1,22 +1,30 @@
 """What real robots have and ideal ones have not, as far as the readings show it.
 
 A rigid robot with steady sensors is fitted first. Where it leaves more than noise, or where joints
-are off their encoders from place to place, causes are tried: uneven gears, joints that yield, a
-base that gives way, biases that drift, several of these; slack of a learnt size takes up what none
-of them explains. Slack no larger than half an encoder's step needs no cause: rounding makes it
-wherever a robot rests, and many joints and SUs show what one of them hides in noise. What rounding
-makes on the way from rest to rest is told from slack by drawing it anew.
+are off their encoders from place to place, causes are tried: sensors whose axes are curved, uneven
+gears, joints that yield, a base that gives way, biases that drift, several of these; slack of a
+learnt size takes up what none of them explains. Slack no larger than half an encoder's step needs
+no cause: rounding makes it wherever a robot rests, and many joints and SUs show what one of them
+hides in noise. What rounding makes on the way from rest to rest is told from slack by drawing it
+anew.
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
 
 from skin2urdf.estimation.trajectory.balance import bending
+from skin2urdf.estimation.trajectory.curved import (
+    Curvature,
+    fit_curved,
+    likeliest_curvature,
+    may_be_curved,
+    straightened,
+)
 from skin2urdf.estimation.trajectory.elastic import UnderKnown
 from skin2urdf.estimation.trajectory.fit import Fitted, fit
 from skin2urdf.estimation.trajectory.gears import find_ripples, harmonics, ripples
@@ -45,14 +53,17 @@ _BEYOND = 200.0
 """Misfit beyond which no cause is looked for: gears that yield by 3 mrad leave 11, a joint whose
 encoder is bent by 0.2 rad 62, and one that counts the other way from some time on 280, of which
 causes that are none take 100 s to try."""
-_CERTAIN = 10.0
+CERTAIN = 10.0
 """Logarithm of the likelihood that unseen motion has to gain, which chance does once in 100,000;
 sound recordings gain nothing (panda and five of ur5), a strain wave of 0.1 mrad 121."""
 _DOUBTED = 4.5
 """Logarithm of the likelihood up to which a size is not ruled out: that of three standard
 deviations. Slack of gears in a log of 15 s has 8, rounding that 200 SUs see 4."""
-BENDS, PLAY, _DRIFT = ("elastic", "base"), "play", "drift"
-"""Causes of deflections, what is followed as the first of them and is none, and that of biases."""
+BENDS, PLAY, _DRIFT, _CURVES = ("elastic", "base"), "play", "drift", "nonlinearity"
+"""Causes of deflections, what is followed as the first of them and is none, and those of biases and
+of sensors' axes."""
+_ROUNDED = "rounding"
+"""What slack is that encoders may have rounded off: no cause, and none is told."""
 _KNOTS = 15.0
 """Time between the moments that a drifting bias is given at [s]; sensors warm up in minutes."""
 
@@ -97,17 +108,24 @@ def explained(
     given = problem.priors.blueprint is not None
     places = slack(problem.tree, problem.logs, zeros_given=given)
     rigid = _Attempt(problem, fitted, (), places)
-    if rigid.misfit > min(most, _BEYOND) or not rigid.lacks:
+    if rigid.misfit > min(most, _BEYOND) or not (rigid.lacks or rigid.certain_curvature):
         return Explained(problem, fitted)
+    # As few numbers of each SU as a bias has; what bends gravity looks alike.
+    rigid = rigid.curved_where_likeliest()
+    if not rigid.lacks:
+        return rigid.explained()
     rounded = rigid.with_rounding()
     if rounded is not None and rounded.misfit <= _EXPLAINED:
-        return Explained(rounded.problem, rounded.fitted)
+        return rounded.explained()
     # Few numbers that say more than many would.
     known = rigid.with_known_torque()
     if known is None:
         best, attempts = (rigid, []) if only_known else _of_any_cause(rigid, without)
     else:
         best, attempts = known, [known]
+    if best is not rigid and best.certain_curvature:
+        best = best.curved()
+        attempts.append(best)
     slackened = best.slackened()
     if slackened.misfit > _EXPLAINED and not (known or only_known):
         # To first order nothing that bends said as much as slack, which explains too little.
@@ -121,13 +139,16 @@ def explained(
         if not _explains_most(slackened, other):
             best, slackened = steady, other
             attempts.append(best)
+    if best is not rigid and _CURVES in best.causes and not best.is_curved_for_certain:
+        best = best.straight()
+        slackened = best.slackened()
+        attempts.append(best)
     if slackened is not best:
         best = slackened
         attempts.append(best)
-    tried = {cause: each.misfit for each in attempts for cause in each.causes[-1:]}
     elastic = known.problem.unseen if known else None
     under = elastic if isinstance(elastic, UnderKnown) else None
-    return Explained(best.problem, best.fitted, best.causes, tried, under)
+    return best.explained(attempts, under)
 
 
 def _of_any_cause(rigid: _Attempt, without: Collection[str]) -> tuple[_Attempt, list[_Attempt]]:
@@ -161,7 +182,7 @@ def _of_what_seemed_unlikely(
     known = {cause for each in attempts for cause in each.causes}
     untried = [cause for cause in BENDS if cause not in known and cause not in without]
     for cause in sorted(untried, key=lambda each: -rigid.gains[each]):
-        if rigid.gains[cause] <= _CERTAIN:
+        if rigid.gains[cause] <= CERTAIN:
             break
         attempts.append(rigid.adding(cause))
         if _explains_most(attempts[-1], slackened):
@@ -252,13 +273,23 @@ class _Attempt:
     @cached_property
     def shown(self) -> Lacking | None:
         """What the readings show of slack; None of a robot that stays in one place."""
-        return None if self.places is None else lacking(self.problem, self.fitted, [self.places])
+        if self.places is None:
+            return None
+        curves = may_be_curved(self.problem)
+        return lacking(self.problem, self.fitted, [self.places], curves=curves)
+
+    @property
+    def certain_curvature(self) -> Curvature | None:
+        """Curvature of axes that the readings show for certain, and more than slack."""
+        found = None if self.shown is None else self.shown.curvature
+        least = max(CERTAIN, 0.0 if self.slack_size is None else self.slack_size.gain)
+        return found if found is not None and found.gain > least else None
 
     @property
     def certain_slack(self) -> Size | None:
         """The same where the readings show it for certain."""
         size = self.slack_size
-        return size if size is not None and size.gain > _CERTAIN else None
+        return size if size is not None and size.gain > CERTAIN else None
 
     @property
     def slack_left(self) -> float:
@@ -282,7 +313,45 @@ class _Attempt:
     def has_play(self) -> bool:
         """Whether it has joints that yield, of which what is lacking shows that they have play."""
         yields = self.causes[-1:] == BENDS[:1] and self.lacks
-        return yields and deflections_saturate(self.problem, self.fitted, _CERTAIN)
+        return yields and deflections_saturate(self.problem, self.fitted, CERTAIN)
+
+    def explained(
+        self, attempts: Sequence[_Attempt] = (), under: UnderKnown | None = None
+    ) -> Explained:
+        """This attempt as the one that explains the readings, with what else was tried."""
+        tried = {cause: each.misfit for each in attempts for cause in each.causes[-1:]}
+        causes = tuple(cause for cause in self.causes if cause != _ROUNDED)
+        return Explained(self.problem, self.fitted, causes, tried, under)
+
+    def curved_where_likeliest(self) -> _Attempt:
+        """With curved axes, where these say more than all that looks alike, else as it is."""
+        found = self.certain_curvature
+        if found is None:
+            return self
+        uneven = [self.sized(more)[1].gain for _, more in self.uneven() if more is not None]
+        return self if found.gain <= max([*self.gains.values(), *uneven]) else self.curved()
+
+    def curved(self) -> _Attempt:
+        """With axes that are curved by as much as the readings show."""
+        found = self.certain_curvature
+        if found is None:
+            return self
+        problem, fitted = fit_curved(self.problem, self.fitted, found.size)
+        return replace(self, problem=problem, fitted=fitted, causes=(*self.causes, _CURVES))
+
+    @property
+    def is_curved_for_certain(self) -> bool:
+        """Whether the readings show that axes are curved with all else that was found."""
+        equations = self.fitted.minimised(self.fitted.equations)
+        none = np.zeros(self.problem.layout.n_joint, dtype=bool)
+        x = self.fitted.state.curvature
+        return likeliest_curvature(self.problem, equations, none, x).gain > CERTAIN
+
+    def straight(self) -> _Attempt:
+        """With straight axes, with all other causes where they are but for a step."""
+        problem, state = straightened(self.problem, self.fitted.state)
+        causes = tuple(cause for cause in self.causes if cause != _CURVES)
+        return replace(self, problem=problem, fitted=fit(problem, state, near=True), causes=causes)
 
     def uneven(self) -> list[tuple[str, Unseen | None]]:
         """Errors of gears by name, of those that it has not yet."""
@@ -363,14 +432,14 @@ class _Attempt:
             size = self._size_beside_rounding() or size
         if size.gain_beyond(rounding) > _DOUBTED:
             return None
-        if size.gain <= _CERTAIN:
+        if size.gain <= CERTAIN:
             return self
         problem, equations = self.shown.begun(0, size.size)
         before = self.fitted
         none = np.zeros(problem.layout.n_unseen - len(before.state.unseen))
         state = replace(before.state, unseen=np.concatenate([before.state.unseen, none]))
         fitted = fit(problem, state, near=True, predicted=before.predicted, equations=equations)
-        return replace(self, problem=problem, fitted=fitted, causes=(*self.causes, "slack"))
+        return replace(self, problem=problem, fitted=fitted, causes=(*self.causes, _ROUNDED))
 
     def _size_beside_rounding(self) -> Size | None:
         """Slack beyond what encoders round off while joints move; None where they round nothing."""

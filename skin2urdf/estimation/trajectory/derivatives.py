@@ -103,6 +103,7 @@ class Derivatives:
             len(priors.unseen),
             any(log.rates is not None for log in self.logs),
             priors.blueprint.n_coordinates if priors.blueprint else 0,
+            priors.curvature > 0,
         )
 
     @cached_property
@@ -132,6 +133,11 @@ class Derivatives:
         """(K, U) by how much the readings of a log are late [s]."""
         lag, drift = state.clock[g].T
         return np.asarray(lag + drift * self._since_middle(g)[:, None])
+
+    def read_at(self, state: MotionState, g: int) -> F64:
+        """(K, U) where on the grid of a log each SU took what is compared, in samples."""
+        log = self.logs[g]
+        return np.asarray(log.kept[:, None] + log.rate * self.lags(state, g))
 
     def _since_middle(self, g: int) -> F64:
         """(K,) times since the middle of a log [s]."""
@@ -235,6 +241,10 @@ class Derivatives:
             np.matmul(weight, felt, out=flat[:, : weight.shape[1]])
             for rate, out in zip(rates, own, strict=True):
                 self._further_columns(link.log, rate, out)
+            if self.layout.curves:
+                # What axes read in a straight line is all but what a perfect sensor does.
+                perfect = own[:, N_PLACEMENT + 3 + np.arange(3), np.arange(3)]
+                own[:, self.layout.curvature.start + np.arange(3), np.arange(3)] = perfect**2
             return own
 
         first = 0

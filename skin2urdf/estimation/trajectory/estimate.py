@@ -76,8 +76,8 @@ class MotionEstimate:
             where the model explains the readings.
         gyros: what was found of gyroscopes; None where no SU has one.
         causes: what was added to a rigid robot with steady sensors: ``elastic`` joints, a ``base``
-            that gives way, ``play`` of joints, ``drift`` of biases, ``harmonics`` and ``ripples``
-            of gears, ``slack`` from place to place.
+            that gives way, ``play`` of joints, ``drift`` of biases, ``nonlinearity`` of sensors,
+            ``harmonics`` and ``ripples`` of gears, ``slack`` from place to place.
         tried: misfit with each cause that was tried, chosen or not.
         under_known: what joints yield under torques that are known, the first of what encoders do
             not see; None where none do, or torques are not known.
@@ -221,6 +221,19 @@ class MotionEstimate:
         knots = self.fitted.state.knots
         ranges = [np.ptp(k, axis=0).max(axis=1) for k in knots if len(k)]
         return np.max(ranges, axis=0) if ranges else np.zeros(self.problem.tree.n_sus)
+
+    @property
+    def curvature(self) -> tuple[F64, F64]:
+        """(U, 3) what an axis reads beyond a straight line, per square, and standard deviations.
+
+        In s^2/m; 0 where axes are straight.
+        """
+        found, at = self.fitted.state.curvature, self.problem.layout.curvature
+        if not found.size:
+            none = np.zeros((self.problem.tree.n_sus, 3))
+            return none, none
+        variances = np.einsum("uii->ui", self.su_covariances)[:, at]
+        return found, np.sqrt(variances.clip(0.0))
 
     @property
     def slack(self) -> float:

@@ -43,6 +43,7 @@ class MotionPriors(Record):
         gyro: (14,) of a gyroscope's coordinates, its bias in a log last.
         blueprint: the robot, where it is known; else its frames are the log's to choose.
         clocks: of SUs of which other SUs tell more than ``lag`` and ``drift`` do.
+        curvature: of the curvature of an SU's axes [s^2/m].
     """
 
     sensors: Priors
@@ -55,6 +56,7 @@ class MotionPriors(Record):
     gyro: F64 = field(default_factory=lambda: np.zeros(N_GYRO + N_GYRO_BIAS))
     blueprint: Blueprint | None = None
     clocks: ClockPriors | None = None
+    curvature: float = 0.0
 
 
 def sense(priors: MotionPriors, state: MotionState) -> float:
@@ -105,6 +107,9 @@ def prior_information(
         if priors.clocks is not None:
             of_su[:, layout.clock(g)] = inverse(priors.clocks.deviation[g])
             value[:, layout.clock(g)] -= priors.clocks.mean[g]
+    if layout.curves:
+        of_su[:, layout.curvature] = inverse(priors.curvature)
+        value[:, layout.curvature] = state.curvature
     if layout.gyros:
         of_log = np.tile(priors.gyro[N_GYRO:], layout.n_logs)
         of_su[:, layout.gyro] = inverse(np.concatenate([priors.gyro[:N_GYRO], of_log]))

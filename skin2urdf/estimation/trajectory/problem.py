@@ -154,7 +154,9 @@ class MotionProblem(Derivatives):
             su[:, layout.clock(g)] = np.array([priors.lag > 0, priors.drift > 0])
             su[resting, layout.clock(g)] = False
             su[:, layout.knots(g)] = priors.bias_walk > 0
+        su[:, layout.curvature] = True
         su[resting, layout.front] = False
+        su[resting, layout.curvature] = False
         su[~np.any([log.valid.any(axis=0) for log in self.logs], axis=0)] = False
         if layout.gyros:
             of_log = np.tile(priors.gyro[N_GYRO:], layout.n_logs)
@@ -166,8 +168,7 @@ class MotionProblem(Derivatives):
         """Residuals of one log."""
         log, places = self.moved(state, g), state.placements
         felt = self._felt_by_points(state, log, g)
-        lags, shares = self.lags(state, g), self.knot_shares(g)
-        at = log.kept[:, None] + log.rate * lags
+        at, shares = self.read_at(state, g), self.knot_shares(g)
         # What belongs to an SU lies in one piece: with many of them, all else is far away.
         residual = np.empty((self.tree.n_sus, 3, len(log.kept))).transpose(2, 0, 1)
         matrices, splines = places.sensor_matrix(), self.logs[g].splines
@@ -180,6 +181,8 @@ class MotionProblem(Derivatives):
             for u, mine in zip(some.sus, read, strict=True):
                 bias = places.bias[u] + shares @ state.knots[g][:, u]
                 residual[:, u] = splines[u].at(at[:, u]) - mine.T - bias
+                if self.layout.curves:
+                    residual[:, u] -= state.curvature[u] * mine.T**2
 
         of_links = (
             (link, Spectrum.of(link.series(felt[:, :3]), rate, margin))
@@ -193,7 +196,7 @@ class MotionProblem(Derivatives):
         links = self.skeleton.numbers
         turned = predicted_turning(
             self.skeleton.model(places.T_parent_joint, places.T_joint_su),
-            self.logs[g], (log.q[:, links], log.qd[:, links]), state, g, lags,
+            self.logs[g], (log.q[:, links], log.qd[:, links]), state, g, self.lags(state, g),
         )  # fmt: skip
         return Predicted(residual, measured, felt, turned=turned)
 

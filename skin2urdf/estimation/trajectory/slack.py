@@ -23,6 +23,12 @@ from scipy.linalg import null_space
 
 from skin2urdf.arrays import F64, Bool, Int
 from skin2urdf.estimation.trajectory.arrow import eliminated, joint_inverse
+from skin2urdf.estimation.trajectory.curved import (
+    Curvature,
+    likeliest_curvature,
+    with_curves,
+    without_curves,
+)
 from skin2urdf.estimation.trajectory.fit import Fitted
 from skin2urdf.estimation.trajectory.problem import MotionProblem
 from skin2urdf.estimation.trajectory.records import Equations
@@ -150,12 +156,14 @@ class Lacking:
         equations: of that, where the fit is.
         minimised: of what the fit minimised.
         groups: coordinates of the joint part that each group's numbers are.
+        curvature: how much axes are curved without any of the groups; None if that was not asked.
     """
 
     problem: MotionProblem
     equations: Equations
     minimised: Equations
     groups: tuple[Int, ...]
+    curvature: Curvature | None = None
 
     def size(self, group: int, drawn: int | None = None) -> Size:
         """The size that the readings give to a group, by their likelihood.
@@ -216,13 +224,16 @@ class Lacking:
         return self.problem.again(priors=priors), replace(self.equations, joint=joint)
 
 
-def lacking(problem: MotionProblem, fitted: Fitted, groups: Sequence[Unseen]) -> Lacking:
+def lacking(
+    problem: MotionProblem, fitted: Fitted, groups: Sequence[Unseen], *, curves: bool = False
+) -> Lacking:
     """What the readings say of motions that a fit lacks, of which the fit's own equations are part.
 
     Args:
         problem: what was fitted.
         fitted: the fit; it keeps its normal equations, which are found on the way.
         groups: motions, one group or more.
+        curves: whether axes may be curved besides.
     """
     wider, state = problem, fitted.state
     places = []
@@ -231,8 +242,18 @@ def lacking(problem: MotionProblem, fitted: Fitted, groups: Sequence[Unseen]) ->
         state = replace(state, unseen=np.concatenate([state.unseen, np.zeros(more.n_numbers)]))
         end = wider.layout.unseen.stop
         places.append(np.arange(end - more.n_numbers, end))
-    equations = wider.equations(state, fitted.predicted, fitted.weights)
-    found = Lacking(wider, equations, fitted.minimised(equations), tuple(places))
+    if not curves:
+        equations = wider.equations(state, fitted.predicted, fitted.weights)
+        found = Lacking(wider, equations, fitted.minimised(equations), tuple(places))
+        fitted.keep(found.without)
+        return found
+    curved, begin = with_curves(wider, replace(fitted, state=state))
+    equations = curved.equations(begin.state, fitted.predicted, fitted.weights)
+    minimised = fitted.shaken.taken_off(equations, curved.layout, state.front)
+    among = np.isin(np.arange(curved.layout.n_joint), np.concatenate(places))
+    curvature = likeliest_curvature(curved, minimised, among)
+    straight, least = (without_curves(curved, each) for each in (equations, minimised))
+    found = Lacking(wider, straight, least, tuple(places), curvature)
     fitted.keep(found.without)
     return found
 

@@ -30,6 +30,8 @@ class MotionState(Record):
             much more each second [1].
         knots: per log (B, U, 3) bias of each SU at B moments, above its own [m/s^2]; linear in
             between; none (B = 0) where biases are constant.
+        curvature: (U, 3) by how much each axis reads more than a straight line does, over the
+            square of what that does [s^2/m]; (0, 0) where all are straight.
         gyro: (U, 11 + 3 G) of each gyroscope, above a perfect one: sensitivity, row by row [1],
             delay behind the accelerometer [s], droop [s^2], biases in each log [rad/s]; (U, 0)
             where no SU has one.
@@ -43,6 +45,7 @@ class MotionState(Record):
     knots: tuple[F64, ...]
     unseen: F64
     gyro: F64 = field(default_factory=lambda: np.zeros((0, 0)))
+    curvature: F64 = field(default_factory=lambda: np.zeros((0, 0)))
 
 
 @dataclass(frozen=True)
@@ -55,6 +58,7 @@ class Layout:
         n_knots: B of each log.
         n_unseen: S.
         gyros: whether any SU has a gyroscope.
+        curves: whether the axes of SUs may be curved.
         n_further: coordinates that a robot that is known before has beyond these.
     """
 
@@ -64,6 +68,7 @@ class Layout:
     n_unseen: int
     gyros: bool = False
     n_further: int = 0
+    curves: bool = False
 
     @property
     def joints(self) -> slice:
@@ -111,9 +116,15 @@ class Layout:
         return slice(begin, begin + 3 * self.n_knots[log])
 
     @property
+    def curvature(self) -> slice:
+        """The curvature of an SU's axes, behind its biases over time."""
+        begin = self.front.stop + N_CLOCK * self.n_logs + 3 * sum(self.n_knots)
+        return slice(begin, begin + 3 * self.curves)
+
+    @property
     def gyro(self) -> slice:
         """An SU's gyroscope, behind all that its accelerometer has."""
-        begin = self.front.stop + N_CLOCK * self.n_logs + 3 * sum(self.n_knots)
+        begin = self.curvature.stop
         return slice(begin, begin + self.gyros * (N_GYRO + N_GYRO_BIAS * self.n_logs))
 
     @property
@@ -151,4 +162,7 @@ class Layout:
             knots=knots,
             unseen=state.unseen + joint[self.unseen],
             gyro=state.gyro + sus[:, self.gyro] if self.gyros else state.gyro,
+            curvature=(
+                state.curvature + sus[:, self.curvature] if self.curves else state.curvature
+            ),
         )

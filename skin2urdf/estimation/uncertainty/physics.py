@@ -19,6 +19,10 @@ _PHYSICS = {
         "have the gears' play taken up, or log the positions of the links if the robot has "
         "encoders behind its gears",
     ),
+    "nonlinearity": (
+        "sensors that are not linear",
+        "use sensors of less nonlinearity",
+    ),
     "drift": (
         "biases that drift",
         "let the sensors warm up before recording",

@@ -157,8 +157,10 @@ def test_what_a_base_leaves_is_judged_by_its_size(monkeypatch: pytest.MonkeyPatc
             size = super().size(group, drawn)
             return replace(size, gain=max(size.gain, 13.0))
 
-    def in_less_noise(problem: MotionProblem, fitted: Fitted, more: Sequence[Unseen]) -> Lacking:
-        return Certain(**vars(lacking(problem, fitted, more)))
+    def in_less_noise(
+        problem: MotionProblem, fitted: Fitted, more: Sequence[Unseen], *, curves: bool = False
+    ) -> Lacking:
+        return Certain(**vars(lacking(problem, fitted, more, curves=curves)))
 
     monkeypatch.setattr(causes, "lacking", in_less_noise)
     found, _ = _on_a_stand.__wrapped__(1 / 100_000)

@@ -164,7 +164,9 @@ def _state(document: Mapping[str, Any], tree: KinematicTree, g: int) -> MotionSt
         front = np.array([part["front_end"] for part in parts], dtype=np.float64)
         clock[0, :, 0] = [part["lag"][g] for part in parts]
         clock[0, :, 1] = [part["clock_drift"][g] for part in parts]
-        curvature = np.array([part["curvature"] for part in parts], dtype=np.float64)
+        # Documents of earlier versions know no curved axes.
+        straight = [0.0] * 3
+        curvature = np.array([part.get("curvature", straight) for part in parts], dtype=np.float64)
     placements = State(
         T_parent_joint=np.array([j["T_parent_joint"] for j in joints]).reshape(-1, 4, 4),
         T_joint_su=np.array([su["T_joint_su"] for su in sus]).reshape(-1, 4, 4),

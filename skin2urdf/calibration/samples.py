@@ -323,7 +323,8 @@ def without_false_hits(
         return solution, along
     real = tuple(
         f for f in solution.faults
-        if f.kind == "contact" and stands_out(again, whole.sampled, f.log or 0, f.begin, f.end)
+        if f.kind == "contact"
+        and stands_out(again, whole.sampled, f.log or 0, f.begin, f.end, pushed=f.subject)
     )  # fmt: skip
     if real:
         return (solution if loose else replace(solution, faults=real)), along
@@ -388,9 +389,18 @@ def _gained(plain: MotionEstimate, along: MotionEstimate) -> float:
 
 
 def stands_out(
-    along: MotionEstimate, sampled: Sequence[Sampled], g: int, begin: float, end: float
+    along: MotionEstimate,
+    sampled: Sequence[Sampled],
+    g: int,
+    begin: float,
+    end: float,
+    *,
+    pushed: str | None = None,
 ) -> bool:
     """Whether what a fit leaves in some time is more than noise and play, in any SU.
+
+    A joint that was pushed moves the SUs beyond it by more than any other: what an SU on a base
+    that gives way feels alone came from elsewhere.
 
     Args:
         along: the fit.
@@ -398,6 +408,7 @@ def stands_out(
         g: number of the log.
         begin: of the time [s], and
         end: its end; a time that is not known stands out.
+        pushed: the joint whose SUs count; by default all do.
     """
     log, fitted = along.problem.logs[g], along.fitted
     if not (np.isfinite(begin) and np.isfinite(end)):
@@ -409,7 +420,11 @@ def stands_out(
     seen = fitted.predicted[g].measured[during, :, None]
     noise = np.hypot(_usual(along, g)[during], _rattle(along, g)[:, None])
     ratio = np.where(seen, fitted.predicted[g].residual[during] / noise, 0.0)
-    return bool((ratio**2).mean(axis=(0, 2)).max() > _HIT**2)
+    left = (ratio**2).mean(axis=(0, 2))
+    tree = along.problem.tree
+    if pushed in tree.joint_names:
+        left = left[tree.activity()[:, tree.joint_names.index(pushed)]]
+    return bool(left.max(initial=0.0) > _HIT**2)
 
 
 def _usual(along: MotionEstimate, g: int) -> F64:

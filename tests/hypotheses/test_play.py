@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 
@@ -14,11 +15,13 @@ from skin2urdf.calibration.rounds import (
 )
 from skin2urdf.calibration.samples import differs_by_physics, fit_samples, stands_out
 from skin2urdf.calibration.settings import CalibrationSettings
+from skin2urdf.estimation.trajectory.estimate import MotionEstimate
 from skin2urdf.faults import Fault
 from skin2urdf.hypotheses.attempts import Search
 from skin2urdf.hypotheses.contact import Contact
 from skin2urdf.hypotheses.records import Attempt
 from skin2urdf.recording.retiming import retimed
+from skin2urdf.signals.sampling import Sampled
 from skin2urdf.simulation import SimulationSettings, load_robot, simulate
 from skin2urdf.simulation.defects import Backlash
 
@@ -62,3 +65,23 @@ def test_jumps_within_the_slack_that_all_samples_show_are_no_hits() -> None:
     assert differs_by_physics(mended, along, replace(plain, causes=(), fitted=louder))
     assert not differs_by_physics(mended, along, replace(along, misfit=20.0))
     assert not differs_by_physics(first, along, plain)
+    _only_sus_beyond_a_joint_tell_that_it_was_pushed(along, logs.sampled)
+
+
+def _only_sus_beyond_a_joint_tell_that_it_was_pushed(
+    along: MotionEstimate, sampled: Sequence[Sampled]
+) -> None:
+    """Two seconds in which some SUs feel 50 m/s^2 that no joint explains."""
+    tree, time = along.problem.tree, along.problem.logs[0].time + sampled[0].motion.grid.start
+    when = float(time[400]), float(time[440])
+    carried = tree.activity()[:, -1]
+    assert 0 < carried.sum() < tree.n_sus
+    (p,) = along.fitted.predicted
+    for shaken in (carried, ~carried):
+        residual = p.residual.copy()
+        residual[400:440, shaken] += 50.0
+        there = replace(along.fitted, predicted=(replace(p, residual=residual),))
+        found = replace(along, fitted=there)
+        beyond = stands_out(found, sampled, 0, *when, pushed=tree.joint_names[-1])
+        assert stands_out(found, sampled, 0, *when)
+        assert beyond == bool(shaken[carried].any())

@@ -9,8 +9,10 @@ import pytest
 from calibrated import calibration
 
 from skin2urdf.calibration.result import Calibration
+from skin2urdf.estimation.trajectory.curved import with_curves
 from skin2urdf.estimation.trajectory.elastic import UnderKnown
 from skin2urdf.estimation.trajectory.problem import MotionProblem
+from skin2urdf.geometry.units import GRAVITY
 from skin2urdf.model.records import OpenDirection
 from skin2urdf.notes import Note
 from skin2urdf.report.branches import between_branches
@@ -168,6 +170,25 @@ def test_uneven_gears_and_slack_are_told_with_their_sizes() -> None:
     assert samples["slack"] == 7e-5
     assert samples["causes"] == ["harmonics", "slack"]
     assert as_document(calibration())["samples"]["slack"] == 0.0
+
+
+def test_curved_axes_are_told_with_their_size() -> None:
+    along = calibration().along
+    assert along is not None
+    problem, fitted = with_curves(along.problem, along.fitted, 1e-4)
+    curvature = np.zeros((problem.tree.n_sus, 3))
+    curvature[1, 2] = -2.5e-3 / (4 * GRAVITY)
+    fitted = replace(fitted, state=replace(fitted.state, curvature=curvature))
+    curved = replace(along, problem=problem, fitted=fitted, corrected=(), causes=("nonlinearity",))
+    found = replace(calibration(), along=curved)
+    assert f"{number(0.25)} % of 4 g" in as_text(found)
+    assert "% of 4 g" not in as_text(calibration())
+    sus = as_document(found)["samples"]["sus"]
+    names = problem.tree.su_names
+    assert sus[names[1]]["curvature"][2] == curvature[1, 2]
+    assert sus[names[1]]["curvature_sd"][2] > 0
+    straight = as_document(calibration())["samples"]["sus"][names[1]]
+    assert not np.any([straight["curvature"], straight["curvature_sd"]])
 
 
 def test_open_directions_between_branches_are_told() -> None:

@@ -190,7 +190,7 @@ def _traces(
 ) -> list[Trace]:
     """Traces of all SUs along the problem's log g, which is called ``log``."""
     path = problem.logs[g]
-    at = path.kept[:, None] + path.rate * problem.lags(state, g)
+    at = problem.read_at(state, g)
     found = []
     for u, name in enumerate(problem.tree.su_names):
         whole = np.flatnonzero(predicted.measured[:, u])

@@ -373,17 +373,22 @@ def _gained(plain: MotionEstimate, along: MotionEstimate) -> float:
 
     Args:
         plain: the fit of the logs in which nothing was mended.
-        along: that of the mended ones, of as many logs.
+        along: that of the mended ones.
     """
     names = plain.problem.tree.su_names, along.problem.tree.su_names
     _, here, there = np.intersect1d(*names, return_indices=True)
+    mended = {log.log: h for h, log in enumerate(along.problem.logs)}
     gain = 0.0
-    for g, (a, b) in enumerate(zip(plain.problem.logs, along.problem.logs, strict=True)):
-        _, i, j = np.intersect1d(a.time.round(6), b.time.round(6), return_indices=True)
-        before, after = (fit.fitted.predicted[g] for fit in (plain, along))
+    for g, log in enumerate(plain.problem.logs):
+        if log.log not in mended:
+            continue
+        h = mended[log.log]
+        other = along.problem.logs[h]
+        _, i, j = np.intersect1d(log.time.round(6), other.time.round(6), return_indices=True)
+        before, after = plain.fitted.predicted[g], along.fitted.predicted[h]
         both = before.measured[np.ix_(i, here)] & after.measured[np.ix_(j, there)]
         squares = before.residual[np.ix_(i, here)] ** 2 - after.residual[np.ix_(j, there)] ** 2
-        weights = along.fitted.weights[g][np.ix_(j, there)][..., :3]
+        weights = along.fitted.weights[h][np.ix_(j, there)][..., :3]
         gain += 0.5 * float((weights * squares)[both].sum())
     return gain
 

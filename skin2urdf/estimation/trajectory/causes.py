@@ -123,8 +123,9 @@ def explained(
         best, attempts = (rigid, []) if only_known else _of_any_cause(rigid, without)
     else:
         best, attempts = known, [known]
-    if best is not rigid and best.certain_curvature:
-        best = best.curved()
+    curved = best if best is rigid else best.curved_where_likeliest()
+    if curved is not best:
+        best = curved
         attempts.append(best)
     slackened = best.slackened()
     if slackened.misfit > _EXPLAINED and not (known or only_known):

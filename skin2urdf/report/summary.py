@@ -262,7 +262,8 @@ def sensor_notes(along: MotionEstimate | None, of: Sequence[str] | None = None) 
         part = number(100 * np.abs(curved).max() * _FULL_SCALE)
         notes.append(
             f"sensors are not linear: axes read up to {part} % of 4 g more or less there than a "
-            "straight line does; it was followed"
+            "straight line does; it was followed, and stated errors count it: sensors of less "
+            "nonlinearity would know orientations better"
         )
     largest = _largest(along.problem.tree, along.deflections)
     if "elastic" in along.causes:

@@ -62,8 +62,6 @@ deviations. Slack of gears in a log of 15 s has 8, rounding that 200 SUs see 4."
 BENDS, PLAY, _DRIFT, _CURVES = ("elastic", "base"), "play", "drift", "nonlinearity"
 """Causes of deflections, what is followed as the first of them and is none, and those of biases and
 of sensors' axes."""
-_ROUNDED = "rounding"
-"""What slack is that encoders may have rounded off: no cause, and none is told."""
 _KNOTS = 15.0
 """Time between the moments that a drifting bias is given at [s]; sensors warm up in minutes."""
 
@@ -321,8 +319,7 @@ class _Attempt:
     ) -> Explained:
         """This attempt as the one that explains the readings, with what else was tried."""
         tried = {cause: each.misfit for each in attempts for cause in each.causes[-1:]}
-        causes = tuple(cause for cause in self.causes if cause != _ROUNDED)
-        return Explained(self.problem, self.fitted, causes, tried, under)
+        return Explained(self.problem, self.fitted, self.causes, tried, under)
 
     def curved_where_likeliest(self) -> _Attempt:
         """With curved axes, where these say more than all that looks alike, else as it is."""
@@ -421,7 +418,7 @@ class _Attempt:
         )
 
     def with_rounding(self) -> _Attempt | None:
-        """With slack, where it is lacking and all of it may be what encoders round off.
+        """With slack, where it is lacking and all of it may be what encoders round off: no cause.
 
         So little leaves a fit where it is but for a step, of which the equations are known.
         """
@@ -440,7 +437,7 @@ class _Attempt:
         none = np.zeros(problem.layout.n_unseen - len(before.state.unseen))
         state = replace(before.state, unseen=np.concatenate([before.state.unseen, none]))
         fitted = fit(problem, state, near=True, predicted=before.predicted, equations=equations)
-        return replace(self, problem=problem, fitted=fitted, causes=(*self.causes, _ROUNDED))
+        return replace(self, problem=problem, fitted=fitted)
 
     def _size_beside_rounding(self) -> Size | None:
         """Slack beyond what encoders round off while joints move; None where they round nothing."""

@@ -1,10 +1,11 @@
 """Sensors whose axes are curved: what an axis reads bends away from a straight line.
 
 With c its curvature, an axis reads ``l + c l^2`` and its bias, where l is linear in what it feels.
-Data sheets call the largest departure over the full scale nonlinearity. What gears that yield do to
-gravity in an SU looks alike, and so do encoders that are off in some places; so curvature is one of
-the causes that are held against each other by the likelihood of the readings. How large that of one
-robot's sensors is, the SUs tell together, as a group of numbers of one size (:mod:`slack`).
+IEEE Std 1293 has c as the second-order nonlinearity coefficient of an axis; data sheets call the
+largest departure over the full scale nonlinearity. What gears that yield do to gravity in an SU
+looks alike, and so do encoders that are off in some places; so curvature is one of the causes that
+are held against each other by the likelihood of the readings. How large that of one robot's sensors
+is, the SUs tell together, as a group of numbers of one size (:mod:`slack`).
 """
 
 from __future__ import annotations

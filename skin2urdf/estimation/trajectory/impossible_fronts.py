@@ -1,11 +1,11 @@
 """Low-passes that no sensor has: those that droop by more than their lag allows.
 
 A stable filter has r of zero or more (see :mod:`front_end`), so that its droop, ``b^2 / 2 - r``, is
-at most half the square of its lag b. A
-fit may leave that range, so that sensors without any low-pass scatter about none. Where few
-frequencies are felt, as by an SU on a first joint, another optimum lies out there: a droop without
-a lag, which a shorter lever arm makes up for. Which of the two a fit finds is a matter of its way,
-and its chi-squared tells little; but only one is a sensor's.
+at most half the square of its lag b. A fit may leave that range, so that sensors without any
+low-pass scatter about none. Where few frequencies are felt, as by an SU on a first joint, another
+optimum lies out there: a droop without a lag, which a shorter lever arm makes up for. Which of the
+two a fit finds is a matter of its way, and its chi-squared tells little; but only one is a
+sensor's.
 """
 
 from __future__ import annotations

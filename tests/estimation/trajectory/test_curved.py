@@ -53,10 +53,17 @@ def _log(size: float) -> Trajectory:
 
 
 @cache
-def _found(size: float) -> MotionEstimate:
+def _found(size: float, *, look_further: bool = True) -> MotionEstimate:
     priors = motion_priors(Priors(), gravity=0.0, front=(np.zeros(2), np.zeros(2)))
     start = replace(_truth(), bias=np.zeros((4, 3)), shape=np.zeros((4, 6)))
-    return estimate_along([_log(size)], _TREE, start, priors, np.zeros(4))
+    return estimate_along(
+        [_log(size)], _TREE, start, priors, np.zeros(4), look_further=look_further
+    )
+
+
+def _straight() -> MotionEstimate:
+    """The fit of curved sensors with straight axes."""
+    return _found(_SIZE, look_further=False)
 
 
 def test_curved_axes_are_found_as_well_as_stated() -> None:
@@ -89,15 +96,6 @@ def test_what_curves_are_worth_is_the_same_seen_from_straight_axes_and_from_thei
     assert there.gain == pytest.approx(from_zero.gain, rel=0.1)
     assert there.size == pytest.approx(from_zero.size, rel=0.3)
     assert there.size == pytest.approx(_SIZE, rel=0.5)
-
-
-def _straight() -> MotionEstimate:
-    """The fit of the same log with straight axes."""
-    priors = motion_priors(Priors(), gravity=0.0, front=(np.zeros(2), np.zeros(2)))
-    start = replace(_truth(), bias=np.zeros((4, 3)), shape=np.zeros((4, 6)))
-    return estimate_along(
-        [_log(_SIZE)], _TREE, start, priors, np.zeros(4), look_further=False, lengths=False
-    )
 
 
 def test_equations_hold_the_gradient_in_curvatures() -> None:

@@ -180,6 +180,8 @@ class Judged(Record):
         lever: distance of the SU from the chain's last revolute axis [m].
         turn_loss: (B,) the same of its gyroscope's rates [rad^2/s^2], and
         turn_count: (B,) measurements; 0 where it has none.
+        turn_left: what these leave of the rates of a gyroscope that is right about its axes
+            [rad^2/s^2].
     """
 
     loss: F64
@@ -189,6 +191,7 @@ class Judged(Record):
     lever: float
     turn_loss: F64
     turn_count: F64
+    turn_left: float
 
 
 def judge(
@@ -216,8 +219,7 @@ def judge(
     slide_sd = np.array([np.sqrt(np.trace(covariance[s : s + 3, s : s + 3])) for s in slides])
     offset = x[last[0] : last[0] + 3]
     lever = float(np.linalg.norm(np.cross(last[1], offset))) if last[0] >= 0 else 0.0
-    turn_loss, turn_count = _turning(samples, su, chain, R)
-    return Judged(loss, count, slide, slide_sd, lever, turn_loss, turn_count)
+    return Judged(loss, count, slide, slide_sd, lever, *_turning(samples, su, chain, R))
 
 
 def _held_out(
@@ -253,14 +255,20 @@ def _held_out(
     return np.maximum(loss, 0.0), count, AtA.sum(axis=0) + ridge, Aty.sum(axis=0)
 
 
-def _turning(samples: Along, su: int, chain: Sequence[ChainJoint], R: F64) -> tuple[F64, F64]:
-    """How well a chain predicts how an SU turns: (B,) squared errors and (B,) measurements.
+def _turning(
+    samples: Along, su: int, chain: Sequence[ChainJoint], R: F64
+) -> tuple[F64, F64, float]:
+    """How well a chain predicts how an SU turns.
 
     An axis that is vertical is seen as gravity is, whatever the SU's turn about it.
+
+    Returns:
+        (B,) squared errors and (B,) measurements, and the sum of the errors where nothing but bias
+        and clock is open.
     """
     B = samples.n_stretches
     if samples.rates is None or samples.turning is None or not samples.turning[:, su].any():
-        return np.zeros(B), np.zeros(B)
+        return np.zeros(B), np.zeros(B), 0.0
     use = samples.turning[:, su]
     q, qd, qdd = (np.ascontiguousarray(x[use].T) for x in (samples.q, samples.qd, samples.qdd))
     N = q.shape[1]
@@ -284,9 +292,11 @@ def _turning(samples: Along, su: int, chain: Sequence[ChainJoint], R: F64) -> tu
     A[12], A[13] = slope, slope * samples.time[use]
     prior = np.array([_RATE_BIAS] * 3 + [_TURN] * 9 + [_LAG] * 2)
     ridge = np.diag((_ROUGH_RATE / prior) ** 2)
-    rows = samples.stretch[use]
-    loss, count, _, _ = _held_out(A, samples.rates[use, su].T - w, rows, B, ridge)
-    return loss, count
+    rows, left = samples.stretch[use], samples.rates[use, su].T - w
+    loss, count, _, _ = _held_out(A, left, rows, B, ridge)
+    few = [0, 1, 2, 12, 13]
+    plain, _, _, _ = _held_out(A[few], left, rows, B, ridge[np.ix_(few, few)])
+    return loss, count, float(plain.sum())
 
 
 def _regression(

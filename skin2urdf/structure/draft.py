@@ -286,9 +286,13 @@ def _gain_in_turning(now: Judged, then: Judged) -> F64:
 
 
 def is_shaken(now: Judged, then: Judged) -> bool:
-    """Whether a vertical axis before an SU shakes it rather than that it turns it."""
-    # A gyroscope tells turning from shaking.
-    return then.lever < _NEAREST and _gain_in_turning(now, then).sum() <= CERTAIN
+    """Whether a vertical axis before an SU shakes it rather than that it turns it.
+
+    A gyroscope tells: one that reads no turning has no such error of its axes as would hide it.
+    """
+    if then.turn_count.any():
+        return then.turn_left > now.turn_left
+    return then.lever < _NEAREST
 
 
 def is_push(push: F64, sd: F64) -> bool:

@@ -42,15 +42,18 @@ class Springs:
         self._late = late
         root, inverse = roots(compliance)
         lam, V = np.linalg.eigh(0.5 * root @ (inertia + inertia.swapaxes(1, 2)) @ root)
-        share = np.where(lam < (h / _STABLE) ** 2, 1 / 4, 1 / 12)
-        A, later = (
-            root @ (V * each[:, None]) @ V.swapaxes(1, 2) @ inverse
-            for each in (lam.clip(min=0.0), h**2 * share)
-        )
-        inverse = np.linalg.inv(A + 0.5 * h * self._late + later)
+        share = h**2 * np.where(lam < (h / _STABLE) ** 2, 1 / 4, 1 / 12)
+        there, back = root @ V, V.swapaxes(1, 2) @ inverse
+        later = (there * share[:, None]) @ back
+        # A + 0.5 h L + later, turned round in units in which A and later are one: numbers on their
+        # way to a robot's may have inertias of any size, beside which the rest would be rounded off.
+        unit = 1 / np.sqrt(lam.clip(min=0.0) + share)
+        there, back = there * unit[:, None], unit[..., None] * back
+        damped = back @ (0.5 * h * self._late) @ there
+        turned_round = there @ np.linalg.inv(np.eye(len(compliance)) + damped) @ back
         self._n = len(inertia)
         self._length = length = max(1, round(np.sqrt(self._n)))
-        self._inverse, self._later = _in_blocks(inverse, length), _in_blocks(later, length)
+        self._inverse, self._later = _in_blocks(turned_round, length), _in_blocks(later, length)
 
     def bent(self, loads: F64) -> F64:
         """(N, R, S) deflections by loads (N, R, S), from rest in balance with the first.

@@ -13,6 +13,7 @@ from skin2urdf.simulation.defects import (
     ElasticGears,
     GearHarmonics,
     Held,
+    HeldPositions,
     LinkFlex,
     LocalGravity,
     Lost,
@@ -75,6 +76,8 @@ ROWS: Mapping[str, tuple[Defect, ...]] = MappingProxyType(
         "publishers 100 ms apart": (SecondPublisher(0.1, 300e-6),),
         "held 2 times": (Held(2),),
         "held 5 times": (Held(5),),
+        "positions held 4 times": (HeldPositions(4.0),),
+        "positions held 2.7 times": (HeldPositions(2.7),),
         "spikes 0.1 %": (Spikes(1e-3),),
         "lost 2 %": (Lost(0.02),),
         "eight at once": (

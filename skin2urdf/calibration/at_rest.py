@@ -3,26 +3,27 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-
-import numpy as np
+from dataclasses import replace
 
 from skin2urdf.calibration.clock import Clock
 from skin2urdf.calibration.rounds import Logs, Solution, Structure
-from skin2urdf.calibration.samples import fit_samples
+from skin2urdf.calibration.samples import fit_samples, gained
 from skin2urdf.errors import StructureError
 from skin2urdf.estimation.solve.estimate import estimate
 from skin2urdf.estimation.start.from_rests import state_of
-from skin2urdf.estimation.trajectory.publishers import likelihood
-from skin2urdf.structure.from_motion import MotionTree, trees_of_both_kinds
+from skin2urdf.estimation.trajectory.causes import CERTAIN
+from skin2urdf.estimation.trajectory.estimate import MotionEstimate
+from skin2urdf.notes import Note, Noted, NoteKind
+from skin2urdf.structure.from_motion import MotionTree, doubt, trees_of_both_kinds
 from skin2urdf.structure.gravity import gravity_features, gravity_windows
-from skin2urdf.structure.records import KinematicTree
 from skin2urdf.structure.still import turned_all_the_same
 
 
 def estimate_at_rest(logs: Logs, structure: Structure, clock: Clock) -> Solution:
     """The tree and the directions that gravity shows; positions stay open.
 
-    Where rests and moves show different trees, both are followed, and all samples decide.
+    Where rests and moves show different trees, or several that they do not tell apart, all of these
+    are followed, and all samples decide.
 
     Args:
         logs: the logs.
@@ -51,12 +52,59 @@ def estimate_at_rest(logs: Logs, structure: Structure, clock: Clock) -> Solution
             ),
         )
 
-    first, *others = _not_denied([trees[0] for trees in found], logs)
-    others = [each for each in others if _differ(each.tree, first.tree)]
-    solutions = [solved(each) for each in (first, *others)]
-    if not others or logs.settings.motion != "all":
+    best_first = [trees[0] for trees in found] + [tree for trees in found for tree in trees[1:]]
+    candidates = _different(_not_denied(best_first, logs))
+    if len(candidates) == 1 or logs.settings.motion != "all":
+        return solved(candidates[0])
+    return _decided([solved(each) for each in candidates], clock)
+
+
+def _different(trees: Sequence[MotionTree]) -> list[MotionTree]:
+    """The first tree, and others of the same SUs: those that all samples can compare with it."""
+    out = [trees[0]]
+    for each in trees[1:]:
+        same_sus = set(each.tree.su_names) == set(out[0].tree.su_names)
+        if same_sus and not any(each.tree.is_like(other.tree) for other in out):
+            out.append(each)
+    return out
+
+
+def _decided(solutions: Sequence[Solution], clock: Clock) -> Solution:
+    """The solution that all samples find likeliest, with a note on each that is as likely.
+
+    Where they can not be fitted, the first one is as good as any.
+    """
+    fits = [
+        clock.run(
+            "all samples", lambda tell, each=each: fit_samples(each, tell, look_further=False)
+        )
+        for each in solutions
+    ]
+    fitted = [(each, along) for each, along in zip(solutions, fits, strict=True) if along]
+    if not fitted:
         return solutions[0]
-    return max(solutions, key=lambda each: _likelihood(each, clock))
+    best, along = fitted[0]
+    for other, there in fitted[1:]:
+        if gained(along, there) > CERTAIN:
+            best, along = other, there
+    tree = best.found.tree
+    notes = [note for note in tree.notes if not _is_of(note, "other order")]
+    notes += [
+        doubt(tree, other.found.tree)
+        for other, there in fitted
+        if other is not best and gained(there, along) <= CERTAIN
+    ]
+    tree = replace(tree, notes=tuple(notes))
+    return replace(best, found=replace(best.found, tree=tree))
+
+
+def _fit_along(solution: Solution, clock: Clock) -> MotionEstimate | None:
+    """All samples, with nothing but a rigid robot."""
+    return clock.run("all samples", lambda tell: fit_samples(solution, tell, look_further=False))
+
+
+def _is_of(note: Noted, kind: NoteKind) -> bool:
+    return isinstance(note, Note) and note.kind == kind
 
 
 def _not_denied(trees: Sequence[MotionTree], logs: Logs) -> list[MotionTree]:
@@ -74,14 +122,3 @@ def _not_denied(trees: Sequence[MotionTree], logs: Logs) -> list[MotionTree]:
             "base tilted by 20 degrees or more",
         )
     return [each for each, denied in zip(trees, turned, strict=True) if not denied]
-
-
-def _differ(tree: KinematicTree, other: KinematicTree) -> bool:
-    """Whether trees are not the same, but of the same SUs, so that all samples can compare them."""
-    return set(tree.su_names) == set(other.su_names) and not tree.is_like(other)
-
-
-def _likelihood(solution: Solution, clock: Clock) -> float:
-    """That of all samples, as the estimate explains them; less than any where these are none."""
-    along = clock.run("all samples", lambda tell: fit_samples(solution, tell, look_further=False))
-    return -np.inf if along is None else likelihood(along.fitted)

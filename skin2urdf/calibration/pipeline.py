@@ -32,6 +32,7 @@ from skin2urdf.estimation.uncertainty.narrow import narrow_priors
 from skin2urdf.estimation.uncertainty.observability import Observability, observability
 from skin2urdf.faults import distinct, without_slips
 from skin2urdf.model.canonical import canonical
+from skin2urdf.recording.holding import joints_as_measured
 from skin2urdf.recording.progress import Share
 from skin2urdf.recording.records import Recording
 from skin2urdf.signals.filters import eroded, low_pass, noise_bandwidth
@@ -190,7 +191,7 @@ def _follow_the_paper(begun: Beginning, clock: Clock) -> tuple[Solution, None]:
 def recordings_of(
     logs: str | Path | Recording | Sequence[str | Path | Recording], tell: Tell
 ) -> list[Recording]:
-    """Read the logs that are not read yet.
+    """Read the logs that are not read yet, and take repeated positions out of the others.
 
     Raises:
         UnreadableInputError: a log can not be read.
@@ -205,7 +206,9 @@ def recordings_of(
         def part(share: Share, i: int = i) -> None:
             tell(share.among(i, len(given)))
 
-        out.append(log if isinstance(log, Recording) else read(log, progress=part))
+        out.append(
+            joints_as_measured(log) if isinstance(log, Recording) else read(log, progress=part)
+        )
     if not out:
         raise InsufficientDataError("no log was given", "name at least one log", lacks="logs")
     return out

@@ -362,18 +362,18 @@ def differs_by_physics(
     # Slack and other causes would explain what is wrong as well.
     as_stiff = plain.slack <= along.slack and set(plain.causes) <= set(along.causes)
     needs_more = set(plain.causes) < set(along.causes)
-    return as_stiff and (needs_more or _gained(plain, along) <= CERTAIN)
+    return as_stiff and (needs_more or gained(plain, along) <= CERTAIN)
 
 
-def _gained(plain: MotionEstimate, along: MotionEstimate) -> float:
-    """Logarithm of the likelihood that mended logs gain, of the readings that both fits compare.
+def gained(plain: MotionEstimate, along: MotionEstimate) -> float:
+    """Logarithm of the likelihood that another fit gains, of the readings that both compare.
 
-    Where an encoder jumps, none are compared; what is in one fit alone tells nothing of the other.
-    An SU that came loose counts from then on.
+    Where mended logs leave readings out, as those while an encoder jumps, what is in one fit alone
+    tells nothing of the other. An SU that came loose counts from then on.
 
     Args:
-        plain: the fit of the logs in which nothing was mended.
-        along: that of the mended ones.
+        plain: a fit.
+        along: the other one, in whose noise the gain is.
     """
     names = plain.problem.tree.su_names, along.problem.tree.su_names
     _, here, there = np.intersect1d(*names, return_indices=True)

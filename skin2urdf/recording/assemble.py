@@ -90,6 +90,7 @@ def timed_joints(
     """
     found: dict[str, list[TimedStream]] = {}
     notes: list[ReadingNote] = []
+    repeating: dict[str, float] = {}
     for (topic, names), samples in gathered.items():
         credible = np.abs(samples.values) < LARGEST_VALUE
         if not credible.all():
@@ -101,6 +102,10 @@ def timed_joints(
             )
             notes.append(ReadingNote("several publishers", words, (topic, *names)))
             continue
+        held = measurements(samples.values, _span(samples))
+        if held.times > 1.0:
+            repeating.update(dict.fromkeys(names, held.times))
+            samples = samples.at(held.kept)
         (whole,) = _timed([Source("", topic, samples)])
         for name, values, effort in zip(
             names, whole.values.T, _efforts_of(whole, len(names)), strict=True
@@ -112,7 +117,7 @@ def timed_joints(
                 found.setdefault(name, []).append(stream)
     names_found = sorted(found)
     called, renamed = writable(names_found, "joint")
-    notes += renamed
+    notes += [*held_notes(repeating, "position"), *renamed]
     chosen = []
     for name, streams in zip(called, (found[name] for name in names_found), strict=True):
         best = max(streams, key=lambda stream: stream.time.size)

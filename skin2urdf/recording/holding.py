@@ -1,13 +1,14 @@
-"""Readings that are sent several times: one measurement each, at the time it first appeared.
+"""Values that are sent several times: one measurement each, at the time it first appeared.
 
 A driver that sends faster than its sensor measures repeats the latest value, and so do boards that
-poll their sensors. As samples these are stairs, late by half a step in the middle and wrong by the
-motion of a step everywhere.
+poll their sensors and controllers that publish joints faster than these are read. As samples these
+are stairs, late by half a step in the middle and wrong by the motion of a step everywhere.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -15,7 +16,7 @@ import numpy as np
 from skin2urdf.arrays import F64, Int
 from skin2urdf.notes import ReadingNote
 from skin2urdf.recording.naming import shortened
-from skin2urdf.recording.records import SuStream
+from skin2urdf.recording.records import JointStream, Recording, SuStream
 from skin2urdf.threads import each
 
 # A sensor that hardly moves repeats itself where its steps are of a digit or two. Between larger
@@ -101,14 +102,46 @@ def as_measured(sus: Sequence[SuStream]) -> tuple[list[SuStream], list[ReadingNo
     return [su for su, _ in found], held_notes(repeating)
 
 
-def held_notes(repeating: Mapping[str, float]) -> list[ReadingNote]:
-    """Notes on streams whose readings are sent several times.
+def joints_as_measured(recording: Recording) -> Recording:
+    """Leave repetitions out of the joints of a recording; joints with the same times go together.
 
     Args:
-        repeating: how often each is sent in the mean, by the SU's name.
+        recording: streams as they were sent.
 
     Returns:
-        One note for all SUs that do so alike.
+        The recording, with a note on joints that had any.
+    """
+    together: dict[bytes, list[JointStream]] = {}
+    for joint in recording.joints:
+        together.setdefault(joint.time.tobytes(), []).append(joint)
+    joints: dict[str, JointStream] = {}
+    repeating: dict[str, float] = {}
+    for members in together.values():
+        time = members[0].time
+        values = np.stack([joint.position for joint in members], axis=1)
+        held = measurements(values, float(np.ptp(time)) if len(time) else 0.0)
+        for joint in members:
+            joints[joint.name] = joint.at(held.kept) if held.times > 1.0 else joint
+        if held.times > 1.0:
+            repeating.update(dict.fromkeys((joint.name for joint in members), held.times))
+    if not repeating:
+        return recording
+    return replace(
+        recording,
+        joints=tuple(joints[joint.name] for joint in recording.joints),
+        notes=(*recording.notes, *held_notes(repeating, "position")),
+    )
+
+
+def held_notes(repeating: Mapping[str, float], what: str = "reading") -> list[ReadingNote]:
+    """Notes on streams whose values are sent several times.
+
+    Args:
+        repeating: how often each is sent in the mean, by the name of the SU or the joint.
+        what: they send.
+
+    Returns:
+        One note for all that do so alike.
     """
     alike: dict[str, list[str]] = {}
     for name, times in repeating.items():
@@ -116,7 +149,7 @@ def held_notes(repeating: Mapping[str, float]) -> list[ReadingNote]:
     return [
         ReadingNote(
             "held values",
-            f"{shortened(names)} {'sends' if len(names) == 1 else 'send'} each reading {times} "
+            f"{shortened(names)} {'sends' if len(names) == 1 else 'send'} each {what} {times} "
             "times in the mean; they count once, at the time they first appear",
             tuple(names),
             float(times),

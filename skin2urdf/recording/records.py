@@ -28,6 +28,15 @@ class JointStream(Record):
     stamp_noise: float = 0.0
     effort: F64 | None = None
 
+    def at(self, rows: Int | Bool | slice) -> JointStream:
+        """Some of the samples.
+
+        Args:
+            rows: their numbers, or (N,) True for them.
+        """
+        effort = None if self.effort is None else self.effort[rows]
+        return replace(self, time=self.time[rows], position=self.position[rows], effort=effort)
+
 
 @dataclass(frozen=True, eq=False)
 class SuStream(Record):

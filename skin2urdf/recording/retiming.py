@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from skin2urdf.arrays import F64, Int
+from skin2urdf.recording.holding import joints_as_measured
 from skin2urdf.recording.records import JointStream, Recording
 from skin2urdf.recording.timing import NS_PER_S, sample_times
 
@@ -14,12 +15,15 @@ from skin2urdf.recording.timing import NS_PER_S, sample_times
 def retimed(recording: Recording) -> Recording:
     """A recording whose times are taken as stamps, and made regular where the signal says so.
 
+    Positions that were sent several times count once.
+
     Args:
         recording: streams whose times are stamps, noisy as a driver's.
 
     Returns:
         The recording as it would be read back from a file.
     """
+    recording = joints_as_measured(recording)
     sus = []
     for su in recording.sus:
         time, kept, _ = _times(su.time, su.specific_force)

@@ -158,7 +158,7 @@ def _grown_from(
         # What was taken to turn has bent all directions beyond it.
         sliding += more
     best, *others = (_motion_tree(d, growth, samples, sampled, moved) for d in drafts)
-    notes = (*best.tree.notes, *(_doubt(best.tree, other.tree) for other in others))
+    notes = (*best.tree.notes, *(doubt(best.tree, other.tree) for other in others))
     return replace(best, tree=replace(best.tree, notes=notes)), *others
 
 
@@ -310,7 +310,7 @@ def _motion_tree(
     )
 
 
-def _doubt(tree: KinematicTree, other: KinematicTree) -> Note:
+def doubt(tree: KinematicTree, other: KinematicTree) -> Note:
     """A note on a tree that the log does not tell from the one that was taken."""
     theirs = dict(_chains(other))
     taken, instead = next(

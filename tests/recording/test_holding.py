@@ -9,8 +9,10 @@ import pytest
 
 from skin2urdf.arrays import F64
 from skin2urdf.notes import of_reading
-from skin2urdf.recording.holding import measurements
+from skin2urdf.recording.holding import joints_as_measured, measurements
 from skin2urdf.recording.reading import read
+from skin2urdf.recording.records import JointStream, Recording
+from skin2urdf.simulation.defects import HeldPositions
 
 N = 6000
 SPAN = N / 500.0
@@ -85,3 +87,59 @@ def test_the_rate_of_a_log_is_that_of_its_measurements(ros_log: Any) -> None:
     (su,) = recording.sus
     np.testing.assert_allclose(np.diff(su.time), 0.01, atol=1e-6)
     assert [note.number for note in of_reading(recording.notes, "held values")] == [5]
+
+
+def positions(bits: int | None) -> F64:
+    """Moves and rests of two joints at 100 samples a second, as encoders give them."""
+    t = np.arange(6000)[:, None] / 100.0
+    q = np.where(t % 8 < 5, np.sin(2 * np.pi * t / 5 * [1.0, 2.0]), 0.0) * [0.8, 0.3]
+    step = 2 * np.pi / 2**bits if bits else 0.0
+    return np.round(q / step) * step if step else q
+
+
+@pytest.mark.parametrize("bits", [11, 14, 17, None])
+def test_joints_that_are_read_as_often_as_they_are_sent_are_left_alone(bits: int | None) -> None:
+    q, time = positions(bits), np.arange(6000) / 100.0
+    recording = Recording(
+        tuple(JointStream(n, time, x) for n, x in zip("ab", q.T, strict=True)), ()
+    )
+    assert joints_as_measured(recording) is recording
+
+
+@pytest.mark.parametrize("bits", [14, 17, None])
+@pytest.mark.parametrize("times", [4.0, 2.7])
+def test_positions_that_are_sent_several_times_count_once(times: float, bits: int | None) -> None:
+    q, time = positions(bits), np.arange(6000) / 100.0
+    effort = np.arange(6000.0)
+    sent = HeldPositions(times).publish(
+        tuple(JointStream(n, time, x, effort=effort) for n, x in zip("ab", q.T, strict=True)),
+        np.random.default_rng(0),
+    )
+    found = joints_as_measured(Recording(sent, ()))
+    (note,) = of_reading(found.notes, "held values")
+    assert note.sources == ("a", "b")
+    assert note.number == pytest.approx(times, rel=0.02)
+    first = np.ceil(np.arange(6000 / times - 1) * times).astype(int)
+    at = np.rint(100 * found.joints[0].time).astype(int)
+    assert at.size == pytest.approx(6000 / times, rel=0.03)
+    # At rest nothing tells when each was read; a value that stood as long as two may be two.
+    moves = at % 800 < 495
+    assert np.isin(at[moves], first).mean() > 0.94
+    for joint, x in zip(found.joints, q.T, strict=True):
+        np.testing.assert_array_equal(joint.position[np.isin(at, first)], x[at[np.isin(at, first)]])
+        assert joint.effort is not None
+        assert len(joint.effort) == at.size
+
+
+def test_a_log_tells_of_held_positions(ros_log: Any) -> None:
+    q = positions(17)[np.arange(1600) // 4 * 4]
+    rng = np.random.default_rng(0)
+    for k in range(1600):
+        at = 10**9 * 1_700_000_000 + 10**7 * k
+        ros_log.joints(at, {"j": q[k, 0], "k": q[k, 1]})
+        ros_log.imu(at, rng.standard_normal(3))
+    recording = read(ros_log.close())
+    for joint in recording.joints:
+        np.testing.assert_allclose(np.diff(joint.time), 0.04, atol=1e-6)
+    (note,) = of_reading(recording.notes, "held values")
+    assert note.sources == ("j", "k")

@@ -9,12 +9,13 @@ import pytest
 
 from skin2urdf.arrays import F64
 from skin2urdf.errors import UsageError
-from skin2urdf.recording.records import SuStream
+from skin2urdf.recording.records import JointStream, SuStream
 from skin2urdf.simulation import Simulation, SimulationSettings, load_robot, simulate
 from skin2urdf.simulation.defects import (
     BiasWalk,
     Defect,
     Held,
+    HeldPositions,
     LocalGravity,
     Lost,
     LowPass,
@@ -132,6 +133,13 @@ def test_held_values_repeat() -> None:
     held = Held(5).send(sound, RNG)
     for i in range(103):
         np.testing.assert_array_equal(held.specific_force[i], sound.specific_force[i - i % 5])
+
+
+def test_positions_are_held_until_they_are_read_again() -> None:
+    position = np.arange(60.0)
+    (held,) = HeldPositions(2.5).publish((JointStream("j", position / 100.0, position),), RNG)
+    np.testing.assert_array_equal(held.position[:10], [0, 0, 0, 3, 3, 5, 5, 5, 8, 8])
+    np.testing.assert_array_equal(held.time, position / 100.0)
 
 
 def test_spikes_strike_their_share() -> None:

@@ -46,7 +46,7 @@ class Springs:
         there, back = root @ V, V.swapaxes(1, 2) @ inverse
         later = (there * share[:, None]) @ back
         # A + 0.5 h L + later, turned round in units in which A and later are one: numbers on their
-        # way to a robot's may have inertias of any size, beside which the rest would be rounded off.
+        # way to a robot's have inertias of any size, beside which the rest would be rounded off.
         unit = 1 / np.sqrt(lam.clip(min=0.0) + share)
         there, back = there * unit[:, None], unit[..., None] * back
         damped = back @ (0.5 * h * self._late) @ there

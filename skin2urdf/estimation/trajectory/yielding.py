@@ -55,7 +55,19 @@ def fit_yielding(
 
     Torques go with the motion of the links, which is known once the deflections are, and with the
     masses, which are known once the stiffness is: every step follows what it has found.
+
+    Returns:
+        The problem about where the fit ends, and the fit; those that were given where loads and
+        deflections are not in balance there, so that they are nobody's.
     """
+    found = _fit_yielding(problem, fitted, elastic=elastic, base=base)
+    return found if cast(Bending, found[0].unseen).holds else (problem, fitted)
+
+
+def _fit_yielding(
+    problem: MotionProblem, fitted: Fitted, *, elastic: bool, base: bool
+) -> tuple[MotionProblem, Fitted]:
+    """The same, whether loads and deflections are in balance at its end or not."""
     tree = problem.tree
     state = limbs_turned_alike(problem, fitted, SPAN) if base else fitted.state
     logs = [_at_rest_before(log) for log in problem.logs]

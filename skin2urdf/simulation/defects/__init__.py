@@ -4,6 +4,7 @@ from skin2urdf.simulation.defects.front_end import LowPass
 from skin2urdf.simulation.defects.gears import Backlash, ElasticGears, GearHarmonics
 from skin2urdf.simulation.defects.messages import (
     Held,
+    HeldPositions,
     Lost,
     OnArrival,
     OwnRates,
@@ -24,6 +25,7 @@ __all__ = [
     "ElasticGears",
     "GearHarmonics",
     "Held",
+    "HeldPositions",
     "LinkFlex",
     "LocalGravity",
     "Lost",

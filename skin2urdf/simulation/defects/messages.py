@@ -50,6 +50,29 @@ class Held(Defect):
 
 
 @dataclass(frozen=True)
+class HeldPositions(Defect):
+    """Joints that are published more often than they are read: all positions, several times.
+
+    Attributes:
+        times: how often, in the mean.
+    """
+
+    times: float = 4.0
+
+    def publish(
+        self, joints: tuple[JointStream, ...], rng: np.random.Generator
+    ) -> tuple[JointStream, ...]:
+        """Each position at the first time after it was read, and at those up to the next."""
+
+        def held(joint: JointStream) -> JointStream:
+            n = len(joint.time)
+            first = np.ceil(np.floor(np.arange(n) / self.times) * self.times).astype(np.int64)
+            return replace(joint.at(first), time=joint.time)
+
+        return tuple(map(held, joints))
+
+
+@dataclass(frozen=True)
 class Spikes(Defect):
     """Single readings that are far off.
 

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from typing import Literal
 
 Lack = Literal[
-    "logs", "joints", "SUs", "positions", "samples", "overlap", "rests", "radians", "poses",
-    "patterns", "starts", "measurements", "observable SUs", "",
+    "logs", "joints", "SUs", "positions", "samples", "overlap", "rests", "radians", "gravity",
+    "poses", "patterns", "starts", "measurements", "observable SUs", "",
 ]  # fmt: skip
 """What logs may not hold of all that a calibration needs."""
 Unreadable = Literal[

@@ -85,14 +85,14 @@ def _decided(solutions: Sequence[Solution], clock: Clock) -> Solution:
         return solutions[0]
     best, along = fitted[0]
     for other, there in fitted[1:]:
-        if gained(along, there) > CERTAIN:
+        if _is_likelier(along, there):
             best, along = other, there
     tree = best.found.tree
     notes = [note for note in tree.notes if not _is_of(note, "other order")]
     notes += [
         doubt(tree, other.found.tree)
         for other, there in fitted
-        if other is not best and gained(there, along) <= CERTAIN
+        if other is not best and not _is_likelier(there, along)
     ]
     tree = replace(tree, notes=tuple(notes))
     return replace(best, found=replace(best.found, tree=tree))
@@ -101,6 +101,20 @@ def _decided(solutions: Sequence[Solution], clock: Clock) -> Solution:
 def _fit_along(solution: Solution, clock: Clock) -> MotionEstimate | None:
     """All samples, with nothing but a rigid robot."""
     return clock.run("all samples", lambda tell: fit_samples(solution, tell, look_further=False))
+
+
+def _is_likelier(one: MotionEstimate, other: MotionEstimate) -> bool:
+    """Whether another fit is the likelier one for certain.
+
+    A gyroscope that contradicts one tree and no other knows which joints turn it. Readings have to
+    be likelier in the noise of either fit: one that leaves much of an SU takes it for noisy.
+    """
+    denied, denied_there = (
+        0 if each.gyros is None else int(each.gyros.contradict.sum()) for each in (one, other)
+    )
+    if denied != denied_there:
+        return denied_there < denied
+    return gained(one, other) > CERTAIN and gained(other, one) < -CERTAIN
 
 
 def _is_of(note: Noted, kind: NoteKind) -> bool:

@@ -85,7 +85,8 @@ def _of_a_stream(fault: Fault) -> Words:
             return Words(f"{su} {what} less", "check its fixing, its supply and its filter")
         case "wrong unit":
             what = f"reads {fault.size:.2g} g at rest and is left out"
-            return Words(f"{su} {what}", "check its unit and its scale")
+            check = "check its unit and its scale, and whether its driver takes gravity off"
+            return Words(f"{su} {what}", check)
         case "frozen" if fault.detail != "always":
             what = (
                 f"repeats one value for {fault.size:.1f} s between {fault.begin:.1f} and "

@@ -15,6 +15,9 @@ from skin2urdf.threads import each
 
 _PLAUSIBLE = (0.6, 1.4)
 """Static readings of a working sensor, in g."""
+WEIGHTLESS = 0.1
+"""Static readings, in g, of a sensor from which something takes gravity off: biases of any sensor
+are less, and no unit that accelerometers use makes as little of gravity."""
 _VARIED = 50
 """Values that an axis must take to be judged: one that hardly moves has few."""
 _AGAIN = 10

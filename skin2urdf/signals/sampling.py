@@ -15,11 +15,12 @@ from skin2urdf.geometry.units import GRAVITY
 from skin2urdf.notes import Note, Noted
 from skin2urdf.recording.credibility import spikes
 from skin2urdf.recording.holding import as_measured
+from skin2urdf.recording.naming import shortened
 from skin2urdf.recording.records import Recording, SuStream
 from skin2urdf.recording.shelf import STREAMS_IN_MEMORY, put_away, room_for_streams
 from skin2urdf.signals.clocks import su_clocks
 from skin2urdf.signals.filters import sample, spread
-from skin2urdf.signals.health import checked, unusable
+from skin2urdf.signals.health import WEIGHTLESS, checked, unusable
 from skin2urdf.signals.mending import computed
 from skin2urdf.signals.motion import Motion, joint_motion, travel
 from skin2urdf.signals.poses import (
@@ -273,7 +274,8 @@ def sampled_together(
         tell: told the share of the work that is done.
 
     Raises:
-        InsufficientDataError: there are no joints or no SUs at all, or a log can not be used.
+        InsufficientDataError: there are no joints or no SUs at all, a log can not be used, or no SU
+            of any log feels gravity.
     """
     dofs = tuple(sorted({joint.name for r in recordings for joint in r.joints}))
     sus = tuple(sorted({su.name for r in recordings for su in r.sus}))
@@ -291,7 +293,26 @@ def sampled_together(
             tell((i + share) / len(recordings))
 
         out.append(sample_recording(recording, dofs, sus, must_rest=must_rest, tell=part))
+    _check_gravity(out)
     return out, sus
+
+
+def _check_gravity(sampled: Sequence[Sampled]) -> None:
+    """Raise where no SU can be used and those that read anything read no gravity."""
+    if any(s.valid.any() for s in sampled):
+        return
+    odd = [fault for s in sampled for fault in s.faults if fault.kind == "wrong unit"]
+    weightless = sorted({fault.subject for fault in odd if fault.size < WEIGHTLESS})
+    if not weightless or len(weightless) < len({fault.subject for fault in odd}):
+        return
+    raise InsufficientDataError(
+        f"the SUs feel no gravity at rest ({shortened(weightless)}): something takes it off their "
+        "readings",
+        "record what the accelerometers read, gravity included, as sensor_msgs/Imu has it (REP "
+        "145); a driver that sends linear acceleration without gravity has an option or another "
+        "topic for that",
+        lacks="gravity",
+    )
 
 
 def static_moves(sampled: Sequence[Sampled]) -> StaticMoves:

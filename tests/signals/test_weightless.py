@@ -1,0 +1,33 @@
+"""Readings from which gravity was taken off are called that."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+from simulated import changed_sus, simulation
+
+from skin2urdf.errors import InsufficientDataError
+from skin2urdf.recording.records import SuStream
+from skin2urdf.signals.sampling import sampled_together
+
+
+def weightless(su: SuStream) -> SuStream:
+    """What is left of readings where a driver subtracts nearly all that is slow."""
+    force = su.specific_force
+    return replace(su, specific_force=0.02 * (force - force.mean(axis=0)))
+
+
+def test_readings_without_gravity_are_refused_by_that_name() -> None:
+    recording = simulation().recording
+    with pytest.raises(InsufficientDataError) as lacking:
+        sampled_together([changed_sus(recording, weightless)])
+    assert lacking.value.lacks == "gravity"
+
+
+def test_one_such_sensor_among_others_is_left_out() -> None:
+    recording = simulation().recording
+    first = recording.sus[0].name
+    one = changed_sus(recording, lambda su: weightless(su) if su.name == first else su)
+    ((sampled,), _) = sampled_together([one])
+    assert [(fault.kind, fault.subject) for fault in sampled.faults] == [("wrong unit", first)]

@@ -76,8 +76,7 @@ ROWS: Mapping[str, tuple[Defect, ...]] = MappingProxyType(
         "publishers 100 ms apart": (SecondPublisher(0.1, 300e-6),),
         "held 2 times": (Held(2),),
         "held 5 times": (Held(5),),
-        "positions held 4 times": (HeldPositions(4.0),),
-        "positions held 2.7 times": (HeldPositions(2.7),),
+        "positions held 4 times": (HeldPositions(4),),
         "spikes 0.1 %": (Spikes(1e-3),),
         "lost 2 %": (Lost(0.02),),
         "eight at once": (

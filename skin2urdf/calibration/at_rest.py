@@ -74,13 +74,8 @@ def _decided(solutions: Sequence[Solution], clock: Clock) -> Solution:
 
     Where they can not be fitted, the first one is as good as any.
     """
-    fits = [
-        clock.run(
-            "all samples", lambda tell, each=each: fit_samples(each, tell, look_further=False)
-        )
-        for each in solutions
-    ]
-    fitted = [(each, along) for each, along in zip(solutions, fits, strict=True) if along]
+    fits = [(each, _fit_along(each, clock)) for each in solutions]
+    fitted = [(each, along) for each, along in fits if along is not None]
     if not fitted:
         return solutions[0]
     best, along = fitted[0]

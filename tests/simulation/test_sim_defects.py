@@ -137,8 +137,8 @@ def test_held_values_repeat() -> None:
 
 def test_positions_are_held_until_they_are_read_again() -> None:
     position = np.arange(60.0)
-    (held,) = HeldPositions(2.5).publish((JointStream("j", position / 100.0, position),), RNG)
-    np.testing.assert_array_equal(held.position[:10], [0, 0, 0, 3, 3, 5, 5, 5, 8, 8])
+    (held,) = HeldPositions(3).publish((JointStream("j", position / 100.0, position),), RNG)
+    np.testing.assert_array_equal(held.position[:8], [0, 0, 0, 3, 3, 3, 6, 6])
     np.testing.assert_array_equal(held.time, position / 100.0)
 
 

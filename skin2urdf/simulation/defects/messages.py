@@ -51,22 +51,21 @@ class Held(Defect):
 
 @dataclass(frozen=True)
 class HeldPositions(Defect):
-    """Joints that are published more often than they are read: all positions, several times.
+    """A controller that publishes its joints more often than it reads them.
 
     Attributes:
-        times: how often, in the mean.
+        times: how often it sends the same positions.
     """
 
-    times: float = 4.0
+    times: int = 4
 
     def publish(
         self, joints: tuple[JointStream, ...], rng: np.random.Generator
     ) -> tuple[JointStream, ...]:
-        """Each position at the first time after it was read, and at those up to the next."""
+        """All positions at their own time and at those after it."""
 
         def held(joint: JointStream) -> JointStream:
-            n = len(joint.time)
-            first = np.ceil(np.floor(np.arange(n) / self.times) * self.times).astype(np.int64)
+            first = np.arange(len(joint.time)) // self.times * self.times
             return replace(joint.at(first), time=joint.time)
 
         return tuple(map(held, joints))

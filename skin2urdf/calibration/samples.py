@@ -319,7 +319,9 @@ def without_false_hits(
     stiff = not set(along.causes) & {*BENDS, PLAY} and (loose or leaves_only_noise(along))
     most = 0.0 if stiff else np.inf
     again = fit_samples(everything, tell, without=rejected(along), most=most)
-    if again is None or (loose and not leaves_only_noise(again)):
+    if again is None:
+        return solution, along
+    if loose and not leaves_only_noise(again) and not differs_by_physics(solution, along, again):
         return solution, along
     real = tuple(
         f for f in solution.faults
@@ -342,7 +344,7 @@ def differs_by_physics(
     """Whether what was found of encoders and loose SUs is rounding, the play of gears or a drift.
 
     An encoder that is wrong is off from place to place, and so are links that have play. What was
-    wrong is gone once it is mended; play stays. What encoders round off bends features by more
+    wrong is gone once it is mended, and less is left; play stays. What encoders round off bends features by more
     than they tell: all samples are as likely without what it looks like. So do gears that yield:
     what was taken off for them alone comes back as slack. A bias that drifts looks like an SU that
     was turned, to features alone; play that stays says nothing of whether one was.
@@ -355,7 +357,7 @@ def differs_by_physics(
     kinds = {fault.kind for fault in solution.faults}
     if plain is None or not kinds & _OF_PLACES or not kinds <= {"contact", *_OF_PLACES}:
         return False
-    if not (plain.misfit <= GOOD_FIT and are_plausible(plain.state).all()):
+    if not (plain.misfit <= max(GOOD_FIT, along.misfit) and are_plausible(plain.state).all()):
         return False
     if "loose" not in kinds and 0 < plain.slack * _STAYS < along.slack:
         return True

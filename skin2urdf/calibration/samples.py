@@ -344,10 +344,11 @@ def differs_by_physics(
     """Whether what was found of encoders and loose SUs is rounding, the play of gears or a drift.
 
     An encoder that is wrong is off from place to place, and so are links that have play. What was
-    wrong is gone once it is mended, and less is left; play stays. What encoders round off bends features by more
-    than they tell: all samples are as likely without what it looks like. So do gears that yield:
-    what was taken off for them alone comes back as slack. A bias that drifts looks like an SU that
-    was turned, to features alone; play that stays says nothing of whether one was.
+    wrong is gone once it is mended, and less is left; play stays. What encoders round off bends
+    features by more than they tell: all samples are as likely without what it looks like. So do
+    gears that yield: what was taken off for them alone comes back as slack. A bias that drifts
+    looks like an SU that was turned, to features alone; play that stays says nothing of whether one
+    was.
 
     Args:
         solution: the estimate, with its faults.

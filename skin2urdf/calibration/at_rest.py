@@ -13,7 +13,7 @@ from skin2urdf.estimation.solve.estimate import estimate
 from skin2urdf.estimation.start.from_rests import state_of
 from skin2urdf.estimation.trajectory.causes import CERTAIN
 from skin2urdf.estimation.trajectory.estimate import MotionEstimate
-from skin2urdf.notes import Note, Noted, NoteKind
+from skin2urdf.notes import of_kind
 from skin2urdf.structure.from_motion import MotionTree, doubt, trees_of_both_kinds
 from skin2urdf.structure.gravity import gravity_features, gravity_windows
 from skin2urdf.structure.still import turned_all_the_same
@@ -83,7 +83,8 @@ def _decided(solutions: Sequence[Solution], clock: Clock) -> Solution:
         if _is_likelier(along, there):
             best, along = other, there
     tree = best.found.tree
-    notes = [note for note in tree.notes if not _is_of(note, "other order")]
+    before = of_kind(tree.notes, "other order")
+    notes = [note for note in tree.notes if note not in before]
     notes += [
         doubt(tree, other.found.tree)
         for other, there in fitted
@@ -110,10 +111,6 @@ def _is_likelier(one: MotionEstimate, other: MotionEstimate) -> bool:
     if denied != denied_there:
         return denied_there < denied
     return gained(one, other) > CERTAIN and gained(other, one) < -CERTAIN
-
-
-def _is_of(note: Noted, kind: NoteKind) -> bool:
-    return isinstance(note, Note) and note.kind == kind
 
 
 def _not_denied(trees: Sequence[MotionTree], logs: Logs) -> list[MotionTree]:

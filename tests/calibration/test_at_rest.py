@@ -1,54 +1,110 @@
-"""Of trees that rests and moves do not tell apart, all samples tell which one is right."""
+"""Logs without patterns: what gravity tells, and that it tells no more."""
 
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
+from itertools import pairwise
+from pathlib import Path
 
+import numpy as np
 import pytest
-from random_robots import small_arm
-from simulated import simulation_of
 
-from skin2urdf.calibration import at_rest
-from skin2urdf.calibration.clock import Clock
-from skin2urdf.calibration.rounds import Logs, Structure, find_structure, sample_logs, take_features
+from skin2urdf import calibrate
+from skin2urdf.arrays import F64
 from skin2urdf.calibration.settings import CalibrationSettings
-from skin2urdf.notes import of_kind
-from skin2urdf.structure.from_motion import MotionTree, doubt, trees_of_both_kinds
+from skin2urdf.geometry.so3 import axis_rotation, rotation_exp
+from skin2urdf.geometry.units import GRAVITY
+from skin2urdf.recording.records import JointStream, Recording, SuStream
+from skin2urdf.recording.writing import write
+from skin2urdf.report.findings import findings
+from skin2urdf.survey import explore
+
+AXES = ((0.5, 0.0, 0.8), (0.0, 1.0, 0.0), (0.6, 0.0, -0.8))
+RATE = 50.0
 
 
-@pytest.fixture(scope="module")
-def moved() -> tuple[Logs, Structure]:
-    made = simulation_of(small_arm(3), excite="none", minutes=0.8)
-    clock = Clock(None)
-    logs = sample_logs([made.recording], CalibrationSettings(), clock)
-    return logs, find_structure(logs, take_features(logs, clock), clock)
+def at_rest(n_joints: int = 3, poses: int = 14, seconds: float = 1.0) -> tuple[Recording, F64]:
+    """A chain that rests in poses between slow moves, an SU on every segment, and its axes."""
+    rng = np.random.default_rng(0)
+    axes = np.array(AXES[:n_joints])
+    axes /= np.linalg.norm(axes, axis=1, keepdims=True)
+    goals = rng.uniform(-1.2, 1.2, (poses, n_joints))
+    x = np.linspace(0, 1, int(2.5 * RATE))[:, None]
+    step = x**3 * (10 - 15 * x + 6 * x**2)
+    pieces = [np.repeat(goals[:1], int(seconds * RATE), axis=0)]
+    for a, b in pairwise(goals):
+        pieces += [a + step * (b - a), np.repeat(b[None], int(seconds * RATE), axis=0)]
+    q = np.concatenate(pieces)
+    t = np.arange(len(q)) / RATE
+    R = np.tile(np.eye(3), (len(q), 1, 1))
+    sus = []
+    for d, axis in enumerate(axes):
+        R = R @ axis_rotation(axis, q[:, d])
+        R_su = R @ rotation_exp(rng.standard_normal(3))
+        felt = R_su.swapaxes(1, 2) @ (0.0, 0.0, GRAVITY)
+        sus.append(SuStream(f"su{d}", t, felt + 0.01 * rng.standard_normal(felt.shape)))
+    joints = tuple(
+        JointStream(f"joint{d}", t, np.round(q[:, d] / 1e-4) * 1e-4) for d in range(n_joints)
+    )
+    return Recording(joints=joints, sus=tuple(sus), start=0.0, source="rests"), axes
 
 
-def one_joint_less(found: MotionTree) -> MotionTree:
-    """The same tree, but for an SU that sits on the segment before its own."""
-    tree = found.tree
-    u = next(u for u, joint in enumerate(tree.su_joint) if tree.parent[joint] >= 0)
-    su_joint = tree.su_joint.copy()
-    su_joint[u] = tree.parent[su_joint[u]]
-    return replace(found, tree=replace(tree, su_joint=su_joint))
+def test_rests_show_tree_and_directions_and_leave_positions_open() -> None:
+    recording, axes = at_rest()
+    found = calibrate(recording, CalibrationSettings(motion="patterns"))
+    tree = found.model.tree
+    assert [tree.joint_names[j] for j in tree.chain(2)] == ["joint0", "joint1", "joint2"]
+    assert tree.su_joint.tolist() == [0, 1, 2]
+    for j in (1, 2):
+        cosine = found.model.T_parent_joint[j][2, 2]
+        assert abs(cosine) == pytest.approx(abs(axes[j - 1] @ axes[j]), abs=0.02)
+    assert found.quality == "fair"
+    told = findings(found)
+    assert told.positions_open
+    assert np.isnan(told.su_position_sd).all()
+    assert np.isnan(told.axis_position_sd).all()
+    assert (told.axis_direction_sd < np.deg2rad(2.0)).all()
 
 
-@pytest.mark.parametrize("wrong_first", [True, False])
-def test_all_samples_tell_which_of_several_trees_is_right(
-    moved: tuple[Logs, Structure], wrong_first: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    logs, structure = moved
-    right = trees_of_both_kinds(logs.sampled, logs.su_names)[0][0]
-    wrong = one_joint_less(right)
-    first, second = (wrong, right) if wrong_first else (right, wrong)
-    notes = (*first.tree.notes, doubt(first.tree, second.tree))
-    told = replace(first, tree=replace(first.tree, notes=notes))
+def test_one_joint_is_fair_at_most() -> None:
+    recording, _ = at_rest(1, 5)
+    found = calibrate(recording)
+    assert found.model.tree.joint_names == ("joint0",)
+    assert found.quality == "fair"
 
-    def found(*_: Any, **__: Any) -> list[tuple[MotionTree, ...]]:
-        return [(told, second)]
 
-    monkeypatch.setattr(at_rest, "trees_of_both_kinds", found)
-    solution = at_rest.estimate_at_rest(logs, structure, Clock(None))
-    assert solution.found.tree.is_like(right.tree)
-    assert not of_kind(solution.found.tree.notes, "other order")
+def test_a_joint_that_holds_still_is_left_out() -> None:
+    recording, _ = at_rest(2)
+    first, second = recording.joints
+    still = replace(first, name="still", position=np.full_like(first.position, 0.3))
+    found = calibrate(replace(recording, joints=(first, second, still)))
+    assert found.model.tree.joint_names == ("joint0", "joint1")
+
+
+def test_rests_with_nothing_in_between_need_no_sample_of_moves() -> None:
+    recording, axes = at_rest(seconds=4.0)
+    q = np.stack([joint.position for joint in recording.joints], axis=1)
+    still = (np.abs(np.diff(q, axis=0, prepend=q[:1])) < 1e-9).all(axis=1)
+    alone = replace(
+        recording,
+        sus=tuple(
+            replace(su, time=su.time[still], specific_force=su.specific_force[still])
+            for su in recording.sus
+        ),
+    )
+    found = calibrate(alone)
+    assert found.model.tree.joint_names == ("joint0", "joint1", "joint2")
+    assert found.quality == "fair"
+    assert abs(found.model.T_parent_joint[1][2, 2]) == pytest.approx(
+        abs(axes[0] @ axes[1]), abs=0.02
+    )
+
+
+def test_exploring_such_a_log_finds_the_tree_that_calibrating_does(tmp_path: Path) -> None:
+    recording, _ = at_rest()
+    write(recording, tmp_path / "log.mcap")
+    explored = explore([tmp_path / "log.mcap"])
+    assert explored.from_motion
+    assert explored.tree is not None
+    assert explored.tree.parent.tolist() == [-1, 0, 1]
+    assert explored.tree.su_joint.tolist() == [0, 1, 2]

@@ -1,0 +1,54 @@
+"""Of trees that rests and moves do not tell apart, all samples tell which one is right."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import pytest
+from random_robots import small_arm
+from simulated import simulation_of
+
+from skin2urdf.calibration import at_rest
+from skin2urdf.calibration.clock import Clock
+from skin2urdf.calibration.rounds import Logs, Structure, find_structure, sample_logs, take_features
+from skin2urdf.calibration.settings import CalibrationSettings
+from skin2urdf.notes import of_kind
+from skin2urdf.structure.from_motion import MotionTree, doubt, trees_of_both_kinds
+
+
+@pytest.fixture(scope="module")
+def moved() -> tuple[Logs, Structure]:
+    made = simulation_of(small_arm(3), excite="none", minutes=0.8)
+    clock = Clock(None)
+    logs = sample_logs([made.recording], CalibrationSettings(), clock)
+    return logs, find_structure(logs, take_features(logs, clock), clock)
+
+
+def one_joint_less(found: MotionTree) -> MotionTree:
+    """The same tree, but for an SU that sits on the segment before its own."""
+    tree = found.tree
+    u = next(u for u, joint in enumerate(tree.su_joint) if tree.parent[joint] >= 0)
+    su_joint = tree.su_joint.copy()
+    su_joint[u] = tree.parent[su_joint[u]]
+    return replace(found, tree=replace(tree, su_joint=su_joint))
+
+
+@pytest.mark.parametrize("wrong_first", [True, False])
+def test_all_samples_tell_which_of_several_trees_is_right(
+    moved: tuple[Logs, Structure], wrong_first: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    logs, structure = moved
+    right = trees_of_both_kinds(logs.sampled, logs.su_names)[0][0]
+    wrong = one_joint_less(right)
+    first, second = (wrong, right) if wrong_first else (right, wrong)
+    notes = (*first.tree.notes, doubt(first.tree, second.tree))
+    told = replace(first, tree=replace(first.tree, notes=notes))
+
+    def found(*_: Any, **__: Any) -> list[tuple[MotionTree, ...]]:
+        return [(told, second)]
+
+    monkeypatch.setattr(at_rest, "trees_of_both_kinds", found)
+    solution = at_rest.estimate_at_rest(logs, structure, Clock(None))
+    assert solution.found.tree.is_like(right.tree)
+    assert not of_kind(solution.found.tree.notes, "other order")

@@ -103,7 +103,7 @@ def as_measured(sus: Sequence[SuStream]) -> tuple[list[SuStream], list[ReadingNo
 
 
 def joints_as_measured(recording: Recording) -> Recording:
-    """Leave repetitions out of the joints of a recording; joints with the same times go together.
+    """Leave repetitions out of the joints of a recording: a message is one where all repeat.
 
     Args:
         recording: streams as they were sent.
@@ -111,12 +111,9 @@ def joints_as_measured(recording: Recording) -> Recording:
     Returns:
         The recording, with a note on joints that had any.
     """
-    together: dict[bytes, list[JointStream]] = {}
-    for joint in recording.joints:
-        together.setdefault(joint.time.tobytes(), []).append(joint)
     joints: dict[str, JointStream] = {}
     repeating: dict[str, float] = {}
-    for members in together.values():
+    for members in recording.joints_together:
         time = members[0].time
         values = np.stack([joint.position for joint in members], axis=1)
         held = measurements(values, float(np.ptp(time)) if len(time) else 0.0)

@@ -97,6 +97,14 @@ class Recording:
     notes: tuple[ReadingNote, ...] = ()
 
     @property
+    def joints_together(self) -> tuple[tuple[JointStream, ...], ...]:
+        """The joints, those with the same times together: they came in the same messages."""
+        together: dict[bytes, list[JointStream]] = {}
+        for joint in self.joints:
+            together.setdefault(joint.time.tobytes(), []).append(joint)
+        return tuple(map(tuple, together.values()))
+
+    @property
     def duration(self) -> float:
         """Time from the first to the last sample of any stream [s]."""
         streams: tuple[JointStream | SuStream, ...] = (*self.joints, *self.sus)

@@ -8,7 +8,7 @@ import numpy as np
 
 from skin2urdf.arrays import F64, Int
 from skin2urdf.recording.holding import joints_as_measured
-from skin2urdf.recording.records import JointStream, Recording
+from skin2urdf.recording.records import Recording
 from skin2urdf.recording.timing import NS_PER_S, sample_times
 
 
@@ -29,26 +29,16 @@ def retimed(recording: Recording) -> Recording:
         time, kept, _ = _times(su.time, su.specific_force)
         whole = su if len(kept) == len(su.time) else su.at(kept)
         sus.append(replace(whole, time=time))
-    together: dict[bytes, list[JointStream]] = {}
-    for joint in recording.joints:
-        together.setdefault(joint.time.tobytes(), []).append(joint)
     joints = {}
-    for members in together.values():
+    for members in recording.joints_together:
         signal = np.stack([j.position for j in members], axis=1)
         time, kept, noise = _times(members[0].time, signal)
         for j in members:
-            effort = None if j.effort is None else _of(j.effort, kept)
-            joints[j.name] = replace(
-                j, time=time, position=_of(j.position, kept), stamp_noise=noise, effort=effort
-            )
+            regular = j if len(kept) == len(j.time) else j.at(kept)
+            joints[j.name] = replace(regular, time=time, stamp_noise=noise)
     return replace(
         recording, joints=tuple(joints[j.name] for j in recording.joints), sus=tuple(sus)
     )
-
-
-def _of(samples: F64, kept: Int) -> F64:
-    """The samples that are kept, without a copy where these are all."""
-    return samples if len(kept) == len(samples) else samples[kept]
 
 
 def _times(stamps: F64, signal: F64) -> tuple[F64, Int, float]:

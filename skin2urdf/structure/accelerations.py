@@ -294,6 +294,7 @@ def _turning(
     ridge = np.diag((_ROUGH_RATE / prior) ** 2)
     rows, left = samples.stretch[use], samples.rates[use, su].T - w
     loss, count, _, _ = _held_out(A, left, rows, B, ridge)
+    # Free axes would hide a turn that a gyroscope does not read at all.
     few = [0, 1, 2, 12, 13]
     plain, _, _, _ = _held_out(A[few], left, rows, B, ridge[np.ix_(few, few)])
     return loss, count, float(plain.sum())

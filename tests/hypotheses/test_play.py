@@ -52,6 +52,9 @@ def test_jumps_within_the_slack_that_all_samples_show_are_no_hits() -> None:
     # Nor did an SU slip where all samples are as likely without: a bias drifts.
     slipped = replace(first, faults=(Fault("loose", "su"),))
     assert differs_by_physics(slipped, along, plain)
+    # However much soft gears leave: what was wrong is gone once it is mended.
+    assert differs_by_physics(slipped, replace(along, misfit=5.0), replace(along, misfit=4.9))
+    assert not differs_by_physics(slipped, replace(along, misfit=4.0), replace(along, misfit=5.0))
     # Nor where all samples are as likely without: rounding makes features tell too much.
     stiff = replace(along, causes=())
     assert differs_by_physics(mended, stiff, replace(plain, causes=()))

@@ -185,7 +185,6 @@ class SecondPublisher(Defect):
             part, own = (
                 (slice(1, None, 2), stamps) if joint.name in names else (slice(0, None, 2), others)
             )
-            effort = None if joint.effort is None else joint.effort[part]
-            return replace(joint, time=own, position=joint.position[part], effort=effort)
+            return replace(joint.at(part), time=own)
 
         return tuple(map(sent, joints))

@@ -5,15 +5,19 @@ from __future__ import annotations
 from dataclasses import replace
 from functools import cache
 from itertools import islice
+from typing import Any
 
 import numpy as np
+import pytest
 from stand import BODIES, TREE, TRUTH, readings_on_a_stand
 from synthetic import sampled_trajectory, stays
 
 from skin2urdf.arrays import F64
 from skin2urdf.estimation.problem.cost import Priors
 from skin2urdf.estimation.problem.state import State
+from skin2urdf.estimation.trajectory import yielding
 from skin2urdf.estimation.trajectory.ahead import step_along
+from skin2urdf.estimation.trajectory.balance import Balance, balanced
 from skin2urdf.estimation.trajectory.encoder_noise import without_shortening
 from skin2urdf.estimation.trajectory.estimate import MotionEstimate, estimate_along, motion_priors
 from skin2urdf.estimation.trajectory.rounded import drawn_anew
@@ -76,6 +80,21 @@ def test_exact_encoders_and_links_that_follow_no_loads_are_shaken_by_none() -> N
     stiff = found.problem.stiff()
     state = replace(found.fitted.state, unseen=np.zeros(0))
     assert shaken_loads(stiff, replace(found.fitted, problem=stiff, state=state)) is None
+
+
+def test_deflections_that_are_in_no_balance_with_their_loads_explain_nothing(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    priors = motion_priors(Priors(), gravity=0.0, front=(np.zeros(2), np.zeros(2)))
+    rigid = estimate_along([_log()], TREE, TRUTH, priors, np.zeros(3), look_further=False)
+
+    def out_of_balance(*arguments: Any) -> Balance:
+        there = balanced(*arguments)
+        return replace(there, deflections=replace(there.deflections, holds=False))
+
+    monkeypatch.setattr(yielding, "balanced", out_of_balance)
+    bent = yielding.fit_yielding(rigid.problem, rigid.fitted, elastic=True, base=False)
+    assert bent == (rigid.problem, rigid.fitted)
 
 
 def test_a_step_that_would_leave_more_than_it_takes_is_not_taken() -> None:

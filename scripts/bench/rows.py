@@ -9,6 +9,7 @@ from types import MappingProxyType
 from skin2urdf.simulation.defects import (
     Backlash,
     BiasWalk,
+    Bursts,
     Defect,
     ElasticGears,
     GearHarmonics,
@@ -79,6 +80,7 @@ ROWS: Mapping[str, tuple[Defect, ...]] = MappingProxyType(
         "positions held 4 times": (HeldPositions(4),),
         "spikes 0.1 %": (Spikes(1e-3),),
         "lost 2 %": (Lost(0.02),),
+        "bursts of 4, 5 % lost": (Bursts(4, lost=0.05),),
         "eight at once": (
             ElasticGears(28e3, 14e3),
             _gear(0.5),

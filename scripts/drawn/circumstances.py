@@ -192,6 +192,8 @@ _SIZES: Mapping[str, Callable[[np.random.Generator, float], Defect]] = MappingPr
     "held positions": lambda rng, _: real.HeldPositions(int(rng.integers(2, 6))),
     "spikes": lambda rng, _: real.Spikes(_between(rng, 1e-4, 1e-3)),
     "lost": lambda rng, _: real.Lost(_between(rng, 5e-3, 5e-2)),
+    "bursts": lambda rng, _: real.Bursts(
+        int(rng.integers(2, 9)), _between(rng, 1e-4, 5e-3), _between(rng, 1e-3, 5e-2)),
     "arrival": lambda rng, _: real.OnArrival(_between(rng, 5e-4, 5e-3)),
     "rates": lambda rng, _: real.OwnRates(int(rng.integers(2, 6))),
 })  # fmt: skip

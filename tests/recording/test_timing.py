@@ -273,6 +273,32 @@ def test_samples_that_arrive_in_bursts_lie_on_a_line(burst: int, lost: bool) -> 
     assert found.noise < 1e-3
 
 
+@pytest.mark.parametrize("burst", [2, 4, 16])
+@pytest.mark.parametrize("share", [0.005, 0.05])
+@pytest.mark.parametrize("reads", ["full", "regular", "irregular"])
+def test_bursts_that_lack_messages_are_told_by_when_they_end(
+    reads: str, share: float, burst: int
+) -> None:
+    """Counting goes astray by several periods; what is lost within a burst leaves a part of one."""
+    rng = np.random.default_rng(17)
+    true = np.arange(N) / 493.7
+    if reads == "full":
+        last = np.minimum((np.arange(N) // burst + 1) * burst - 1, N - 1)
+        arrival = true[last] + 2e-4 * rng.random(N)[last]
+    else:
+        every = (burst + 0.37) / 493.7
+        steps = every * (rng.uniform(0.5, 1.5, N) if reads == "irregular" else np.ones(N))
+        read = np.cumsum(steps)
+        arrival = read[np.searchsorted(read, true)]
+    first = np.searchsorted(arrival, arrival)
+    kept = rng.random(N) > share
+    stamp = (arrival + 2e-6 * (np.arange(N) - first))[kept]
+    signal = moving(true, 0.01, rng)[kept]
+    times, got = timed(stamp, signal)
+    off = got - true[kept][times.kept]
+    assert np.std(off) * 493.7 < 0.6
+
+
 def many_kinds_of_streams(samples: int) -> list[Stamped]:
     """Streams of as many samples: jittering, exact, in bursts, with losses, without stamps."""
     rng = np.random.default_rng(7)

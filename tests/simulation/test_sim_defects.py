@@ -13,6 +13,7 @@ from skin2urdf.recording.records import JointStream, SuStream
 from skin2urdf.simulation import Simulation, SimulationSettings, load_robot, simulate
 from skin2urdf.simulation.defects import (
     BiasWalk,
+    Bursts,
     Defect,
     Held,
     HeldPositions,
@@ -158,6 +159,19 @@ def test_lost_messages_are_missing() -> None:
     assert len(left.time) == pytest.approx(0.98 * len(sound.time), rel=0.005)
     kept = np.isin(sound.time, left.time)
     np.testing.assert_array_equal(sound.specific_force[kept], left.specific_force)
+
+
+def test_bursts_are_stamped_when_their_last_reading_is_there() -> None:
+    sound, late = stream(4001), 2e-4
+    sent = Bursts(4, late, 0.0).send(sound, np.random.default_rng(0)).time
+    waited = sent - sound.time
+    assert waited.min() >= 0
+    ends = np.flatnonzero(np.diff(sent) > 4e-3)[1:]
+    assert set(np.diff(ends)) == {4}
+    assert waited[ends].mean() == pytest.approx(late + 3 * 2e-5, rel=0.1)
+    assert waited[ends - 3] == pytest.approx(3 / 500 + waited[ends] - 3 * 2e-5, abs=1e-9)
+    left = Bursts(4, late, 0.1).send(sound, np.random.default_rng(0))
+    assert len(left.time) == pytest.approx(0.9 * 4001, rel=0.03)
 
 
 def test_sus_of_rates_of_their_own_send_samples_as_they_were() -> None:

@@ -3,6 +3,7 @@
 from skin2urdf.simulation.defects.front_end import LowPass
 from skin2urdf.simulation.defects.gears import Backlash, ElasticGears, GearHarmonics
 from skin2urdf.simulation.defects.messages import (
+    Bursts,
     Held,
     HeldPositions,
     Lost,
@@ -21,6 +22,7 @@ from skin2urdf.simulation.defects.world import LocalGravity
 __all__ = [
     "Backlash",
     "BiasWalk",
+    "Bursts",
     "Defect",
     "ElasticGears",
     "GearHarmonics",

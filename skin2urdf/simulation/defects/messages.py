@@ -109,6 +109,32 @@ class Lost(Defect):
 
 
 @dataclass(frozen=True)
+class Bursts(Defect):
+    """A driver that empties a buffer and stamps all that was in it then.
+
+    Attributes:
+        times: readings that fill it.
+        late: mean time until it is emptied, exponentially distributed [s].
+        lost: part of the messages that never arrive.
+        apart: time that sending one of them takes [s].
+    """
+
+    times: int = 4
+    late: float = 5e-4
+    lost: float = 0.05
+    apart: float = 2e-5
+
+    def send(self, stream: SuStream, rng: np.random.Generator) -> SuStream:
+        """Each reading with the time at which the last one of its buffer was sent."""
+        n, first = len(stream.time), int(rng.integers(self.times))
+        burst = (np.arange(n) + first) // self.times
+        full = np.minimum((burst + 1) * self.times - 1 - first, n - 1)
+        sent = stream.time[full] + rng.exponential(self.late, burst[-1] + 1)[burst]
+        stamps = np.maximum.accumulate(sent - self.apart * np.arange(n)) + self.apart * np.arange(n)
+        return replace(stream, time=stamps).at(rng.random(n) >= self.lost)
+
+
+@dataclass(frozen=True)
 class OwnRates(Defect):
     """SUs that send less often, each as seldom as it likes.
 

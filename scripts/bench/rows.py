@@ -22,6 +22,7 @@ from skin2urdf.simulation.defects import (
     Nonlinearity,
     SecondPublisher,
     Spikes,
+    Stalls,
     SuClock,
     Vibration,
     WarmUp,
@@ -81,6 +82,7 @@ ROWS: Mapping[str, tuple[Defect, ...]] = MappingProxyType(
         "spikes 0.1 %": (Spikes(1e-3),),
         "lost 2 %": (Lost(0.02),),
         "bursts of 4, 5 % lost": (Bursts(4, lost=0.05),),
+        "stalls of 0.25 s": (Stalls(5.0, 0.25),),
         "eight at once": (
             ElasticGears(28e3, 14e3),
             _gear(0.5),

@@ -195,6 +195,7 @@ _SIZES: Mapping[str, Callable[[np.random.Generator, float], Defect]] = MappingPr
     "bursts": lambda rng, _: real.Bursts(
         int(rng.integers(2, 9)), _between(rng, 1e-4, 5e-3), _between(rng, 1e-3, 5e-2)),
     "arrival": lambda rng, _: real.OnArrival(_between(rng, 5e-4, 5e-3)),
+    "stalls": lambda rng, _: real.Stalls(_between(rng, 2.0, 20.0), _between(rng, 0.02, 0.3)),
     "rates": lambda rng, _: real.OwnRates(int(rng.integers(2, 6))),
 })  # fmt: skip
 """How a defect of each kind is drawn, with sizes as robots have them."""

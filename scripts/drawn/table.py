@@ -14,7 +14,10 @@ from drawn.trials import Outcome, Trial
 
 SLOW = 10.0
 """Time for a sample over the median of all recordings that is one to be looked into."""
-_TRUE = {"intermittent": ("Lost", "OwnRates", "OnArrival"), "noisy": ("Spikes", "Vibration")}
+_TRUE = {
+    "intermittent": ("Lost", "Bursts", "OwnRates", "OnArrival", "Stalls"),
+    "noisy": ("Spikes", "Vibration"),
+}
 """Faults that have what a user would call so behind them, and the defects that are it."""
 
 

@@ -14,6 +14,7 @@ from scipy.linalg.lapack import dptsv as ptsv
 from skin2urdf.arrays import F64, Bool, Int
 from skin2urdf.recording.lattice import number_on_lattice
 from skin2urdf.recording.numbering import (
+    MOVED,
     Numbering,
     may_have_gaps,
     median_of,
@@ -34,6 +35,10 @@ JITTERS = 0.08
 SOME = 1024
 LEAST = 34
 REWEIGHTINGS = 4
+# Messages that queue come closer than by this part of a period, or a queue takes too long to end.
+QUEUED = 0.5 * MOVED
+# Noise of a stamp that a pause exceeds: a difference of two does by chance once in 2,000 times.
+BEYOND = 5.0
 # A fit that stays this far [periods] from the stamps for so many samples has miscounted.
 ASTRAY = 0.25
 ASTRAY_SAMPLES = 64
@@ -70,6 +75,7 @@ def regular_times_of(stamp: F64) -> list[F64 | None]:
         return found
     if rows.size < len(stamp):
         stamp, period, noise = stamp[rows], period[rows], noise[rows]
+    stamp = _without_queues(stamp, period, noise)
     plain = bent_lines(np.arange(stamp.shape[1], dtype=np.float64), stamp, period)
     sound = ~_astray(stamp, plain, period, noise)
     gaps = may_have_gaps(stamp, period, noise)
@@ -107,6 +113,40 @@ def _rates(stamp: F64) -> tuple[F64, F64]:
         period = np.where(better, typical / lag, period)
         noise = np.where(better, spread, noise)
     return period, noise
+
+
+def _without_queues(stamp: F64, period: F64, noise: F64) -> F64:
+    """Stamps of messages that queued up while a driver or the way stalled, as if they had not.
+
+    One that has others right behind it waited until these were there, but for the periods between
+    them. Only where a pause beyond noise comes before them is it no noise that brought them close.
+
+    Args:
+        stamp: (S, N) stamps [s].
+        period: (S,) sampling periods [s].
+        noise: (S,) scales of the noise of one stamp [s].
+
+    Returns:
+        (S, N) stamps, at most as late.
+    """
+    step = np.diff(stamp, axis=1) / period[:, None]
+    close = step < 1 - QUEUED
+    pause = 1 + np.maximum(MOVED, BEYOND * noise / period)[:, None]
+    stalls = close[:, 1:] & (step[:, :-1] > pause)
+    rows = np.flatnonzero(stalls.any(axis=1))
+    if not rows.size:
+        return stamp
+    out = stamp.copy()
+    for row in rows.tolist():
+        due = period[row] * np.arange(stamp.shape[1])
+        # The last first, as one stall may follow another before all that waited is there.
+        for before in np.flatnonzero(stalls[row])[::-1].tolist():
+            queue = slice(before + 1, before + 2 + int(step[row, before] / QUEUED))
+            late = out[row, queue] - due[queue]
+            least = np.minimum.accumulate(late[::-1])[::-1]
+            waited = late - least > BEYOND * noise[row]
+            out[row, queue] = due[queue] + np.where(waited, least, late)
+    return out
 
 
 def _fits_between_gaps(stamp: F64, period: float, noise: float) -> list[F64]:

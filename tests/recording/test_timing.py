@@ -101,6 +101,28 @@ def test_lost_messages_and_pauses_stay() -> None:
     assert error(got, true).max() < 0.1 * PERIOD
 
 
+@pytest.mark.parametrize("share", [0.0, 0.01])
+@pytest.mark.parametrize("drains", [0.01, 0.2])
+def test_messages_that_queue_behind_a_stall_are_where_they_were_taken(
+    drains: float, share: float
+) -> None:
+    rng = np.random.default_rng(18)
+    true = np.arange(N) * PERIOD
+    stamp = true + 0.05 * PERIOD * rng.random(N)
+    for begin in np.cumsum(rng.exponential(3.0, 12)):
+        end = begin + rng.uniform(0.05, 0.3)
+        waiting = np.flatnonzero((stamp > begin) & (stamp < end))
+        sent = end + drains * PERIOD * np.arange(waiting.size)
+        stamp[waiting] = np.maximum(stamp[waiting], sent)
+    stamp = np.maximum.accumulate(stamp) + 1e-9 * np.arange(N)
+    heard = rng.random(N) > share
+    times, got = timed(stamp[heard], moving(true, 0.01, rng)[heard])
+    assert times.chosen == "regular"
+    off = error(got, true[heard][times.kept])
+    assert np.std(off) < 0.2 * PERIOD
+    assert off.max() < 4 * PERIOD
+
+
 @pytest.mark.parametrize("share", [0.005, 0.05])
 @pytest.mark.parametrize("jitter", [0.1, 0.2, 0.3])
 def test_lost_messages_are_counted_between_stamps_that_jitter(jitter: float, share: float) -> None:

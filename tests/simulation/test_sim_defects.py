@@ -25,6 +25,7 @@ from skin2urdf.simulation.defects import (
     OwnRates,
     SecondPublisher,
     Spikes,
+    Stalls,
     SuClock,
     Vibration,
     WarmUp,
@@ -172,6 +173,18 @@ def test_bursts_are_stamped_when_their_last_reading_is_there() -> None:
     assert waited[ends - 3] == pytest.approx(3 / 500 + waited[ends] - 3 * 2e-5, abs=1e-9)
     left = Bursts(4, late, 0.1).send(sound, np.random.default_rng(0))
     assert len(left.time) == pytest.approx(0.9 * 4001, rel=0.03)
+
+
+def test_what_is_sent_in_a_stall_comes_at_its_end() -> None:
+    sound = stream(50_000)
+    sent = Stalls(5.0, 0.25).send(sound, np.random.default_rng(0)).time
+    waited = sent - sound.time
+    assert waited.min() > -1e-12
+    assert 0.2 < waited.max() < 0.26
+    pauses = np.flatnonzero(np.diff(sent) > 5e-3)
+    assert 8 <= len(pauses) <= 35
+    assert (np.diff(sent)[pauses + 1] < 1e-4).mean() > 0.9
+    assert np.mean(waited > 1e-3) < 0.06
 
 
 def test_sus_of_rates_of_their_own_send_samples_as_they_were() -> None:

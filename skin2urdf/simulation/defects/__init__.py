@@ -11,6 +11,7 @@ from skin2urdf.simulation.defects.messages import (
     OwnRates,
     SecondPublisher,
     Spikes,
+    Stalls,
     SuClock,
 )
 from skin2urdf.simulation.defects.readings import BiasWalk, Nonlinearity, WarmUp
@@ -37,6 +38,7 @@ __all__ = [
     "OwnRates",
     "SecondPublisher",
     "Spikes",
+    "Stalls",
     "SuClock",
     "Vibration",
     "WarmUp",

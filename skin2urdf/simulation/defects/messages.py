@@ -149,9 +149,35 @@ class OwnRates(Defect):
         return stream.at(slice(None, None, int(rng.integers(1, self.most + 1))))
 
 
+class _Arriving:
+    """Stamps made where messages arrive, of joints and of SUs; no message overtakes another."""
+
+    def arrival(self, time: F64, rng: np.random.Generator) -> F64:
+        """(N,) times at which messages that were sent at (N,) times arrive."""
+        raise NotImplementedError
+
+    def send(self, stream: SuStream, rng: np.random.Generator) -> SuStream:
+        """An SU's stream with the times of arrival."""
+        return replace(stream, time=self._in_order(stream.time, rng))
+
+    def publish(
+        self, joints: tuple[JointStream, ...], rng: np.random.Generator
+    ) -> tuple[JointStream, ...]:
+        """The joints' streams; those in one message arrive together."""
+        times = {id(joint.time): joint.time for joint in joints}
+        arrived = {key: self._in_order(time, rng) for key, time in times.items()}
+        return tuple(replace(joint, time=arrived[id(joint.time)]) for joint in joints)
+
+    def _in_order(self, time: F64, rng: np.random.Generator) -> F64:
+        """(N,) increasing times."""
+        ramp = MIN_STAMP_STEP * np.arange(len(time))
+        late = self.arrival(np.asarray(time), rng)
+        return frozen(np.maximum.accumulate(late - ramp) + ramp)
+
+
 @dataclass(frozen=True)
-class OnArrival(Defect):
-    """Stamps made where messages arrive, of joints and of SUs: none early, some late.
+class OnArrival(_Arriving, Defect):
+    """Messages that are on their way for a while: none early, some late.
 
     Attributes:
         late: mean of the times on the way, which are exponentially distributed [s].
@@ -159,23 +185,30 @@ class OnArrival(Defect):
 
     late: float = 2e-3
 
-    def send(self, stream: SuStream, rng: np.random.Generator) -> SuStream:
-        """An SU's stream with the times of arrival."""
-        return replace(stream, time=self._arrival(stream.time, rng))
+    def arrival(self, time: F64, rng: np.random.Generator) -> F64:
+        """Each late by itself."""
+        return time + rng.exponential(self.late, len(time))
 
-    def publish(
-        self, joints: tuple[JointStream, ...], rng: np.random.Generator
-    ) -> tuple[JointStream, ...]:
-        """The joints' streams; those in one message arrive together."""
-        times = {id(joint.time): joint.time for joint in joints}
-        arrived = {key: self._arrival(time, rng) for key, time in times.items()}
-        return tuple(replace(joint, time=arrived[id(joint.time)]) for joint in joints)
 
-    def _arrival(self, time: F64, rng: np.random.Generator) -> F64:
-        """(N,) increasing times, for no message overtakes another."""
-        late = np.asarray(time) + rng.exponential(self.late, len(time))
-        ramp = MIN_STAMP_STEP * np.arange(len(time))
-        return frozen(np.maximum.accumulate(late - ramp) + ramp)
+@dataclass(frozen=True)
+class Stalls(_Arriving, Defect):
+    """A way on which nothing moves for a moment, now and then: messages queue, and come at once.
+
+    Attributes:
+        every: mean time from one stall to the next [s].
+        longest: a stall lasts for any part of it [s].
+    """
+
+    every: float = 5.0
+    longest: float = 0.25
+
+    def arrival(self, time: F64, rng: np.random.Generator) -> F64:
+        """What is sent during a stall comes at its end."""
+        n = 2 + int(2 * (time[-1] - time[0]) / self.every)
+        begins = time[0] + np.cumsum(rng.exponential(self.every, n))
+        ends = begins + self.longest * rng.random(n)
+        stall = np.searchsorted(begins, time, side="right") - 1
+        return np.where(stall >= 0, np.maximum(time, ends[stall]), time)
 
 
 @dataclass(frozen=True)

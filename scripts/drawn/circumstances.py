@@ -186,6 +186,9 @@ _SIZES: Mapping[str, Callable[[np.random.Generator, float], Defect]] = MappingPr
         _between(rng, 0.1, 0.5), min(float(rng.uniform(15.0, 60.0)), 0.4 * rate)),
     "clock": lambda rng, _: real.SuClock(
         _between(rng, 0.01, 2.0), _between(rng, 3e-5, 3.5e-3), bool(rng.random() < 0.5)),
+    "unsteady clock": lambda rng, _: real.UnsteadyClock(
+        _between(rng, 5e-4, 1e-2), _between(rng, 20.0, 200.0),
+        _between(rng, 5e-3, 0.2) * float(rng.random() < 0.3)),
     "publishers": lambda rng, _: real.SecondPublisher(
         _between(rng, 0.01, 0.2), _between(rng, 1e-5, 3e-4)),
     "held": lambda rng, _: real.Held(int(rng.integers(2, 6))),

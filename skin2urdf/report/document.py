@@ -306,6 +306,7 @@ def _samples(calibration: Calibration) -> dict[str, Any] | None:
         "step_ahead": along.ahead.share,
         "causes": list(along.causes),
         "slack": along.slack,
+        "clocks_wander": list(along.wandering),
         "base_motion": along.base_motion,
         "gravity": state.gravity,
         "gravity_deviation": calibration.settings.gravity_deviation,

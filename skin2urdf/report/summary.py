@@ -257,6 +257,12 @@ def sensor_notes(along: MotionEstimate | None, of: Sequence[str] | None = None) 
             f"biases drift within a log, by up to {number(along.drifts.max() / MILLI_G)} mg; they "
             "were followed: let sensors warm up before a recording"
         )
+    if along.wander:
+        notes.append(
+            "clocks of joints and SUs wander against each other, by up to "
+            f"{number(max(along.wandering) * _MM)} ms beside an offset and a drift; it was "
+            "followed: stamp both by one clock, or keep clocks together (PTP, chrony)"
+        )
     curved = along.curvature[0]
     if curved.any():
         part = number(100 * np.abs(curved).max() * _FULL_SCALE)

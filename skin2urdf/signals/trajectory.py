@@ -194,6 +194,20 @@ class Trajectory(Record):
             effort[:, joints] = Spline(effort[:, joints]).within(at)
         return replace(self, q=q, qd=qd, qdd=qdd, effort=effort)
 
+    def read_later(self, late: F64) -> Trajectory:
+        """The same with readings that belong to so much later, as a clock of SUs that wanders says.
+
+        The motion of all joints is that at these times, at the pace that it has.
+
+        Args:
+            late: (N,) by how much later each sample was read [s].
+        """
+        last = len(self.q) - 1
+        at = np.clip(np.arange(last + 1) + late * self.rate, 0, last)
+        q, qd, qdd = (Spline(x).within(at) for x in (self.q, self.qd, self.qdd))
+        effort = Spline(self.effort).within(at) if len(self.effort) else self.effort
+        return replace(self, q=q, qd=qd, qdd=qdd, effort=effort)
+
     def with_joints_times(self, factor: F64) -> Trajectory:
         """The same with the positions of joints times factors (D,), as others would count them."""
         known = len(self.positions) > 0

@@ -191,6 +191,19 @@ def test_curved_axes_are_told_with_their_size() -> None:
     assert not np.any([straight["curvature"], straight["curvature_sd"]])
 
 
+def test_clocks_that_wander_are_told_by_how_much() -> None:
+    along = calibration().along
+    assert along is not None
+    (log,) = along.problem.logs
+    # A wave beside what an offset and a drift make of it.
+    late = 0.1 + 1e-4 * log.since_middle + 4e-3 * np.cos(log.since_middle)
+    found = replace(calibration(), along=replace(along, causes=("clock",), wander=(late,)))
+    (wanders,) = as_document(found)["samples"]["clocks_wander"]
+    assert wanders == pytest.approx(8e-3, rel=0.05)
+    assert f"{number(1e3 * wanders)} ms" in as_text(found)
+    assert as_document(calibration())["samples"]["clocks_wander"] == []
+
+
 def test_open_directions_between_branches_are_told() -> None:
     first, second, *_ = calibration().model.tree.joint_names
     frame = calibration().T_canonical_joint[1]

@@ -40,7 +40,7 @@ def test_a_recording_is_drawn_calibrated_and_kept(
 
 
 def test_a_seed_draws_everything_and_all_seeds_every_kind(tmp_path: Path) -> None:
-    many = [drawn(seed, 5, tmp_path) for seed in range(150)]
+    many = [drawn(seed, 5, tmp_path) for seed in range(300)]
     again = drawn(7, 5, tmp_path)
     assert again == replace(many[7], robot=again.robot)
     words = {word for each in many for word in each.words}

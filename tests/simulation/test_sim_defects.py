@@ -27,6 +27,7 @@ from skin2urdf.simulation.defects import (
     Spikes,
     Stalls,
     SuClock,
+    UnsteadyClock,
     Vibration,
     WarmUp,
 )
@@ -123,6 +124,15 @@ def test_clocks_are_late_and_run_fast() -> None:
     offsets = np.array([clock[0] - time[0] for clock in own])
     assert np.abs(offsets).max() <= 0.1
     assert np.ptp(offsets) > 0.1
+
+
+def test_an_unsteady_clock_is_slewed_and_stepped_alike_for_all() -> None:
+    time = np.linspace(10.0, 70.0, 601)
+    defect = UnsteadyClock(slewed=5e-3, period=40.0, stepped=0.06)
+    late = defect.clock(time, np.random.default_rng(0)) - time
+    np.testing.assert_allclose(late[:400].max(), 5e-3, rtol=1e-3)
+    assert late[401:].min() > 0.05
+    np.testing.assert_array_equal(late, defect.clock(time, np.random.default_rng(1)) - time)
 
 
 def stream(n: int = 20_000) -> SuStream:

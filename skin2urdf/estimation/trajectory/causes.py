@@ -17,6 +17,7 @@ from functools import cached_property
 
 import numpy as np
 
+from skin2urdf.arrays import F64
 from skin2urdf.estimation.trajectory.balance import bending
 from skin2urdf.estimation.trajectory.curved import (
     Curvature,
@@ -44,6 +45,7 @@ from skin2urdf.estimation.trajectory.slack import (
     with_unseen,
 )
 from skin2urdf.estimation.trajectory.unseen import Unseen
+from skin2urdf.estimation.trajectory.wandering import wandering, with_steady_clocks
 from skin2urdf.estimation.trajectory.yielding import fit_yielding
 
 _EXPLAINED = 2.0
@@ -59,9 +61,9 @@ sound recordings gain nothing (panda and five of ur5), a strain wave of 0.1 mrad
 _DOUBTED = 4.5
 """Logarithm of the likelihood up to which a size is not ruled out: that of three standard
 deviations. Slack of gears in a log of 15 s has 8, rounding that 200 SUs see 4."""
-BENDS, PLAY, _DRIFT, _CURVES = ("elastic", "base"), "play", "drift", "nonlinearity"
-"""Causes of deflections, what is followed as the first of them and is none, and those of biases and
-of sensors' axes."""
+BENDS, PLAY, _DRIFT, _CURVES, _CLOCK = ("elastic", "base"), "play", "drift", "nonlinearity", "clock"
+"""Causes of deflections, what is followed as the first of them and is none, and those of biases, of
+sensors' axes and of clocks that wander."""
 _KNOTS = 15.0
 """Time between the moments that a drifting bias is given at [s]; sensors warm up in minutes."""
 
@@ -77,6 +79,8 @@ class Explained:
         tried: misfit with each cause that was tried, chosen or not.
         under_known: what joints yield under torques that are known, the first of what encoders do
             not see; None where none do, or torques are not known.
+        late: per log (N,) by how much later its readings were taken as clocks wander [s]; () where
+            they do not.
     """
 
     problem: MotionProblem
@@ -84,6 +88,7 @@ class Explained:
     causes: tuple[str, ...] = ()
     tried: Mapping[str, float] = field(default_factory=dict)
     under_known: UnderKnown | None = None
+    late: tuple[F64, ...] = ()
 
 
 def explained(
@@ -106,8 +111,12 @@ def explained(
     given = problem.priors.blueprint is not None
     places = slack(problem.tree, problem.logs, zeros_given=given)
     rigid = _Attempt(problem, fitted, (), places)
-    if rigid.misfit > min(most, _BEYOND) or not (rigid.lacks or rigid.certain_curvature):
+    if rigid.misfit > min(most, _BEYOND):
         return Explained(problem, fitted)
+    # What clocks leave goes with the motion, and may pass for noise of SUs that move.
+    rigid = rigid.on_steady_clocks()
+    if not (rigid.lacks or rigid.certain_curvature):
+        return rigid.explained()
     # As few numbers of each SU as a bias has; what bends gravity looks alike.
     rigid = rigid.curved_where_likeliest()
     if not rigid.lacks:
@@ -252,12 +261,15 @@ class _Attempt:
         fitted: the fit.
         causes: names of what was added to a rigid robot with steady sensors.
         places: slack of joints from place to place; None where the robot stays in one.
+        late: per log (N,) by how much later its readings were taken as clocks wander [s]; () where
+            they do not.
     """
 
     problem: MotionProblem
     fitted: Fitted
     causes: tuple[str, ...]
     places: Unseen | None
+    late: tuple[F64, ...] = ()
 
     @cached_property
     def misfit(self) -> float:
@@ -319,7 +331,23 @@ class _Attempt:
     ) -> Explained:
         """This attempt as the one that explains the readings, with what else was tried."""
         tried = {cause: each.misfit for each in attempts for cause in each.causes[-1:]}
-        return Explained(self.problem, self.fitted, self.causes, tried, under)
+        return Explained(self.problem, self.fitted, self.causes, tried, under, self.late)
+
+    def on_steady_clocks(self) -> _Attempt:
+        """With clocks that no longer wander, where that says more than all that bends, else as is.
+
+        Slack is no rival: of another size from moment to moment, it follows whatever clocks do.
+        """
+        more = wandering(self.problem.logs)
+        if more is None:
+            return self
+        gain = size_of(self.problem, self.fitted, more).gain
+        if gain <= CERTAIN or gain <= max(self.gains.values()):
+            return self
+        problem, fitted, late = with_steady_clocks(self.problem, self.fitted)
+        return replace(
+            self, problem=problem, fitted=fitted, causes=(*self.causes, _CLOCK), late=late
+        )
 
     def curved_where_likeliest(self) -> _Attempt:
         """With curved axes, where these say more than all that looks alike, else as it is."""

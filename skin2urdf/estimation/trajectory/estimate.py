@@ -77,7 +77,8 @@ class MotionEstimate:
         gyros: what was found of gyroscopes; None where no SU has one.
         causes: what was added to a rigid robot with steady sensors: ``elastic`` joints, a ``base``
             that gives way, ``play`` of joints, ``drift`` of biases, ``nonlinearity`` of sensors,
-            ``harmonics`` and ``ripples`` of gears, ``slack`` from place to place.
+            ``harmonics`` and ``ripples`` of gears, ``clock`` of joints and SUs that wander,
+            ``slack`` from place to place.
         tried: misfit with each cause that was tried, chosen or not.
         under_known: what joints yield under torques that are known, the first of what encoders do
             not see; None where none do, or torques are not known.
@@ -86,6 +87,8 @@ class MotionEstimate:
         hidden: parts (J,) and (U, n) of the gradient, each of something that it hides, or that
             nothing tells of the clock of a limb.
         loads: what it does through the loads that links bend under; None where they do not.
+        wander: per log (N,) by how much later its readings were taken as clocks wander [s]; ()
+            where they do not.
     """
 
     problem: MotionProblem
@@ -99,6 +102,7 @@ class MotionEstimate:
     corrected: tuple[Shortening, ...] = ()
     hidden: tuple[tuple[F64, F64], ...] = ()
     loads: ShakenLoads | None = None
+    wander: tuple[F64, ...] = ()
 
     @property
     def state(self) -> State:
@@ -221,6 +225,19 @@ class MotionEstimate:
         knots = self.fitted.state.knots
         ranges = [np.ptp(k, axis=0).max(axis=1) for k in knots if len(k)]
         return np.max(ranges, axis=0) if ranges else np.zeros(self.problem.tree.n_sus)
+
+    @property
+    def wandering(self) -> tuple[float, ...]:
+        """Per log, by how much clocks of joints and SUs wander: largest less smallest lag [s].
+
+        Without what an offset and a drift make of it.
+        """
+        return tuple(
+            float(
+                np.ptp(late - np.polyval(np.polyfit(log.since_middle, late, 1), log.since_middle))
+            )
+            for log, late in zip(self.problem.logs, self.wander, strict=False)
+        )
 
     @property
     def curvature(self) -> tuple[F64, F64]:
@@ -354,7 +371,7 @@ def estimate_along(
     gyros = found_gyros(problem, fitted, contradict)
     what = found.causes, found.tried, found.under_known
     return MotionEstimate(
-        problem, fitted, left, gyros, *what, late, corrected, tuple(hidden), loads
+        problem, fitted, left, gyros, *what, late, corrected, tuple(hidden), loads, found.late
     )
 
 

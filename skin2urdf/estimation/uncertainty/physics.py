@@ -27,6 +27,10 @@ _PHYSICS = {
         "biases that drift",
         "let the sensors warm up before recording",
     ),
+    "clock": (
+        "clocks of joints and SUs that wander against each other",
+        "stamp both by one clock, or keep clocks together (PTP, chrony)",
+    ),
     "harmonics": (
         "uneven gears",
         "log the positions of the links if the robot has encoders behind its gears",

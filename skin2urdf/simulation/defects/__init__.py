@@ -13,6 +13,7 @@ from skin2urdf.simulation.defects.messages import (
     Spikes,
     Stalls,
     SuClock,
+    UnsteadyClock,
 )
 from skin2urdf.simulation.defects.readings import BiasWalk, Nonlinearity, WarmUp
 from skin2urdf.simulation.defects.records import Defect
@@ -40,6 +41,7 @@ __all__ = [
     "Spikes",
     "Stalls",
     "SuClock",
+    "UnsteadyClock",
     "Vibration",
     "WarmUp",
     "YieldingBase",

@@ -34,6 +34,27 @@ class SuClock(Defect):
 
 
 @dataclass(frozen=True)
+class UnsteadyClock(Defect):
+    """The SUs' common clock is slewed to and fro, or set anew in mid-log, as by the network's time.
+
+    Attributes:
+        slewed: amplitude of a wave of lateness [s].
+        period: of that wave [s].
+        stepped: by how much later it stamps after two thirds of the log [s].
+    """
+
+    slewed: float = 5e-3
+    period: float = 60.0
+    stepped: float = 0.0
+
+    def clock(self, time: F64, rng: np.random.Generator) -> F64:
+        """Now earlier, now later; all SUs alike."""
+        since = time - time[0]
+        wave = self.slewed * np.sin(2 * np.pi * since / self.period)
+        return np.asarray(time + wave + self.stepped * (since > since[-1] / 1.5))
+
+
+@dataclass(frozen=True)
 class Held(Defect):
     """A driver that sends every value several times.
 

@@ -15,7 +15,7 @@ from skin2urdf.calibration.settings import CalibrationSettings
 from skin2urdf.estimation.problem.cost import Priors
 from skin2urdf.estimation.problem.state import N_JOINT
 from skin2urdf.estimation.solve.estimate import Estimate
-from skin2urdf.estimation.trajectory.causes import BENDS, CERTAIN, PLAY
+from skin2urdf.estimation.trajectory.causes import BENDS, CERTAIN, CLOCK, PLAY
 from skin2urdf.estimation.trajectory.estimate import (
     MotionEstimate,
     estimate_along,
@@ -315,8 +315,9 @@ def without_false_hits(
     if everything is None:
         return solution, along
     # An SU that did leaves so much that every cause would be tried in vain. So would they be where
-    # the logs without the hits leave only noise to a stiff robot: what yields shows there as well.
-    stiff = not set(along.causes) & {*BENDS, PLAY} and (loose or leaves_only_noise(along))
+    # the logs without the hits leave only noise to a stiff robot on steady clocks: what yields or
+    # wanders shows there as well.
+    stiff = not set(along.causes) & {*BENDS, PLAY, CLOCK} and (loose or leaves_only_noise(along))
     most = 0.0 if stiff else np.inf
     again = fit_samples(everything, tell, without=rejected(along), most=most)
     if again is None:

@@ -7,11 +7,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from calibrated import calibration, simulation
+from random_robots import small_arm
 
 from skin2urdf.calibration.pipeline import calibrate
 from skin2urdf.calibration.samples import clocks_in_all
 from skin2urdf.calibration.settings import CalibrationSettings
+from skin2urdf.recording.retiming import retimed
 from skin2urdf.signals.records import SuClock
+from skin2urdf.simulation import SimulationSettings, simulate
+from skin2urdf.simulation.defects import UnsteadyClock
 
 
 def test_what_the_fit_finds_is_added() -> None:
@@ -39,3 +43,15 @@ def test_a_clock_that_is_late_is_told_to_a_tenth_of_a_millisecond() -> None:
     (clock,) = (c for c in result.clocks[0] if c.su == su.name)
     assert clock.latency == pytest.approx(0.4, abs=5 * clock.latency_sd + 1e-5)
     assert clock.latency_sd < 1e-4
+
+
+def test_what_a_clock_that_wanders_does_to_patterns_is_no_hit() -> None:
+    """Features see a hit, and without its moment all that is left is noise and a clock."""
+    settings = SimulationSettings(
+        n_poses=4, seed=2, imu_rate=250.0, joint_rate=125.0, defects=(UnsteadyClock(0.01, 30.0),)
+    )
+    found = calibrate(retimed(simulate(small_arm(3), settings).recording))
+    assert found.faults == ()
+    assert found.along is not None
+    assert found.along.causes == ("clock",)
+    assert found.along.wandering[0] > 0.015

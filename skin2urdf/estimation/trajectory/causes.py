@@ -61,9 +61,9 @@ sound recordings gain nothing (panda and five of ur5), a strain wave of 0.1 mrad
 _DOUBTED = 4.5
 """Logarithm of the likelihood up to which a size is not ruled out: that of three standard
 deviations. Slack of gears in a log of 15 s has 8, rounding that 200 SUs see 4."""
-BENDS, PLAY, _DRIFT, _CURVES, _CLOCK = ("elastic", "base"), "play", "drift", "nonlinearity", "clock"
-"""Causes of deflections, what is followed as the first of them and is none, and those of biases, of
-sensors' axes and of clocks that wander."""
+BENDS, PLAY, CLOCK, _DRIFT, _CURVES = ("elastic", "base"), "play", "clock", "drift", "nonlinearity"
+"""Causes of deflections, what is followed as the first of them and is none, and those of clocks that
+wander, of biases and of sensors' axes."""
 _KNOTS = 15.0
 """Time between the moments that a drifting bias is given at [s]; sensors warm up in minutes."""
 
@@ -346,7 +346,7 @@ class _Attempt:
             return self
         problem, fitted, late = with_steady_clocks(self.problem, self.fitted)
         return replace(
-            self, problem=problem, fitted=fitted, causes=(*self.causes, _CLOCK), late=late
+            self, problem=problem, fitted=fitted, causes=(*self.causes, CLOCK), late=late
         )
 
     def curved_where_likeliest(self) -> _Attempt:

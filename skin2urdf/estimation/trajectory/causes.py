@@ -62,8 +62,8 @@ _DOUBTED = 4.5
 """Logarithm of the likelihood up to which a size is not ruled out: that of three standard
 deviations. Slack of gears in a log of 15 s has 8, rounding that 200 SUs see 4."""
 BENDS, PLAY, CLOCK, _DRIFT, _CURVES = ("elastic", "base"), "play", "clock", "drift", "nonlinearity"
-"""Causes of deflections, what is followed as the first of them and is none, and those of clocks that
-wander, of biases and of sensors' axes."""
+"""Causes of deflections, what is followed as the first of them and is none, and those of clocks
+that wander, of biases and of sensors' axes."""
 _KNOTS = 15.0
 """Time between the moments that a drifting bias is given at [s]; sensors warm up in minutes."""
 

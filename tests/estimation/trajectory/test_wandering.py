@@ -94,11 +94,13 @@ def test_clocks_that_wander_are_followed_and_bend_nothing(slewed: float, of_join
     assert _errors(found) < 4 * _errors(_fit(0.0, 0.0))
 
 
-def test_a_clock_that_steps_is_followed_but_for_some_seconds() -> None:
-    found = _fit(0.0, 0.06)
-    assert found.causes[0] == "clock"
-    # Without, 0.04.
-    assert _errors(found) < 0.012
+@pytest.mark.parametrize("stepped", [0.02, 0.06])
+def test_a_clock_that_steps_is_taken_back_where_it_did(stepped: float) -> None:
+    found = _fit(0.0, stepped)
+    assert found.causes == ("clock",)
+    assert found.wandering[0] == pytest.approx(stepped, rel=0.02)
+    # Without, 50 and 150 times as much.
+    assert _errors(found) < 2 * _errors(_fit(0.0, 0.0))
 
 
 def test_every_moment_moves_all_joints_as_fast_as_they_go() -> None:

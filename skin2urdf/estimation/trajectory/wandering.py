@@ -86,19 +86,20 @@ def with_steady_clocks(
     logs = problem.logs
     late = tuple(np.zeros(len(log.q)) for log in logs)
     steps: list[tuple[float, ...]] = [() for _ in logs]
-    problem, fitted, late = _followed(problem, fitted, logs, late, steps)
-    of_joints = _of_joints(problem, fitted, logs, late)
-    if of_joints is not None:
-        return *of_joints, late
+    problem, fitted, smooth = _followed(problem, fitted, logs, late, steps)
+    late = smooth
     while True:
         more = [
             (*known, *_step(log, known, p, w)) if len(known) < _SETTINGS else known
             for log, known, p, w in zip(logs, steps, fitted.predicted, fitted.weights, strict=True)
         ]
         if more == steps:
-            return problem, fitted, late
+            break
         steps = more
         problem, fitted, late = _followed(problem, fitted, logs, late, steps)
+    # A step has no pace, of whichever clock it is.
+    of_joints = _of_joints(problem, fitted, logs, smooth)
+    return (problem, fitted, late) if of_joints is None else (*of_joints, smooth)
 
 
 def _of_joints(
@@ -110,7 +111,7 @@ def _of_joints(
         problem: with readings taken later.
         fitted: its fit.
         logs: with readings where they were.
-        late: by how much later, per log (N,) [s].
+        late: by how much later joints are taken, per log (N,) [s].
     """
     joints = np.arange(problem.tree.n_joints)
     taken = [log.joints_taken(joints, each) for log, each in zip(logs, late, strict=True)]
@@ -183,7 +184,9 @@ def _step(
     behind = np.cumsum((weight[:, None] * line)[::-1], axis=0)[::-1]
     total, left = (np.cumsum(x[::-1])[::-1] for x in (weight, pull))
     own = total - np.einsum("ks,st,kt->k", behind, N, behind)
-    some = own > 1e-3 * total[0]
+    some = own > 1e-8 * total[0]  # or the line does as well, but for rounding
+    for time in known:
+        some &= np.abs(log.time - time) > _RAMP
     gains = np.zeros(len(own))
     gains[some] = (left - behind @ (N @ (line.T @ pull)))[some] ** 2 / own[some]
     usual = float((seen * residual**2).sum() / max(1, np.count_nonzero(seen)))

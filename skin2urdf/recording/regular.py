@@ -39,6 +39,8 @@ REWEIGHTINGS = 4
 QUEUED = 0.5 * MOVED
 # Noise of a stamp that a pause exceeds: a difference of two does by chance once in 2,000 times.
 BEYOND = 5.0
+# Longest time that a way stalls for [s]; what comes after a longer pause was not waiting.
+STALLED = 2.0
 # A fit that stays this far [periods] from the stamps for so many samples has miscounted.
 ASTRAY = 0.25
 ASTRAY_SAMPLES = 64
@@ -132,7 +134,8 @@ def _without_queues(stamp: F64, period: F64, noise: F64) -> F64:
     step = np.diff(stamp, axis=1) / period[:, None]
     close = step < 1 - QUEUED
     pause = 1 + np.maximum(MOVED, BEYOND * noise / period)[:, None]
-    stalls = close[:, 1:] & (step[:, :-1] > pause)
+    waits = step[:, :-1]
+    stalls = close[:, 1:] & (waits > pause) & (waits < STALLED / period[:, None])
     rows = np.flatnonzero(stalls.any(axis=1))
     if not rows.size:
         return stamp

@@ -109,7 +109,11 @@ def _numbers(stamp: F64, ends: Int) -> tuple[F64, float]:
 
 
 def _scatter(off: F64) -> tuple[float, float]:
-    """Variances of what neighbours share of (B,) distances, and of what is each one's own."""
+    """Variances of what neighbours share of (B,) distances [s], and of what is each one's own.
+
+    Half the mean square of successive differences is the latter's (von Neumann 1941), here by
+    medians, which late bursts do not move. Both are in s^2.
+    """
     own = 0.5 * (1.4826 * median_of(np.abs(np.diff(off)))) ** 2
     return max((1.4826 * median_of(np.abs(off))) ** 2 - own, 0.0), own
 

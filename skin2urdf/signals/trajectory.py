@@ -184,8 +184,7 @@ class Trajectory(Record):
             joints: (J,) which.
             late: (N,) by how much later each position is taken [s].
         """
-        last = len(self.q) - 1
-        at = np.clip(np.arange(last + 1) + late * self.rate, 0, last)
+        at = self._later(late)
         q = np.array(self.q)
         q[:, joints] = Spline(q[:, joints]).within(at)
         qd, qdd = first_derivative(q, self.rate), second_derivative(q, self.rate)
@@ -202,11 +201,15 @@ class Trajectory(Record):
         Args:
             late: (N,) by how much later each sample was read [s].
         """
-        last = len(self.q) - 1
-        at = np.clip(np.arange(last + 1) + late * self.rate, 0, last)
+        at = self._later(late)
         q, qd, qdd = (Spline(x).within(at) for x in (self.q, self.qd, self.qdd))
         effort = Spline(self.effort).within(at) if len(self.effort) else self.effort
         return replace(self, q=q, qd=qd, qdd=qdd, effort=effort)
+
+    def _later(self, late: F64) -> F64:
+        """(N,) fractional grid samples that are so much (N,) later [s], within the log."""
+        last = len(self.q) - 1
+        return np.asarray(np.clip(np.arange(last + 1) + late * self.rate, 0, last))
 
     def with_joints_times(self, factor: F64) -> Trajectory:
         """The same with the positions of joints times factors (D,), as others would count them."""

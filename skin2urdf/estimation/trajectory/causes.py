@@ -1,12 +1,12 @@
 """What real robots have and ideal ones have not, as far as the readings show it.
 
 A rigid robot with steady sensors is fitted first. Where it leaves more than noise, or where joints
-are off their encoders from place to place, causes are tried: sensors whose axes are curved, uneven
-gears, joints that yield, a base that gives way, biases that drift, several of these; slack of a
-learnt size takes up what none of them explains. Slack no larger than half an encoder's step needs
-no cause: rounding makes it wherever a robot rests, and many joints and SUs show what one of them
-hides in noise. What rounding makes on the way from rest to rest is told from slack by drawing it
-anew.
+are off their encoders from place to place, causes are tried: clocks that wander, sensors whose axes
+are curved, uneven gears, joints that yield, a base that gives way, biases that drift, several of
+these; slack of a learnt size takes up what none of them explains. Slack no larger than half an
+encoder's step needs no cause: rounding makes it wherever a robot rests, and many joints and SUs
+show what one of them hides in noise. What rounding makes on the way from rest to rest is told from
+slack by drawing it anew.
 """
 
 from __future__ import annotations
@@ -79,8 +79,8 @@ class Explained:
         tried: misfit with each cause that was tried, chosen or not.
         under_known: what joints yield under torques that are known, the first of what encoders do
             not see; None where none do, or torques are not known.
-        late: per log (N,) by how much later its readings were taken as clocks wander [s]; () where
-            they do not.
+        wander: per log (N,) by how much later its readings were taken as clocks wander [s]; ()
+            where they do not.
     """
 
     problem: MotionProblem
@@ -88,7 +88,7 @@ class Explained:
     causes: tuple[str, ...] = ()
     tried: Mapping[str, float] = field(default_factory=dict)
     under_known: UnderKnown | None = None
-    late: tuple[F64, ...] = ()
+    wander: tuple[F64, ...] = ()
 
 
 def explained(
@@ -261,15 +261,15 @@ class _Attempt:
         fitted: the fit.
         causes: names of what was added to a rigid robot with steady sensors.
         places: slack of joints from place to place; None where the robot stays in one.
-        late: per log (N,) by how much later its readings were taken as clocks wander [s]; () where
-            they do not.
+        wander: per log (N,) by how much later its readings were taken as clocks wander [s]; ()
+            where they do not.
     """
 
     problem: MotionProblem
     fitted: Fitted
     causes: tuple[str, ...]
     places: Unseen | None
-    late: tuple[F64, ...] = ()
+    wander: tuple[F64, ...] = ()
 
     @cached_property
     def misfit(self) -> float:
@@ -331,7 +331,7 @@ class _Attempt:
     ) -> Explained:
         """This attempt as the one that explains the readings, with what else was tried."""
         tried = {cause: each.misfit for each in attempts for cause in each.causes[-1:]}
-        return Explained(self.problem, self.fitted, self.causes, tried, under, self.late)
+        return Explained(self.problem, self.fitted, self.causes, tried, under, self.wander)
 
     def on_steady_clocks(self) -> _Attempt:
         """With clocks that no longer wander, where that says more than all that bends, else as is.
@@ -344,10 +344,9 @@ class _Attempt:
         gain = size_of(self.problem, self.fitted, more).gain
         if gain <= CERTAIN or gain <= max(self.gains.values()):
             return self
-        problem, fitted, late = with_steady_clocks(self.problem, self.fitted)
-        return replace(
-            self, problem=problem, fitted=fitted, causes=(*self.causes, CLOCK), late=late
-        )
+        problem, fitted, wander = with_steady_clocks(self.problem, self.fitted)
+        causes = (*self.causes, CLOCK)
+        return replace(self, problem=problem, fitted=fitted, causes=causes, wander=wander)
 
     def curved_where_likeliest(self) -> _Attempt:
         """With curved axes, where these say more than all that looks alike, else as it is."""

@@ -371,7 +371,7 @@ def estimate_along(
     gyros = found_gyros(problem, fitted, contradict)
     what = found.causes, found.tried, found.under_known
     return MotionEstimate(
-        problem, fitted, left, gyros, *what, late, corrected, tuple(hidden), loads, found.late
+        problem, fitted, left, gyros, *what, late, corrected, tuple(hidden), loads, found.wander
     )
 
 

@@ -32,7 +32,7 @@ from skin2urdf.estimation.trajectory.curved import (
 from skin2urdf.estimation.trajectory.fit import Fitted
 from skin2urdf.estimation.trajectory.problem import MotionProblem
 from skin2urdf.estimation.trajectory.records import Equations
-from skin2urdf.estimation.trajectory.unseen import Unseen, together
+from skin2urdf.estimation.trajectory.unseen import Unseen, eased, together
 from skin2urdf.signals.trajectory import Trajectory
 from skin2urdf.structure.records import KinematicTree
 
@@ -404,7 +404,7 @@ def _shares(log: Trajectory, stays: Sequence[tuple[int, int]], place: Int, n: in
     low = np.floor(at).astype(int)
     high = np.minimum(low + 1, len(stays) - 1)
     s = at - low
-    s = s * s * s * (s * (6 * s - 15) + 10)  # smooth in acceleration
+    s = eased(s)
     np.add.at(out, (grid, place[low]), 1 - s)
     np.add.at(out, (grid, place[high]), s)
     return out

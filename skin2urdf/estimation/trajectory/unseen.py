@@ -183,6 +183,11 @@ def _with_hinges(log: Trajectory, n: int) -> Trajectory:
     return replace(log, q=q, qd=qd, qdd=qdd)
 
 
+def eased(x: F64) -> F64:
+    """From 0 to 1 as smoothly as an acceleration that begins and ends at 0; of x from 0 to 1."""
+    return np.asarray(x * x * x * (x * (6 * x - 15) + 10))
+
+
 def together(several: Sequence[Unseen]) -> Unseen:
     """The numbers of several, one after the other; their motions stay where they are."""
     first = np.cumsum([0, *(each.n_numbers for each in several)])

@@ -23,7 +23,7 @@ from skin2urdf.estimation.trajectory.fit import Fitted, cost_with, fit
 from skin2urdf.estimation.trajectory.problem import MotionProblem
 from skin2urdf.estimation.trajectory.records import Predicted
 from skin2urdf.estimation.trajectory.slack import size_of, with_unseen
-from skin2urdf.estimation.trajectory.unseen import Unseen
+from skin2urdf.estimation.trajectory.unseen import Unseen, eased
 from skin2urdf.signals.filters import first_derivative
 from skin2urdf.signals.trajectory import Trajectory
 
@@ -206,7 +206,7 @@ def _along(log: Trajectory, steps: Sequence[float], ramp: float) -> F64:
     Args:
         log: the trajectory.
         steps: times at which its clock steps [s].
-        ramp: time that a step takes [s].
+        ramp: time that a step takes [s]; 0 where it is one.
     """
     begin, end = float(log.time[0]), float(log.time[-1])
     pieces = int(min((end - begin) / _APART, _MOST / log.q.size - 3))
@@ -216,6 +216,6 @@ def _along(log: Trajectory, steps: Sequence[float], ramp: float) -> F64:
     knots = begin + every * np.arange(-3, pieces + 4)
     time = np.arange(len(log.q)) / log.rate
     cubic = BSpline.design_matrix(np.clip(time, knots[3], knots[-4]), knots, 3).toarray()
-    x = (time[:, None] - np.asarray(steps)) / max(ramp, 1e-9) + 0.5
-    x = np.clip(x, 0.0, 1.0)
-    return np.hstack([cubic, x**3 * (10 - 15 * x + 6 * x**2)])
+    since = time[:, None] - np.asarray(steps)
+    stepped = eased(np.clip(since / ramp + 0.5, 0.0, 1.0)) if ramp else since >= 0.0
+    return np.hstack([cubic, stepped])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -151,8 +152,7 @@ class Bursts(Defect):
         burst = (np.arange(n) + first) // self.times
         full = np.minimum((burst + 1) * self.times - 1 - first, n - 1)
         sent = stream.time[full] + rng.exponential(self.late, burst[-1] + 1)[burst]
-        stamps = np.maximum.accumulate(sent - self.apart * np.arange(n)) + self.apart * np.arange(n)
-        return replace(stream, time=stamps).at(rng.random(n) >= self.lost)
+        return replace(stream, time=_in_order(sent, self.apart)).at(rng.random(n) >= self.lost)
 
 
 @dataclass(frozen=True)
@@ -170,30 +170,24 @@ class OwnRates(Defect):
         return stream.at(slice(None, None, int(rng.integers(1, self.most + 1))))
 
 
-class _Arriving:
+class _Arriving(ABC):
     """Stamps made where messages arrive, of joints and of SUs; no message overtakes another."""
 
+    @abstractmethod
     def arrival(self, time: F64, rng: np.random.Generator) -> F64:
-        """(N,) times at which messages that were sent at (N,) times arrive."""
-        raise NotImplementedError
+        """(N,) times at which messages that were sent at (N,) times arrive [s]."""
 
     def send(self, stream: SuStream, rng: np.random.Generator) -> SuStream:
         """An SU's stream with the times of arrival."""
-        return replace(stream, time=self._in_order(stream.time, rng))
+        return replace(stream, time=_in_order(self.arrival(stream.time, rng)))
 
     def publish(
         self, joints: tuple[JointStream, ...], rng: np.random.Generator
     ) -> tuple[JointStream, ...]:
         """The joints' streams; those in one message arrive together."""
         times = {id(joint.time): joint.time for joint in joints}
-        arrived = {key: self._in_order(time, rng) for key, time in times.items()}
+        arrived = {key: _in_order(self.arrival(time, rng)) for key, time in times.items()}
         return tuple(replace(joint, time=arrived[id(joint.time)]) for joint in joints)
-
-    def _in_order(self, time: F64, rng: np.random.Generator) -> F64:
-        """(N,) increasing times."""
-        ramp = MIN_STAMP_STEP * np.arange(len(time))
-        late = self.arrival(np.asarray(time), rng)
-        return frozen(np.maximum.accumulate(late - ramp) + ramp)
 
 
 @dataclass(frozen=True)
@@ -268,3 +262,14 @@ class SecondPublisher(Defect):
             return replace(joint.at(part), time=own)
 
         return tuple(map(sent, joints))
+
+
+def _in_order(late: F64, apart: float = MIN_STAMP_STEP) -> F64:
+    """Increasing times of messages of which none overtakes another.
+
+    Args:
+        late: (N,) when each could arrive [s].
+        apart: time between two that wait for each other, at least [s].
+    """
+    ramp = apart * np.arange(len(late))
+    return frozen(np.maximum.accumulate(late - ramp) + ramp)

@@ -62,6 +62,22 @@ def test_values_that_no_motion_made_cost_an_su_and_a_hit_does_not() -> None:
     assert [len(c.stream.time) for c in found] == [0, 5000, 5000]
 
 
+def test_what_shakes_while_joints_creep_is_no_fault() -> None:
+    """A motor that sounds now and then: as large as zeros in place of readings, but to both sides.
+
+    Zeros make the mean another, and so does what bounces on a stop.
+    """
+    rests = [(2.0 * k, 2.0 * k + 1.5) for k in range(10)]
+    time = np.arange(5000) / 250.0
+    sounds = np.sin(2 * np.pi * 1.7 * time) > 0.6
+    shaking = noise() + np.array([0.0, 4.4, 8.8])
+    shaking += np.outer(sounds * np.sin(2 * np.pi * 61.3 * time), (0.3, 0.9, 0.5))
+    bouncing = shaking + np.outer(sounds * (np.sin(2 * np.pi * 61.3 * time) > 0.8), (0, 0, 2.0))
+    found = checked([stream(shaking), stream(bouncing)], rests, (0.0, 20.0))
+    assert [[f.kind for f in c.faults] for c in found] == [[], ["noisy"]]
+    assert [len(c.stream.time) for c in found] == [5000, 0]
+
+
 def test_what_swings_on_when_a_rest_begins_is_no_fault() -> None:
     """Of sensors without noise that is all there is at rest."""
     rests = [(2.0 * k, 2.0 * k + 1.5) for k in range(10)]

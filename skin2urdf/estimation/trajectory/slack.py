@@ -366,8 +366,9 @@ def _stays(log: Trajectory) -> list[tuple[int, int]]:
 
 def _moments(log: Trajectory, most: int) -> list[tuple[int, int]]:
     """Kept samples at even distances in time, as stays of one sample each."""
-    apart = max(_OFTEN, float(log.time[-1] - log.time[0]) / max(most, 1))
-    at = np.searchsorted(log.time, np.arange(log.time[0], log.time[-1], apart))
+    begin, end = log.time[[0, -1]]
+    n = max(min(most, int((end - begin) / _OFTEN)), 1)
+    at = np.searchsorted(log.time, np.linspace(begin, end, n, endpoint=False))
     return [(int(k), int(k) + 1) for k in at]
 
 

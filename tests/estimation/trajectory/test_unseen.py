@@ -83,6 +83,16 @@ def test_a_sound_recording_gets_nothing() -> None:
     assert find_ripples(sound.problem, sound.fitted) == []
 
 
+@pytest.mark.parametrize("samples", [6845, 6850, 6923])
+def test_moments_of_a_robot_that_never_rests_lie_in_its_log(samples: int) -> None:
+    """Times that are added up in steps may end beyond the last one, as their rounding adds up."""
+    turning = np.cumsum(np.full((samples, 6), 1e-2), axis=0)
+    log = sampled_trajectory(turning, np.zeros((samples, 1, 3)))
+    places = slack(serial_tree(6), [log])
+    assert places is not None
+    np.testing.assert_allclose(places.motions[0].sum(axis=1), 2.0)
+
+
 def test_what_a_fit_lacks_is_seen_together_as_it_is_alone() -> None:
     loose = _fit("slack", 2e-3)
     problem, fitted = _fit("nothing").problem, _fit("nothing").fitted

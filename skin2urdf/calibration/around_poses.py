@@ -14,7 +14,7 @@ from dataclasses import replace
 import numpy as np
 
 from skin2urdf.calibration.result import GOOD_FIT
-from skin2urdf.estimation.trajectory.causes import PLAY
+from skin2urdf.estimation.trajectory.attempt import PLAY
 from skin2urdf.estimation.trajectory.estimate import MotionEstimate
 from skin2urdf.estimation.trajectory.misfit import SPAN, part_means
 from skin2urdf.estimation.uncertainty.goodness import Goodness, Share

@@ -15,7 +15,7 @@ from skin2urdf.calibration.settings import CalibrationSettings
 from skin2urdf.estimation.problem.cost import Priors
 from skin2urdf.estimation.problem.state import N_JOINT
 from skin2urdf.estimation.solve.estimate import Estimate
-from skin2urdf.estimation.trajectory.causes import BENDS, CERTAIN, CLOCK, PLAY
+from skin2urdf.estimation.trajectory.attempt import BENDS, CERTAIN, CLOCK, PLAY
 from skin2urdf.estimation.trajectory.estimate import (
     MotionEstimate,
     estimate_along,

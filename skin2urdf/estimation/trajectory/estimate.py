@@ -12,7 +12,8 @@ from skin2urdf.arrays import F64, Bool
 from skin2urdf.estimation.problem.cost import Priors
 from skin2urdf.estimation.problem.state import State
 from skin2urdf.estimation.trajectory.ahead import Ahead, step_ahead
-from skin2urdf.estimation.trajectory.causes import Explained, explained
+from skin2urdf.estimation.trajectory.attempt import Explained
+from skin2urdf.estimation.trajectory.causes import explained
 from skin2urdf.estimation.trajectory.clocks import with_likely_clocks
 from skin2urdf.estimation.trajectory.deviations import su_covariances
 from skin2urdf.estimation.trajectory.doubtful_fronts import (

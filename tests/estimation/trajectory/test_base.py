@@ -18,7 +18,7 @@ from synthetic import RATE, sampled_trajectory, stays
 from skin2urdf.arrays import F64
 from skin2urdf.estimation.problem.cost import Priors
 from skin2urdf.estimation.problem.state import identifiable
-from skin2urdf.estimation.trajectory import causes
+from skin2urdf.estimation.trajectory import attempt
 from skin2urdf.estimation.trajectory.azimuth import turned
 from skin2urdf.estimation.trajectory.balance import bending, followed
 from skin2urdf.estimation.trajectory.bending import Bending
@@ -162,7 +162,7 @@ def test_what_a_base_leaves_is_judged_by_its_size(monkeypatch: pytest.MonkeyPatc
     ) -> Lacking:
         return Certain(**vars(lacking(problem, fitted, more, curves=curves)))
 
-    monkeypatch.setattr(causes, "lacking", in_less_noise)
+    monkeypatch.setattr(attempt, "lacking", in_less_noise)
     found, _ = _on_a_stand.__wrapped__(1 / 100_000)
     assert found.causes[0] == "base"
     assert found.misfit < 1.5
@@ -177,7 +177,7 @@ def test_a_base_that_says_little_at_first_is_followed_where_slack_leaves_much(
         size = size_of(problem, fitted, more)
         return replace(size, gain=min(size.gain, 20.0))
 
-    monkeypatch.setattr(causes, "size_of", at_first)
+    monkeypatch.setattr(attempt, "size_of", at_first)
     found, _ = _on_a_stand.__wrapped__(1 / 10_000)
     assert found.causes == ("base",)
     assert found.misfit < 1.5

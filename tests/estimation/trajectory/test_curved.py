@@ -12,7 +12,7 @@ from synthetic import RATE, random_state, readings_along, sampled_trajectory, se
 from skin2urdf.arrays import F64
 from skin2urdf.estimation.problem.cost import Priors
 from skin2urdf.estimation.problem.state import State
-from skin2urdf.estimation.trajectory.causes import CERTAIN
+from skin2urdf.estimation.trajectory.attempt import CERTAIN
 from skin2urdf.estimation.trajectory.curved import likeliest_curvature, may_be_curved
 from skin2urdf.estimation.trajectory.estimate import MotionEstimate, estimate_along, motion_priors
 from skin2urdf.geometry.units import GRAVITY

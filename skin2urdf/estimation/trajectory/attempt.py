@@ -1,0 +1,386 @@
+"""A fit of all samples, what it still lacks, and the same with one cause more or less.
+
+Causes are what real robots have and ideal ones have not: clocks that wander, sensors whose axes are
+curved, uneven gears, joints that yield, a base that gives way, biases that drift, and slack of a
+learnt size, which takes up what none of them explains. Slack no larger than half an encoder's step
+needs no cause: rounding makes it wherever a robot rests, and many joints and SUs show what one of
+them hides in noise. What rounding makes on the way from rest to rest is told from slack by drawing
+it anew.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+
+from skin2urdf.arrays import F64
+from skin2urdf.estimation.trajectory.balance import bending
+from skin2urdf.estimation.trajectory.curved import (
+    Curvature,
+    fit_curved,
+    likeliest_curvature,
+    may_be_curved,
+    straightened,
+)
+from skin2urdf.estimation.trajectory.elastic import UnderKnown
+from skin2urdf.estimation.trajectory.fit import Fitted, fit
+from skin2urdf.estimation.trajectory.gears import find_ripples, harmonics, ripples
+from skin2urdf.estimation.trajectory.known_torque import with_known_torque, yields
+from skin2urdf.estimation.trajectory.measured_torque import with_measured_torque
+from skin2urdf.estimation.trajectory.misfit import MOST_OF_IT, SPAN, misfit_of, span_means
+from skin2urdf.estimation.trajectory.play import deflections_saturate
+from skin2urdf.estimation.trajectory.problem import MotionProblem
+from skin2urdf.estimation.trajectory.rounded import rounded_off_again
+from skin2urdf.estimation.trajectory.slack import (
+    Lacking,
+    Size,
+    lacking,
+    rounded_off,
+    size_of,
+    with_unseen,
+)
+from skin2urdf.estimation.trajectory.unseen import Unseen
+from skin2urdf.estimation.trajectory.wandering import wandering, with_steady_clocks
+from skin2urdf.estimation.trajectory.yielding import fit_yielding
+
+EXPLAINED = 2.0
+"""Misfit up to which nothing is missing: recordings with nothing but noise have 0.6 to 0.9, and its
+scatter over the spans of a log is a twentieth."""
+CERTAIN = 10.0
+"""Logarithm of the likelihood that unseen motion has to gain, which chance does once in 100,000;
+sound recordings gain nothing (panda and five of ur5), a strain wave of 0.1 mrad 121."""
+_DOUBTED = 4.5
+"""Logarithm of the likelihood up to which a size is not ruled out: that of three standard
+deviations. Slack of gears in a log of 15 s has 8, rounding that 200 SUs see 4."""
+BENDS, PLAY, CLOCK, DRIFT, CURVES = ("elastic", "base"), "play", "clock", "drift", "nonlinearity"
+"""Causes of deflections, what is followed as the first of them and is none, and those of clocks
+that wander, of biases and of sensors' axes."""
+_KNOTS = 15.0
+"""Time between the moments that a drifting bias is given at [s]; sensors warm up in minutes."""
+
+
+@dataclass(frozen=True, eq=False)
+class Explained:
+    """A fit with what real robots have and ideal ones have not, as far as the readings show it.
+
+    Attributes:
+        problem: what was fitted in the end.
+        fitted: the fit.
+        causes: names of what was added.
+        tried: misfit with each cause that was tried, chosen or not.
+        under_known: what joints yield under torques that are known, the first of what encoders do
+            not see; None where none do, or torques are not known.
+        wander: per log (N,) by how much later its readings were taken as clocks wander [s]; ()
+            where they do not.
+    """
+
+    problem: MotionProblem
+    fitted: Fitted
+    causes: tuple[str, ...] = ()
+    tried: Mapping[str, float] = field(default_factory=dict)
+    under_known: UnderKnown | None = None
+    wander: tuple[F64, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class Attempt:
+    """A fit, and what it still lacks.
+
+    Attributes:
+        problem: what was fitted.
+        fitted: the fit.
+        causes: names of what was added to a rigid robot with steady sensors.
+        places: slack of joints from place to place; None where the robot stays in one.
+        wander: per log (N,) by how much later its readings were taken as clocks wander [s]; ()
+            where they do not.
+    """
+
+    problem: MotionProblem
+    fitted: Fitted
+    causes: tuple[str, ...]
+    places: Unseen | None
+    wander: tuple[F64, ...] = ()
+
+    @cached_property
+    def misfit(self) -> float:
+        """Squares of mean residuals over what noise makes of them."""
+        return misfit_of(self.problem, self.fitted, SPAN)
+
+    @cached_property
+    def slack_size(self) -> Size | None:
+        """Slack that the readings show beyond what the problem has."""
+        return None if self.shown is None else self.shown.size(0)
+
+    @cached_property
+    def shown(self) -> Lacking | None:
+        """What the readings show of slack; None of a robot that stays in one place."""
+        if self.places is None:
+            return None
+        curves = may_be_curved(self.problem)
+        return lacking(self.problem, self.fitted, [self.places], curves=curves)
+
+    @property
+    def certain_curvature(self) -> Curvature | None:
+        """Curvature of axes that the readings show for certain, and more than slack."""
+        found = None if self.shown is None else self.shown.curvature
+        least = max(CERTAIN, 0.0 if self.slack_size is None else self.slack_size.gain)
+        return found if found is not None and found.gain > least else None
+
+    @property
+    def certain_slack(self) -> Size | None:
+        """The same where the readings show it for certain."""
+        size = self.slack_size
+        return size if size is not None and size.gain > CERTAIN else None
+
+    @property
+    def slack_left(self) -> float:
+        """Mean square of slack that the readings show for certain [rad^2]."""
+        return self.certain_slack.size**2 if self.certain_slack is not None else 0.0
+
+    @property
+    def lacks(self) -> bool:
+        """Whether the readings show something that the problem has not."""
+        return self.misfit > EXPLAINED or self.certain_slack is not None
+
+    @property
+    def needs_a_cause(self) -> bool:
+        """Whether the readings show more than slack that encoders may have rounded off."""
+        if self.misfit > EXPLAINED:
+            return True
+        size, rounding = self.certain_slack, rounded_off(self.problem.tree, self.problem.logs)
+        return size is not None and size.gain_beyond(rounding) > _DOUBTED
+
+    @cached_property
+    def has_play(self) -> bool:
+        """Whether it has joints that yield, of which what is lacking shows that they have play."""
+        yields = self.causes[-1:] == BENDS[:1] and self.lacks
+        return yields and deflections_saturate(self.problem, self.fitted, CERTAIN)
+
+    def explained(
+        self, attempts: Sequence[Attempt] = (), under: UnderKnown | None = None
+    ) -> Explained:
+        """This attempt as the one that explains the readings, with what else was tried."""
+        tried = {cause: each.misfit for each in attempts for cause in each.causes[-1:]}
+        return Explained(self.problem, self.fitted, self.causes, tried, under, self.wander)
+
+    def on_steady_clocks(self) -> Attempt:
+        """With clocks that no longer wander, where that says more than all that bends, else as is.
+
+        Slack is no rival: of another size from moment to moment, it follows whatever clocks do.
+        """
+        more = wandering(self.problem.logs)
+        if more is None:
+            return self
+        gain = size_of(self.problem, self.fitted, more).gain
+        if gain <= CERTAIN or gain <= max(self.gains.values()):
+            return self
+        problem, fitted, wander = with_steady_clocks(self.problem, self.fitted)
+        causes = (*self.causes, CLOCK)
+        return replace(self, problem=problem, fitted=fitted, causes=causes, wander=wander)
+
+    def curved_where_likeliest(self) -> Attempt:
+        """With curved axes, where these say more than all that looks alike, else as it is."""
+        found = self.certain_curvature
+        if found is None:
+            return self
+        uneven = [self.sized(more)[1].gain for _, more in self.uneven() if more is not None]
+        return self if found.gain <= max([*self.gains.values(), *uneven]) else self.curved()
+
+    def curved(self) -> Attempt:
+        """With axes that are curved by as much as the readings show."""
+        found = self.certain_curvature
+        if found is None:
+            return self
+        problem, fitted = fit_curved(self.problem, self.fitted, found.size)
+        return replace(self, problem=problem, fitted=fitted, causes=(*self.causes, CURVES))
+
+    @property
+    def is_curved_for_certain(self) -> bool:
+        """Whether the readings show that axes are curved with all else that was found."""
+        equations = self.fitted.minimised(self.fitted.equations)
+        none = np.zeros(self.problem.layout.n_joint, dtype=bool)
+        x = self.fitted.state.curvature
+        return likeliest_curvature(self.problem, equations, none, x).gain > CERTAIN
+
+    def straight(self) -> Attempt:
+        """With straight axes, with all other causes where they are but for a step."""
+        problem, state = straightened(self.problem, self.fitted.state)
+        causes = tuple(cause for cause in self.causes if cause != CURVES)
+        return replace(self, problem=problem, fitted=fit(problem, state, near=True), causes=causes)
+
+    def uneven(self) -> list[tuple[str, Unseen | None]]:
+        """Errors of gears by name, of those that it has not yet."""
+        tree, logs = self.problem.tree, self.problem.logs
+        kinds: list[tuple[str, Unseen | None]] = []
+        if "harmonics" not in self.causes:
+            kinds.append(("harmonics", harmonics(tree, logs)))
+        if "ripples" not in self.causes:
+            found = find_ripples(self.problem, self.fitted)
+            kinds.append(("ripples", ripples(logs, found)))
+        return kinds
+
+    def likely(self, causes: Collection[str]) -> list[str]:
+        """Of what bends, the causes that may explain most of what is lacking, the likeliest first.
+
+        To first order deflections are linear in the loads, and one look at the residuals tells what
+        loads of a size that they all share would gain. To follow them takes fifty times as long.
+        None is likely that says less than slack of any kind would, or too little for the misfit.
+        """
+        likely = [cause for cause in causes if cause in BENDS and self.gains[cause] > self._enough]
+        return sorted(likely, key=lambda cause: -self.gains[cause])
+
+    def may_be_explained_by(self, bends: Unseen) -> bool:
+        """Whether deflections under known loads are likely to explain enough, by the same look."""
+        return size_of(self.problem, self.fitted, bends).gain > self._enough
+
+    @cached_property
+    def _enough(self) -> float:
+        """Logarithm of the likelihood that what bends has to gain to first order."""
+        enough = 0.0 if self.slack_size is None else self.slack_size.gain
+        if self.misfit > EXPLAINED:
+            enough = max(enough, 0.5 * (1 - MOST_OF_IT) * self._excess)
+        return enough
+
+    @cached_property
+    def gains(self) -> dict[str, float]:
+        """Logarithm of the likelihood that loads of each kind of what bends would gain."""
+        problem, state = self.problem, self.fitted.state
+        found = {}
+        for cause in BENDS:
+            loads = bending(
+                problem.tree, problem.logs, state.placements, state.gravity,
+                joints=cause == "elastic", base=cause == "base",
+            )  # fmt: skip
+            found[cause] = size_of(problem, self.fitted, loads).gain
+        return found
+
+    @property
+    def _excess(self) -> float:
+        """Chi-squared of mean residuals over spans beyond what noise makes of it."""
+        _, variances = span_means(self.problem, self.fitted.predicted, self.fitted.weights, SPAN)
+        return (self.misfit - 1) * int(np.isfinite(variances).sum())
+
+    def sized(self, more: Unseen) -> tuple[Unseen, Size]:
+        """More unseen motion, and the size that the readings show."""
+        return more, size_of(self.problem, self.fitted, more)
+
+    def with_more(self, name: str, more: Unseen, size: float) -> Attempt:
+        """With more unseen motion of a common size."""
+        problem = with_unseen(self.problem, more, size)
+        zero = np.zeros(more.n_numbers)
+        state = self.fitted.state
+        state = replace(state, unseen=np.concatenate([state.unseen, zero]))
+        return replace(
+            self, problem=problem, fitted=fit(problem, state), causes=(*self.causes, name)
+        )
+
+    def with_rounding(self) -> Attempt | None:
+        """With slack, where it is lacking and all of it may be what encoders round off: no cause.
+
+        So little leaves a fit where it is but for a step, of which the equations are known.
+        """
+        size = self.certain_slack
+        if self.shown is None or size is None:
+            return None
+        rounding = rounded_off(self.problem.tree, self.problem.logs)
+        if size.gain_beyond(rounding) > _DOUBTED:
+            size = self._size_beside_rounding() or size
+        if size.gain_beyond(rounding) > _DOUBTED:
+            return None
+        if size.gain <= CERTAIN:
+            return self
+        problem, equations = self.shown.begun(0, size.size)
+        before = self.fitted
+        none = np.zeros(problem.layout.n_unseen - len(before.state.unseen))
+        state = replace(before.state, unseen=np.concatenate([before.state.unseen, none]))
+        fitted = fit(problem, state, near=True, predicted=before.predicted, equations=equations)
+        return replace(self, problem=problem, fitted=fitted)
+
+    def _size_beside_rounding(self) -> Size | None:
+        """Slack beyond what encoders round off while joints move; None where they round nothing."""
+        again = rounded_off_again(self.problem.logs)
+        if again is None or self.places is None:
+            return None
+        return lacking(self.problem, self.fitted, [self.places, again]).size(0, drawn=1)
+
+    def slackened(self) -> Attempt:
+        """With slack where the readings show any for certain, else as it is."""
+        return self if self.certain_slack is None else self.with_slack()
+
+    def steady(self) -> Attempt:
+        """Without biases that walk, with all other causes where they are but for a step."""
+        problem, state = self.problem, self.fitted.state
+        priors = replace(problem.priors, bias_walk=0.0)
+        steady = MotionProblem(problem.tree, problem.logs, priors, unseen=problem.unseen)
+        state = replace(state, knots=tuple(each[:0] for each in state.knots))
+        causes = tuple(cause for cause in self.causes if cause != DRIFT)
+        return replace(self, problem=steady, fitted=fit(steady, state, near=True), causes=causes)
+
+    def with_slack(self) -> Attempt:
+        """With slack of the size that the readings show."""
+        if self.places is None or self.slack_size is None:
+            return self
+        return self.with_more("slack", self.places, self.slack_size.size)
+
+    def with_known_torque(self) -> Attempt | None:
+        """With joints that yield under torques that are known; None where that explains little.
+
+        Torques are those that the log holds, or of links that are known.
+        """
+        best: Attempt | None = None
+        ways = (
+            (True, with_measured_torque(self.problem, self.fitted, self.may_be_explained_by)),
+            (False, with_known_torque(self.problem, self.fitted)),
+        )
+        for measured, found in ways:
+            if found is None or not yields(*found, in_either_sense=measured):
+                continue
+            problem, fitted = found
+            attempt = replace(self, problem=problem, fitted=fitted, causes=(*self.causes, BENDS[0]))
+            if explains_most(attempt, best or self):
+                best = attempt
+        return best
+
+    def adding(self, cause: str) -> Attempt:
+        """With joints or a base that yield, or with biases that walk."""
+        causes = (*self.causes, cause)
+        if cause == DRIFT:
+            problem, fitted = _with_drifting_biases(self.problem, self.fitted)
+        else:
+            bends = {name: name in causes for name in BENDS}
+            problem, fitted = fit_yielding(self.problem, self.fitted, **bends)
+        return replace(self, problem=problem, fitted=fitted, causes=causes)
+
+
+def explains_most(one: Attempt, other: Attempt) -> bool:
+    """Whether an attempt takes most of what another one leaves.
+
+    Of slack its size counts: likelihoods are in the noise that a fit leaves, which falls with what
+    it explains.
+    """
+    if other.misfit > EXPLAINED:
+        return one.misfit - 1 < MOST_OF_IT * (other.misfit - 1)
+    return one.misfit < EXPLAINED and one.slack_left < MOST_OF_IT * other.slack_left
+
+
+def _with_drifting_biases(problem: MotionProblem, fitted: Fitted) -> tuple[MotionProblem, Fitted]:
+    """The fit with biases that walk, by as much as they are then found to do.
+
+    The mean square of a walk of s per root of a second, about its mean over a time T, is
+    ``s^2 T / 6``.
+    """
+    means, variances = span_means(problem, fitted.predicted, fitted.weights, SPAN)
+    known = np.isfinite(variances)
+    slow = float((means[known] ** 2 - variances[known]).mean())
+    lengths = [float(log.time[-1] - log.time[0]) for log in problem.logs]
+    walk = np.sqrt(max(slow, 0.0) * 6 / max(lengths))
+    n_knots = [max(2, round(length / _KNOTS) + 1) for length in lengths]
+    state = replace(
+        fitted.state, knots=tuple(np.zeros((n, problem.tree.n_sus, 3)) for n in n_knots)
+    )
+    priors = replace(problem.priors, bias_walk=float(walk))
+    walking = MotionProblem(problem.tree, problem.logs, priors, n_knots, problem.unseen)
+    return walking, fit(walking, state)

@@ -35,6 +35,7 @@ from skin2urdf.estimation.trajectory.play import deflections_saturate
 from skin2urdf.estimation.trajectory.problem import MotionProblem
 from skin2urdf.estimation.trajectory.rounded import rounded_off_again
 from skin2urdf.estimation.trajectory.slack import (
+    UNKNOWN,
     Lacking,
     Size,
     lacking,
@@ -140,16 +141,40 @@ class Attempt:
         """Mean square of slack that the readings show for certain [rad^2]."""
         return self.certain_slack.size**2 if self.certain_slack is not None else 0.0
 
+    @cached_property
+    def certain_bends(self) -> dict[str, Size]:
+        """What bends that the readings show for certain beside what encoders round off.
+
+        Slow moves of small loads leave little, which looks like rounding, and yet make lengths
+        others. Where no more is left than noise leaves, nothing is looked for.
+        """
+        if self.misfit <= 1 and self.certain_slack is None:
+            return {}
+        found = {cause: self._beside_rounding(cause) for cause in BENDS}
+        return {cause: size for cause, size in found.items() if size.gain > CERTAIN}
+
+    def _beside_rounding(self, cause: str) -> Size:
+        """What the readings show of what bends beside what encoders round off on the way."""
+        alone, again = self.bends[cause], self._rounded_again
+        if again is None or alone.gain <= CERTAIN:
+            return alone
+        both = lacking(self.problem, self.fitted, [self._loads(cause), again])
+        return both.size(0, drawn=1, times=UNKNOWN)
+
     @property
     def lacks(self) -> bool:
         """Whether the readings show something that the problem has not."""
-        return self.misfit > EXPLAINED or self.certain_slack is not None
+        unexplained = self.misfit > EXPLAINED or self.certain_slack is not None
+        return unexplained or bool(self.certain_bends)
 
     @property
     def needs_a_cause(self) -> bool:
         """Whether the readings show more than slack that encoders may have rounded off."""
-        if self.misfit > EXPLAINED:
-            return True
+        return self.misfit > EXPLAINED or self.has_own_slack or bool(self.certain_bends)
+
+    @property
+    def has_own_slack(self) -> bool:
+        """Whether the readings show slack beyond what encoders may have rounded off."""
         size, rounding = self.certain_slack, rounded_off(self.problem.tree, self.problem.logs)
         return size is not None and size.gain_beyond(rounding) > _DOUBTED
 
@@ -228,9 +253,13 @@ class Attempt:
         To first order deflections are linear in the loads, and one look at the residuals tells what
         loads of a size that they all share would gain. To follow them takes fifty times as long.
         None is likely that says less than slack of any kind would, or too little for the misfit.
+        Where slack may all be what encoders round off, it is no rival.
         """
-        likely = [cause for cause in causes if cause in BENDS and self.gains[cause] > self._enough]
-        return sorted(likely, key=lambda cause: -self.gains[cause])
+        if self.misfit > EXPLAINED or self.has_own_slack:
+            gains = {cause: gain for cause, gain in self.gains.items() if gain > self._enough}
+        else:
+            gains = {cause: size.gain for cause, size in self.certain_bends.items()}
+        return sorted(gains.keys() & set(causes), key=lambda cause: -gains[cause])
 
     def may_be_explained_by(self, bends: Unseen) -> bool:
         """Whether deflections under known loads are likely to explain enough, by the same look."""
@@ -244,18 +273,28 @@ class Attempt:
             enough = max(enough, 0.5 * (1 - MOST_OF_IT) * self._excess)
         return enough
 
-    @cached_property
+    @property
     def gains(self) -> dict[str, float]:
         """Logarithm of the likelihood that loads of each kind of what bends would gain."""
+        return {cause: found.gain for cause, found in self.bends.items()}
+
+    @cached_property
+    def bends(self) -> dict[str, Size]:
+        """What the readings show of each kind of what bends, to first order."""
+        return {cause: size_of(self.problem, self.fitted, self._loads(cause)) for cause in BENDS}
+
+    def _loads(self, cause: str) -> Unseen:
+        """The deflections that loads of one kind of what bends can make."""
         problem, state = self.problem, self.fitted.state
-        found = {}
-        for cause in BENDS:
-            loads = bending(
-                problem.tree, problem.logs, state.placements, state.gravity,
-                joints=cause == "elastic", base=cause == "base",
-            )  # fmt: skip
-            found[cause] = size_of(problem, self.fitted, loads).gain
-        return found
+        return bending(
+            problem.tree, problem.logs, state.placements, state.gravity,
+            joints=cause == "elastic", base=cause == "base",
+        )  # fmt: skip
+
+    @cached_property
+    def _rounded_again(self) -> Unseen | None:
+        """What encoders round off, drawn anew; None where they round nothing."""
+        return rounded_off_again(self.problem.logs)
 
     @property
     def _excess(self) -> float:
@@ -301,14 +340,16 @@ class Attempt:
 
     def _size_beside_rounding(self) -> Size | None:
         """Slack beyond what encoders round off while joints move; None where they round nothing."""
-        again = rounded_off_again(self.problem.logs)
+        again = self._rounded_again
         if again is None or self.places is None:
             return None
         return lacking(self.problem, self.fitted, [self.places, again]).size(0, drawn=1)
 
     def slackened(self) -> Attempt:
         """With slack where the readings show any for certain, else as it is."""
-        return self if self.certain_slack is None else self.with_slack()
+        if self.certain_slack is None:
+            return self
+        return self.with_rounding() or self.with_slack()
 
     def steady(self) -> Attempt:
         """Without biases that walk, with all other causes where they are but for a step."""
@@ -358,12 +399,19 @@ class Attempt:
 def explains_most(one: Attempt, other: Attempt) -> bool:
     """Whether an attempt takes most of what another one leaves.
 
-    Of slack its size counts: likelihoods are in the noise that a fit leaves, which falls with what
-    it explains.
+    Of slack, and of what bends, its size counts: likelihoods are in the noise that a fit leaves,
+    which falls with what it explains.
     """
     if other.misfit > EXPLAINED:
         return one.misfit - 1 < MOST_OF_IT * (other.misfit - 1)
-    return one.misfit < EXPLAINED and one.slack_left < MOST_OF_IT * other.slack_left
+    if one.misfit >= EXPLAINED:
+        return False
+    if not other.has_own_slack and other.certain_bends:
+        return all(
+            cause not in one.certain_bends or one.certain_bends[cause].size < MOST_OF_IT * much.size
+            for cause, much in other.certain_bends.items()
+        )
+    return one.slack_left < MOST_OF_IT * other.slack_left
 
 
 def _with_drifting_biases(problem: MotionProblem, fitted: Fitted) -> tuple[MotionProblem, Fitted]:

@@ -65,7 +65,7 @@ def explained(
     if not rigid.lacks:
         return rigid.explained()
     rounded = rigid.with_rounding()
-    if rounded is not None and rounded.misfit <= EXPLAINED:
+    if rounded is not None and rounded.misfit <= EXPLAINED and not rigid.certain_bends:
         return rounded.explained()
     # Few numbers that say more than many would.
     known = rigid.with_known_torque()

@@ -55,7 +55,7 @@ _SIZES = np.geomspace(1e-7, 3e-2, 111)
 _NOTHING = np.zeros(0, dtype=np.int64)
 UNKNOWN = np.geomspace(1.0, 8.0, 7)
 """Variances of noise that SUs share over those of its draws that are compared, where draws show how
-it is shared and not how much there is. A drive gives way to loads within a step of its encoder,
+it is shared and not how much there is. A drive may give way to loads within a step of its encoder,
 which is three times what is left of a step's rounding in a swing: 6 to 8 times the variance were
 found with encoders of 14 bits. With 64, a base that turns by 0.6 mrad is taken for rounding."""
 

@@ -155,8 +155,8 @@ class Attempt:
 
     def _beside_rounding(self, cause: str) -> Size:
         """What the readings show of what bends beside what encoders round off on the way."""
-        alone, again = self.bends[cause], self._rounded_again
-        if again is None or alone.gain <= CERTAIN:
+        alone = self.bends[cause]
+        if alone.gain <= CERTAIN or (again := self._rounded_again) is None:
             return alone
         both = lacking(self.problem, self.fitted, [self._loads(cause), again])
         return both.size(0, drawn=1, times=UNKNOWN)

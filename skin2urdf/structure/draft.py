@@ -67,6 +67,10 @@ class Draft(Record):
         chain = [self.joints[j] for j in self.path(int(self.su_joint[su]))]
         return judge(samples, su, chain, self.R[su], self.sensor[su], self.up)
 
+    def all_judged(self, samples: Along) -> list[Judged | None]:
+        """The same of all SUs; None of those without readings."""
+        return [self.judged(samples, u) if j >= -1 else None for u, j in enumerate(self.su_joint)]
+
     def beyond(self, joint: int) -> list[int]:
         """SUs that a joint moves."""
         return [u for u, j in enumerate(self.su_joint) if joint in self.path(int(j))]
@@ -138,6 +142,21 @@ class Draft(Record):
             su_joint=np.array([place[int(j)] for j in su_joint]),
         )
 
+    def without_joint(self, joint: int) -> Draft:
+        """Without a joint: what it carries is carried by the one before it."""
+        before = self.parent[joint]
+
+        def renamed(j: int) -> int:
+            j = before if j == joint else j
+            return j - 1 if j > joint else j
+
+        return replace(
+            self,
+            joints=self.joints[:joint] + self.joints[joint + 1 :],
+            parent=tuple(renamed(p) for j, p in enumerate(self.parent) if j != joint),
+            su_joint=np.array([renamed(int(j)) for j in self.su_joint]),
+        )
+
     def sliding(self, joint: int) -> Draft:
         """With a joint that slides, in any direction, instead of turning."""
         joints = list(self.joints)
@@ -169,8 +188,8 @@ class Draft(Record):
 
 
 @dataclass(frozen=True, eq=False)
-class _Place:
-    """A joint put in somewhere, and what it is worth."""
+class Place:
+    """A joint put in somewhere, and the log-likelihood that it gains beyond its price."""
 
     draft: Draft
     gain: float
@@ -193,16 +212,16 @@ def with_unseen_joints(
     left = list(unplaced)
     others: list[Draft] = []
     while left:
-        now = [draft.judged(samples, u) if j >= -1 else None for u, j in enumerate(draft.su_joint)]
-        places = [p for d in left for p in _places(draft, samples, d, now, left, sliding)]
-        if not places:
+        now = draft.all_judged(samples)
+        found = [p for d in left for p in places(draft, samples, d, now, left, sliding)]
+        if not found:
             break
-        places.sort(key=lambda p: -p.gain)
-        best = places[0]
+        found.sort(key=lambda p: -p.gain)
+        best = found[0]
         added = {j.dof for j in best.draft.joints}
         others = [
             p.draft
-            for p in places[1:]
+            for p in found[1:]
             if p.gain > best.gain - CERTAIN and {j.dof for j in p.draft.joints} == added
         ]
         draft = best.draft
@@ -309,12 +328,21 @@ def _log_ratio(now: F64, then: F64, count: F64, quiet: float) -> F64:
     return np.asarray(count / 2 * np.log((now + floor) / (then + floor)))
 
 
-def _places(
+def places(
     draft: Draft, samples: Along, dof: int, now: Sequence[Judged | None], left: Sequence[int],
     sliding: Sequence[int],
-) -> Iterator[_Place]:  # fmt: skip
-    """Everywhere that a joint may be, if that is worth its parameters."""
-    price = _price(samples, len(left), len(draft.joints) + 1)
+) -> Iterator[Place]:  # fmt: skip
+    """Everywhere that a joint may be, if that is worth its parameters.
+
+    Args:
+        draft: a tree without it.
+        samples: the logs.
+        dof: the joint.
+        now: what the tree is worth to each SU.
+        left: all joints that have no place yet, this one among them.
+        sliding: those of them that are known to slide.
+    """
+    price = price_of(samples, len(left), len(draft.joints) + 1)
     others = [d for d in left if d != dof]
     for at in range(-1, len(draft.joints)):
         vertical = all(draft.joints[j].is_upright for j in draft.path(at))
@@ -330,7 +358,7 @@ def _places(
 def _placed(
     draft: Draft, samples: Along, joint: ChainJoint, at: int, now: Sequence[Judged | None],
     others: Sequence[int], price: float,
-) -> _Place | None:  # fmt: skip
+) -> Place | None:  # fmt: skip
     """A joint at one place, before those branches and SUs that gain by it.
 
     What an SU gains by one of two joints that it lacks is spoilt by the other. So where the gain is
@@ -362,7 +390,7 @@ def _placed(
         push = min(pushes, key=lambda p: p[0])[1]
         axis = push / np.linalg.norm(push)
         joint = replace(joint, axis=(float(axis[0]), float(axis[1]), float(axis[2])))
-    return _Place(draft.with_joint(joint, at, children, sus), total - price)
+    return Place(draft.with_joint(joint, at, children, sus), total - price)
 
 
 def groups(draft: Draft, at: int) -> Iterator[tuple[list[int], list[int]]]:
@@ -433,7 +461,7 @@ def _moved(
 
 def _with_all_that_they_move(draft: Draft, samples: Along, dofs: Sequence[int]) -> Draft:
     """The draft with branches and SUs beyond joints put in, where all joints known show it."""
-    price = _price(samples, 1, 1)
+    price = price_of(samples, 1, 1)
     while True:
         for j, joint in enumerate(draft.joints):
             if joint.dof not in dofs:
@@ -458,6 +486,9 @@ def _with_all_that_they_move(draft: Draft, samples: Along, dofs: Sequence[int]) 
             return draft
 
 
-def _price(samples: Along, joints: int, segments: int) -> float:
-    """Half the logarithm of the samples for each parameter, and that of the places tried."""
+def price_of(samples: Along, joints: int, segments: int) -> float:
+    """What a joint has to gain to be put in.
+
+    Half the logarithm of the samples for each parameter, and that of the places tried.
+    """
     return 3 * float(np.log(max(len(samples.q), 2))) + float(np.log(3 * joints * segments))

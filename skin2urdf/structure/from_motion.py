@@ -23,6 +23,7 @@ from skin2urdf.geometry.units import GRAVITY
 from skin2urdf.notes import Note
 from skin2urdf.signals.sampling import Sampled
 from skin2urdf.structure.accelerations import Along, ChainJoint, along
+from skin2urdf.structure.anew import that_slide_elsewhere, with_joints_elsewhere
 from skin2urdf.structure.draft import (
     QUIET,
     Draft,
@@ -152,7 +153,7 @@ def _grown_from(
         growth = Growth(windows, turning, np.random.default_rng(seed), tree)
         growth.grow(tell)
         drafts = _drafted(growth, samples, moved, sliding)
-        more = () if known else that_slide(drafts[0], samples)
+        more = () if known else _that_slide(drafts[0], samples)
         if not more:
             break
         # What was taken to turn has bent all directions beyond it.
@@ -201,11 +202,17 @@ def _with_all_joints(
         unplaced = [int(d) for d in np.flatnonzero(moved) if d not in placed]
         draft, alike = with_unseen_joints(draft, samples, unplaced, sliding)
         others = alike or others
-        settled = with_sus_elsewhere(draft, samples)
+        settled = with_joints_elsewhere(draft, samples, unplaced, sliding)
+        settled = with_sus_elsewhere(settled, samples)
         if settled is draft:
             break
         draft = settled
     return draft, tuple(with_sus_elsewhere(other, samples) for other in others)
+
+
+def _that_slide(draft: Draft, samples: Along) -> tuple[int, ...]:
+    """Joints that a draft has as turning and that slide, there or elsewhere."""
+    return that_slide(draft, samples) or that_slide_elsewhere(draft, samples)
 
 
 def _known(tree: KinematicTree, windows: GravityWindows) -> Known:

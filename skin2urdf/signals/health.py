@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.ndimage import median_filter
+from scipy.special import erf, ndtri
 
 from skin2urdf.arrays import F64, Bool, Int
 from skin2urdf.faults import Fault
@@ -114,7 +115,7 @@ def checked(
         su = sus[u]
         others = np.delete(at_rest, u)
         chance = float(np.median(others)) if len(others) else 0.0
-        kept, faults = _thawed(su, chance)
+        kept, faults = _thawed(su, still[u], chance)
         whole = su
         if not kept.all():
             whole = su.at(kept)
@@ -174,19 +175,25 @@ def rest_noise(samples: F64, still: Bool) -> float:
     return float(np.sqrt(np.median(steps**2, axis=0).mean() / 2) / 0.6745) if len(steps) else 0.0
 
 
-def _thawed(su: SuStream, chance: float) -> tuple[Bool, list[Fault]]:
+def _thawed(su: SuStream, still: Bool, chance: float) -> tuple[Bool, list[Fault]]:
     """Samples (M,) that are no repetitions of a frozen value, and the fault if there are any.
 
     A run of n repetitions is no chance where ``p^n`` is small for every place it could stand at.
     p is the share of repetitions outside of the run, but at least that of the other SUs at rest:
-    sensors without noise repeat themselves while the robot rests.
+    sensors without noise repeat themselves while the robot rests. And at least that of a reading in
+    the middle of a digit: where digits are coarser than noise, it stays there for as long as no
+    joint moves the SU.
 
     Args:
         su: the stream.
+        still: (M,) True where the robot rests.
         chance: share of repetitions of the other SUs at rest.
     """
     kept = np.ones(len(su.time), dtype=bool)
-    same = np.r_[False, (np.diff(su.specific_force, axis=0) == 0).all(axis=1), False]
+    changes = np.diff(su.specific_force, axis=0) != 0
+    at_rest = still[1:] & still[:-1]
+    usual = max(1, int(_SHORTEST_FREEZE * len(su.time) / max(np.ptp(su.time), _SHORTEST_FREEZE)))
+    same = np.r_[False, ~changes.any(axis=1), False]
     edges = np.flatnonzero(np.diff(same.astype(np.int8)))
     runs = edges.reshape(-1, 2)
     repeated, total = int(same.sum()), max(1, len(su.time) - 1)
@@ -196,7 +203,10 @@ def _thawed(su: SuStream, chance: float) -> tuple[Bool, list[Fault]]:
         if su.time[end] - su.time[begin] < _SHORTEST_FREEZE:
             break
         own = (repeated - n + 1) / (total - n + 2)
-        if n * np.log(max(own, chance)) > np.log(_FALSE_ALARM / total):
+        outside = at_rest & kept[1:]
+        outside[begin:end] = False
+        stays = _stays_within_a_digit(changes[outside], usual)
+        if n * np.log(max(own, chance, stays)) > np.log(_FALSE_ALARM / total):
             break
         kept[begin + 1 : end + 1] = False
         stretches.append((float(su.time[begin]), float(su.time[end])))
@@ -210,6 +220,27 @@ def _thawed(su: SuStream, chance: float) -> tuple[Bool, list[Fault]]:
     first, last = min(a for a, _ in stretches), max(b for _, b in stretches)
     long = sum(b - a for a, b in stretches)
     return kept, [Fault("frozen", su.name, begin=first, end=last, size=long, unit="s")]
+
+
+def _stays_within_a_digit(changes: Bool, size: int) -> float:
+    """Probability that a reading in the middle of its digits is followed by the same.
+
+    Of two readings that normal noise takes ``x`` digits apart a share of ``min(|x|, 1)`` differs,
+    wherever between two digits they lie; so the share that differs tells the noise in digits. In
+    few places it may be any; the quietest quarter of all stretches and axes stands for them.
+
+    Args:
+        changes: (M, 3) True where samples at rest are not what the one before was.
+        size: samples of a stretch.
+    """
+    n = len(changes) // size
+    if not n:
+        return 0.0
+    seen = float(np.quantile(changes[: n * size].reshape(n, size, 3).mean(axis=1), 0.25))
+    noise = np.geomspace(1e-3, 10.0, 200)
+    apart = np.abs(noise[:, None] * np.sqrt(2.0) * ndtri((np.arange(200) + 0.5) / 200))
+    found = np.interp(seen, np.minimum(apart, 1.0).mean(axis=1), noise)
+    return float(erf(0.5 / (np.sqrt(2.0) * found)) ** 6)
 
 
 def _silences(su: SuStream, span: tuple[float, float]) -> list[Fault]:

@@ -43,6 +43,28 @@ def test_values_that_every_sensor_repeats_are_no_fault() -> None:
     assert kinds(*slow) == [[], [], []]
 
 
+def coarse(sd: float, seed: int) -> np.ndarray:
+    """Readings (5000, 3) in digits of 0.04 m/s^2: five places of 1 s, then three of 5 s."""
+    rng = np.random.default_rng(seed)
+    seconds = [1, 1, 1, 1, 1, 5, 5, 5]
+    places = np.repeat(rng.uniform(-5.0, 5.0, (len(seconds), 3)), 250 * np.array(seconds), axis=0)
+    return np.asarray(np.round((places + rng.normal(0.0, sd, places.shape)) / 0.04) * 0.04)
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_a_quiet_sensor_that_rests_within_a_digit_is_not_frozen(seed: int) -> None:
+    streams = [stream(coarse(0.004, 100 * seed + i)) for i in range(6)]
+    assert kinds(*streams) == [[]] * 6
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_a_sensor_whose_noise_spreads_over_digits_is_frozen_where_it_repeats(seed: int) -> None:
+    streams = [stream(coarse(0.03, 100 * seed + i)) for i in range(3)]
+    held = streams[0].specific_force.copy()
+    held[2000:2600] = held[2000]
+    assert kinds(stream(held), *streams[1:]) == [["frozen"], [], []]
+
+
 def test_a_spread_of_noise_is_no_fault() -> None:
     alike = [stream(noise(sd=0.01 * f, seed=i)) for i, f in enumerate((0.5, 0.8, 1.0, 1.3, 2.0))]
     assert kinds(*alike) == [[]] * 5

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -44,6 +45,10 @@ _ROUGH_RATE, _RATE_BIAS = 0.02, 0.1
 _TURN, _OFFSET, _LAG = 0.05, 1.0, 0.05
 """Standard deviations of directions from gravity [rad], of offsets [m], and of clocks [s], as a
 constant and as what they drift in half a log."""
+
+_REMEMBERED = 16
+"""Chains whose motion is kept for the next SU: as many as a branch has segments, of a MB
+each in logs of a minute and a half. It is of time and memory alone."""
 
 PARALLEL = 0.9962
 """Cosine of the angle up to which neighbouring axes turn gravity alike: 5 deg."""
@@ -109,6 +114,32 @@ class Along(Record):
     def n_stretches(self) -> int:
         """Number of stretches."""
         return int(self.stretch.max(initial=-1)) + 1
+
+    @cached_property
+    def _judged(self) -> dict[object, Judged]:
+        """What was judged already: trees that are tried share most of their chains."""
+        return {}
+
+    @cached_property
+    def _moved(self) -> dict[object, _ChainMotion]:
+        """How the last chains moved: SUs share those of their segments."""
+        return {}
+
+    def moved_by(self, chain: tuple[ChainJoint, ...], up: F64) -> _ChainMotion:
+        """How a chain moves what it carries; made once for SUs that follow each other."""
+        case = chain, up.tobytes()
+        if case not in self._moved:
+            while len(self._moved) >= _REMEMBERED:
+                del self._moved[next(iter(self._moved))]
+            self._moved[case] = _motion_of(self, chain, up)
+        return self._moved[case]
+
+    def judge(self, su: int, chain: tuple[ChainJoint, ...], R: F64, sensor: F64, up: F64) -> Judged:
+        """How well a chain predicts an SU, see :func:`judge`; made once."""
+        case = su, chain, R.tobytes(), sensor.tobytes(), up.tobytes()
+        if case not in self._judged:
+            self._judged[case] = judge(self, su, chain, R, sensor, up)
+        return self._judged[case]
 
 
 def along(sampled: Sequence[Sampled]) -> Along:
@@ -195,7 +226,7 @@ class Judged(Record):
 
 
 def judge(
-    samples: Along, su: int, chain: Sequence[ChainJoint], R: F64, sensor: F64, up: F64
+    samples: Along, su: int, chain: tuple[ChainJoint, ...], R: F64, sensor: F64, up: F64
 ) -> Judged:
     """Fit a chain to half of the stretches, predict the other half, and the other way round.
 
@@ -208,7 +239,9 @@ def judge(
         up: (G, 3) unit vectors opposite to gravity, per log.
     """
     use = samples.valid[:, su]
-    A, y, prior, slides, last = _regression(samples, su, use, chain, R, sensor, up)
+    motion = samples.moved_by(chain, up)
+    A, y, prior = _regression(samples, su, use, motion, R, sensor)
+    slides, last = motion.slides, motion.last
     rows = samples.stretch[use]
     ridge = np.diag((_ROUGH / prior) ** 2)
     loss, count, H, Aty = _held_out(A, y, rows, samples.n_stretches, ridge)
@@ -219,7 +252,7 @@ def judge(
     slide_sd = np.array([np.sqrt(np.trace(covariance[s : s + 3, s : s + 3])) for s in slides])
     offset = x[last[0] : last[0] + 3]
     lever = float(np.linalg.norm(np.cross(last[1], offset))) if last[0] >= 0 else 0.0
-    return Judged(loss, count, slide, slide_sd, lever, *_turning(samples, su, chain, R))
+    return Judged(loss, count, slide, slide_sd, lever, *_turning(samples, su, motion, R))
 
 
 def _held_out(
@@ -255,9 +288,7 @@ def _held_out(
     return np.maximum(loss, 0.0), count, AtA.sum(axis=0) + ridge, Aty.sum(axis=0)
 
 
-def _turning(
-    samples: Along, su: int, chain: Sequence[ChainJoint], R: F64
-) -> tuple[F64, F64, float]:
+def _turning(samples: Along, su: int, motion: _ChainMotion, R: F64) -> tuple[F64, F64, float]:
     """How well a chain predicts how an SU turns.
 
     An axis that is vertical is seen as gravity is, whatever the SU's turn about it.
@@ -270,19 +301,8 @@ def _turning(
     if samples.rates is None or samples.turning is None or not samples.turning[:, su].any():
         return np.zeros(B), np.zeros(B), 0.0
     use = samples.turning[:, su]
-    q, qd, qdd = (np.ascontiguousarray(x[use].T) for x in (samples.q, samples.qd, samples.qdd))
-    N = q.shape[1]
-    turn = np.repeat(np.eye(3)[..., None], N, axis=2)
-    omega, alpha = np.zeros((3, N)), np.zeros((3, N))
-    for joint in chain:
-        if joint.kind == "prismatic":
-            continue
-        d, axis = joint.dof, np.array(joint.axis)
-        a = np.tensordot(axis, turn, 1)
-        alpha = alpha + a * qdd[d] + cross(omega, a) * qd[d]
-        omega = omega + a * qd[d]
-        turn = np.einsum("ian,ijn->jan", turn, rotations(axis, q[d]))
-    w, slope = (R.T @ applied(turn, x) for x in (omega, alpha))
+    w, slope = R.T @ motion.omega[:, use], R.T @ motion.alpha[:, use]
+    N = w.shape[1]
     # The gyroscope's bias, its clock, and nine numbers for its axes and for directions that are
     # not known any better yet.
     A = np.zeros((14, 3, N))
@@ -300,32 +320,43 @@ def _turning(
     return loss, count, float(plain.sum())
 
 
-def _regression(
-    samples: Along,
-    su: int,
-    use: Bool,
-    chain: Sequence[ChainJoint],
-    R: F64,
-    sensor: F64,
-    up: F64,
-) -> tuple[F64, F64, F64, list[int], tuple[int, F64]]:
-    """Columns (n, 3, N), what they have to explain (3, N), and the columns' priors (n,).
+@dataclass(frozen=True, eq=False)
+class _ChainMotion(Record):
+    """How a chain moves what it carries at N samples, as seen from the last segment.
 
-    Returns:
-        These, where the directions of sliding joints begin, and where the last offset begins with
-        the axis it turns about.
+    Attributes:
+        columns: (n, 3, N) what a unit of each number that the chain leaves open adds to what an SU
+            in the base's orientation feels: offsets, pushes, and turns of axes.
+        prior: (n,) standard deviations of these.
+        gravity: (3, N) [m/s^2].
+        omega: (3, N) [rad/s], and
+        alpha: (3, N) its derivative [rad/s^2].
+        slides: where the pushes of sliding joints begin among the columns.
+        last: where the last offset begins, -1 if there is none, and the axis it turns about.
     """
-    q, qd, qdd = (np.ascontiguousarray(x[use].T) for x in (samples.q, samples.qd, samples.qdd))
+
+    columns: F64
+    prior: F64
+    gravity: F64
+    omega: F64
+    alpha: F64
+    slides: tuple[int, ...]
+    last: tuple[int, tuple[float, float, float]]
+
+
+def _motion_of(samples: Along, chain: Sequence[ChainJoint], up: F64) -> _ChainMotion:
+    """How a chain moves what it carries."""
+    q, qd, qdd = (np.ascontiguousarray(x.T) for x in (samples.q, samples.qd, samples.qdd))
     N = q.shape[1]
     # All is in the base frame until it is seen from the SU: ``turn`` are the segment's axes there.
     turn = np.repeat(np.eye(3)[..., None], N, axis=2)
     omega, alpha, spin = np.zeros((3, N)), np.zeros((3, N)), np.zeros((3, 3, N))
-    upward = (up[samples.log[use]] * GRAVITY).T
+    upward = (up[samples.log] * GRAVITY).T
     columns: list[F64] = []
     priors: list[float] = []
     slides: list[int] = []
     slopes: list[F64] = []
-    last = (-1, np.zeros(3))
+    last = (-1, (0.0, 0.0, 0.0))
     at = 0
     for i, joint in enumerate(chain):
         d, axis = joint.dof, np.array(joint.axis)
@@ -349,21 +380,35 @@ def _regression(
         if carried and omega.any():
             columns.append(applied(spin.swapaxes(0, 1), turn))
             priors += [_OFFSET] * 3
-            last = (at, axis if joint.kind == "revolute" else last[1])
+            last = (at, joint.axis if joint.kind == "revolute" else last[1])
             at += 3
-    g = R.T @ applied(turn, upward)
-    M = sensor_matrix(sensor[3:])
-    n = sum(len(each) for each in (*columns, *slopes))
-    A = np.zeros((n + 14, 3, N))
+    open_ = [*columns, *slopes]
+    return _ChainMotion(
+        columns=applied(turn, np.concatenate(open_)) if open_ else np.zeros((0, 3, N)),
+        prior=np.array([*priors, *[_TURN] * (2 * len(slopes))]),
+        gravity=applied(turn, upward),
+        omega=applied(turn, omega),
+        alpha=applied(turn, alpha),
+        slides=tuple(slides),
+        last=last,
+    )
+
+
+def _regression(
+    samples: Along, su: int, use: Bool, motion: _ChainMotion, R: F64, sensor: F64
+) -> tuple[F64, F64, F64]:
+    """Columns (n, 3, N), what they have to explain (3, N), and the columns' priors (n,)."""
+    n, M = len(motion.columns), sensor_matrix(sensor[3:])
+    g = R.T @ motion.gravity[:, use]
+    A = np.zeros((n + 14, 3, g.shape[1]))
     if n:
-        np.matmul(M @ R.T, applied(turn, np.concatenate([*columns, *slopes])), out=A[:n])
+        np.matmul(M @ R.T, motion.columns[..., use], out=A[:n])
     by_tilt, by_bias, by_shape = A[n : n + 3], A[n + 3 : n + 6], A[n + 6 : n + 12]
     np.matmul(M, cross(g, np.eye(3)[..., None]), out=by_tilt)
     by_bias[range(3), range(3)] = 1.0
     fill_shape_columns(by_shape, g)
     A[n + 12] = samples.change[use, su].T
     A[n + 13] = A[n + 12] * samples.time[use]
-    turns = [_TURN] * (2 * len(slopes) + 3)
-    prior = np.array([*priors, *turns, *PRIOR, _LAG, _LAG])
+    prior = np.array([*motion.prior, *[_TURN] * 3, *PRIOR, _LAG, _LAG])
     y = samples.readings[use, su].T - sensor[:3, None] - M @ g
-    return A, y, prior, slides, last
+    return A, y, prior

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from skin2urdf.arrays import F64, Int, Record
-from skin2urdf.structure.accelerations import PARALLEL, Along, ChainJoint, Judged, judge
+from skin2urdf.structure.accelerations import PARALLEL, Along, ChainJoint, Judged
 from skin2urdf.structure.records import JointType
 
 CERTAIN = 10.0
@@ -64,8 +64,8 @@ class Draft(Record):
 
     def judged(self, samples: Along, su: int) -> Judged:
         """How well the chain of an SU predicts what it feels."""
-        chain = [self.joints[j] for j in self.path(int(self.su_joint[su]))]
-        return judge(samples, su, chain, self.R[su], self.sensor[su], self.up)
+        chain = tuple(self.joints[j] for j in self.path(int(self.su_joint[su])))
+        return samples.judge(su, chain, self.R[su], self.sensor[su], self.up)
 
     def all_judged(self, samples: Along) -> list[Judged | None]:
         """The same of all SUs; None of those without readings."""

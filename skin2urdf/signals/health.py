@@ -60,9 +60,9 @@ says of normal noise, from which readings hold what no motion made: of normal no
 digits 2 at most; of zeros in one of a thousand samples of an axis in which gravity is, 10 with
 noise of 2 mg."""
 _LEANING = 3.0
-"""Sum of what leaves the values around it, over what chance makes of as much in either sense, from
-which the mean of readings is off: vibration has none, and zeros in place of readings all lead away
-from gravity (14 for 200 of them)."""
+"""Sum of what leaves the values around it, over the root of its sum of squares, which is what
+chance makes of the sum where either sense is as likely: from here on the mean of readings is off.
+Zeros in place of readings all lead away from gravity (14 for 200 of them)."""
 _AROUND = 11
 """Samples around one whose median says where it should be: the period of a vibration of 20 Hz in a
 stream of 200 Hz, and more than twice the few that are lost together."""

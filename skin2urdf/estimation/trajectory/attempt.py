@@ -175,8 +175,12 @@ class Attempt:
     @property
     def has_own_slack(self) -> bool:
         """Whether the readings show slack beyond what encoders may have rounded off."""
-        size, rounding = self.certain_slack, rounded_off(self.problem.tree, self.problem.logs)
-        return size is not None and size.gain_beyond(rounding) > _DOUBTED
+        return self.certain_slack is not None and self._is_more_than_rounding(self.certain_slack)
+
+    def _is_more_than_rounding(self, slack: Size) -> bool:
+        """Whether slack is of a size that encoders do not round off."""
+        rounding = rounded_off(self.problem.tree, self.problem.logs)
+        return slack.gain_beyond(rounding) > _DOUBTED
 
     @cached_property
     def has_play(self) -> bool:
@@ -184,7 +188,7 @@ class Attempt:
         yields = self.causes[-1:] == BENDS[:1] and self.lacks
         return yields and deflections_saturate(self.problem, self.fitted, CERTAIN)
 
-    def explained(
+    def as_explained(
         self, attempts: Sequence[Attempt] = (), under: UnderKnown | None = None
     ) -> Explained:
         """This attempt as the one that explains the readings, with what else was tried."""
@@ -324,11 +328,10 @@ class Attempt:
         size = self.certain_slack
         if self.shown is None or size is None:
             return None
-        rounding = rounded_off(self.problem.tree, self.problem.logs)
-        if size.gain_beyond(rounding) > _DOUBTED:
+        if self._is_more_than_rounding(size):
             size = self._size_beside_rounding() or size
-        if size.gain_beyond(rounding) > _DOUBTED:
-            return None
+            if self._is_more_than_rounding(size):
+                return None
         if size.gain <= CERTAIN:
             return self
         problem, equations = self.shown.begun(0, size.size)

@@ -59,14 +59,14 @@ def explained(
     # What clocks leave goes with the motion, and may pass for noise of SUs that move.
     rigid = rigid.on_steady_clocks()
     if not (rigid.lacks or rigid.certain_curvature):
-        return rigid.explained()
+        return rigid.as_explained()
     # As few numbers of each SU as a bias has; what bends gravity looks alike.
     rigid = rigid.curved_where_likeliest()
     if not rigid.lacks:
-        return rigid.explained()
+        return rigid.as_explained()
     rounded = rigid.with_rounding()
     if rounded is not None and rounded.misfit <= EXPLAINED and not rigid.certain_bends:
-        return rounded.explained()
+        return rounded.as_explained()
     # Few numbers that say more than many would.
     known = rigid.with_known_torque()
     if known is None:
@@ -99,7 +99,7 @@ def explained(
         attempts.append(best)
     elastic = known.problem.unseen if known else None
     under = elastic if isinstance(elastic, UnderKnown) else None
-    return best.explained(attempts, under)
+    return best.as_explained(attempts, under)
 
 
 def _of_any_cause(rigid: Attempt, without: Collection[str]) -> tuple[Attempt, list[Attempt]]:

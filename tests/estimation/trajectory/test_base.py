@@ -53,7 +53,7 @@ def _log_on_a_stand(compliance: float, noise: float, step: float = 0.0) -> tuple
 
 @cache
 def _on_a_stand(compliance: float) -> tuple[MotionEstimate, F64]:
-    """What is found of it, and how the base turns.
+    """What is found of a log on a base that gives way, and (N, 2) how that turns [rad].
 
     Args:
         compliance: by how much it turns about a point below it [rad/(N m)].

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.ndimage import median_filter
-from scipy.special import erf, ndtri
+from scipy.special import erf, erfc
 
 from skin2urdf.arrays import F64, Bool, Int
 from skin2urdf.faults import Fault
@@ -42,6 +42,9 @@ _FALSE_ALARM = 1e-9
 """Probability that chance alone makes an SU of a log count as frozen."""
 _SHORTEST_FREEZE = 0.25
 """Shortest repetition of one value [s] that is a fault."""
+_QUIETEST = 0.25
+"""Part of the stretches and axes at rest, the quietest ones, that tells how noise compares with a
+digit. In few places half of them may lie at the edge of a digit, which looks like more noise."""
 _LOST = 0.05
 """Share of lost samples from which an SU counts as intermittent."""
 _UNTOLD = 0.3
@@ -192,7 +195,8 @@ def _thawed(su: SuStream, still: Bool, chance: float) -> tuple[Bool, list[Fault]
     kept = np.ones(len(su.time), dtype=bool)
     changes = np.diff(su.specific_force, axis=0) != 0
     at_rest = still[1:] & still[:-1]
-    usual = max(1, int(_SHORTEST_FREEZE * len(su.time) / max(np.ptp(su.time), _SHORTEST_FREEZE)))
+    seconds = max(float(np.ptp(su.time)), _SHORTEST_FREEZE) if len(su.time) else _SHORTEST_FREEZE
+    stretch = max(1, int(_SHORTEST_FREEZE * len(su.time) / seconds))
     same = np.r_[False, ~changes.any(axis=1), False]
     edges = np.flatnonzero(np.diff(same.astype(np.int8)))
     runs = edges.reshape(-1, 2)
@@ -205,7 +209,7 @@ def _thawed(su: SuStream, still: Bool, chance: float) -> tuple[Bool, list[Fault]
         own = (repeated - n + 1) / (total - n + 2)
         outside = at_rest & kept[1:]
         outside[begin:end] = False
-        stays = _stays_within_a_digit(changes[outside], usual)
+        stays = _stays_within_a_digit(changes[outside], stretch)
         if n * np.log(max(own, chance, stays)) > np.log(_FALSE_ALARM / total):
             break
         kept[begin + 1 : end + 1] = False
@@ -222,25 +226,27 @@ def _thawed(su: SuStream, still: Bool, chance: float) -> tuple[Bool, list[Fault]
     return kept, [Fault("frozen", su.name, begin=first, end=last, size=long, unit="s")]
 
 
-def _stays_within_a_digit(changes: Bool, size: int) -> float:
+def _stays_within_a_digit(changes: Bool, stretch: int) -> float:
     """Probability that a reading in the middle of its digits is followed by the same.
 
-    Of two readings that normal noise takes ``x`` digits apart a share of ``min(|x|, 1)`` differs,
-    wherever between two digits they lie; so the share that differs tells the noise in digits. In
-    few places it may be any; the quietest quarter of all stretches and axes stands for them.
+    Of two readings ``x`` digits apart a share of ``min(|x|, 1)`` differs, wherever between two
+    digits they lie. Of normal noise of ``s`` digits x has the standard deviation ``d = sqrt(2) s``,
+    and the mean of that is ``d sqrt(2 / pi) (1 - exp(-1 / (2 d^2))) + erfc(1 / (sqrt(2) d))``; so
+    the share that differs tells the noise. Both readings stay within half a digit in three axes.
 
     Args:
         changes: (M, 3) True where samples at rest are not what the one before was.
-        size: samples of a stretch.
+        stretch: samples that lie about one value.
     """
-    n = len(changes) // size
+    n = len(changes) // stretch
     if not n:
         return 0.0
-    seen = float(np.quantile(changes[: n * size].reshape(n, size, 3).mean(axis=1), 0.25))
-    noise = np.geomspace(1e-3, 10.0, 200)
-    apart = np.abs(noise[:, None] * np.sqrt(2.0) * ndtri((np.arange(200) + 0.5) / 200))
-    found = np.interp(seen, np.minimum(apart, 1.0).mean(axis=1), noise)
-    return float(erf(0.5 / (np.sqrt(2.0) * found)) ** 6)
+    shares = changes[: n * stretch].reshape(n, stretch, 3).mean(axis=1)
+    apart = np.geomspace(1e-3, 10.0, 200)
+    differ = apart * np.sqrt(2 / np.pi) * (1 - np.exp(-0.5 / apart**2))
+    differ += erfc(1 / (np.sqrt(2) * apart))
+    noise = np.interp(np.quantile(shares, _QUIETEST), differ, apart) / np.sqrt(2)
+    return float(erf(0.5 / (np.sqrt(2) * noise)) ** 6)
 
 
 def _silences(su: SuStream, span: tuple[float, float]) -> list[Fault]:

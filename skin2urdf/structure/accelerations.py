@@ -135,10 +135,18 @@ class Along(Record):
         return self._moved[case]
 
     def judge(self, su: int, chain: tuple[ChainJoint, ...], R: F64, sensor: F64, up: F64) -> Judged:
-        """How well a chain predicts an SU, see :func:`judge`; made once."""
+        """Fit a chain to half of the stretches, predict the other half, and the other way round.
+
+        Args:
+            su: which SU.
+            chain: its joints from the RS outwards.
+            R: (3, 3) the SU's orientation at position zero in the base frame.
+            sensor: (9,) its bias and shape.
+            up: (G, 3) unit vectors opposite to gravity, per log.
+        """
         case = su, chain, R.tobytes(), sensor.tobytes(), up.tobytes()
         if case not in self._judged:
-            self._judged[case] = judge(self, su, chain, R, sensor, up)
+            self._judged[case] = _judge(self, su, self.moved_by(chain, up), R, sensor)
         return self._judged[case]
 
 
@@ -225,21 +233,9 @@ class Judged(Record):
     turn_left: float
 
 
-def judge(
-    samples: Along, su: int, chain: tuple[ChainJoint, ...], R: F64, sensor: F64, up: F64
-) -> Judged:
-    """Fit a chain to half of the stretches, predict the other half, and the other way round.
-
-    Args:
-        samples: the logs.
-        su: which SU.
-        chain: its joints from the RS outwards.
-        R: (3, 3) the SU's orientation at position zero in the base frame.
-        sensor: (9,) its bias and shape.
-        up: (G, 3) unit vectors opposite to gravity, per log.
-    """
+def _judge(samples: Along, su: int, motion: _ChainMotion, R: F64, sensor: F64) -> Judged:
+    """How well a motion predicts an SU, see :meth:`Along.judge`."""
     use = samples.valid[:, su]
-    motion = samples.moved_by(chain, up)
     A, y, prior = _regression(samples, su, use, motion, R, sensor)
     slides, last = motion.slides, motion.last
     rows = samples.stretch[use]
@@ -322,13 +318,15 @@ def _turning(samples: Along, su: int, motion: _ChainMotion, R: F64) -> tuple[F64
 
 @dataclass(frozen=True, eq=False)
 class _ChainMotion(Record):
-    """How a chain moves what it carries at N samples, as seen from the last segment.
+    """How a chain moves what it carries at N samples, in the frame that its last segment carries.
+
+    At position zero that is the base frame.
 
     Attributes:
-        columns: (n, 3, N) what a unit of each number that the chain leaves open adds to what an SU
-            in the base's orientation feels: offsets, pushes, and turns of axes.
+        columns: (n, 3, N) what each number that the chain leaves open adds to the specific force:
+            offsets [s^-2], pushes [m/s^2], and turns of axes [m/s^2 per rad].
         prior: (n,) standard deviations of these.
-        gravity: (3, N) [m/s^2].
+        gravity: (3, N) what rests feel of it [m/s^2].
         omega: (3, N) [rad/s], and
         alpha: (3, N) its derivative [rad/s^2].
         slides: where the pushes of sliding joints begin among the columns.

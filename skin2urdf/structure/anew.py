@@ -14,9 +14,7 @@ import numpy as np
 
 from skin2urdf.structure.accelerations import Along
 from skin2urdf.structure.draft import CERTAIN, Draft, Place, gained, places, price_of
-
-_HALF_A_PUSH = 0.5
-"""Length of a push between none and that of a slide that carries an SU."""
+from skin2urdf.structure.joint_types import HALF_A_PUSH
 
 
 def with_joints_elsewhere(
@@ -89,6 +87,6 @@ def _unfelt_pushes(draft: Draft, samples: Along) -> float:
     total = 0.0
     for judged in draft.all_judged(samples):
         if judged is not None:
-            lacking = np.maximum(_HALF_A_PUSH - np.linalg.norm(judged.slide, axis=1), 0.0)
+            lacking = np.maximum(HALF_A_PUSH - np.linalg.norm(judged.slide, axis=1), 0.0)
             total += 0.5 * float((lacking**2 / judged.slide_sd**2).sum())
     return total

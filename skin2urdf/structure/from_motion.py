@@ -202,8 +202,11 @@ def _with_all_joints(
         unplaced = [int(d) for d in np.flatnonzero(moved) if d not in placed]
         draft, alike = with_unseen_joints(draft, samples, unplaced, sliding)
         others = alike or others
-        settled = with_joints_elsewhere(draft, samples, unplaced, sliding)
-        settled = with_sus_elsewhere(settled, samples)
+        likelier = with_joints_elsewhere(draft, samples, unplaced, sliding)
+        if likelier is not draft:
+            # For certain, and so than what was as likely as that draft.
+            others = ()
+        settled = with_sus_elsewhere(likelier, samples)
         if settled is draft:
             break
         draft = settled

@@ -17,8 +17,8 @@ _TURNING = 30.0
 """Chi-squared per measurement of the slopes up to which a DoF may turn no gravity at all."""
 _CLEARLY = 4.0
 """Ratio of misfits from which a DoF with a push of length 1 turns all the same."""
-_HALF_A_PUSH = 0.5
-"""Length of a push between none and that of a sliding DoF."""
+HALF_A_PUSH = 0.5
+"""Length of a push between none and that of a sliding DoF that carries the SU."""
 _KNOWN = 0.2
 """Largest standard deviation of a push whose length is looked at [m/m]."""
 
@@ -77,7 +77,7 @@ def pushed_alike(features: Features, own: F64, activity: Activity) -> F64:
             continue
         for u in weak:
             seen = _Column.of(features, own[:, :, dof], np.array([u]), dof)
-            if seen.known.any() and np.median(seen.push[seen.known]) < _HALF_A_PUSH:
+            if seen.known.any() and np.median(seen.push[seen.known]) < HALF_A_PUSH:
                 evidence[u, dof] *= -1
     return evidence
 

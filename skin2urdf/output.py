@@ -172,6 +172,9 @@ def not_to_be_saved(calibration: Calibration, path: str | Path) -> BadFitError:
         )
     elif found is not None:
         what, remedy = f"{what}; the readings show {found[0]}", f"{found[1]}, and record again"
+    if (more := calibration.feel_more) and not unexplained:
+        what = f"{what}; it is {', '.join(more)} that the model does not explain, and no other SU"
+        remedy = f"see whether these SUs moved on their mounts during the log; otherwise {remedy}"
     return BadFitError(
         what,
         f"{remedy}, or write it all the same with --force (in Python even_bad=True) under another "

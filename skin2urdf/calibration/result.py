@@ -229,6 +229,18 @@ class Calibration(Record):
         return tuple(n for u, n in enumerate(names) if self.along.unexplained[u] and n not in known)
 
     @property
+    def feel_more(self) -> tuple[str, ...]:
+        """SUs that feel more than the model and noise, where at least half of all feel no more.
+
+        What links and joints do is felt by most: these SUs, or what carries them, are suspicious.
+        """
+        if self.along is None:
+            return ()
+        names, misfits = self.along.problem.tree.su_names, self.along.misfit_of_sus
+        more = np.flatnonzero(misfits > GOOD_FIT)
+        return tuple(names[u] for u in more) if 2 * len(more) <= len(names) else ()
+
+    @property
     def not_arrived(self) -> bool:
         """Whether the fit of all samples ended where more is still to change than noise leaves."""
         return self.along is not None and self.along.ahead.is_most

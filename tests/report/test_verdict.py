@@ -280,3 +280,28 @@ def test_a_bad_result_that_is_not_written_names_the_physics_that_was_found(tmp_p
         assert found[1] in each.remedy
         assert found[0] not in str(plain)
     assert physics_found(()) is None
+
+
+def test_a_bad_result_names_the_few_sus_that_are_not_explained(tmp_path: Path) -> None:
+    """A joint that yields is felt by most SUs; a bias that steps is felt by its own."""
+    found = calibration()
+    along = found.along
+    assert along is not None
+
+    def told_of(n: int) -> tuple[str, ...]:
+        predicted = []
+        for log in along.fitted.predicted:
+            residual = log.residual.copy()
+            residual[len(residual) // 2 :, :n] += 0.2
+            predicted.append(replace(log, residual=residual))
+        fitted = replace(along.fitted, predicted=tuple(predicted))
+        stepped = replace(found, along=replace(along, fitted=fitted, misfit=7.0))
+        refused = str(not_to_be_saved(stepped, tmp_path / "robot.urdf"))
+        assert all(name in refused for name in stepped.feel_more)
+        return stepped.feel_more
+
+    names = along.problem.tree.su_names
+    assert told_of(0) == ()
+    assert told_of(1) == names[:1]
+    assert told_of(len(names) // 2) == names[: len(names) // 2]
+    assert told_of(len(names)) == ()

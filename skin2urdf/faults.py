@@ -14,6 +14,7 @@ FaultKind = Literal[
     "intermittent",
     "noisy",
     "loose",
+    "bias step",
     "swapped",
     "mirrored",
     "wrong unit",
@@ -24,8 +25,8 @@ FaultKind = Literal[
 ]
 """Of SUs: no readings at all or zeros; one value repeated; readings cut off at the end of the
 range; samples missing again and again; far noisier than the others, or values among
-its readings that no motion made; another placement from some time on; two names exchanged between
-logs; negated or left-handed; a unit that is no m/s^2.
+its readings that no motion made; another placement from some time on, or another bias; two names
+exchanged between logs; negated or left-handed; a unit that is no m/s^2.
 Of joints: an encoder that counts the other way; by another factor; from another zero from some
 time on; a joint that something touched."""
 
@@ -45,6 +46,7 @@ Detail = Literal[
     "impulses",
     "between logs",
     "in a log",
+    "or its encoder",
 ]
 """Which way a fault shows, where a kind has several."""
 
@@ -60,19 +62,19 @@ class Fault:
         subject: the SU or joint that has it.
         detail: which way it shows.
         log: index of the log it is in, or begins in; None where it is in all of them.
-        begin: when it begins, of a slip the last moment at which the SU certainly sat as before;
-            of a silent SU its first sample, of an intermittent one the beginning of its longest
-            gap; NaN from the beginning on.
-        end: when it ends, of a slip the first moment at which the SU certainly sits as after; of a
-            silent SU its last sample; NaN where it lasts.
+        begin: when it begins, of a slip or a bias the last moment at which the SU certainly was as
+            before; of a silent SU its first sample, of an intermittent one the beginning of its
+            longest gap; NaN from the beginning on.
+        end: when it ends, of a slip or a bias the first moment at which the SU certainly is as
+            after; of a silent SU its last sample; NaN where it lasts.
         end_log: index of the log of ``end``.
         size: how large it is.
         unit: of ``size`` and ``deviation``: ``rad``, ``m``, ``g``, ``s``, or ``1`` for a factor or
             a share.
         deviation: standard deviation of ``size``.
         turn: of a slip, how far the SU turned [rad].
-        sus: of a contact the SUs that felt it, of a loose SU its names before and after, of a
-            swapped SU the name it has.
+        sus: of a contact the SUs that felt it, of an SU that is loose or whose bias stepped its
+            name, and the one that its earlier readings have, of a swapped SU the name it has.
     """
 
     kind: FaultKind

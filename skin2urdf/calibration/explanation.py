@@ -27,6 +27,7 @@ from skin2urdf.calibration.samples import (
     stands_out,
     without_false_hits,
 )
+from skin2urdf.calibration.taken_apart import retold, with_sus_apart
 from skin2urdf.errors import Skin2UrdfError
 from skin2urdf.estimation.trajectory.estimate import MotionEstimate
 from skin2urdf.hypotheses.attempts import StandsOut
@@ -131,6 +132,9 @@ def _fit_along(
     fitted = along
     solution, along = clock.run(
         "all samples", lambda tell: without_false_hits(solution, fitted, begun.logs, first, tell)
+    )
+    solution, along = with_sus_apart(
+        retold(solution, along), along, clock, of_patterns=begun.of_patterns
     )
     if begun.of_patterns and along.misfit > GOOD_FIT:
         return _of_moves(begun, solution.found.tree.n_sus, clock) or (solution, along)

@@ -27,9 +27,9 @@ _STRADDLED = 4.0
 _TURN, _SHIFT, _SHARE = np.deg2rad(0.2), 1e-3, 0.05
 """What an SU may move beside its joint [rad, m, and of the motion with the joint] and still be
 taken for fixed, with the joint's encoder at fault: as much as poor encoders leave uncertain."""
-_PLACED = 0.01
+PLACED = 0.01
 """Standard deviation [m] up to which a place counts as known."""
-_LEAST_TURN, _LEAST_SHIFT = np.deg2rad(0.05), 0.3e-3
+LEAST_TURN, LEAST_SHIFT = np.deg2rad(0.05), 0.3e-3
 """What a slip exceeds in one or the other [rad, m]."""
 _TICK = 1e-6
 """Time [s] by which moments are apart: far less than samples, far more than rounding."""
@@ -128,14 +128,17 @@ class Slips:
         self, slip: Slip, found: Estimate, features: Features, taken: Sequence[str]
     ) -> Candidate:
         name = found.tree.su_names[slip.su]
-        earlier = _fresh(f"{name}_before", taken)
+        earlier = fresh(f"{name}_before", taken)
         new = Slipped(name, earlier, Moment.between(features, slip.before, slip.after))
 
         def holds(after: Attempt) -> bool:
             there = after.solution.found
             if earlier not in there.tree.su_names or name not in there.tree.su_names:
                 return False
-            return not (_like_an_encoder(there, name, earlier) or _small(there, name, earlier))
+            placed = np.isfinite(_moved(there, name, earlier)[0])
+            closely = _TURN, _SHIFT if placed else np.inf
+            jumped = like_an_encoder(there, name, earlier, closely)
+            return not (jumped or _small(there, name, earlier))
 
         return Candidate(
             "slip", (name,), (new,), slip.drop, among=2 * features.n_poses, holds=holds
@@ -155,7 +158,7 @@ def _small(found: Estimate, name: str, earlier: str) -> bool:
     """Whether an SU moved by less than would matter: something else is wrong."""
     distance, turn = _moved(found, name, earlier)
     moving = found.tree.su_joint[found.tree.su_names.index(name)] >= 0
-    return turn < _LEAST_TURN and not (moving and distance > _LEAST_SHIFT)
+    return turn < LEAST_TURN and not (moving and distance > LEAST_SHIFT)
 
 
 def _moved(found: Estimate, name: str, earlier: str) -> tuple[float, float]:
@@ -167,16 +170,23 @@ def _moved(found: Estimate, name: str, earlier: str) -> tuple[float, float]:
     both = [names.index(n) for n in (earlier, name)]
     before, after = found.state.T_joint_su[both]
     variance = factor(found.cost.at(found.state).normal_equations(), found.free).su_variance()
-    placed = variance[both, :3].max() < _PLACED**2
+    placed = variance[both, :3].max() < PLACED**2
     distance = float(np.linalg.norm(after[:3, 3] - before[:3, 3]))
     turn = float(np.linalg.norm(rotation_log(before[:3, :3].T @ after[:3, :3])))
     return distance if placed else np.nan, turn
 
 
-def _like_an_encoder(found: Estimate, name: str, earlier: str) -> bool:
-    """Whether the slip is what a jump of the encoder of the SU's joint would look like.
+def like_an_encoder(found: Estimate, name: str, earlier: str, closely: tuple[float, float]) -> bool:
+    """Whether a slip is what a jump of the encoder of the SU's joint would look like.
 
     Beyond that joint there are no other SUs, and the SU moved with the joint.
+
+    Args:
+        found: with both placements.
+        name: the SU.
+        earlier: that which stands for the placement before.
+        closely: turn [rad] and shift [m] that it may have beside that of the joint; infinite where
+            they are not known.
     """
     tree = found.tree
     first, second = (tree.su_names.index(n) for n in (earlier, name))
@@ -189,10 +199,8 @@ def _like_an_encoder(found: Estimate, name: str, earlier: str) -> bool:
     T = found.state.T_joint_su
     moved = T[second] @ np.linalg.inv(T[first])
     turn, shift = rotation_log(moved[:3, :3]), moved[:3, 3]
-    if np.isnan(_moved(found, name, earlier)[0]):
-        shift = np.zeros(3)
     along = np.array([0.0, 0.0, 1.0])
-    allowed = np.array([_TURN, _SHIFT]) + _SHARE * np.array([abs(turn[2]), abs(shift[2])])
+    allowed = np.array(closely) + _SHARE * np.array([abs(turn[2]), abs(shift[2])])
     if tree.prismatic[joint]:
         rest = np.linalg.norm(turn), np.linalg.norm(shift - shift[2] * along)
     else:
@@ -223,7 +231,8 @@ def _straddled(
     return None
 
 
-def _fresh(name: str, taken: Sequence[str]) -> str:
+def fresh(name: str, taken: Sequence[str]) -> str:
+    """A name like another one that is not taken."""
     while name in taken:
         name += "_"
     return name

@@ -19,6 +19,7 @@ from skin2urdf.estimation.problem.state import N_JOINT, N_PLACEMENT, State
 from skin2urdf.estimation.trajectory.estimate import motion_priors
 from skin2urdf.estimation.trajectory.problem import MotionProblem
 from skin2urdf.estimation.trajectory.records import Predicted
+from skin2urdf.estimation.trajectory.spans import spans_of
 from skin2urdf.estimation.trajectory.state import MotionState
 from skin2urdf.geometry.units import GRAVITY
 from skin2urdf.model.records import KinematicModel
@@ -187,7 +188,7 @@ def pattern_information(
     # The drift of a clock is told by the log as a whole, whose middle this is.
     worth = 2 * _BANDWIDTH * duration / _INSTANTS / _NOISE**2
     of_candidate = np.repeat(np.arange(C), len(here) // C)
-    spans = problem.spans(state, [predicted], [np.full(here.shape, worth)], [of_candidate])
+    spans = spans_of(problem, state, [predicted], [np.full(here.shape, worth)], [of_candidate])
     return Information(spans.joint, spans.su, spans.mixed, spans.columns)
 
 

@@ -53,6 +53,8 @@ def fault_words(fault: Fault, n_logs: int) -> Words:
             )
         case "loose":
             return _of_a_slip(fault, log)
+        case "bias step":
+            return _of_a_bias(fault, log)
         case "swapped":
             return _of_names(fault, log)
         case "mirrored":
@@ -107,16 +109,36 @@ def _of_a_stream(fault: Fault) -> Words:
     return Words(f"{su} {when} and is left out", _CHECK_SENSOR)
 
 
+def _when(fault: Fault, log: str) -> str:
+    """Between which times an SU changed."""
+    if fault.log is not None and fault.end_log is not None and fault.log < fault.end_log:
+        return f"between log {fault.log + 1} and log {fault.end_log + 1}"
+    return f"between {fault.begin:.0f} and {fault.end:.0f} s{log}"
+
+
+def _of_a_bias(fault: Fault, log: str) -> Words:
+    """An SU whose bias is another from some time on."""
+    return Words(
+        f"{fault.subject} has another bias {_when(fault, log)}, by {1e3 * fault.size:.1f} mg; its "
+        f"readings before are those of {fault.sus[1]}, which sits in the same place",
+        "check its supply and its temperature",
+    )
+
+
 def _of_a_slip(fault: Fault, log: str) -> Words:
     """An SU that sits elsewhere from some time on."""
-    if fault.log is not None and fault.end_log is not None and fault.log < fault.end_log:
-        when = f"between log {fault.log + 1} and log {fault.end_log + 1}"
-    else:
-        when = f"between {fault.begin:.0f} and {fault.end:.0f} s{log}"
+    when = _when(fault, log)
     distance = f"{1e3 * fault.size:.1f} mm and " if math.isfinite(fault.size) else ""
+    turn = f"{distance}{np.rad2deg(fault.turn):.2f} deg {when}"
+    placed = f"its placement is the later one, the earlier one is {fault.sus[1]}"
+    if fault.detail == "or its encoder":
+        return Words(
+            f"{fault.subject} is loose, or the encoder of its joint has jumped: it moved about the "
+            f"joint's axis by {turn}; {placed}",
+            "check both and record again",
+        )
     return Words(
-        f"{fault.subject} is loose: it moved by {distance}{np.rad2deg(fault.turn):.2f} deg {when}; "
-        f"its placement is the later one, the earlier one is {fault.sus[1]}",
+        f"{fault.subject} is loose: it moved by {turn}; {placed}",
         "fix it rigidly and record again",
     )
 

@@ -120,8 +120,11 @@ def _findings(calibration: Calibration) -> Findings:
 
 def is_to_repair(calibration: Calibration) -> bool:
     """Whether something has to be set right before the result is of use: most SUs, or one."""
-    # A log of rests alone leaves all positions open, and nothing is wrong with it.
-    missing = calibration.mostly_open and not findings(calibration).positions_open
+    found = findings(calibration)
+    # A log of rests alone leaves all positions open, and nothing is wrong with it where it tells
+    # how most SUs are turned.
+    turned = 2 * sum(map(bool, found.unknown)) <= len(found.unknown)
+    missing = calibration.mostly_open and not (found.positions_open and turned)
     faulty = any(fault.to_repair for fault in calibration.faults)
     return missing or faulty or bool(calibration.implausible)
 

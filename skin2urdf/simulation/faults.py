@@ -149,6 +149,18 @@ def loose(sound: Sound, rng: np.random.Generator) -> Faulty:
     return _with(sound, replace(both, time=su.time), "loose", words)
 
 
+def stepped(sound: Sound, rng: np.random.Generator) -> Faulty:
+    """An SU on a moving segment whose bias steps by 20 to 60 mg at some time."""
+    su = _one_of(sound, rng, moving=True)
+    step = rng.standard_normal(3)
+    step *= rng.uniform(20e-3, 60e-3) / np.linalg.norm(step)
+    n = _sample(su, rng)
+    force = su.specific_force.copy()
+    force[n:] += step * GRAVITY
+    words = f"{1e3 * np.linalg.norm(step):.1f} mg at {su.time[n]:.1f} s"
+    return _with(sound, replace(su, specific_force=force), "bias step", words)
+
+
 def swapped(sound: Sound, rng: np.random.Generator) -> Faulty:
     """Two SUs whose names are exchanged in the second of two logs."""
     logs = in_two(sound)
@@ -198,8 +210,8 @@ FAULTS: Mapping[str, Injection] = MappingProxyType(
     {
         function.__name__: function
         for function in (
-            dead, silent, frozen, stuck, saturated, dropouts, gaps, noisy, loose, swapped, renamed,
-            mirrored,
+            dead, silent, frozen, stuck, saturated, dropouts, gaps, noisy, loose, stepped, swapped,
+            renamed, mirrored,
         )
     }
 )  # fmt: skip

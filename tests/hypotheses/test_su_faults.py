@@ -50,6 +50,9 @@ SETTINGS = SimulationSettings(n_poses=4, excite="all", seed=1, imu_rate=250.0, j
 FIVE_JOINTS = ("loose", "renamed")
 """Three joints leave the size of a slip open, and half of their log may explain nothing."""
 
+CHANGES = ("loose", "stepped")
+"""Kinds that are of one SU before some time, and of another one after it."""
+
 
 @cache
 def sound(five: bool = False) -> Sound:
@@ -73,11 +76,11 @@ def clean(five: bool = False, slips: bool = False) -> Calibration:
 @cache
 def calibrated(kind: str) -> Calibration:
     logs = [retimed(recording) for recording in faulty(kind).recordings]
-    return calibrate(logs, settings_of(kind == "loose"))
+    return calibrate(logs, settings_of(kind in CHANGES))
 
 
 def settings_of(slips: bool) -> CalibrationSettings | None:
-    """All samples have a say in whether an SU came loose; nothing else is asked of them here."""
+    """All samples have a say in whether an SU changed; nothing else is asked of them here."""
     return None if slips else PATTERNS
 
 
@@ -103,7 +106,7 @@ def test_a_fault_is_named_and_costs_the_others_nothing(kind: str, tmp_path: Path
     five = kind in FIVE_JOINTS
     truth = sound(five).simulation
     error = without(truth, found, injected.subjects, tmp_path)
-    least = without(truth, clean(five, kind == "loose"), injected.subjects, tmp_path)
+    least = without(truth, clean(five, kind in CHANGES), injected.subjects, tmp_path)
     # One recording of four poses: chance alone moves the ratio by some ten per cent.
     assert error < 1.5 * least + 1e-5
 

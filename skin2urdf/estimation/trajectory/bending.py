@@ -100,3 +100,9 @@ class Bending(Unseen):
         """Whether the base yields: its three turns are then the last parts."""
         n_joints = self.basis.shape[1] // N_INERTIAL
         return bool((self.parts >= n_joints).any())
+
+
+def bends_of(unseen: Unseen | None) -> Bending | None:
+    """The deflections under loads that nobody knows, which are the first of what is unseen."""
+    first = unseen.several[0] if unseen is not None and unseen.several else unseen
+    return first if isinstance(first, Bending) else None

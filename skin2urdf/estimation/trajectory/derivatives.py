@@ -180,7 +180,7 @@ class Derivatives:
                     Carried(link, frames, p, w),
                 )
 
-    def _rows(
+    def rows(
         self, state: MotionState, predicted: Sequence[Predicted], weights: Sequence[F64]
     ) -> Iterator[Rows]:
         """Whitened derivatives and residuals of every log and SU."""
@@ -260,7 +260,7 @@ class Derivatives:
         A = self._gyro_columns(state, g, u, carried.frames, turned)
         root = np.sqrt(carried.weights[:, u, 3:].T)
         none = np.zeros(0, dtype=np.int64), np.zeros((0, 3, 3, root.shape[1]))
-        yield Rows(g, u, self._all_columns(u, g), A * root, turned.residual[:, u].T * root, *none)
+        yield Rows(g, u, self.all_columns(u, g), A * root, turned.residual[:, u].T * root, *none)
 
     def _rates(self, state: MotionState, some: SharedPoints, of_points: Sequence[Spectrum]) -> F64:
         """(S, 3, 3, M) derivatives of the readings of some SUs in time and in their front ends.
@@ -286,7 +286,7 @@ class Derivatives:
             columns += further_columns(layout.further.start, chain, g)
         return columns
 
-    def _all_columns(self, u: int, g: int) -> list[int]:
+    def all_columns(self, u: int, g: int) -> list[int]:
         """The same with those of what is unseen, as rows of gyroscopes have them."""
         layout, columns = self.layout, self._joint_columns(u, g)
         behind = columns.index(layout.gravity) + 1

@@ -30,6 +30,23 @@ def su_covariances(equations: Equations) -> F64:
     return np.asarray(own + gain @ _inverse(left) @ np.swapaxes(gain, -1, -2))
 
 
+def change_covariance(equations: Equations, first: int, second: int) -> F64:
+    """(n, n) covariance of the difference of two SUs' coordinates, whatever the joints are.
+
+    What joints do to both alike is no part of it. As above, what no reading tells is left out.
+
+    Args:
+        equations: of a fit.
+        first: number of one SU.
+        second: number of the other one.
+    """
+    own = _inverse(equations.su)
+    gain = own @ equations.mixed
+    left = equations.joint - np.tensordot(equations.mixed, gain, ((0, 1), (0, 1)))
+    apart = gain[second] - gain[first]
+    return np.asarray(own[first] + own[second] + apart @ _inverse(left) @ apart.T)
+
+
 def _inverse(information: F64) -> F64:
     """Inverses of (..., n, n) on what they tell."""
     diagonal = np.diagonal(information, axis1=-2, axis2=-1)

@@ -12,7 +12,7 @@ from skin2urdf.arrays import F64, Bool
 from skin2urdf.estimation.problem.cost import Priors
 from skin2urdf.estimation.problem.state import State
 from skin2urdf.estimation.trajectory.ahead import Ahead, step_ahead
-from skin2urdf.estimation.trajectory.attempt import Explained
+from skin2urdf.estimation.trajectory.attempt import BENDS, Explained
 from skin2urdf.estimation.trajectory.causes import explained
 from skin2urdf.estimation.trajectory.clocks import with_likely_clocks
 from skin2urdf.estimation.trajectory.deviations import su_covariances
@@ -58,6 +58,7 @@ from skin2urdf.estimation.trajectory.swaying import swaying
 from skin2urdf.estimation.trajectory.time_scale import of_the_other_clock
 from skin2urdf.estimation.trajectory.unseen import Unseen
 from skin2urdf.estimation.trajectory.unsure import unsure
+from skin2urdf.estimation.trajectory.yielding import is_in_balance
 from skin2urdf.signals.trajectory import Trajectory
 from skin2urdf.structure.records import KinematicTree
 
@@ -346,25 +347,18 @@ def estimate_along(
     problem, fitted, late = with_publishers(
         problem, fitted, begin, lambda about, at: misfit_of(about, at, SPAN)
     )
-    logs = problem.logs
     found = Explained(problem, fitted)
+    if look_further and not _links_may_explain(problem, fitted):
+        without = {*without, *BENDS}
     if look_further:
-        if not _links_may_explain(problem, fitted):
-            without = {*without, "elastic", "base"}
         found = explained(problem, fitted, most, only_known=only_known, without=without)
-        problem, fitted = found.problem, found.fitted
-    if alike:
-        problem, fitted = with_sensors_alike(problem, fitted)
-    corrected: tuple[Shortening, ...] = ()
-    hidden: list[tuple[F64, F64]] = []
-    loads: ShakenLoads | None = None
-    if lengths:
-        fitted, corrected, loads = without_shortening(problem, fitted)
-        drift = mended[..., 1] + fitted.state.clock[..., 1]
-        hidden = [
-            *hidden_lengths(problem, fitted, corrected),
-            *of_the_other_clock(problem, fitted, drift),
-        ]
+    ended = _ended(found, mended, lengths=lengths, alike=alike)
+    if not is_in_balance(ended.problem, ended.fitted):
+        # Whatever yields so is nothing that carries loads.
+        without = {*without, *BENDS}
+        found = explained(problem, fitted, most, only_known=only_known, without=without)
+        ended = _ended(found, mended, lengths=lengths, alike=alike)
+    problem, fitted = ended.problem, ended.fitted
     left = misfit_of(problem, fitted, SPAN)
     if late is not None:
         late = with_deviations(late, problem, fitted, left)
@@ -372,8 +366,36 @@ def estimate_along(
     gyros = found_gyros(problem, fitted, contradict)
     what = found.causes, found.tried, found.under_known
     return MotionEstimate(
-        problem, fitted, left, gyros, *what, late, corrected, tuple(hidden), loads, found.wander
+        problem, fitted, left, gyros, *what, late, ended.corrected, ended.hidden, ended.loads,
+        found.wander,
+    )  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class _Ended:
+    """A fit without what the noise of encoders does to it; attributes as those of the estimate."""
+
+    problem: MotionProblem
+    fitted: Fitted
+    corrected: tuple[Shortening, ...] = ()
+    hidden: tuple[tuple[F64, F64], ...] = ()
+    loads: ShakenLoads | None = None
+
+
+def _ended(found: Explained, mended: F64, *, lengths: bool, alike: bool) -> _Ended:
+    """What explains the readings, with sensors alike and lengths as they are without noise."""
+    problem, fitted = found.problem, found.fitted
+    if alike:
+        problem, fitted = with_sensors_alike(problem, fitted)
+    if not lengths:
+        return _Ended(problem, fitted)
+    fitted, corrected, loads = without_shortening(problem, fitted)
+    drift = mended[..., 1] + fitted.state.clock[..., 1]
+    hidden = (
+        *hidden_lengths(problem, fitted, corrected),
+        *of_the_other_clock(problem, fitted, drift),
     )
+    return _Ended(problem, fitted, corrected, hidden, loads)
 
 
 def _of_a_rigid_robot(

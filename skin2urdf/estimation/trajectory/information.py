@@ -23,7 +23,8 @@ from skin2urdf.estimation.problem.state import N_JOINT, N_SU
 from skin2urdf.estimation.trajectory.arrow import eliminated, newton_step
 from skin2urdf.estimation.trajectory.clusters import Clusters, clusters
 from skin2urdf.estimation.trajectory.fit import Fitted
-from skin2urdf.estimation.trajectory.problem import MotionProblem, parts_of
+from skin2urdf.estimation.trajectory.problem import MotionProblem
+from skin2urdf.estimation.trajectory.spans import parts_of
 from skin2urdf.estimation.trajectory.state import Layout
 from skin2urdf.estimation.trajectory.versions import Versions, VersionsOfSus, versions
 from skin2urdf.model.prediction import Chains

@@ -23,11 +23,11 @@ import numpy as np
 
 from skin2urdf.arrays import F64, Int, Record
 from skin2urdf.estimation.trajectory.balance import balanced
-from skin2urdf.estimation.trajectory.bending import Bending
+from skin2urdf.estimation.trajectory.bending import Bending, bends_of
 from skin2urdf.estimation.trajectory.fit import Fitted
 from skin2urdf.estimation.trajectory.problem import MotionProblem
 from skin2urdf.estimation.trajectory.rounded import drawn_anew
-from skin2urdf.estimation.trajectory.unseen import Unseen, together
+from skin2urdf.estimation.trajectory.unseen import together
 from skin2urdf.signals.trajectory import Trajectory
 
 _DRAWS = 8
@@ -70,11 +70,14 @@ class ShakenLoads(Record):
 def shaken_loads(problem: MotionProblem, fitted: Fitted) -> ShakenLoads | None:
     """What noise does through loads; None where a fit follows none, or where encoders are exact.
 
+    Numbers near those of no robot may bring loads and what they bend into balance along some
+    positions and not along others, which tell nothing then.
+
     Args:
         problem: what was fitted.
         fitted: its fit.
     """
-    bends, rounds = _bends(problem.unseen), np.zeros(problem.tree.n_joints, dtype=bool)
+    bends, rounds = bends_of(problem.unseen), np.zeros(problem.tree.n_joints, dtype=bool)
     for log in problem.logs:
         rounds |= log.resolution > 0 if len(log.resolution) else False
     if bends is None or not rounds.any():
@@ -84,16 +87,15 @@ def shaken_loads(problem: MotionProblem, fitted: Fitted) -> ShakenLoads | None:
     pulls = []
     for off in islice(drawn_anew(problem.logs), _DRAWS):
         logs = [log.with_joints_off(each) for log, each in zip(problem.logs, off, strict=True)]
-        followed, held = about.gradient(about.along(logs), logs), about.gradient(still, logs)
+        there = about.along(logs)
+        if not (there[0].holds and still[0].holds):
+            continue
+        followed, held = about.gradient(there, logs), about.gradient(still, logs)
         pulls.append([a - b for a, b in zip(followed, held, strict=True)])
+    if not pulls:
+        return None
     joint, su = (np.array(each) for each in zip(*pulls, strict=True))
     return ShakenLoads(np.flatnonzero(rounds), joint, su)
-
-
-def _bends(unseen: Unseen | None) -> Bending | None:
-    """The deflections under loads that nobody knows, which are the first of what is unseen."""
-    first = unseen.several[0] if unseen is not None and unseen.several else unseen
-    return first if isinstance(first, Bending) else None
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,7 +13,7 @@ from typing import cast
 import numpy as np
 
 from skin2urdf.estimation.trajectory.balance import balanced, bending, unsettled
-from skin2urdf.estimation.trajectory.bending import Bending
+from skin2urdf.estimation.trajectory.bending import Bending, bends_of
 from skin2urdf.estimation.trajectory.fit import Fitted, Led, cost_with, fit, fit_following, held
 from skin2urdf.estimation.trajectory.misfit import MOST_OF_IT, SPAN, misfit_of
 from skin2urdf.estimation.trajectory.on_the_base import (
@@ -62,6 +62,24 @@ def fit_yielding(
     """
     found = _fit_yielding(problem, fitted, elastic=elastic, base=base)
     return found if cast(Bending, found[0].unseen).holds else (problem, fitted)
+
+
+def is_in_balance(problem: MotionProblem, fitted: Fitted) -> bool:
+    """Whether a fit ends where loads and what they bend are in balance; so it is where none are.
+
+    What is found beside deflections may lead their numbers to where those of no robot are.
+
+    Args:
+        problem: what was fitted.
+        fitted: the fit.
+    """
+    bends, state = bends_of(problem.unseen), fitted.state
+    if bends is None:
+        return True
+    numbers = state.unseen[: bends.n_numbers]
+    logs, tree = problem.logs, problem.tree
+    there = balanced(bends, tree, logs, state.placements, state.gravity, numbers)
+    return there.deflections.holds
 
 
 def _fit_yielding(

@@ -1,0 +1,257 @@
+"""SUs that slipped, or whose bias stepped, as all samples show: one SU before, and one after.
+
+Features around poses tell of slips of some degrees. What is left of all samples tells of smaller
+ones, of logs without any pattern, and of biases that step, with which orientations stay.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from skin2urdf.arrays import F64
+from skin2urdf.calibration.clock import Clock
+from skin2urdf.calibration.result import GOOD_FIT
+from skin2urdf.calibration.rounds import Logs, Solution, relinearise, take_features
+from skin2urdf.calibration.samples import fit_samples, with_samples
+from skin2urdf.errors import Skin2UrdfError
+from skin2urdf.estimation.problem.state import N_PLACEMENT, State
+from skin2urdf.estimation.solve.estimate import estimate
+from skin2urdf.estimation.trajectory.deviations import change_covariance
+from skin2urdf.estimation.trajectory.displaced import Displaced, displaced
+from skin2urdf.estimation.trajectory.estimate import MotionEstimate
+from skin2urdf.estimation.trajectory.misfit import MOST_OF_IT
+from skin2urdf.faults import Fault
+from skin2urdf.geometry.so3 import rotation_log
+from skin2urdf.geometry.units import GRAVITY
+from skin2urdf.hypotheses.slip import (
+    LEAST_SHIFT,
+    LEAST_TURN,
+    PLACED,
+    Moment,
+    Slipped,
+    fresh,
+    like_an_encoder,
+)
+from skin2urdf.structure.chain_fit import LEVER
+from skin2urdf.structure.gravity import gravity_features, gravity_windows
+from skin2urdf.structure.records import KinematicTree
+
+_FAR = 5.0
+"""Standard deviations from which a change is certain, of a turn or shift from which it is no jump
+of an encoder, and of slack from which it is none: of a thousand SUs none is so far by chance."""
+
+
+def with_sus_apart(
+    solution: Solution, along: MotionEstimate, clock: Clock, *, of_patterns: bool
+) -> tuple[Solution, MotionEstimate]:
+    """The robot with SUs taken apart that changed at some time, where that explains their readings.
+
+    One SU after the other is, as long as the model leaves more of any than noise, most of that is
+    gone with the change, and the fit with it leaves hardly more than noise. Several that changed at
+    one moment did not do so by themselves, and stay as they were: an encoder that jumps makes all
+    SUs beyond it look so.
+
+    Args:
+        solution: the estimate.
+        along: the fit of all samples.
+        clock: runs the stages.
+        of_patterns: whether the estimate rests on patterns, rather than on rests and moves.
+
+    Returns:
+        The solution and its fit, with what has changed among its faults.
+    """
+    begun, changes = (solution, along), list[Slipped]()
+    while (change := _changed(solution, along, clock)) is not None:
+        if any(_at_once(change.at, other.at) for other in changes):
+            return begun
+        apart = _taken_apart(solution, along, change, of_patterns, clock)
+        if apart is None:
+            break
+        solution, along = apart
+        changes.append(change)
+    return solution, along
+
+
+def _changed(solution: Solution, along: MotionEstimate, clock: Clock) -> Slipped | None:
+    """The SU that changed for certain and explains most by that; None where there is none."""
+    if not along.misfit_of_sus.max(initial=0.0) > GOOD_FIT:
+        return None
+    seen = clock.run("all samples", lambda _: displaced(along.problem, along.fitted))
+    if not seen or seen[0].share < MOST_OF_IT or not along.misfit_of_sus[seen[0].su] > GOOD_FIT:
+        return None
+    name = along.problem.tree.su_names[seen[0].su]
+    earlier = fresh(f"{name}_before", solution.logs.su_names)
+    return Slipped(name, earlier, _moment(seen[0], solution.logs))
+
+
+def _taken_apart(
+    solution: Solution, along: MotionEstimate, change: Slipped, of_patterns: bool, clock: Clock
+) -> tuple[Solution, MotionEstimate] | None:
+    """With an SU taken apart; None where that does not explain its readings."""
+    logs, tree = change.of_placements(solution.logs, solution.found.tree)
+    state = _twice(along.state, along.problem.tree.su_names.index(change.name))
+    try:
+        apart = _estimated(replace(solution, logs=logs), tree, state, of_patterns, clock)
+    except Skin2UrdfError:
+        return None
+    again = clock.run("all samples", lambda tell: fit_samples(apart, tell))
+    if again is None:
+        return None
+    both = [again.problem.tree.su_names.index(n) for n in (change.earlier, change.name)]
+    if not again.misfit_of_sus[both].max() <= GOOD_FIT:
+        return None
+    fault = _fault(again, change)
+    if fault is None or _may_be_slack(fault, again):
+        return None
+    found, closely = with_samples(apart.found, again), _closely(again, *both)
+    if fault.kind == "loose" and like_an_encoder(found, change.name, change.earlier, closely):
+        fault = replace(fault, detail="or its encoder")
+    return replace(apart, faults=(*apart.faults, fault)), again
+
+
+def _moment(change: Displaced, logs: Logs) -> Moment:
+    """When an SU changed, in the times of the logs."""
+
+    def of_log(log: int, time: float) -> tuple[int, float]:
+        return log, time + logs.sampled[log].motion.grid.start
+
+    return Moment(of_log(*change.until), of_log(*change.since))
+
+
+def _at_once(one: Moment, other: Moment) -> bool:
+    """Whether two changes may have come at the same time."""
+    return one.until <= other.since and other.until <= one.since
+
+
+def _twice(state: State, u: int) -> State:
+    """A state with one more SU, where SU u is."""
+
+    def more(x: F64) -> F64:
+        return np.concatenate([x, x[u : u + 1]])
+
+    return State(
+        state.T_parent_joint,
+        more(state.T_joint_su),
+        state.up,
+        more(state.bias),
+        more(state.shape),
+    )
+
+
+def _estimated(
+    solution: Solution, tree: KinematicTree, start: State, of_patterns: bool, clock: Clock
+) -> Solution:
+    """The estimate of other logs and another tree from features of its kind.
+
+    Raises:
+        InsufficientDataError: an SU has too little to one side of its change.
+    """
+    logs = solution.logs
+    if of_patterns:
+        known = dict(zip(solution.features.su_names, solution.features.latency, strict=True))
+        latency = np.array([known.get(name, 0.0) for name in logs.su_names])
+        features = take_features(logs, clock, latency=latency)
+        found, features = relinearise(logs, tree, features, clock, start=start)
+        return replace(solution, found=found, features=features)
+    features = gravity_features(gravity_windows(logs.sampled, logs.su_names), logs.sampled)
+    settings = logs.settings.estimation
+    found = clock.run(
+        "estimation",
+        lambda tell: estimate(features, tree, settings, start, search=False, tell=tell),
+    )
+    return replace(solution, found=found, features=features)
+
+
+def retold(solution: Solution, along: MotionEstimate) -> Solution:
+    """The solution with what changed of SUs as all samples tell it.
+
+    Features tell a turn from a bias that steps in few poses.
+
+    Args:
+        solution: an estimate, with slips among its faults.
+        along: the fit of all samples of its logs.
+    """
+
+    def again(fault: Fault) -> Fault:
+        names = fault.sus if fault.kind == "loose" else ()
+        known = bool(names) and set(names) <= set(along.problem.tree.su_names)
+        return (_of_all_samples(fault, along) if known else None) or fault
+
+    return replace(solution, faults=tuple(map(again, solution.faults)))
+
+
+def _fault(along: MotionEstimate, change: Slipped) -> Fault | None:
+    """What has changed, as all samples tell it; None where they do not."""
+    (log, begin), (end_log, end) = change.at.until, change.at.since
+    fault = Fault(
+        "loose", change.name, log=log, begin=begin, end=end, end_log=end_log,
+        sus=(change.name, change.earlier),
+    )  # fmt: skip
+    return _of_all_samples(fault, along)
+
+
+def _of_all_samples(fault: Fault, along: MotionEstimate) -> Fault | None:
+    """What has changed: where the SU sits, or its bias, whichever the readings need more.
+
+    None where they do not need any change for certain.
+    """
+    second, first = (along.problem.tree.su_names.index(n) for n in fault.sus)
+    T, covariance = along.state.T_joint_su, _covariance(along, first, second)
+    moved = np.linalg.inv(T[first]) @ T[second]
+    turn, shift = rotation_log(moved[:3, :3]), moved[:3, 3]
+    bias = along.state.bias[second] - along.state.bias[first]
+    placed = _is_placed(along, first, second)
+    of_placement = slice(0 if placed else 3, N_PLACEMENT)
+    of_bias = slice(N_PLACEMENT, len(covariance))
+    far = _distance(np.r_[shift, turn][of_placement], covariance[of_placement, of_placement])
+    matters = np.linalg.norm(turn) > LEAST_TURN or (placed and np.linalg.norm(shift) > LEAST_SHIFT)
+    own = covariance[of_bias, of_bias]
+    everything = slice(of_placement.start, None)
+    changed = np.r_[shift, turn, bias][everything]
+    if _distance(changed, covariance[everything, everything]) < _FAR**2:
+        return None
+    if matters and far > _distance(bias, own):
+        distance = float(np.linalg.norm(shift)) if placed else np.nan
+        return replace(fault, size=distance, unit="m", turn=float(np.linalg.norm(turn)))
+    size = float(np.linalg.norm(bias))
+    deviation = float(np.sqrt(bias @ own @ bias)) / max(size, 1e-300)
+    return replace(
+        fault, kind="bias step", size=size / GRAVITY, unit="g", deviation=deviation / GRAVITY,
+        turn=np.nan,
+    )  # fmt: skip
+
+
+def _may_be_slack(fault: Fault, along: MotionEstimate) -> bool:
+    """Whether a change is no more than what joints do that lie elsewhere within their slack."""
+    size = np.nan_to_num([fault.turn, 0.0 if fault.kind == "bias step" else fault.size / LEVER])
+    step = fault.size if fault.kind == "bias step" else 0.0
+    return bool(max(*size, step) < _FAR * along.slack)
+
+
+def _distance(change: F64, covariance: F64) -> float:
+    """Square of a change over its covariance, per number."""
+    return float(change @ np.linalg.pinv(covariance, hermitian=True) @ change) / len(change)
+
+
+def _closely(along: MotionEstimate, first: int, second: int) -> tuple[float, float]:
+    """Turn [rad] and shift [m] that a change between two SUs may have beside what it seems to be.
+
+    The shift is infinite where it is not known where both SUs are.
+    """
+    variance = np.diag(_covariance(along, first, second))
+    turn, shift = _FAR * np.sqrt([variance[3:6].max(), variance[:3].max()])
+    return float(turn), float(shift) if _is_placed(along, first, second) else np.inf
+
+
+def _is_placed(along: MotionEstimate, first: int, second: int) -> bool:
+    """Whether it is known where two SUs are."""
+    variances = np.einsum("uii->ui", along.su_covariances[[first, second]])[:, :3]
+    return bool(variances.max() < PLACED**2)
+
+
+def _covariance(along: MotionEstimate, first: int, second: int) -> F64:
+    """(9, 9) of the change of placement and bias between two SUs, each seen in its own frame."""
+    own = change_covariance(along.fitted.equations, first, second)
+    return np.asarray(max(1.0, along.misfit) * own[: N_PLACEMENT + 3, : N_PLACEMENT + 3])

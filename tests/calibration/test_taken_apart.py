@@ -1,0 +1,119 @@
+"""SUs that slip, or whose bias steps, in logs of moves without any pattern."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from random_robots import small_arm
+from simulated import held_against
+
+from skin2urdf.arrays import F64
+from skin2urdf.calibration.pipeline import calibrate
+from skin2urdf.calibration.result import Calibration
+from skin2urdf.geometry.so3 import rotation_exp
+from skin2urdf.recording.records import Recording, SuStream
+from skin2urdf.recording.retiming import retimed
+from skin2urdf.simulation import SimulationSettings, simulate
+from skin2urdf.simulation.faults import FAULTS, Sound
+
+WHEN = 0.6
+"""Share of the log after which an SU is another."""
+
+
+@cache
+def sound() -> Sound:
+    robot = small_arm(3)
+    settings = SimulationSettings(
+        excite="none", minutes=0.8, seed=3, imu_rate=250.0, joint_rate=125.0
+    )
+    return Sound(robot, settings, simulate(robot, settings))
+
+
+def changed(names: tuple[str, ...], change: Callable[[F64], F64]) -> Recording:
+    """The recording with some SUs whose readings (N, 3) are others from some time on."""
+    recording = sound().recording
+
+    def after(su: SuStream) -> SuStream:
+        n = int(WHEN * len(su.time))
+        force = su.specific_force
+        return replace(su, specific_force=np.concatenate([force[:n], change(force[n:])]))
+
+    sus = tuple(after(su) if su.name in names else su for su in recording.sus)
+    return replace(recording, sus=sus)
+
+
+def last_names(n: int) -> tuple[str, ...]:
+    """Names of the SUs on the last segments."""
+    return tuple(su.name for su in sound().simulation.moved.sus[-n:])
+
+
+def told(found: Calibration) -> list[tuple[str, str]]:
+    return [(fault.kind, fault.subject) for fault in found.faults]
+
+
+def error(found: Calibration, tmp_path_factory: pytest.TempPathFactory, but: str) -> float:
+    """Largest root mean square error of the position of any SU but one [m]."""
+    truth = sound().simulation.truth.urdf
+    sus = held_against(found, truth, tmp_path_factory.mktemp("found"), ()).sus
+    return max(su.position.rms for su in sus if su.name != but and su.position is not None)
+
+
+@pytest.fixture(scope="module")
+def clean() -> Calibration:
+    return calibrate(retimed(sound().recording))
+
+
+def test_a_sound_log_has_no_change(clean: Calibration) -> None:
+    assert told(clean) == []
+    assert clean.quality == "good"
+
+
+def test_an_su_that_slips_is_two(
+    clean: Calibration, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    injected = FAULTS["loose"](sound(), np.random.default_rng(2))
+    (name,) = injected.subjects
+    found = calibrate(retimed(injected.recordings[0]))
+    (fault,) = found.faults
+    assert (fault.kind, fault.subject) == ("loose", name)
+    angle = float(injected.words.split(", ")[1].split()[0])
+    assert np.rad2deg(fault.turn) == pytest.approx(angle, abs=0.15)
+    assert {name, fault.sus[1]} <= set(found.model.tree.su_names)
+    assert error(found, tmp_path_factory, name) < 1.5 * error(clean, tmp_path_factory, name)
+
+
+def test_a_small_turn_is_told_with_its_size_and_time(clean: Calibration) -> None:
+    """Half a degree, which is 9 mg of gravity at most."""
+    (name,) = last_names(1)
+    turn = rotation_exp(np.deg2rad(0.5) * np.array([0.6, 0.0, 0.8]))
+    (fault,) = calibrate(retimed(changed((name,), lambda force: force @ turn))).faults
+    assert (fault.kind, fault.subject) == ("loose", name)
+    assert np.rad2deg(fault.turn) == pytest.approx(0.5, abs=0.1)
+    time = sound().recording.sus[0].time
+    at = time[0] + WHEN * (time[-1] - time[0])
+    assert fault.begin < at < fault.end < fault.begin + 10.0
+    assert clean.faults == ()
+
+
+def test_a_bias_that_steps_is_no_slip(
+    clean: Calibration, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    (name,) = last_names(1)
+    step = np.array([0.1, -0.2, 0.2])
+    found = calibrate(retimed(changed((name,), lambda force: force + step)))
+    (fault,) = found.faults
+    assert (fault.kind, fault.subject, fault.unit) == ("bias step", name, "g")
+    assert fault.size == pytest.approx(0.3 / 9.81, abs=5 * fault.deviation)
+    assert fault.deviation < 3e-3
+    assert not fault.to_repair
+    assert error(found, tmp_path_factory, name) < 1.5 * error(clean, tmp_path_factory, name)
+
+
+def test_sus_that_change_at_one_moment_did_not_do_so_by_themselves() -> None:
+    found = calibrate(retimed(changed(last_names(2), lambda force: force + 0.2)))
+    assert not {"loose", "bias step"} & {fault.kind for fault in found.faults}
+    assert found.quality != "good"

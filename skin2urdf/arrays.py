@@ -47,12 +47,12 @@ class Record:
     """
 
     def __post_init__(self) -> None:
-        for field in fields(self):
-            dtype, several = _array_type(str(field.type))
-            value = getattr(self, field.name)
-            if dtype is not None and value is not None:
+        record: Any = type(self)  # a class has a hash, whatever its instances have
+        for name, dtype, several in _array_fields(record):
+            value = getattr(self, name)
+            if value is not None:
                 array = tuple(frozen(v, dtype) for v in value) if several else frozen(value, dtype)
-                object.__setattr__(self, field.name, array)
+                object.__setattr__(self, name, array)
 
 
 _DTYPES = {"F64": np.float64, "Int": np.int64, "Bool": np.bool_}
@@ -60,6 +60,12 @@ _ARRAY = re.compile(r"(tuple\[)?(F64|Int|Bool)(, \.\.\.\]| \| None)?")
 
 
 @cache
+def _array_fields(record: type[Record]) -> tuple[tuple[str, type[np.generic], bool], ...]:
+    """Fields of a record that hold arrays: their names, the arrays' type, whether several."""
+    of_all = ((field.name, *_array_type(str(field.type))) for field in fields(record))
+    return tuple((name, dtype, several) for name, dtype, several in of_all if dtype is not None)
+
+
 def _array_type(annotation: str) -> tuple[type[np.generic] | None, bool]:
     """Type of the array or arrays that a field holds, None of others; whether these are several."""
     found = _ARRAY.fullmatch(annotation)

@@ -259,9 +259,9 @@ def spread(time: F64, samples: Bool, grid: Grid) -> Bool:
 def filtered(values: F64, taps: F64) -> F64:
     """Zero-phase FIR along the first axis, same length; ends repeat the outermost samples."""
     if len(values) >= len(taps):
-        half = len(taps) // 2
-        pad = [(half, half)] + [(0, 0)] * (values.ndim - 1)
-        padded = np.pad(values, pad, mode="edge")
+        half, N = len(taps) // 2, len(values)
+        padded = np.empty((N + 2 * half, *values.shape[1:]))
+        padded[:half], padded[half : half + N], padded[half + N :] = values[0], values, values[-1]
         return _convolved(padded, taps)
     return np.asarray(convolve1d(values, taps, axis=0, mode="nearest"))
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from skin2urdf.arrays import F64
-from skin2urdf.urdf.loading import Robot, configuration
+from skin2urdf.urdf.loading import Robot, configurations
 
 
 def kinematics(
@@ -34,8 +34,7 @@ def kinematics(
     columns = [robot.model.joints[robot.model.getJointId(name)].idx_v for name in joints]
     T_base_su = np.empty((len(positions), len(sus), 4, 4))
     axes = np.empty((len(positions), len(joints), 6))
-    for n, values in enumerate(positions):
-        q = configuration(robot, dict(zip(joints, map(float, values), strict=True)))
+    for n, q in enumerate(configurations(robot, joints, positions)):
         # Pinocchio hands a matrix of one column over as a vector.
         jacobian = pin.computeJointJacobians(robot.model, data, q).reshape(6, robot.model.nv)
         axes[n] = jacobian[:, columns].T
@@ -84,7 +83,6 @@ def _frames(robot: Robot, joints: Sequence[str], positions: F64) -> Iterator[Any
     import pinocchio as pin
 
     data = robot.model.createData()
-    for values in positions:
-        q = configuration(robot, dict(zip(joints, map(float, values), strict=True)))
+    for q in configurations(robot, joints, positions):
         pin.forwardKinematics(robot.model, data, q)
         yield data.oMi

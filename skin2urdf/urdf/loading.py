@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import xml.etree.ElementTree as ET
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -143,15 +143,29 @@ def neutral(robot: Robot) -> dict[str, float]:
 
 def configuration(robot: Robot, positions: dict[str, float]) -> F64:
     """(nq,) configuration vector; joints not named are neutral, continuous ones (cos, sin)."""
+    (q,) = configurations(robot, list(positions), np.array([list(positions.values())]))
+    return np.asarray(q)
+
+
+def configurations(robot: Robot, joints: Sequence[str], positions: F64) -> F64:
+    """(n, nq) configuration vectors.
+
+    Args:
+        robot: the robot.
+        joints: names of D joints.
+        positions: (n, D) their positions [rad or m]; the others are neutral.
+    """
     import pinocchio as pin
 
-    q = np.array(pin.neutral(robot.model))
-    for name, value in (neutral(robot) | positions).items():
-        joint = robot.model.joints[robot.model.getJointId(name)]
+    model = robot.model
+    q = np.tile(pin.neutral(model), (len(positions), 1))
+    columns = {name: positions[:, d] for d, name in enumerate(joints)}
+    for name, values in (neutral(robot) | columns).items():
+        joint = model.joints[model.getJointId(name)]
         if joint.nq == 1:
-            q[joint.idx_q] = value
+            q[:, joint.idx_q] = values
         else:
-            q[joint.idx_q : joint.idx_q + 2] = np.cos(value), np.sin(value)
+            q[:, joint.idx_q], q[:, joint.idx_q + 1] = np.cos(values), np.sin(values)
     return q
 
 

@@ -95,11 +95,9 @@ def swing(model: Any, springs: Springs, drive: JointMotion, step: float = STEP) 
     torque = stage.torque(x, v, a)
     for n in range(time.size):
         positions[n], velocities[n], torques[n] = x, v, torque
-        M = stage.inertia(x)
-        _, v1, a1, _ = stage.solve(M, x, v, a, [u[n] for u in stages[0]])
-        x, v, a, torque = stage.solve(
-            M, x + rest * v1, v + rest * a1, a1, [u[n] for u in stages[1]]
-        )
+        stage.take_inertia(x)
+        _, v1, a1, _ = stage.solve(x, v, a, [u[n] for u in stages[0]])
+        x, v, a, torque = stage.solve(x + rest * v1, v + rest * a1, a1, [u[n] for u in stages[1]])
     return Swing(JointMotion(time, positions), velocities, torques)
 
 
@@ -108,9 +106,9 @@ class _Stage:
 
     def __init__(self, model: Any, springs: Springs, g: float) -> None:
         import pinocchio as pin
-        from scipy.linalg.lapack import dposv
+        from scipy.linalg.lapack import dpotrf, dpotrs
 
-        self._pin, self._dposv = pin, dposv
+        self._pin, self._dpotrf, self._dpotrs = pin, dpotrf, dpotrs
         self._model, self._data = model, model.createData()
         soft = np.flatnonzero(springs.soft)
         # A slice makes views, which is several times as fast; rigid robots with hinges need more.
@@ -119,56 +117,67 @@ class _Stage:
         self._hard = np.flatnonzero(~springs.soft)
         self._k, self._c = springs.stiffness[soft], springs.damping[soft]
         self._half = 0.5 * springs.play[soft]
-        self._has_play = bool((self._half > 0).any())
+        self._tight = self._half == 0
+        self._has_play = not self._tight.all()
         self._g = g
-        self._diagonal = np.arange(soft.size)
+        self._M: F64 = np.zeros((soft.size, soft.size))
+        self._roots: dict[bytes, F64] = {}
 
     def torque(self, x: F64, v: F64, a: F64) -> F64:
         """(n,) what must hold the coordinates."""
         return np.array(self._pin.rnea(self._model, self._data, x, v, a))
 
-    def inertia(self, x: F64) -> F64:
-        """Inertia of the soft coordinates; only the upper triangle is filled."""
+    def take_inertia(self, x: F64) -> None:
+        """Take the inertia of the soft coordinates at x (n,) for the stages that follow."""
         self._pin.crba(self._model, self._data, x)
-        return np.array(self._data.M[self._block])
+        self._M = np.array(self._data.M[self._block])  # only the upper triangle is filled
+        self._roots.clear()
 
-    def solve(
-        self, M: F64, x0: F64, v0: F64, a: F64, drive: Sequence[F64]
-    ) -> tuple[F64, F64, F64, F64]:
+    def solve(self, x0: F64, v0: F64, a: F64, drive: Sequence[F64]) -> tuple[F64, F64, F64, F64]:
         """Position, velocity, acceleration (n,) at the stage's end, and the torque that holds.
 
         Args:
-            M: inertia nearby.
             x0: (n,) what is known of the position.
             v0: (n,) what is known of the velocity.
             a: (n,) acceleration to begin with.
             drive: (n,) position, velocity, acceleration of the drives at the stage's end.
         """
-        soft, g, k = self._soft, self._g, self._k
+        soft, g, k, c, half = self._soft, self._g, self._k, self._c, self._half
+        rigid, rnea, solve = self._hard.size > 0, self._pin.rnea, self._dpotrs
         u, u_dot, u_ddot = drive
+        far, far_dot = u[soft], u_dot[soft]
         a = a.copy()
         a[self._hard] = u_ddot[self._hard]
+        root = None if self._has_play else self._root(np.ones(half.shape, dtype=np.bool_))
         for _ in range(_ITERATIONS):
             v = v0 + g * a
             x = x0 + g * v
-            x[self._hard], v[self._hard] = u[self._hard], u_dot[self._hard]
-            torque = self._pin.rnea(self._model, self._data, x, v, a)
-            stretch = u[soft] - x[soft]
-            hold = k
+            if rigid:
+                x[self._hard], v[self._hard] = u[self._hard], u_dot[self._hard]
+            torque = rnea(self._model, self._data, x, v, a)
+            stretch = far - x[soft]
             if self._has_play:
-                stretch = stretch - np.maximum(-self._half, np.minimum(stretch, self._half))
-                hold = np.where((stretch != 0) | (self._half == 0), k, 0.0)
-            J = M.copy()
-            J[self._diagonal, self._diagonal] += g * (self._c + g * hold)
-            missing = k * stretch + self._c * (u_dot[soft] - v[soft]) - torque[soft]
-            _, change, _ = self._dposv(J, missing)
+                stretch -= np.maximum(-half, np.minimum(stretch, half))
+                root = self._root((stretch != 0) | self._tight)
+            missing = k * stretch + c * (far_dot - v[soft]) - torque[soft]
+            change, _ = solve(root, missing)
             a[soft] += change
-            if max(change.max(), -change.min()) < _TOLERANCE:
+            if max(map(abs, change.tolist())) < _TOLERANCE:
                 break
         v = v0 + g * a
         x = x0 + g * v
-        x[self._hard], v[self._hard] = u[self._hard], u_dot[self._hard]
+        if rigid:
+            x[self._hard], v[self._hard] = u[self._hard], u_dot[self._hard]
         return x, v, a, np.array(torque)
+
+    def _root(self, pulls: Bool) -> F64:
+        """Upper Cholesky factor of Newton's matrix where some springs (n,) pull."""
+        key = pulls.tobytes()
+        if key not in self._roots:
+            J = self._M.copy()
+            J.reshape(-1)[:: len(J) + 1] += self._g * (self._c + self._g * (self._k * pulls))
+            self._roots[key] = self._dpotrf(J, clean=0)[0]
+        return self._roots[key]
 
 
 def _balance(model: Any, springs: Springs, drive: F64) -> F64:

@@ -20,7 +20,7 @@ from skin2urdf.signals.motion import joint_motion
 from skin2urdf.signals.poses import find_rests
 from skin2urdf.urdf.records import Comparison
 
-SEED, JOINTS = 21, 5
+SEED = 21
 
 
 def names(arm: Arm) -> tuple[list[str], list[str]]:
@@ -40,11 +40,11 @@ def on_the_way(recording: Recording, begin: float, end: float) -> Recording:
     return replace(recording, joints=joints, sus=tuple(s.at(inside(s.time)) for s in recording.sus))
 
 
-def restless() -> tuple[Arm, Recording]:
+def restless(n_joints: int) -> tuple[Arm, Recording]:
     """All joints swing far, at once and slowly, and none of it is a rest."""
-    arm = random_arm(SEED, JOINTS)
-    sizes = dict(enumerate(np.array([2.2, -1.9, 2.4, -2.1, 2.3])[:JOINTS]))
-    path = JointPath([0.0] * JOINTS).swing(sizes, seconds=110.0, hertz=0.11)
+    arm = random_arm(SEED, n_joints)
+    sizes = dict(enumerate(np.array([2.2, -1.9, 2.4, -2.1, 2.3])[:n_joints]))
+    path = JointPath([0.0] * n_joints).swing(sizes, seconds=110.0, hertz=0.11)
     sus, joints = names(arm)
     whole = record(arm, path, sus, joints, np.random.default_rng(5))
     return arm, on_the_way(whole, 20.0, 90.0)
@@ -55,7 +55,7 @@ def compared(arm: Arm, found: Calibration, folder: Path) -> Comparison:
 
 
 def test_a_robot_that_never_rests_is_calibrated(tmp_path: Path) -> None:
-    arm, recording = restless()
+    arm, recording = restless(3)
     assert not find_rests(joint_motion(recording))
     found = calibrate(recording)
     comparison = compared(arm, found, tmp_path)
@@ -83,7 +83,7 @@ def test_motion_after_the_only_rest_tells_positions(tmp_path: Path) -> None:
 
 def test_motion_that_spans_all_readings_tells_no_clock_wrong() -> None:
     """Any slow reading is a sum of slow joints' positions, whatever its lag."""
-    _, recording = restless()
+    _, recording = restless(5)
     assert su_clocks(recording.sus, joint_motion(recording)) == ()
 
 

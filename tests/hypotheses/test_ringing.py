@@ -3,19 +3,26 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
-from simulated import simulation
+from random_robots import small_arm
+from simulated import SHORT, simulation_of
 
 from skin2urdf.calibration.pipeline import calibrate
 from skin2urdf.recording.records import Recording, SuStream
 from skin2urdf.recording.retiming import retimed
-from skin2urdf.simulation import SimulationSettings, load_robot
+from skin2urdf.simulation import Simulation, SimulationSettings
 from skin2urdf.simulation.faults import Sound
 from skin2urdf.simulation.joint_faults import contact
 from skin2urdf.simulation.simulate import Truth
 
-ROBOT, OPTIONS = "ur3", {"n_poses": 3, "seed": 1, "imu_rate": 100.0}
+OPTIONS = {"n_poses": 3, "seed": 2, "imu_rate": 100.0}
+
+
+@cache
+def sound() -> Simulation:
+    return simulation_of(small_arm(3), **OPTIONS)
 
 
 def ringing(recording: Recording, truth: Truth) -> Recording:
@@ -35,15 +42,13 @@ def ringing(recording: Recording, truth: Truth) -> Recording:
 
 
 def test_rests_that_ring_are_not_hit() -> None:
-    sound = simulation(ROBOT, **OPTIONS)
-    found = calibrate(retimed(ringing(sound.recording, sound.truth)))
+    found = calibrate(retimed(ringing(sound().recording, sound().truth)))
     assert not found.faults
     assert found.quality == "good"
 
 
 def test_a_hit_is_named_although_rests_ring() -> None:
-    sound = simulation(ROBOT, **OPTIONS)
-    settings = SimulationSettings(**{"n_poses": 4, "seed": 1, "joint_rate": 125.0, **OPTIONS})
-    fault = contact(Sound(load_robot(ROBOT), settings, sound), np.random.default_rng(4))
-    found = calibrate(retimed(ringing(fault.recordings[0], sound.truth)))
+    settings = SimulationSettings(**{**SHORT, **OPTIONS})
+    fault = contact(Sound(small_arm(3), settings, sound()), np.random.default_rng(4))
+    found = calibrate(retimed(ringing(fault.recordings[0], sound().truth)))
     assert [(f.kind, f.subject) for f in found.faults] == [("contact", fault.subjects[0])]

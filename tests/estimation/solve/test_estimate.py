@@ -80,10 +80,11 @@ def relative(tree: KinematicTree, state: State, q: F64, pairs: Sequence[tuple[in
 
 
 def differences(T: F64, T_reference: F64) -> F64:
-    """(6 n,) twists (linear [m], angular [rad]) from references to transforms."""
+    """(..., 6 n) twists (linear [m], angular [rad]) from references to frames (..., n, 4, 4)."""
     E = np.linalg.inv(T_reference) @ T
-    angular = Rotation.from_matrix(E[:, :3, :3]).as_rotvec()
-    return np.concatenate([E[:, :3, 3], angular], axis=1).ravel()
+    angular = Rotation.from_matrix(E[..., :3, :3].reshape(-1, 3, 3)).as_rotvec()
+    twists = np.concatenate([E[..., :3, 3], angular.reshape(*E.shape[:-2], 3)], axis=-1)
+    return twists.reshape(*E.shape[:-3], -1)
 
 
 def squared_error(
@@ -93,12 +94,16 @@ def squared_error(
     covariance = observability(found).covariance.dense()
     zero = found.cost.zero_step()
     at = relative(found.tree, found.state, q, pairs)
-    n = zero.flat().size
-    J, h = np.zeros((6 * len(at), n)), 1e-6
-    for i in range(n):
-        if covariance[i, i] > 0:
-            state = moved(found.state, zero.like(h * np.eye(1, n, i)[0]))
-            J[:, i] = differences(relative(found.tree, state, q, pairs), at) / h
+    n, h = zero.flat().size, 1e-6
+    steps = np.eye(n)
+    # Biases and shapes of sensors, and gravity, move nothing.
+    placing = [zero.like(step) for step in steps]
+    moving = [i for i, step in enumerate(placing) if step.joints.any() or step.sus[:, :6].any()]
+    moving = [i for i in moving if covariance[i, i] > 0]
+    states = [moved(found.state, zero.like(h * steps[i])) for i in moving]
+    J = np.zeros((6 * len(at), n))
+    there = np.array([relative(found.tree, state, q, pairs) for state in states])
+    J[:, moving] = differences(there, at).T / h
     e = differences(relative(found.tree, truth, q, pairs), at)
     S = J @ covariance @ J.T
     lam, V = np.linalg.eigh(S)

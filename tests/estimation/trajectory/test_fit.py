@@ -70,9 +70,11 @@ def _trajectory(
     return sampled_trajectory(positions(t), read)
 
 
-def _fit(log: Trajectory, start: State, droop: float = 6e-5) -> MotionEstimate:
+def _fit(
+    log: Trajectory, start: State, droop: float = 6e-5, look_further: bool = True
+) -> MotionEstimate:
     priors = motion_priors(Priors(), gravity=0.0, front=(np.zeros(2), np.full(2, droop)))
-    return estimate_along([log], _TREE, start, priors, np.zeros(3))
+    return estimate_along([log], _TREE, start, priors, np.zeros(3), look_further=look_further)
 
 
 def _from_afar(rng: np.random.Generator) -> State:
@@ -159,7 +161,8 @@ def test_a_slow_sensor_is_recognised_and_costs_no_lever_arm() -> None:
     rng = np.random.default_rng(2)
     pole = 1 / (2 * np.pi * 21.0)
     log = _trajectory(rng, pole=pole, late=0.02)
-    known, blind = _fit(log, _truth()), _fit(log, _truth(), droop=0.0)
+    # Slack, which nothing but a slow sensor asks for here, leaves the lever arms as wrong.
+    known, blind = _fit(log, _truth()), _fit(log, _truth(), droop=0.0, look_further=False)
     np.testing.assert_allclose(front_droop(known.fitted.state.front), pole**2 / 2, rtol=0.4)
     np.testing.assert_allclose(known.fitted.state.clock[0, :, 0], 0.02 + pole, atol=1e-4)
     assert _reading_errors(known.state) < 0.5 * _reading_errors(blind.state)

@@ -24,9 +24,6 @@ AVERAGED = 512
 BELOW, ABOVE = 0.1, 0.02
 # Windows that tell the period, evenly spread over the stream.
 WINDOWS = 16
-# Mean length of phases as directions, 1 for stamps without noise, from which they show a lattice:
-# that of as many random phases exceeds it once in 30,000 times.
-SHOWN = float(np.sqrt(10.0 / AVERAGED))
 # Late messages in a row that raise no staircase are less than half as many.
 LATE = 5
 
@@ -65,14 +62,23 @@ def _rate(stamp: F64, guess: float) -> float | None:
     # Half a turn between the ends of a window is what two neighbours in the grid may differ by.
     step = 0.5 / (AVERAGED / guess)
     rates = np.arange(guess / (1 + ABOVE), guess / (1 - BELOW) + step, step)
-    shown = np.array([_directions(windows * rate) for rate in rates])
-    best = int(shown.argmax())
+    rough = np.array([mean_direction(windows * rate) for rate in rates])
+    best = int(rough.argmax())
     fine = rates[best] + step * np.linspace(-1.0, 1.0, 17)
-    finest = np.array([_directions(windows * rate) for rate in fine])
-    return float(fine[finest.argmax()]) if finest.max() > SHOWN else None
+    finest = np.array([mean_direction(windows * rate) for rate in fine])
+    return float(fine[finest.argmax()]) if finest.max() > shown(AVERAGED) else None
 
 
-def _directions(turns: F64) -> float:
+def shown(count: int) -> float:
+    """Mean length of so many phases as directions from which they show a lattice.
+
+    It is 1 for stamps without noise; that of as many random phases exceeds this once in 30,000
+    times.
+    """
+    return float(np.sqrt(10.0 / count))
+
+
+def mean_direction(turns: F64) -> float:
     """Mean length of phases [turns] as directions: rms over windows (W, n)."""
     return float(np.sqrt(np.mean(np.abs(np.exp(2j * np.pi * turns).mean(axis=1)) ** 2)))
 

@@ -12,6 +12,7 @@ import numpy as np
 from scipy.linalg.lapack import dptsv as ptsv
 
 from skin2urdf.arrays import F64, Bool, Int
+from skin2urdf.recording.earliest import number_by_earliest
 from skin2urdf.recording.lattice import number_on_lattice
 from skin2urdf.recording.numbering import (
     MOVED,
@@ -160,7 +161,7 @@ def _fits_between_gaps(stamp: F64, period: float, noise: float) -> list[F64]:
     """
     numberings = [number_messages(stamp, period, noise)]
     if noise > JITTERS * period:
-        numberings.append(number_on_lattice(stamp, period))
+        numberings += [number_on_lattice(stamp, period), number_by_earliest(stamp, period)]
     fits = (_fit(stamp, numbering, period) for numbering in numberings if numbering is not None)
     whole = [fitted for fitted in fits if fitted is not None]
     scale = np.array([period]), np.array([noise])

@@ -20,7 +20,7 @@ from skin2urdf.estimation.uncertainty.goodness import Share
 from skin2urdf.estimation.uncertainty.physics import physics_found, why_unexplained
 from skin2urdf.faults import Fault
 from skin2urdf.output import not_to_be_saved
-from skin2urdf.report.findings import findings
+from skin2urdf.report.findings import findings, is_to_repair
 
 
 def line(found: Calibration) -> str:
@@ -237,6 +237,19 @@ def test_a_robot_of_which_all_sus_are_weak_is_bad_and_one_mostly_open_is_not_goo
     assert rests.quality == "fair"
     assert rests.mostly_open
     assert not calibration().mostly_open
+
+
+def test_rests_that_tell_how_sus_are_turned_are_of_use_and_others_are_not() -> None:
+    none = ("not observable",) * 7
+    directions = np.eye(6)
+    shifts = with_observability(su_verdict=none, su_unobservable=(directions[:3],) * 7)
+    assert findings(shifts).positions_open
+    assert not is_to_repair(shifts)
+    all_open = with_observability(su_verdict=none, su_unobservable=(directions,) * 7)
+    assert findings(all_open).positions_open
+    assert is_to_repair(all_open)
+    most = (directions,) * 3 + (directions[:3],) * 4
+    assert not is_to_repair(with_observability(su_verdict=none, su_unobservable=most))
 
 
 def test_sus_before_the_model_do_not_vouch_for_it() -> None:

@@ -15,7 +15,7 @@ from synthetic import sampled_trajectory, stays
 from skin2urdf.arrays import F64
 from skin2urdf.estimation.problem.cost import Priors
 from skin2urdf.estimation.problem.state import State
-from skin2urdf.estimation.trajectory import yielding
+from skin2urdf.estimation.trajectory import estimate, yielding
 from skin2urdf.estimation.trajectory.ahead import step_along
 from skin2urdf.estimation.trajectory.balance import Balance, balanced
 from skin2urdf.estimation.trajectory.encoder_noise import without_shortening
@@ -71,6 +71,20 @@ def test_what_a_draw_does_through_loads_is_what_it_does_to_an_estimate() -> None
         seen.append(_height(_estimated(log.with_joints_off(off)).state) - _height(found.state))
     np.testing.assert_array_equal(np.sign(seen), np.sign(expected))
     assert np.abs(np.subtract(seen, expected)).sum() < 0.5 * np.abs(seen).sum()
+
+
+def test_a_fit_whose_loads_are_out_of_balance_is_nobodys(monkeypatch: pytest.MonkeyPatch) -> None:
+    found = _found()
+    assert "base" in found.causes
+    assert yielding.is_in_balance(found.problem, found.fitted)
+    # Masses of the other sign, and many times as heavy.
+    state = replace(found.fitted.state, unseen=-40.0 * found.fitted.state.unseen)
+    nobodys = replace(found.fitted, state=state)
+    assert not yielding.is_in_balance(found.problem, nobodys)
+    assert shaken_loads(found.problem, nobodys) is None
+    assert yielding.is_in_balance(found.problem.stiff(), found.fitted)
+    monkeypatch.setattr(estimate, "is_in_balance", lambda *_: False)
+    assert not set(_estimated(_log()).causes) & {"base", "elastic"}
 
 
 def test_exact_encoders_and_links_that_follow_no_loads_are_shaken_by_none() -> None:

@@ -76,10 +76,11 @@ def with_sus_apart(
 
 def _changed(solution: Solution, along: MotionEstimate, clock: Clock) -> Slipped | None:
     """The SU that changed for certain and explains most by that; None where there is none."""
-    if not along.misfit_of_sus.max(initial=0.0) > GOOD_FIT:
+    suspicious = np.nan_to_num(along.misfit_of_sus) > GOOD_FIT
+    if not suspicious.any():
         return None
-    seen = clock.run("all samples", lambda _: displaced(along.problem, along.fitted))
-    if not seen or seen[0].share < MOST_OF_IT or not along.misfit_of_sus[seen[0].su] > GOOD_FIT:
+    seen = clock.run("all samples", lambda _: displaced(along.problem, along.fitted, suspicious))
+    if not seen or seen[0].share < MOST_OF_IT:
         return None
     name = along.problem.tree.su_names[seen[0].su]
     earlier = fresh(f"{name}_before", solution.logs.su_names)

@@ -24,10 +24,8 @@ def su_covariances(equations: Equations) -> F64:
     Returns:
         (U, n, n) covariances.
     """
-    own = _inverse(equations.su)
-    gain = own @ equations.mixed
-    left = equations.joint - np.tensordot(equations.mixed, gain, ((0, 1), (0, 1)))
-    return np.asarray(own + gain @ _inverse(left) @ np.swapaxes(gain, -1, -2))
+    own, gain, joint = _parts(equations)
+    return np.asarray(own + gain @ joint @ np.swapaxes(gain, -1, -2))
 
 
 def change_covariance(equations: Equations, first: int, second: int) -> F64:
@@ -40,11 +38,17 @@ def change_covariance(equations: Equations, first: int, second: int) -> F64:
         first: number of one SU.
         second: number of the other one.
     """
+    own, gain, joint = _parts(equations)
+    apart = gain[second] - gain[first]
+    return np.asarray(own[first] + own[second] + apart @ joint @ apart.T)
+
+
+def _parts(equations: Equations) -> tuple[F64, F64, F64]:
+    """Covariance of each SU for known joints, how it goes with these, and theirs."""
     own = _inverse(equations.su)
     gain = own @ equations.mixed
     left = equations.joint - np.tensordot(equations.mixed, gain, ((0, 1), (0, 1)))
-    apart = gain[second] - gain[first]
-    return np.asarray(own[first] + own[second] + apart @ _inverse(left) @ apart.T)
+    return own, gain, _inverse(left)
 
 
 def _inverse(information: F64) -> F64:

@@ -20,7 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import fdtrc
 
-from skin2urdf.arrays import F64, Int
+from skin2urdf.arrays import F64, Bool, Int
 from skin2urdf.estimation.problem.state import N_PLACEMENT
 from skin2urdf.estimation.trajectory.arrow import Eliminated, eliminated, joint_inverse
 from skin2urdf.estimation.trajectory.fit import Fitted
@@ -58,12 +58,13 @@ class Displaced:
     share: float
 
 
-def displaced(problem: MotionProblem, fitted: Fitted) -> tuple[Displaced, ...]:
+def displaced(problem: MotionProblem, fitted: Fitted, among: Bool) -> tuple[Displaced, ...]:
     """SUs that changed at some time beyond doubt, the most certain one first.
 
     Args:
         problem: what was fitted.
         fitted: the fit.
+        among: (U,) the SUs that are asked for.
     """
     spans = _Spans.of(problem)
     if len(spans.begin) < 2 * _FEWEST:
@@ -75,7 +76,7 @@ def displaced(problem: MotionProblem, fitted: Fitted) -> tuple[Displaced, ...]:
     count, squares = known.sum(axis=(0, 2)), np.where(known, means**2, 0.0)
     chi2 = float((squares[known] / variances[known]).sum())
     out = []
-    for u, sums in _sums(problem, fitted, spans):
+    for u, sums in _sums(problem, fitted, spans, among):
         best, freedom = _best(sums, u, problem, system, covariance)
         # By chance, in the noise that the change leaves.
         rest = max(int(count.sum()) - freedom, 1)
@@ -147,12 +148,16 @@ class _Sums:
     gradient: F64
 
 
-def _sums(problem: MotionProblem, fitted: Fitted, spans: _Spans) -> Iterator[tuple[int, _Sums]]:
-    """Sums of every SU that has samples."""
+def _sums(
+    problem: MotionProblem, fitted: Fitted, spans: _Spans, among: Bool
+) -> Iterator[tuple[int, _Sums]]:
+    """Sums of every one of some SUs that has samples."""
     layout, S = problem.layout, len(spans.begin)
     beyond = problem.beyond()
     of_sus: dict[int, _Sums] = {}
     for rows in problem.rows(fitted.state, fitted.predicted, fitted.weights):
+        if not among[rows.su]:
+            continue
         columns, A = rows.whole(beyond[rows.log] if beyond else None)
         none = (S, layout.n_su, _CHANGES), (S, _CHANGES, layout.n_joint), (S, _CHANGES)
         sums = of_sus.setdefault(rows.su, _Sums(*map(np.zeros, none)))
@@ -195,9 +200,9 @@ def _best(
         shared = joint.T + system.lean[u].T @ own
         seen = information - own.T @ system.su_inverse[u] @ own - shared.T @ covariance @ shared
         pull = sums.gradient[k] - own.T @ own_step - joint @ step
-        unit = seen / np.where(open_, size, 1.0) / np.where(open_, size, 1.0)[:, None]
-        value, vectors = np.linalg.eigh(unit[np.ix_(open_, open_)])
-        along = vectors.T @ (pull / np.where(open_, size, 1.0))[open_]
+        size = size[open_]
+        value, vectors = np.linalg.eigh(seen[np.ix_(open_, open_)] / size / size[:, None])
+        along = vectors.T @ (pull[open_] / size)
         tells = value > _KNOWN
         gain = float((along[tells] ** 2 / value[tells]).sum())
         if gain > best.gain:

@@ -129,7 +129,7 @@ def _paths(late: F64, queued: Bool, inside: Bool, mean: float, share: float) -> 
     numbers = np.arange(-reach, reach + 1)
     moves = np.arange(LOSSES) * np.log(share) + np.log1p(-share)
     score = np.zeros((W, numbers.size))
-    came = np.zeros((n, W, numbers.size), dtype=np.int64)
+    came = np.zeros((n, W, numbers.size), dtype=np.int8)
     for i in range(n):
         if i:
             padded = np.pad(score, ((0, 0), (LOSSES - 1, 0)), constant_values=-np.inf)

@@ -225,10 +225,14 @@ def _of_all_samples(fault: Fault, along: MotionEstimate) -> Fault | None:
 
 
 def _may_be_slack(fault: Fault, along: MotionEstimate) -> bool:
-    """Whether a change is no more than what joints do that lie elsewhere within their slack."""
-    size = np.nan_to_num([fault.turn, 0.0 if fault.kind == "bias step" else fault.size / LEVER])
-    step = fault.size if fault.kind == "bias step" else 0.0
-    return bool(max(*size, step) < _FAR * along.slack)
+    """Whether a change is no more than what joints do that lie elsewhere within their slack.
+
+    A link that is turned by an angle tilts gravity by so many g, and shifts what is at an arm's end
+    by that part of the arm.
+    """
+    if fault.kind == "bias step":
+        return fault.size < _FAR * along.slack
+    return max(fault.turn, float(np.nan_to_num(fault.size)) / LEVER) < _FAR * along.slack
 
 
 def _distance(change: F64, covariance: F64) -> float:

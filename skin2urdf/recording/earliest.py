@@ -12,11 +12,11 @@ what is known of those of which the mean is.
 from __future__ import annotations
 
 import numpy as np
-from scipy.ndimage import minimum_filter1d, uniform_filter1d
+from scipy.ndimage import minimum_filter1d
 from scipy.optimize import isotonic_regression
 
 from skin2urdf.arrays import F64, Bool, Int
-from skin2urdf.recording.lattice import ABOVE, AVERAGED, BELOW, WINDOWS, mean_direction, shown
+from skin2urdf.recording.lattice import phases_of, rate_of
 from skin2urdf.recording.numbering import LONG_PAUSE, Numbering
 
 # Messages of which the earliest counts: of delays of a period in the mean the least of so many is a
@@ -56,36 +56,15 @@ def number_by_earliest(stamp: F64, period: float) -> Numbering | None:
     if early.size < FEWEST:
         return None
     turns = stamp - stamp[0]
-    rate = _rate(turns[early], 1.0 / period)
+    rate = rate_of(turns[early], 1.0 / period)
     if rate is None:
         return None
     turns *= rate
-    around = np.exp(2j * np.pi * turns[early])
-    some = min(AVERAGED, early.size)
-    real, imaginary = (
-        uniform_filter1d(part, some, mode="nearest") for part in (around.real, around.imag)
-    )
-    phase = np.unwrap(np.arctan2(imaginary, real)) / (2 * np.pi)
-    turns -= np.interp(turns, turns[early], phase)
+    turns -= np.interp(turns, turns[early], phases_of(turns[early]))
     stairs = np.rint(isotonic_regression(turns[early] - early).x)
     rough = np.interp(np.arange(stamp.size), early, stairs).astype(np.int64)
     number = np.maximum.accumulate(_likeliest(turns, rough)) + np.arange(stamp.size)
     return Numbering(number - number[0], np.zeros(1, dtype=np.int64))
-
-
-def _rate(stamp: F64, guess: float) -> float | None:
-    """Rate [Hz] near a guess at which stamps are most in phase; None where they are at none."""
-    some = min(AVERAGED, stamp.size)
-    begins = np.unique(np.linspace(0, stamp.size - some, WINDOWS).astype(np.int64))
-    windows = stamp[begins[:, None] + np.arange(some)]
-    windows = windows - windows.mean(axis=1, keepdims=True)
-    # Half a turn between the ends of a window is what two neighbours in the grid may differ by.
-    step = 0.5 / float(np.ptp(windows, axis=1).max())
-    rates = np.arange(guess / (1 + ABOVE), guess / (1 - BELOW) + step, step)
-    rough = np.array([mean_direction(windows * rate) for rate in rates])
-    fine = rates[int(rough.argmax())] + step * np.linspace(-1.0, 1.0, 17)
-    finest = np.array([mean_direction(windows * rate) for rate in fine])
-    return float(fine[finest.argmax()]) if finest.max() > shown(some) else None
 
 
 def _likeliest(turns: F64, rough: Int) -> Int:

@@ -40,7 +40,7 @@ def number_on_lattice(stamp: F64, period: float) -> Numbering | None:
     """
     if stamp.size < AVERAGED:
         return None
-    rate = _rate(stamp - stamp[0], 1.0 / period)
+    rate = rate_of(stamp - stamp[0], 1.0 / period)
     if rate is None:
         return None
     pauses = np.flatnonzero(np.diff(stamp) * rate > LONG_PAUSE) + 1
@@ -54,22 +54,37 @@ def number_on_lattice(stamp: F64, period: float) -> Numbering | None:
     return Numbering(number, pieces)
 
 
-def _rate(stamp: F64, guess: float) -> float | None:
-    """Rate [Hz] near a guess at which stamps are most in phase; None where they are at none."""
-    begins = np.unique(np.linspace(0, stamp.size - AVERAGED, WINDOWS).astype(np.int64))
-    windows = stamp[begins[:, None] + np.arange(AVERAGED)]
+def rate_of(stamp: F64, guess: float) -> float | None:
+    """Rate [Hz] near a guess at which stamps are most in phase; None where they are at none.
+
+    Args:
+        stamp: (N,) stamps in the order of arrival, all of a stream or some [s].
+        guess: rate of the sensor, as first guessed [Hz].
+    """
+    some = min(AVERAGED, stamp.size)
+    begins = np.unique(np.linspace(0, stamp.size - some, WINDOWS).astype(np.int64))
+    windows = stamp[begins[:, None] + np.arange(some)]
     windows = windows - windows.mean(axis=1, keepdims=True)
     # Half a turn between the ends of a window is what two neighbours in the grid may differ by.
-    step = 0.5 / (AVERAGED / guess)
+    step = 0.5 / float(np.ptp(windows, axis=1).max())
     rates = np.arange(guess / (1 + ABOVE), guess / (1 - BELOW) + step, step)
-    rough = np.array([mean_direction(windows * rate) for rate in rates])
-    best = int(rough.argmax())
-    fine = rates[best] + step * np.linspace(-1.0, 1.0, 17)
-    finest = np.array([mean_direction(windows * rate) for rate in fine])
-    return float(fine[finest.argmax()]) if finest.max() > shown(AVERAGED) else None
+    rough = np.array([_directions(windows * rate) for rate in rates])
+    fine = rates[int(rough.argmax())] + step * np.linspace(-1.0, 1.0, 17)
+    finest = np.array([_directions(windows * rate) for rate in fine])
+    return float(fine[finest.argmax()]) if finest.max() > _shown(some) else None
 
 
-def shown(count: int) -> float:
+def phases_of(turns: F64) -> F64:
+    """(N,) phase of a clock [turns], which drifts, from stamps in periods (N,) that scatter."""
+    around = np.exp(2j * np.pi * turns)
+    some = min(AVERAGED, turns.size)
+    real, imaginary = (
+        uniform_filter1d(part, some, mode="nearest") for part in (around.real, around.imag)
+    )
+    return np.asarray(np.unwrap(np.arctan2(imaginary, real)) / (2 * np.pi))
+
+
+def _shown(count: int) -> float:
     """Mean length of so many phases as directions from which they show a lattice.
 
     It is 1 for stamps without noise; that of as many random phases exceeds this once in 30,000
@@ -78,7 +93,7 @@ def shown(count: int) -> float:
     return float(np.sqrt(10.0 / count))
 
 
-def mean_direction(turns: F64) -> float:
+def _directions(turns: F64) -> float:
     """Mean length of phases [turns] as directions: rms over windows (W, n)."""
     return float(np.sqrt(np.mean(np.abs(np.exp(2j * np.pi * turns).mean(axis=1)) ** 2)))
 
@@ -89,11 +104,6 @@ def _numbers(turns: F64) -> Int:
         return np.maximum.accumulate(np.rint(turns).astype(np.int64) - np.arange(turns.size)) + (
             np.arange(turns.size)
         )
-    around = np.exp(2j * np.pi * turns)
-    real, imaginary = (
-        uniform_filter1d(part, AVERAGED, mode="nearest") for part in (around.real, around.imag)
-    )
-    phase = np.unwrap(np.arctan2(imaginary, real)) / (2 * np.pi)
-    ahead = turns - phase - np.arange(turns.size)
+    ahead = turns - phases_of(turns) - np.arange(turns.size)
     stairs = isotonic_regression(median_filter(ahead, LATE, mode="nearest")).x
     return np.asarray(np.rint(stairs).astype(np.int64) + np.arange(turns.size))

@@ -142,7 +142,7 @@ def loose(sound: Sound, rng: np.random.Generator) -> Faulty:
     su = _one_of(sound, rng, moving=True)
     distance, angle = rng.uniform(3e-3, 20e-3), np.deg2rad(rng.uniform(1.0, 5.0))
     slip = _slip(distance, angle, rng)
-    moved = _recorded_after(sound, su.name, slip)
+    moved = recorded_after(sound, su.name, slip)
     n = _sample(su, rng)
     both = _joined(su, n, moved, n)
     words = f"{1e3 * distance:.1f} mm, {np.rad2deg(angle):.1f} deg at {su.time[n]:.1f} s"
@@ -299,8 +299,14 @@ def _slip(distance: float, angle: float, rng: np.random.Generator) -> F64:
     return T
 
 
-def _recorded_after(sound: Sound, name: str, slip: F64) -> SuStream:
-    """What an SU would have recorded, had it slipped before; its stamps and noise are the same."""
+def recorded_after(sound: Sound, name: str, slip: F64) -> SuStream:
+    """What an SU would have recorded, had it slipped before; its stamps and noise are the same.
+
+    Args:
+        sound: the recording.
+        name: the SU.
+        slip: (4, 4) its frame after the slip, seen in the one before.
+    """
     truth, settings, moved = sound.simulation.truth, sound.settings, sound.simulation.moved
     sus = tuple(
         replace(su, T_joint_su=su.T_joint_su @ slip, T_link_su=su.T_link_su @ slip)

@@ -183,7 +183,13 @@ class Derivatives:
     def rows(
         self, state: MotionState, predicted: Sequence[Predicted], weights: Sequence[F64]
     ) -> Iterator[Rows]:
-        """Whitened derivatives and residuals of every log and SU."""
+        """Whitened derivatives and residuals of every log and SU.
+
+        Args:
+            state: where.
+            predicted: residuals of each log there.
+            weights: per log (K, U, 3) information of each sample [s^4/m^2].
+        """
         for link, carried in self.links(state, predicted, weights):
             yield from self._rows_of(state, link, carried)
 
@@ -287,7 +293,12 @@ class Derivatives:
         return columns
 
     def all_columns(self, u: int, g: int) -> list[int]:
-        """The same with those of what is unseen, as rows of gyroscopes have them."""
+        """Columns of the joint part that an SU depends on, those of what is unseen as well.
+
+        Args:
+            u: number of the SU.
+            g: number of the log.
+        """
         layout, columns = self.layout, self._joint_columns(u, g)
         behind = columns.index(layout.gravity) + 1
         return [*columns[:behind], *(layout.unseen.start + self._moving(u)), *columns[behind:]]

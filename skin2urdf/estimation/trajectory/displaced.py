@@ -24,7 +24,7 @@ from skin2urdf.arrays import F64, Bool, Int
 from skin2urdf.estimation.problem.state import N_PLACEMENT
 from skin2urdf.estimation.trajectory.arrow import Eliminated, eliminated, joint_inverse
 from skin2urdf.estimation.trajectory.fit import Fitted
-from skin2urdf.estimation.trajectory.misfit import SPAN, misfit_of_sus, span_means
+from skin2urdf.estimation.trajectory.misfit import SPAN, misfit_of_sus, span_edges, span_means
 from skin2urdf.estimation.trajectory.problem import MotionProblem
 from skin2urdf.estimation.trajectory.spans import parts_of
 
@@ -111,13 +111,12 @@ class _Spans:
         """Those over which the misfit is taken."""
         log, begin, end, member = list[int](), list[float](), list[float](), list[Int]()
         for each in problem.logs:
-            K = len(each.kept)
-            n = max(1, int((each.time[-1] - each.time[0]) / SPAN))
-            ends = np.linspace(0, K, n + 1).astype(np.int64)
-            member.append(len(log) + np.repeat(np.arange(n), np.diff(ends)))
+            edges = span_edges(each, SPAN)
+            n = len(edges) - 1
+            member.append(len(log) + np.repeat(np.arange(n), np.diff(edges)))
             log += [each.log] * n
-            begin += each.time[ends[:-1]].tolist()
-            end += each.time[ends[1:] - 1].tolist()
+            begin += each.time[edges[:-1]].tolist()
+            end += each.time[edges[1:] - 1].tolist()
         return _Spans(np.array(log), np.array(begin), np.array(end), tuple(member))
 
     def around(self, span: int) -> tuple[tuple[int, float], tuple[int, float]]:

@@ -10,6 +10,7 @@ from skin2urdf.arrays import F64, Int
 from skin2urdf.estimation.trajectory.fit import Fitted
 from skin2urdf.estimation.trajectory.problem import MotionProblem
 from skin2urdf.estimation.trajectory.records import Predicted
+from skin2urdf.signals.trajectory import Trajectory
 from skin2urdf.threads import MANY
 
 SPAN = 2.0
@@ -20,6 +21,17 @@ MOST_OF_IT = 0.5
 and after a first look at one that is to be followed further. Links that bend leave 0.24 as elastic
 joints, with which positions are four times better; a base that gives way 0.37 as a drift of biases,
 so that causes are held against each other before one is taken."""
+
+
+def span_edges(log: Trajectory, seconds: float) -> Int:
+    """(n + 1,) first sample of each of the n spans of a log, and the number of samples.
+
+    Args:
+        log: the trajectory, whose kept samples count.
+        seconds: length of a span [s].
+    """
+    n = max(1, int((log.time[-1] - log.time[0]) / seconds))
+    return np.linspace(0, len(log.kept), n + 1).astype(np.int64)
 
 
 def span_means(
@@ -41,7 +53,7 @@ def span_means(
     """
     means, variances = [], []
     for log, p, w in zip(problem.logs, predicted, weights, strict=True):
-        n = max(1, int((log.time[-1] - log.time[0]) / seconds))
+        n = len(span_edges(log, seconds)) - 1
         mean, variance = part_means(p, w, slice(0, len(log.kept)), n)
         means.append(mean)
         variances.append(variance)

@@ -84,11 +84,13 @@ def shaken_loads(problem: MotionProblem, fitted: Fitted) -> ShakenLoads | None:
         return None
     about = _Followed(problem, fitted, bends)
     still = about.along(problem.logs)
+    if not still[0].holds:
+        return None
     pulls = []
     for off in islice(drawn_anew(problem.logs), _DRAWS):
         logs = [log.with_joints_off(each) for log, each in zip(problem.logs, off, strict=True)]
         there = about.along(logs)
-        if not (there[0].holds and still[0].holds):
+        if not there[0].holds:
             continue
         followed, held = about.gradient(there, logs), about.gradient(still, logs)
         pulls.append([a - b for a, b in zip(followed, held, strict=True)])

@@ -119,7 +119,7 @@ def _when(fault: Fault, log: str) -> str:
 def _of_a_bias(fault: Fault, log: str) -> Words:
     """An SU whose bias is another from some time on."""
     return Words(
-        f"{fault.subject} has another bias {_when(fault, log)}, by {1e3 * fault.size:.1f} mg; its "
+        f"the bias of {fault.subject} stepped by {1e3 * fault.size:.1f} mg {_when(fault, log)}; its "
         f"readings before are those of {fault.sus[1]}, which sits in the same place",
         "check its supply and its temperature",
     )

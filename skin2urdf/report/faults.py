@@ -118,9 +118,10 @@ def _when(fault: Fault, log: str) -> str:
 
 def _of_a_bias(fault: Fault, log: str) -> Words:
     """An SU whose bias is another from some time on."""
+    step = f"{1e3 * fault.size:.1f} mg {_when(fault, log)}"
     return Words(
-        f"the bias of {fault.subject} stepped by {1e3 * fault.size:.1f} mg {_when(fault, log)}; its "
-        f"readings before are those of {fault.sus[1]}, which sits in the same place",
+        f"the bias of {fault.subject} stepped by {step}; its readings before are those of "
+        f"{fault.sus[1]}, which sits in the same place",
         "check its supply and its temperature",
     )
 

@@ -56,7 +56,7 @@ def number_by_earliest(stamp: F64, period: float) -> Numbering | None:
     if early.size < FEWEST:
         return None
     turns = stamp - stamp[0]
-    rate = rate_of(turns[early], 1.0 / period)
+    rate = rate_of(turns[early], early, 1.0 / period)
     if rate is None:
         return None
     turns *= rate

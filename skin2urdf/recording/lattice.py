@@ -40,7 +40,7 @@ def number_on_lattice(stamp: F64, period: float) -> Numbering | None:
     """
     if stamp.size < AVERAGED:
         return None
-    rate = rate_of(stamp - stamp[0], 1.0 / period)
+    rate = rate_of(stamp - stamp[0], np.arange(stamp.size), 1.0 / period)
     if rate is None:
         return None
     pauses = np.flatnonzero(np.diff(stamp) * rate > LONG_PAUSE) + 1
@@ -54,19 +54,22 @@ def number_on_lattice(stamp: F64, period: float) -> Numbering | None:
     return Numbering(number, pieces)
 
 
-def rate_of(stamp: F64, guess: float) -> float | None:
+def rate_of(stamp: F64, message: Int, guess: float) -> float | None:
     """Rate [Hz] near a guess at which stamps are most in phase; None where they are at none.
 
     Args:
         stamp: (N,) stamps in the order of arrival, all of a stream or some [s].
+        message: (N,) which message of the stream each is of.
         guess: rate of the sensor, as first guessed [Hz].
     """
     some = min(AVERAGED, stamp.size)
     begins = np.unique(np.linspace(0, stamp.size - some, WINDOWS).astype(np.int64))
     windows = stamp[begins[:, None] + np.arange(some)]
     windows = windows - windows.mean(axis=1, keepdims=True)
-    # Half a turn between the ends of a window is what two neighbours in the grid may differ by.
-    step = 0.5 / float(np.ptp(windows, axis=1).max())
+    # Half a turn between the ends of a window is what two neighbours in the grid may differ by. How
+    # long it is follows from its messages: stamps may be off by years.
+    longest = int((message[begins + some - 1] - message[begins]).max())
+    step = 0.5 * guess / longest
     rates = np.arange(guess / (1 + ABOVE), guess / (1 - BELOW) + step, step)
     rough = np.array([_directions(windows * rate) for rate in rates])
     fine = rates[int(rough.argmax())] + step * np.linspace(-1.0, 1.0, 17)

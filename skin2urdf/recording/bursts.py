@@ -11,6 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from skin2urdf.arrays import F64, Int
+from skin2urdf.recording.lattice import BELOW
 from skin2urdf.recording.numbering import median_of
 from skin2urdf.recording.regular import bent_line, regular_times
 
@@ -28,6 +29,8 @@ _LOST = 0.6
 _WAITS = 1.4826 / 4
 # Share of the bursts that hold all their messages at least where single ones are lost.
 _COMPLETE = 0.05
+# Share of the bursts that may hold more than came since the one before, by errors of their stamps.
+_MORE = 0.05
 
 
 def burst_ends(stamp: F64) -> Int | None:
@@ -53,7 +56,22 @@ def burst_ends(stamp: F64) -> Int | None:
     gaps = np.diff(stamp[ends])
     if ends.size < _FEWEST or float(np.median(gaps)) > _LONGEST:
         return None
-    return ends
+    return ends if _may_be_of_a_buffer(np.diff(ends), gaps) else None
+
+
+def _may_be_of_a_buffer(count: Int, gap: F64) -> bool:
+    """Whether bursts hold no more messages than came since the ones before.
+
+    A buffer is empty once it was read. Messages that queue behind a late one are more than that
+    where the last of them is late by less than the last one before.
+
+    Args:
+        count: (B,) messages of each burst.
+        gap: (B,) time since the one before [s].
+    """
+    # Losses make the mean period too long.
+    came = gap * count.sum() / (gap.sum() * (1 - BELOW))
+    return float(np.mean(count > came + 1)) <= _MORE
 
 
 def times_of_bursts(stamp: F64, ends: Int) -> F64 | None:

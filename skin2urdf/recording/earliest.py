@@ -17,15 +17,13 @@ from scipy.optimize import isotonic_regression
 
 from skin2urdf.arrays import F64, Bool, Int
 from skin2urdf.recording.lattice import phases_of, rate_of
-from skin2urdf.recording.numbering import LONG_PAUSE, Numbering
+from skin2urdf.recording.numbering import BEHIND, LONG_PAUSE, Numbering
 
 # Messages of which the earliest counts: of delays of a period in the mean the least of so many is a
 # sixteenth of one, and of losses of 3 per cent every second such group is free.
 AMONG = 16
 # Part of a period by which a message may come before the earliest ones say that it was sent.
 EARLY = 1.0 / AMONG
-# Messages closer than this part of a period have queued: the second one says when the first came.
-QUEUED = 0.05
 # Share of messages that do where delays are a third of a period in the mean; below that jumps and
 # phases tell as much.
 WAITING = 0.02
@@ -49,7 +47,7 @@ def number_by_earliest(stamp: F64, period: float) -> Numbering | None:
         no lattice, and where the stream pauses.
     """
     step = np.diff(stamp)
-    if (step < QUEUED * period).mean() < WAITING or step.max() > LONG_PAUSE * period:
+    if (step < BEHIND * period).mean() < WAITING or step.max() > LONG_PAUSE * period:
         return None
     ahead = stamp - period * np.arange(stamp.size)
     early = np.flatnonzero(ahead == minimum_filter1d(ahead, AMONG, mode="nearest"))
@@ -85,7 +83,7 @@ def _likeliest(turns: F64, rough: Int) -> Int:
     inside = np.diff(members, axis=1, prepend=-1) > 0
     base = rough[members[:, LEAD]]
     best = _paths(
-        turns[members] - members - base[:, None], step[members] < QUEUED, inside, mean, share
+        turns[members] - members - base[:, None], step[members] < BEHIND, inside, mean, share
     )
     lost = np.zeros(N, dtype=np.int64)
     middle = slice(LEAD, LEAD + TOGETHER)

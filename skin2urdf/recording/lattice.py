@@ -16,7 +16,7 @@ from scipy.ndimage import median_filter, uniform_filter1d
 from scipy.optimize import isotonic_regression
 
 from skin2urdf.arrays import F64, Int
-from skin2urdf.recording.numbering import LONG_PAUSE, Numbering
+from skin2urdf.recording.numbering import LONG_PAUSE, Numbering, queue_of
 
 # Messages over which phases are averaged: a clock off by 100 ppm moves by a twentieth of a period.
 AVERAGED = 512
@@ -74,7 +74,9 @@ def rate_of(stamp: F64, message: Int, guess: float) -> float | None:
     rough = np.array([_directions(windows * rate) for rate in rates])
     fine = rates[int(rough.argmax())] + step * np.linspace(-1.0, 1.0, 17)
     finest = np.array([_directions(windows * rate) for rate in fine])
-    return float(fine[finest.argmax()]) if finest.max() > _shown(some) else None
+    # Messages that come right behind each other are at one phase by their queue.
+    alone = some / float(queue_of(windows, np.full(len(windows), 1.0 / guess)).mean())
+    return float(fine[finest.argmax()]) if finest.max() > _shown(alone) else None
 
 
 def phases_of(turns: F64) -> F64:
@@ -87,7 +89,7 @@ def phases_of(turns: F64) -> F64:
     return np.asarray(np.unwrap(np.arctan2(imaginary, real)) / (2 * np.pi))
 
 
-def _shown(count: int) -> float:
+def _shown(count: float) -> float:
     """Mean length of so many phases as directions from which they show a lattice.
 
     It is 1 for stamps without noise; that of as many random phases exceeds this once in 30,000

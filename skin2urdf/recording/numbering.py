@@ -14,6 +14,8 @@ LONG_PAUSE = 50
 SHORTEST_LEVEL = 4
 # A level has moved by a message where it moved by more than this [periods].
 MOVED = 0.6
+# Messages closer than this part of a period have queued: the second one says when the first came.
+BEHIND = 0.05
 
 
 class Numbering(NamedTuple):
@@ -62,6 +64,24 @@ def medians_of(rows: F64 | Int) -> F64:
     if some.shape[1] % 2 == 0:
         middle = 0.5 * (middle + ordered[:, :half].max(axis=1))
     return np.where(np.isnan(ordered[:, half:].max(axis=1)), np.nan, middle)
+
+
+def queue_of(stamp: F64, period: F64) -> F64:
+    """(S,) in how long a queue messages come, in the mean over them: 1 where all come alone.
+
+    Messages that come right behind each other are late alike, and tell as much as one does: the
+    variance of a mean of all is so many times that of as many which are late each by itself.
+
+    Args:
+        stamp: (S, N) stamps of S streams in the order of arrival [s].
+        period: (S,) sampling periods [s].
+    """
+
+    def queue(row: F64, least: float) -> float:
+        first = np.flatnonzero(np.diff(row, prepend=-np.inf) >= least)
+        return float((np.diff(first, append=row.size) ** 2).sum()) / row.size
+
+    return np.array([queue(*each) for each in zip(stamp, BEHIND * period, strict=True)])
 
 
 def may_have_gaps(stamp: F64, period: F64, noise: F64) -> Bool:

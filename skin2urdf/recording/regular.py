@@ -13,7 +13,7 @@ from scipy.linalg.lapack import dptsv as ptsv
 
 from skin2urdf.arrays import F64, Bool, Int
 from skin2urdf.recording.earliest import number_by_earliest
-from skin2urdf.recording.lattice import number_on_lattice
+from skin2urdf.recording.lattice import BELOW, number_on_lattice
 from skin2urdf.recording.numbering import (
     MOVED,
     Numbering,
@@ -21,6 +21,7 @@ from skin2urdf.recording.numbering import (
     median_of,
     medians_of,
     number_messages,
+    queue_of,
 )
 
 # The line may bend after every stretch of this many samples and seconds, whichever is longer: long
@@ -104,7 +105,7 @@ def _rates(stamp: F64) -> tuple[F64, F64]:
         (S,) sampling periods [s] and scales of the noise of one stamp [s].
     """
     streams, count = stamp.shape
-    period, noise = np.full(streams, np.inf), np.full(streams, np.inf)
+    period, noise = np.zeros(streams), np.full(streams, np.inf)
     for lag in (64, 32, 16, 8):
         if 2 * lag > count:
             continue
@@ -112,7 +113,8 @@ def _rates(stamp: F64) -> tuple[F64, F64]:
         apart = stamp[:, lag::step] - stamp[:, : count - lag : step]
         typical = medians_of(apart)
         spread = 1.4826 * medians_of(np.abs(apart - typical[:, None])) / np.sqrt(2.0)
-        better = spread < 0.7 * noise
+        # Losses make the rest too long, and a queue, while it lasts, messages too close.
+        better = (spread < 0.7 * noise) & ~(typical < (1 - BELOW) * lag * period)
         period = np.where(better, typical / lag, period)
         noise = np.where(better, spread, noise)
     return period, noise
@@ -238,6 +240,8 @@ def _bent(number: F64, stamp: F64, period: F64, stretches: int) -> F64:
     moments = _moments(weight, u, deviation, starts)
     height, misfit = _joined(knots, moments)
     noise = misfit / np.maximum(moments[0].sum(axis=1) - len(knots), 1.0)
+    # Messages that come right behind each other are late alike: a line follows all of them.
+    noise *= queue_of(stamp, period)
     best = misfit + BEND_PRICE * noise * len(knots)
     lines = [(knots, each) for each in height]
     rows = np.arange(len(stamp))
@@ -350,7 +354,8 @@ def _astray(stamp: F64, fitted: F64, period: F64, noise: F64) -> Bool:
     """Tell which fits are off by whole messages for a while.
 
     Single stamps may be far off, so they are clipped. Averages over many may not, but for what
-    the noise explains, except here and there where the clock stepped.
+    the noise explains, except here and there where the clock stepped. Of messages that queue whole
+    queues are noise.
 
     Args:
         stamp: (S, N) stamps [s].
@@ -371,5 +376,6 @@ def _astray(stamp: F64, fitted: F64, period: F64, noise: F64) -> Bool:
     away = apart - middle[:, None]
     level = np.clip(away, -reach[:, None, None], reach[:, None, None]).mean(axis=2)
     level = np.abs(level - np.median(level, axis=1, keepdims=True))
-    bound = np.maximum(ASTRAY * period, 8.0 * noise / np.sqrt(ASTRAY_SAMPLES))
+    alone = ASTRAY_SAMPLES / queue_of(stamp, period)
+    bound = np.maximum(ASTRAY * period, 8.0 * noise / np.sqrt(alone))
     return np.asarray(lost | (np.mean(level > bound[:, None], axis=1) > 0.02))

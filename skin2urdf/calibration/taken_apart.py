@@ -14,7 +14,7 @@ from skin2urdf.arrays import F64
 from skin2urdf.calibration.clock import Clock
 from skin2urdf.calibration.result import GOOD_FIT
 from skin2urdf.calibration.rounds import Logs, Solution, relinearise, take_features
-from skin2urdf.calibration.samples import fit_samples, with_samples
+from skin2urdf.calibration.samples import fit_samples, rejected, with_samples
 from skin2urdf.errors import Skin2UrdfError
 from skin2urdf.estimation.problem.state import N_PLACEMENT, State
 from skin2urdf.estimation.solve.estimate import estimate
@@ -97,7 +97,8 @@ def _taken_apart(
         apart = _estimated(replace(solution, logs=logs), tree, state, of_patterns, clock)
     except Skin2UrdfError:
         return None
-    again = clock.run("all samples", lambda tell: fit_samples(apart, tell))
+    # What all other SUs do not show, this one alone would not either.
+    again = clock.run("all samples", lambda tell: fit_samples(apart, tell, without=rejected(along)))
     if again is None:
         return None
     both = [again.problem.tree.su_names.index(n) for n in (change.earlier, change.name)]

@@ -93,7 +93,7 @@ def _weighed(stamp: F64, regular: F64, signals: Sequence[F64], index: Int) -> St
     believable = even & (np.abs(delta) > 1e-4 * period)
     channels = signals[0].shape[1]
     score_sum, weight_sum = np.zeros(streams), np.zeros(streams)
-    squares = np.zeros((3, streams))
+    squares, by_noise = np.zeros((3, streams)), np.zeros(streams)
     for first in range(0, channels, TOGETHER):
         values = np.stack([
             signal[at, channel]
@@ -116,6 +116,8 @@ def _weighed(stamp: F64, regular: F64, signals: Sequence[F64], index: Int) -> St
         predicted *= (delta / period)[:, None]
         # Weights bound what a single wild stamp can say.
         score = np.where(moving, predicted / (noise**2 + predicted**2), 0.0)
+        # Noise that is not known, and infinite, moves nothing.
+        by_noise += (np.where(np.isfinite(noise), noise, 0.0) ** 2 * score**2).sum(axis=(1, 2, 3))
         left = score * missed
         expected = np.multiply(score, predicted, out=predicted)
         score_sum += left.sum(axis=(1, 2, 3))
@@ -127,8 +129,10 @@ def _weighed(stamp: F64, regular: F64, signals: Sequence[F64], index: Int) -> St
     weight = np.where(told, weight_sum, 1.0)
     share = score_sum / weight
     spread = np.maximum(squares[0] - 2 * share * squares[1] + share**2 * squares[2], 0.0)
-    # Neighbouring residuals share samples; twice the naive deviation covers that.
-    return StampEvidence(share, np.where(told, 2.0 * np.sqrt(spread) / weight, np.inf))
+    # The share follows what it is made of, all of it where that is one sample: what is left is no
+    # less than noise. Neighbouring residuals share samples; twice the naive deviation covers that.
+    deviation = 2.0 * np.sqrt(np.maximum(spread, by_noise)) / weight
+    return StampEvidence(share, np.where(told, deviation, np.inf))
 
 
 def _noise(missed: F64, usable: Bool) -> F64:

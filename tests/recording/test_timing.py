@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from skin2urdf.recording.numbering import median_of, medians_of
 from skin2urdf.recording.regular import regular_times
+from skin2urdf.recording.smoothness import weigh_stamps
 from skin2urdf.recording.timing import SampleTimes, Stamped, sample_times, sample_times_of
 
 F64 = NDArray[np.float64]
@@ -267,6 +268,18 @@ def test_times_rise_strictly_whatever_the_stamps(stamps: list[int], seed: int) -
     assert times.time.size == times.kept.size
     assert np.unique(times.kept).size == times.kept.size
     assert times.time.size > 0 or stamp.size == 0
+
+
+def test_a_single_sample_that_moves_says_little_of_stamps() -> None:
+    """A share that is fitted to one sample leaves none of it over, whatever noise did to it."""
+    rng = np.random.default_rng(6)
+    regular = 0.01 * np.arange(N)
+    stamp = regular.copy()
+    stamp[700] += 0.02
+    signal = 0.1 * rng.standard_normal((N, 1))
+    signal[701:] += 1.0
+    told = weigh_stamps(stamp[None], regular[None], [signal])
+    assert told.uncertainty[0] > 0.25
 
 
 @pytest.mark.parametrize("burst", [3, 7, 40, 64])

@@ -100,6 +100,7 @@ ReadingKind = Literal[
     "no stamps",
     "contradicting stamps",
     "noisy stamps",
+    "late messages",
     "other clock",
     "clock jump",
     "own clock jump",

@@ -272,7 +272,25 @@ def timing_notes(streams: Sequence[TimedStream]) -> list[ReadingNote]:
             "timed at the rate of the sensor"
         )
         notes.append(ReadingNote("noisy stamps", words, number=regular))
-    return notes
+    return [*notes, *_late_messages(streams)]
+
+
+def _late_messages(streams: Sequence[TimedStream]) -> list[ReadingNote]:
+    """Say which topics have stamps that scatter by more than a sampling period."""
+    worst: dict[str, float] = {}
+    for stream in streams:
+        period = (stream.time[-1] - stream.time[0]) / 1e9 / max(stream.time.size - 1, 1)
+        if stream.stamp_noise > period:
+            worst[stream.topic] = max(stream.stamp_noise, worst.get(stream.topic, 0.0))
+    if not worst:
+        return []
+    topics = sorted(worst)
+    words = (
+        f"messages on {shortened(topics, 4)} were stamped late, by {1e3 * max(worst.values()):.2g} "
+        "ms more or less, which is more than from one to the next: when they were taken is not "
+        "known well, least where some are lost; stamp them where they are taken"
+    )
+    return [ReadingNote("late messages", words, tuple(topics), max(worst.values()))]
 
 
 def recorded(

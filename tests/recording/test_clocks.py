@@ -128,3 +128,16 @@ def test_messages_reordered_within_a_window_are_sorted(jitter: float, noise: flo
     order = np.argsort(np.arange(true.size) + 40 * rng.random(true.size))
     times = sample_times(stamp[order], stamp[order], signal[order])
     assert np.array_equal(order[times.kept], np.arange(true.size))
+
+
+@pytest.mark.parametrize("late", [0.1, 3.0])
+def test_messages_that_are_late_by_more_than_a_period_are_told(late: float, ros_log: Any) -> None:
+    delay = 10 * MS * late * np.random.default_rng(1).exponential(size=N)
+    arrival = np.maximum.accumulate(10 * MS * np.arange(N) + delay).astype(np.int64)
+
+    def delayed(source: str, k: int) -> int:
+        return EPOCH + int(arrival[k]) + 100 * k if source == "b" else at(source, k)
+
+    recording = recorded(ros_log, delayed, delayed)
+    told = [note.sources for note in of_reading(recording.notes, "late messages")]
+    assert told == ([("/b",)] if late > 1 else [])

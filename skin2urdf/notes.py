@@ -26,6 +26,7 @@ NoteKind = Literal[
     "implausible bias",
     "unit g",
     "unit deg/s",
+    "base moves",
 ]
 """Of the structure: an SU and a joint that are in no tree; SUs that no log holds while joints move;
 a bit of the activity that the rest decided; no SU on the base; another order of joints, or other
@@ -34,7 +35,7 @@ motion; a tree that a second look gave; an SU that sits where its readings fit; 
 positions of joints before SUs.
 Of the fit: an SU and poses that fit worse than the rest; SUs that may sit on a vertical axis;
 errors that no working sensor has.
-Of the streams: readings in g, rates in deg/s, both converted."""
+Of the streams: readings in g, rates in deg/s, both converted; what turns all SUs at rest."""
 
 Detail = Literal[
     "",
@@ -63,8 +64,8 @@ class Note:
         joints: the joints it is about, in the order that was taken.
         detail: which way it holds.
         instead: of an order of joints, the other one.
-        size: how large it is: how many times worse, an error [1 or m/s^2], a span [rad or m]; NaN
-            where nothing is measured.
+        size: how large it is: how many times worse, an error [1 or m/s^2], a span [rad or m], an
+            angle [rad]; NaN where nothing is measured.
         numbers: of poses in the order of the logs, or of logs, from 0.
         of: how many there are of what is numbered.
     """

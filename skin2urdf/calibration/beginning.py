@@ -15,6 +15,7 @@ import numpy as np
 from skin2urdf.calibration.at_rest import estimate_at_rest
 from skin2urdf.calibration.clock import Clock
 from skin2urdf.calibration.gravity_of_slides import with_gravity_of_slides
+from skin2urdf.calibration.refusal import tell_of_moving_bases
 from skin2urdf.calibration.rounds import (
     Logs,
     Solution,
@@ -126,10 +127,11 @@ def _begun(
     leaps = clock.run("leaps", lambda _: evident_errors(on_time))
     logs = sample_logs(corrected(on_time, [leap.error for leap in leaps]), settings, clock)
     features = take_features(logs, clock)
-    structure = find_structure(logs, features, clock)
     first, of_patterns = None, True
-    if settings.method != "paper":
-        first, of_patterns = _first_estimate(logs, features, structure, clock)
+    with tell_of_moving_bases(logs.sampled):
+        structure = find_structure(logs, features, clock)
+        if settings.method != "paper":
+            first, of_patterns = _first_estimate(logs, features, structure, clock)
     return Beginning(
         on_time, publishers, tuple(leaps), logs, features, structure, first, of_patterns
     )

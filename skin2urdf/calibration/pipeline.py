@@ -13,7 +13,7 @@ from skin2urdf.calibration.around_poses import judged_by_samples
 from skin2urdf.calibration.beginning import Beginning, begin
 from skin2urdf.calibration.clock import Clock, Progress, Tell
 from skin2urdf.calibration.explanation import explain_readings
-from skin2urdf.calibration.refusal import check_fit
+from skin2urdf.calibration.refusal import check_fit, tell_of_moving_bases
 from skin2urdf.calibration.result import Calibration, Source, SuSource
 from skin2urdf.calibration.rounds import Solution
 from skin2urdf.calibration.samples import (
@@ -73,7 +73,8 @@ def calibrate(
     begun = begin(recordings, settings, clock)
     by_the_paper = settings.method == "paper"
     # Physics of real robots, or what is wrong, and what all samples say of either.
-    solution, along = (_follow_the_paper if by_the_paper else explain_readings)(begun, clock)
+    with tell_of_moving_bases(begun.logs.sampled):
+        solution, along = (_follow_the_paper if by_the_paper else explain_readings)(begun, clock)
     # Of features, so that each pose can be predicted from the others, and of all samples, which
     # know of more than a rigid robot.
     features, sampled = solution.features, solution.logs.sampled
@@ -84,7 +85,8 @@ def calibrate(
     if along is not None:
         solution = replace(solution, found=with_samples(solution.found, along))
     if not by_the_paper:
-        check_fit(solution.found, along)
+        with tell_of_moving_bases(sampled):
+            check_fit(solution.found, along)
     information = clock.run("all samples", lambda _: along.information) if along else None
     seen = clock.run("observability", lambda _: observability(solution.found, information))
     late = late_publishers(along, sampled)

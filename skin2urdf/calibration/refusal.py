@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+
 from skin2urdf.calibration.result import BAD_FIT, BAD_MISFIT, HOPELESS_FIT
-from skin2urdf.errors import BadFitError
+from skin2urdf.errors import BadFitError, StructureError
 from skin2urdf.estimation.solve.estimate import Estimate
 from skin2urdf.estimation.trajectory.estimate import MotionEstimate
 from skin2urdf.estimation.uncertainty.health import why_bad
-from skin2urdf.estimation.uncertainty.physics import why_unexplained
+from skin2urdf.estimation.uncertainty.physics import STAND_STILL, base_moves, why_unexplained
+from skin2urdf.notes import of_kind
+from skin2urdf.signals.sampling import Sampled
 
 
 def check_hope(found: Estimate) -> None:
@@ -31,6 +36,23 @@ def check_fit(found: Estimate, along: MotionEstimate | None) -> None:
     """
     cost, limit = (found.cost_per_dof, BAD_FIT) if along is None else (along.misfit, BAD_MISFIT)
     _refuse_beyond(limit, cost, found, along)
+
+
+@contextmanager
+def tell_of_moving_bases(sampled: Sequence[Sampled]) -> Iterator[None]:
+    """Where no model explains the readings, say first that the base moves, if it does.
+
+    Args:
+        sampled: the logs.
+    """
+    try:
+        yield
+    except (BadFitError, StructureError) as error:
+        moved = [note for s in sampled for note in of_kind(s.notes, "base moves")]
+        if moved:
+            error.args = (f"{base_moves(max(note.size for note in moved))}; {error}",)
+            error.remedy = STAND_STILL
+        raise
 
 
 def _refuse_beyond(

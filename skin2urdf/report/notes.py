@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from skin2urdf.estimation.uncertainty.physics import STAND_STILL, base_moves
 from skin2urdf.notes import Note, Noted, ReadingNote
 
 _LISTED = 6
@@ -74,6 +75,8 @@ def _words(note: Note) -> str:
             return f"{sus} reports g instead of m/s^2; its readings were converted"
         case "unit deg/s":
             return f"the gyroscope of {sus} reports deg/s; its rates were converted"
+        case "base moves":
+            return f"{base_moves(note.size)}; {STAND_STILL}"
         case "misfit" | "poses misfit" | "implausible shape" | "implausible bias":
             return _of_the_fit(note)
         case _:

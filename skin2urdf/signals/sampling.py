@@ -31,6 +31,7 @@ from skin2urdf.signals.poses import (
     slowest_moments,
 )
 from skin2urdf.signals.records import StaticMoves, SuClock
+from skin2urdf.signals.standing import angle_at_rest
 from skin2urdf.signals.swings import Swings
 from skin2urdf.signals.turning import Turning, sampled_turning
 from skin2urdf.threads import each
@@ -176,6 +177,8 @@ def sample_recording(
     notes += converted
     cutoff = _cutoff(motion, neighbourhoods)
     readings, filled = computed(motion, neighbourhoods, cutoff, readings, valid)
+    if angle := angle_at_rest(rests, readings, valid, grid.rate):
+        notes.append(Note("base moves", size=angle))
     return Sampled(
         motion, rests, neighbourhoods, readings, valid | filled, cutoff, tuple(notes), filled,
         frozen(period), tuple(faults), tuple(clocks.values()), turning,

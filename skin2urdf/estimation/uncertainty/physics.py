@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from math import degrees
 
 _PHYSICS = {
     "elastic": (
@@ -82,3 +83,19 @@ def why_unexplained(
         f"leave {misfit:.0f} times what noise would"
     )
     return told, f"{cure}; otherwise {remedy}"
+
+
+STAND_STILL = "record while it stands still, or fix it"
+"""What to do about a base that moves."""
+
+
+def base_moves(angle: float) -> str:
+    """What shows that a base moves, in words.
+
+    Args:
+        angle: by which gravity turns in half a second at rest [rad].
+    """
+    return (
+        f"the base moves by itself: gravity turns by {degrees(angle):.2g} deg in half a second, "
+        "in all SUs alike, while no joint moves"
+    )

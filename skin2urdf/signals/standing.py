@@ -1,0 +1,76 @@
+"""Whether what carries all SUs stands still while no joint moves.
+
+As long as no joint moves, a robot is one rigid body, and gravity keeps its direction in all SUs. If
+the body turns, gravity turns by the same angle in each, however it is mounted: a joint that creeps,
+an SU that slips, or biases that drift turn it by other angles, or in some SUs alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from skin2urdf.arrays import F64, Bool
+from skin2urdf.signals.poses import Rest
+
+_PIECE = 0.5
+"""Length [s] over which readings are averaged: what rings after a move has several periods in it,
+and a base that sways or drives turns in it by an angle that shows."""
+_ALONE = 0.1
+"""Time [s] in which noise of readings at rest, rounding and vibration repeat themselves at most."""
+_CERTAIN = 5.0
+"""Standard deviations from which an angle is none by chance."""
+_LEAST = 2e-3
+"""Angle [rad] by which nothing that stands turns: what a floor does under people, and biases in
+seconds, is less, and lengths feel less of it than of gravity's own deviation."""
+_ALIKE = 0.2
+"""Part of the angle by which SUs may differ: gravity is longer or shorter by what bases accelerate.
+"""
+
+
+_MOST = 0.75
+"""Share of the SUs that have to turn alike: some may be loose, or drift."""
+
+
+def angle_at_rest(rests: Sequence[Rest], readings: F64, valid: Bool, rate: float) -> float:
+    """By what angle all SUs turn in half a second while no joint moves, rms over rests [rad].
+
+    Args:
+        rests: where no joint moves; moments that only stand for rests do not count.
+        readings: (N, U, 3) readings on the grid [m/s^2].
+        valid: (N, U) where they are whole.
+        rate: of the grid [Hz].
+
+    Returns:
+        0 where most of the rests do not show any for certain, in three SUs of four at least.
+    """
+    size = max(2, round(_PIECE * rate))
+    found = [np.zeros(0)]
+    for rest in rests:
+        pieces = (rest.end - rest.begin) // size if rest.still else 0
+        part = slice(rest.begin, rest.begin + pieces * size)
+        heard = valid[part].all(axis=0)
+        if pieces > 1 and heard.sum() > 1:
+            found.append(_turned(readings[part, heard].reshape(pieces, size, -1, 3), rate))
+    angles = np.concatenate(found)
+    shown = angles[angles > 0.0]
+    return float(np.sqrt(np.mean(shown**2))) if 2 * len(shown) > len(angles) else 0.0
+
+
+def _turned(x: F64, rate: float) -> F64:
+    """(P - 1,) angle between neighbours of P pieces (P, n, U, 3) [rad]; 0 where it is none."""
+    mean = x.mean(axis=1)
+    length = np.linalg.norm(mean, axis=2)
+    # What turns on and on in a piece is none of its noise.
+    along = np.linspace(-1.0, 1.0, x.shape[1])
+    slope = np.einsum("n,pnui->pui", along, x) / (along @ along)
+    noise = (x - mean[:, None] - along[:, None, None] * slope[:, None]).std(axis=1).max(axis=2)
+    spread = noise * np.sqrt(max(1.0, _ALONE * rate) / x.shape[1])
+    sd = np.hypot(spread[1:], spread[:-1]) / length[1:]
+    across = np.linalg.norm(np.cross(mean[1:], mean[:-1]), axis=2)
+    angle = np.arctan2(across, np.einsum("pui,pui->pu", mean[1:], mean[:-1]))
+    common = np.median(angle, axis=1)
+    alike = np.abs(angle - common[:, None]) < _CERTAIN * sd + _ALIKE * common[:, None]
+    certain = common > np.maximum(_CERTAIN * np.median(sd, axis=1), _LEAST)
+    return np.where(certain & (alike.mean(axis=1) >= _MOST), common, 0.0)

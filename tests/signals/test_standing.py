@@ -1,0 +1,103 @@
+"""A base that moves by itself turns gravity alike in all SUs while no joint moves."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any, cast
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from skin2urdf.arrays import F64
+from skin2urdf.calibration.refusal import tell_of_moving_bases
+from skin2urdf.errors import BadFitError, Skin2UrdfError, StructureError, UsageError
+from skin2urdf.notes import Note, of_kind
+from skin2urdf.recording.records import JointStream, Recording, SuStream
+from skin2urdf.signals.poses import Rest
+from skin2urdf.signals.sampling import sample_recording
+from skin2urdf.signals.standing import angle_at_rest
+
+RATE = 100.0
+SUS = 5
+TIME = np.arange(0, 4, 1 / RATE)
+MOUNTED = Rotation.random(SUS, random_state=1)
+REST = (Rest(0, len(TIME), np.zeros(1)),)
+HEARD = np.ones((len(TIME), SUS), dtype=bool)
+
+
+def readings(tilt: F64, rng: np.random.Generator) -> F64:
+    """(N, U, 3) gravity in SUs that are tilted about a level axis by angles (N, U) [rad]."""
+    out = np.empty((*tilt.shape, 3))
+    for u in range(SUS):
+        turned = Rotation.from_rotvec(tilt[:, u, None] * np.array([0.6, 0.8, 0.0]))
+        out[:, u] = MOUNTED[u].apply(turned.apply([0.0, 0.0, 9.81]))
+    return out + 0.03 * rng.standard_normal(out.shape)
+
+
+def swayed(by: float) -> F64:
+    """(N, U) tilt of a base that sways [rad]."""
+    return np.tile(by * np.sin(2 * np.pi * 0.4 * TIME)[:, None], SUS)
+
+
+@pytest.mark.parametrize("by", [0.015, 0.05])
+def test_a_base_that_sways_turns_all_sus_at_rest(by: float) -> None:
+    x = readings(swayed(by), np.random.default_rng(1))
+    # Half a second of a sine of 0.4 Hz: 2 sin(0.2 pi) of the amplitude at most, 0.7 of it rms.
+    assert angle_at_rest(REST, x, HEARD, RATE) == pytest.approx(by, rel=0.4)
+
+
+def test_a_loose_or_deaf_su_does_not_hide_it() -> None:
+    x = readings(swayed(0.05), np.random.default_rng(2))
+    x[150:, 1] = x[150:, 1] @ Rotation.from_rotvec([0.3, 0.1, 0.0]).as_matrix()
+    heard = HEARD.copy()
+    heard[100:, 4] = False
+    assert angle_at_rest(REST, x, heard, RATE) == pytest.approx(0.05, rel=0.4)
+
+
+@pytest.mark.parametrize("case", ["noise", "a joint creeps", "biases drift", "one slips", "moves"])
+def test_what_stands_does_not_move(case: str) -> None:
+    rng = np.random.default_rng(3)
+    tilt = np.zeros((len(TIME), SUS))
+    if case == "a joint creeps":
+        tilt[:, 2:] = 0.02 * TIME[:, None]
+    if case == "one slips":
+        tilt[150:, 0] = 0.2
+    x = readings(tilt, rng)
+    if case == "biases drift":
+        x += 0.05 * TIME[:, None, None] * rng.standard_normal((SUS, 3))
+    rests = (Rest(0, len(TIME), np.zeros(1), still=False),) if case == "moves" else REST
+    if case == "moves":
+        x = readings(swayed(0.05), rng)
+    assert angle_at_rest(rests, x, HEARD, RATE) == 0.0
+
+
+@pytest.mark.parametrize("by", [0.0, 0.05])
+def test_a_log_of_a_base_that_moves_says_so(by: float) -> None:
+    position = 0.5 * np.clip(TIME - 2.0, 0.0, 0.3)
+    x = readings(swayed(by), np.random.default_rng(4))
+    sus = [SuStream(f"su_{u}", TIME, x[:, u], f"/su_{u}") for u in range(SUS)]
+    log = Recording((JointStream("j", TIME, position),), tuple(sus), source="log")
+    sampled = sample_recording(log, ["j"], [su.name for su in sus])
+    assert bool(of_kind(sampled.notes, "base moves")) == (by > 0)
+
+
+@pytest.mark.parametrize("error", [StructureError("x", "y"), BadFitError("x", "y", 3.0)])
+def test_a_refusal_begins_with_the_base_that_moves(error: Skin2UrdfError) -> None:
+    still = cast(Any, SimpleNamespace(notes=()))
+    moved = cast(Any, SimpleNamespace(notes=(Note("base moves", size=0.1),)))
+    with pytest.raises(type(error)) as caught, tell_of_moving_bases([still]):
+        raise error
+    assert (str(caught.value), caught.value.remedy) == ("x", "y")
+    with pytest.raises(type(error)) as caught, tell_of_moving_bases([still, moved]):
+        raise error
+    assert str(caught.value) != "x"
+    assert str(caught.value).endswith("x")
+    assert caught.value.remedy != "y"
+
+
+def test_bad_usage_is_not_the_bases_fault() -> None:
+    moved = cast(Any, SimpleNamespace(notes=(Note("base moves", size=0.1),)))
+    with pytest.raises(UsageError) as caught, tell_of_moving_bases([moved]):
+        raise UsageError("x", "y")
+    assert (str(caught.value), caught.value.remedy) == ("x", "y")

@@ -28,7 +28,7 @@ from skin2urdf.calibration.samples import (
     without_false_hits,
 )
 from skin2urdf.calibration.taken_apart import retold, with_sus_apart
-from skin2urdf.errors import Skin2UrdfError
+from skin2urdf.errors import Skin2UrdfError, StructureError
 from skin2urdf.estimation.trajectory.estimate import MotionEstimate
 from skin2urdf.hypotheses.attempts import StandsOut
 from skin2urdf.hypotheses.kinds import KINDS
@@ -56,18 +56,26 @@ def explain_readings(begun: Beginning, clock: Clock) -> tuple[Solution, MotionEs
     trusted = not begun.of_patterns or (looked is not None and is_explained_by_physics(looked))
     if first is not None and trusted:
         return _fit_along(begun, first, looked, looked, frozenset(), clock)
-    solution = clock.run(
-        "what is wrong",
-        partial(
-            explain,
-            begun.recordings,
-            begun.leaps,
-            (begun.logs, begun.structure, first),
-            KINDS,
-            clock,
-            stands_out=_what_stands_out(looked, begun.logs.sampled),
-        ),
+    if first is not None and looked is not None:
+        apart, along = with_sus_apart(first, looked, clock, of_patterns=True)
+        if along is not looked and is_explained_by_physics(along):
+            return apart, along
+    search = partial(
+        explain,
+        begun.recordings,
+        begun.leaps,
+        (begun.logs, begun.structure, first),
+        KINDS,
+        clock,
+        stands_out=_what_stands_out(looked, begun.logs.sampled),
     )
+    try:
+        solution = clock.run("what is wrong", search)
+    except StructureError:
+        of_moves = _of_moves(begun, 0, clock)
+        if of_moves is None:
+            raise
+        return of_moves
     check_hope(solution.found)
     known = looked if first is not None and _untouched(first, solution) else None
     if not unexplained and names_what_differs_by_place(solution) and not begun.leaps:

@@ -162,4 +162,7 @@ def _of_moves(begun: Beginning, n_sus: int, clock: Clock) -> tuple[Solution, Mot
     if solution.found.tree.n_sus < n_sus:
         return None
     along = clock.run("all samples", lambda tell: fit_samples(solution, tell, most=BAD_MISFIT))
-    return None if along is None or along.misfit > GOOD_FIT else (solution, along)
+    if along is None:
+        return None
+    found = with_sus_apart(solution, along, clock, of_patterns=False)
+    return None if found[1].misfit > GOOD_FIT else found

@@ -7,12 +7,14 @@ from typing import Any
 
 import pytest
 from random_robots import small_arm
-from simulated import simulation_of
+from simulated import features_of, simulation_of, tree_of
 
-from skin2urdf.calibration import at_rest
+from skin2urdf.calibration import at_rest, rounds
 from skin2urdf.calibration.clock import Clock
+from skin2urdf.calibration.pipeline import calibrate
 from skin2urdf.calibration.rounds import Logs, Structure, find_structure, sample_logs, take_features
 from skin2urdf.calibration.settings import CalibrationSettings
+from skin2urdf.errors import StructureError
 from skin2urdf.notes import of_kind
 from skin2urdf.structure.from_motion import MotionTree, doubt, trees_of_both_kinds
 
@@ -52,3 +54,19 @@ def test_all_samples_tell_which_of_several_trees_is_right(
     solution = at_rest.estimate_at_rest(logs, structure, Clock(None))
     assert solution.found.tree.is_like(right.tree)
     assert not of_kind(solution.found.tree.notes, "other order")
+
+
+def test_where_patterns_contradict_every_tree_moves_are_asked(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """What was taken for patterns may have been none: rests and moves show a tree all the same."""
+    made = simulation_of(small_arm(3), n_poses=3, seed=5, imu_rate=250.0, joint_rate=125.0)
+    true = tree_of(features_of(made.recording))
+
+    def contradicted(*_: Any) -> None:
+        raise StructureError("no tree")
+
+    monkeypatch.setattr(rounds, "kinematic_tree", contradicted)
+    found = calibrate(made.recording)
+    assert found.model.tree.is_like(true)
+    assert found.quality == "good"

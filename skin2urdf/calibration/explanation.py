@@ -56,10 +56,6 @@ def explain_readings(begun: Beginning, clock: Clock) -> tuple[Solution, MotionEs
     trusted = not begun.of_patterns or (looked is not None and is_explained_by_physics(looked))
     if first is not None and trusted:
         return _fit_along(begun, first, looked, looked, frozenset(), clock)
-    if first is not None and looked is not None:
-        apart, along = with_sus_apart(first, looked, clock, of_patterns=True)
-        if along is not looked and is_explained_by_physics(along):
-            return apart, along
     search = partial(
         explain,
         begun.recordings,

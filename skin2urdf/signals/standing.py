@@ -27,8 +27,6 @@ seconds, is less, and lengths feel less of it than of gravity's own deviation.""
 _ALIKE = 0.2
 """Part of the angle by which SUs may differ: gravity is longer or shorter by what bases accelerate.
 """
-
-
 _MOST = 0.75
 """Share of the SUs that have to turn alike: some may be loose, or drift."""
 
@@ -49,28 +47,39 @@ def angle_at_rest(rests: Sequence[Rest], readings: F64, valid: Bool, rate: float
     found = [np.zeros(0)]
     for rest in rests:
         pieces = (rest.end - rest.begin) // size if rest.still else 0
-        part = slice(rest.begin, rest.begin + pieces * size)
-        heard = valid[part].all(axis=0)
-        if pieces > 1 and heard.sum() > 1:
-            found.append(_turned(readings[part, heard].reshape(pieces, size, -1, 3), rate))
+        first = rest.begin + size * np.arange(pieces)
+        heard = np.flatnonzero(valid[rest.begin : rest.begin + pieces * size].all(axis=0))
+        if pieces > 1 and len(heard) > 1:
+            # One after the other: a rest may be as long as a log of a thousand SUs.
+            seen = [_seen(readings[k : k + size][:, heard], rate) for k in first.tolist()]
+            found.append(_turned(np.stack([m for m, _ in seen]), np.stack([d for _, d in seen])))
     angles = np.concatenate(found)
     shown = angles[angles > 0.0]
     return float(np.sqrt(np.mean(shown**2))) if 2 * len(shown) > len(angles) else 0.0
 
 
-def _turned(x: F64, rate: float) -> F64:
-    """(P - 1,) angle between neighbours of P pieces (P, n, U, 3) [rad]; 0 where it is none."""
-    mean = x.mean(axis=1)
-    length = np.linalg.norm(mean, axis=2)
+def _seen(x: F64, rate: float) -> tuple[F64, F64]:
+    """Mean (U, 3) of a piece of readings (n, U, 3) [m/s^2], and deviation of its direction (U,)."""
+    mean = x.mean(axis=0)
     # What turns on and on in a piece is none of its noise.
-    along = np.linspace(-1.0, 1.0, x.shape[1])
-    slope = np.einsum("n,pnui->pui", along, x) / (along @ along)
-    noise = (x - mean[:, None] - along[:, None, None] * slope[:, None]).std(axis=1).max(axis=2)
-    spread = noise * np.sqrt(max(1.0, _ALONE * rate) / x.shape[1])
-    sd = np.hypot(spread[1:], spread[:-1]) / length[1:]
+    along = np.linspace(-1.0, 1.0, len(x))
+    slope = np.tensordot(along, x, 1) / (along @ along)
+    noise = (x - mean - along[:, None, None] * slope).std(axis=0).max(axis=1)
+    alone = np.sqrt(max(1.0, _ALONE * rate) / len(x))
+    return mean, noise * alone / np.maximum(np.linalg.norm(mean, axis=1), noise.clip(1e-12))
+
+
+def _turned(mean: F64, sd: F64) -> F64:
+    """(P - 1,) angle between neighbours of P pieces [rad]; 0 where it is none.
+
+    Args:
+        mean: (P, U, 3) readings of each, and
+        sd: (P, U) deviations of their directions [rad].
+    """
     across = np.linalg.norm(np.cross(mean[1:], mean[:-1]), axis=2)
     angle = np.arctan2(across, np.einsum("pui,pui->pu", mean[1:], mean[:-1]))
     common = np.median(angle, axis=1)
-    alike = np.abs(angle - common[:, None]) < _CERTAIN * sd + _ALIKE * common[:, None]
-    certain = common > np.maximum(_CERTAIN * np.median(sd, axis=1), _LEAST)
+    off = np.hypot(sd[1:], sd[:-1])
+    alike = np.abs(angle - common[:, None]) < _CERTAIN * off + _ALIKE * common[:, None]
+    certain = common > np.maximum(_CERTAIN * np.median(off, axis=1), _LEAST)
     return np.where(certain & (alike.mean(axis=1) >= _MOST), common, 0.0)

@@ -76,12 +76,12 @@ def queue_of(stamp: F64, period: F64) -> F64:
         stamp: (S, N) stamps of S streams in the order of arrival [s].
         period: (S,) sampling periods [s].
     """
-
-    def queue(row: F64, least: float) -> float:
-        first = np.flatnonzero(np.diff(row, prepend=-np.inf) >= least)
-        return float((np.diff(first, append=row.size) ** 2).sum()) / row.size
-
-    return np.array([queue(*each) for each in zip(stamp, BEHIND * period, strict=True)])
+    alone = np.diff(stamp, axis=1) >= BEHIND * period[:, None]
+    out, size = np.ones(len(stamp)), stamp.shape[1]
+    for row in np.flatnonzero(~alone.all(axis=1)):
+        first = np.append(0, np.flatnonzero(alone[row]) + 1)
+        out[row] = float((np.diff(first, append=size) ** 2).sum()) / size
+    return out
 
 
 def may_have_gaps(stamp: F64, period: F64, noise: F64) -> Bool:

@@ -199,6 +199,7 @@ class Calibration(Record):
         known = "weak" not in verdicts and 2 * verdicts.count("determined") >= len(verdicts)
         known &= not self.mostly_open
         sound = not self.faults and not self.base_gives_way and not self.without_a_place
+        sound &= not self.turn_of_base
         sound &= not self.of_two_places
         sound &= not self.implausible
         return "good" if explained and alike and known and sound else "fair"
@@ -254,6 +255,11 @@ class Calibration(Record):
     def base_gives_way(self) -> bool:
         """Whether the base was found to move under the robot's load."""
         return self.along is not None and "base" in self.along.causes
+
+    @property
+    def turn_of_base(self) -> float:
+        """Angle by which the base turned in half a second while no joint moved [rad]; 0 if none."""
+        return max((note.size for note in of_kind(self.notes, "base moves")), default=0.0)
 
     @property
     def mostly_open(self) -> bool:

@@ -30,6 +30,8 @@ _WAITS = 1.4826 / 4
 # Share of the bursts that hold all their messages at least where single ones are lost.
 _COMPLETE = 0.05
 # Share of the bursts that may hold more than came since the one before, by errors of their stamps.
+# Of buffers of 2 to 32 that lack up to a tenth of their messages 0.6 per cent do at most, of queues
+# of messages that are late by 2 to 10 periods 15 to 39.
 _MORE = 0.05
 
 

@@ -11,6 +11,7 @@ import numpy as np
 from skin2urdf.calibration.result import GOOD_FIT, Calibration
 from skin2urdf.estimation.uncertainty.narrow import narrow_priors
 from skin2urdf.estimation.uncertainty.observability import Verdict
+from skin2urdf.estimation.uncertainty.physics import STAND_STILL, base_moves
 from skin2urdf.recording.naming import shortened
 from skin2urdf.report.limbs import OpenLimb
 from skin2urdf.report.tables import count, number
@@ -20,16 +21,16 @@ _NAMED = 3
 
 
 DoubtKind = Literal[
-    "faults", "SUs unplaced", "SUs unexplained", "SUs of two places", "soft base", "SUs misfit",
-    "poses misfit", "prediction", "errors come back", "not arrived", "sensors", "no such sensors",
-    "weak joints", "open limbs", "joints open", "SUs open",
+    "faults", "SUs unplaced", "SUs unexplained", "SUs of two places", "soft base", "moving base",
+    "SUs misfit", "poses misfit", "prediction", "errors come back", "not arrived", "sensors",
+    "no such sensors", "weak joints", "open limbs", "joints open", "SUs open",
 ]  # fmt: skip
 """What speaks against a result: things found wrong, SUs whose readings fit no place, or not the one
-that they have, or another one as well, a base that gives way, SUs and poses that fit worse than the
-rest, poses that are predicted worse than stated, what is left of the readings and comes back with
-the motion, a fit that ended before it arrived, sensors that are worse than the options say, or than
-any, axes that are known weakly, limbs whose places are open, and what of the joints and SUs the log
-does not determine."""
+that they have, or another one as well, a base that gives way, or moves by itself, SUs and poses
+that fit worse than the rest, poses that are predicted worse than stated, what is left of the
+readings and comes back with the motion, a fit that ended before it arrived, sensors that are worse
+than the options say, or than any, axes that are known weakly, limbs whose places are open, and what
+of the joints and SUs the log does not determine."""
 
 
 @dataclass(frozen=True)
@@ -40,7 +41,8 @@ class Doubt:
         kind: what sort of doubt.
         words: the same for the user.
         names: the joints, SUs, or subjects of faults that it is about.
-        number: of poses; or how many times worse than stated; NaN where names say all.
+        number: of poses; or how many times worse than stated; or an angle [rad]; NaN where names
+            say all.
     """
 
     kind: DoubtKind
@@ -143,6 +145,8 @@ def _doubts(calibration: Calibration) -> list[Doubt]:
             "(fix it stiffly and record again, or give the robot's own URDF by --model)"
         )
         found.append(Doubt("soft base", words))
+    if turn := calibration.turn_of_base:
+        found.append(Doubt("moving base", f"{base_moves(turn)} ({STAND_STILL})", number=turn))
     known = {fault.subject for fault in calibration.faults}
     odd = [tree.su_names[u] for u in np.flatnonzero(calibration.unlike_sus.odd)]
     odd = [name for name in odd if name not in known]

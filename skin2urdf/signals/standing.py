@@ -2,7 +2,8 @@
 
 As long as no joint moves, a robot is one rigid body, and gravity keeps its direction in all SUs. If
 the body turns, gravity turns by the same angle in each, however it is mounted: a joint that creeps,
-an SU that slips, or biases that drift turn it by other angles, or in some SUs alone.
+an SU that slips, or biases that drift turn it by other angles, or in some SUs alone. Only where no
+SU sits before the first joint does a creep of that one look the same.
 """
 
 from __future__ import annotations
@@ -41,7 +42,8 @@ def angle_at_rest(rests: Sequence[Rest], readings: F64, valid: Bool, rate: float
         rate: of the grid [Hz].
 
     Returns:
-        0 where most of the rests do not show any for certain, in three SUs of four at least.
+        0 where no rest lasts two such pieces, and where most pairs of neighbours in rests do not
+        show any for certain, in three SUs of four at least.
     """
     size = max(2, round(_PIECE * rate))
     found = [np.zeros(0)]

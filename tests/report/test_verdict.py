@@ -19,6 +19,7 @@ from skin2urdf.estimation.trajectory.fit import held
 from skin2urdf.estimation.uncertainty.goodness import Share
 from skin2urdf.estimation.uncertainty.physics import physics_found, why_unexplained
 from skin2urdf.faults import Fault
+from skin2urdf.notes import Note
 from skin2urdf.output import not_to_be_saved
 from skin2urdf.report.findings import findings, is_to_repair
 
@@ -92,6 +93,12 @@ def test_a_base_that_gives_way_makes_a_good_fit_fair() -> None:
     found = replace(calibration(), along=replace(along, causes=("base",)))
     assert found.quality == "fair"
     assert against(found) == [("soft base", ()), missing()]
+
+
+def test_a_base_that_moves_by_itself_makes_a_good_fit_fair() -> None:
+    found = replace(calibration(), notes=(Note("base moves", size=0.01),))
+    assert found.quality == "fair"
+    assert against(found) == [("moving base", ()), missing()]
 
 
 def leaving(what: Callable[[F64], F64], scale: float) -> Calibration:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
 import pytest
 from random_robots import small_arm
 from simulated import features_of, simulation_of, tree_of
@@ -16,7 +17,9 @@ from skin2urdf.calibration.rounds import Logs, Structure, find_structure, sample
 from skin2urdf.calibration.settings import CalibrationSettings
 from skin2urdf.errors import StructureError
 from skin2urdf.notes import of_kind
+from skin2urdf.recording.records import Recording
 from skin2urdf.structure.from_motion import MotionTree, doubt, trees_of_both_kinds
+from skin2urdf.structure.records import KinematicTree
 
 
 @pytest.fixture(scope="module")
@@ -56,17 +59,35 @@ def test_all_samples_tell_which_of_several_trees_is_right(
     assert not of_kind(solution.found.tree.notes, "other order")
 
 
-def test_where_patterns_contradict_every_tree_moves_are_asked(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """What was taken for patterns may have been none: rests and moves show a tree all the same."""
+@pytest.fixture
+def contradicted(monkeypatch: pytest.MonkeyPatch) -> tuple[Recording, KinematicTree]:
+    """A recording of patterns that contradict every tree from now on, and the right one."""
     made = simulation_of(small_arm(3), n_poses=3, seed=5, imu_rate=250.0, joint_rate=125.0)
     true = tree_of(features_of(made.recording))
 
-    def contradicted(*_: Any) -> None:
+    def refused(*_: Any) -> None:
         raise StructureError("no tree")
 
-    monkeypatch.setattr(rounds, "kinematic_tree", contradicted)
-    found = calibrate(made.recording)
+    monkeypatch.setattr(rounds, "kinematic_tree", refused)
+    return made.recording, true
+
+
+def test_where_patterns_contradict_every_tree_moves_are_asked(
+    contradicted: tuple[Recording, KinematicTree],
+) -> None:
+    """What was taken for patterns may have been none: rests and moves show a tree all the same."""
+    recording, true = contradicted
+    found = calibrate(recording)
     assert found.model.tree.is_like(true)
     assert found.quality == "good"
+
+
+def test_an_su_that_changed_does_not_hide_what_moves_say(
+    contradicted: tuple[Recording, KinematicTree],
+) -> None:
+    recording, _ = contradicted
+    su = recording.sus[0]
+    force = su.specific_force + 0.2 * (np.arange(len(su.time))[:, None] > 0.6 * len(su.time))
+    stepped = replace(su, specific_force=force)
+    found = calibrate(replace(recording, sus=(stepped, *recording.sus[1:])))
+    assert [(fault.kind, fault.subject) for fault in found.faults] == [("bias step", su.name)]

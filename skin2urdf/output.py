@@ -172,6 +172,12 @@ def not_to_be_saved(calibration: Calibration, path: str | Path) -> BadFitError:
         )
     elif found is not None:
         what, remedy = f"{what}; the readings show {found[0]}", f"{found[1]}, and record again"
+    else:
+        verdicts = calibration.observability.su_verdict
+        what = (
+            f"{what}; what the model leaves of the readings is {calibration.misfit:.2g} times "
+            f"noise, and {verdicts.count('determined')} of {len(verdicts)} SUs are determined"
+        )
     if (more := calibration.feel_more) and not unexplained:
         what = f"{what}; it is {', '.join(more)} that the model does not explain, and no other SU"
         remedy = f"see whether these SUs moved on their mounts during the log; otherwise {remedy}"

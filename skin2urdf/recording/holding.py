@@ -25,6 +25,8 @@ _DIGITS = 3.0
 _SHARE = 0.05
 # Values between two large steps that have to be there for their repetitions to tell.
 _FEWEST = 20
+# Deviations of the mean that no stretch of values lasts below by chance, of all that a log has.
+_SURELY = 5.0
 # A value that stands longer than so many times the usual is a sensor that froze, for others to say.
 _FROZEN = 3.0
 # Measurements a second without which a sensor follows no pattern, whose slowest has 1 Hz. Values
@@ -49,7 +51,9 @@ def measurements(values: F64, span: float) -> Held:
 
     Values stand still where nothing moves and the digits are coarse; that is no repetition. But one
     that came by several digits, and goes by several digits, stood for a single measurement. How
-    many samples such values last says how many measurements the others are.
+    many samples such values last says how many measurements the others are. A shaking at a quarter
+    of the rate makes such pairs of equal values, too, where digits are coarser than noise; but then
+    values change with every sample elsewhere.
 
     Args:
         values: (N, C) samples in their order.
@@ -74,11 +78,33 @@ def measurements(values: F64, span: float) -> Held:
         return everything
     one &= length <= _FROZEN * np.median(length[one])
     times = float(length[one].mean())
+    if _are_as_short(start, times, float(length[one].std())):
+        return everything
     number = np.where(one, 1, np.maximum(np.rint(length / times), 1)).astype(np.int64)
     if number.sum() < _SLOWEST * span:
         return everything
     within = np.arange(number.sum()) - np.repeat(np.cumsum(number) - number, number)
     return Held(np.repeat(start, number) + np.rint(times * within).astype(np.int64), times)
+
+
+def _are_as_short(start: Int, times: float, deviation: float) -> bool:
+    """Say whether values come in closer succession than measurements sent several times can.
+
+    Args:
+        start: (R,) number of the sample at which each value appears.
+        times: how often each measurement was sent, in the mean.
+        deviation: of that from one measurement to the next.
+
+    Returns:
+        Whether some stretch, short or long, has more values than measurements come in it.
+    """
+    values = _FEWEST
+    while values < start.size:
+        shortest = int((start[values:] - start[:-values]).min())
+        if shortest < times * values - _SURELY * deviation * np.sqrt(values):
+            return True
+        values *= 2
+    return False
 
 
 def as_measured(sus: Sequence[SuStream]) -> tuple[list[SuStream], list[ReadingNote]]:

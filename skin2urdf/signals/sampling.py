@@ -18,6 +18,7 @@ from skin2urdf.recording.holding import as_measured
 from skin2urdf.recording.naming import shortened
 from skin2urdf.recording.records import Recording, SuStream
 from skin2urdf.recording.shelf import STREAMS_IN_MEMORY, put_away, room_for_streams
+from skin2urdf.signals.band import quietness, suitable_cutoff
 from skin2urdf.signals.clocks import su_clocks
 from skin2urdf.signals.filters import sample, spread
 from skin2urdf.signals.health import WEIGHTLESS, checked, unusable
@@ -175,7 +176,7 @@ def sample_recording(
         {name: found.stream for name, found in streams.items()}, su_names, motion, still
     )
     notes += converted
-    cutoff = _cutoff(motion, neighbourhoods)
+    cutoff = suitable_cutoff(motion, neighbourhoods, quietness(readings, valid, still, grid.rate))
     readings, filled = computed(motion, neighbourhoods, cutoff, readings, valid)
     if angle := angle_at_rest(rests, readings, valid, grid.rate):
         notes.append(Note("base moves", size=angle))
@@ -225,42 +226,6 @@ def _unit(static: F64) -> float:
         return 1.0
     size = float(np.median(np.linalg.norm(static, axis=1)))
     return GRAVITY if _G_UNITS[0] < size < _G_UNITS[1] else 1.0
-
-
-def _cutoff(motion: Motion, neighbourhoods: Sequence[Neighbourhood]) -> float:
-    """Low-pass cutoff [Hz] that keeps the patterns' accelerations and their second harmonics.
-
-    The encoder's rounding, seen through two differentiations, grows with the cutoff to the power
-    of 2.5; the patterns' own content sets how low it can be.
-    """
-    energy = _energy(motion, [w for pose in neighbourhoods for w in pose.windows])
-    everything = _energy(motion, [(0, motion.grid.size)])
-    # Windows of rests hold the noise of encoders, and no pattern.
-    if energy.sum() < _PATTERNS * everything.sum():
-        energy = everything
-    share = np.cumsum(energy) / max(energy.sum(), 1e-12)
-    highest = float(np.searchsorted(share, 0.98) / 8)
-    return float(np.clip(2.2 * highest + 1.0, 5.0, 20.0))
-
-
-_PATTERNS = 0.01
-"""Energy of the motion in poses, over that of the whole log, from which there are patterns: of a
-pattern of 1 rad/s in every pose it is a tenth and more, of a robot that only rests there 1e-6."""
-
-
-def _energy(motion: Motion, windows: Sequence[tuple[int, int]]) -> F64:
-    """(257,) energy of all joints' motion in windows, in bands of an eighth of a hertz."""
-    rate = motion.grid.rate
-    energy = np.zeros(257)
-    for begin, end in windows:
-        if end - begin >= 64:
-            window = np.hanning(end - begin)[:, None]
-            spectrum = np.abs(np.fft.rfft(motion.qd[begin:end] * window, axis=0)) ** 2
-            f = np.fft.rfftfreq(end - begin, 1 / rate)
-            total = spectrum / np.maximum(motion.noise * 100, 1e-4) ** 2
-            index = np.minimum((f * 8).astype(int), 256)
-            np.add.at(energy, index, total.sum(axis=1) / (end - begin))
-    return energy
 
 
 def sampled_together(

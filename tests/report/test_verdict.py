@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -300,6 +301,8 @@ def test_a_bad_result_that_is_not_written_names_the_physics_that_was_found(tmp_p
         assert found[1] in each.remedy
         assert found[0] not in str(plain)
     assert physics_found(()) is None
+    # Where nothing was found, the figures that make it bad are said.
+    assert re.findall(r"\d+", str(plain).split("robot.urdf")[1])[:3] == ["7", "0", "7"]
 
 
 def test_a_bad_result_names_the_few_sus_that_are_not_explained(tmp_path: Path) -> None:

@@ -25,6 +25,7 @@ from skin2urdf.estimation.trajectory.products import with_products
 from skin2urdf.estimation.trajectory.shaken import Shaken
 from skin2urdf.estimation.trajectory.slack import learnt_size
 from skin2urdf.estimation.trajectory.state import MotionState
+from skin2urdf.signals.filters import noise_bandwidth
 from skin2urdf.signals.trajectory import Trajectory
 
 _PROMISING_STEPS, _STEPS = 12, 24
@@ -46,6 +47,9 @@ _SLOWER = (3, 2)
 patterns of 2 to 3 Hz are left of those up to 5 Hz, beside gears that resonate at 4.4 Hz and more.
 Nearer to a resonance deflections change so fast with what they are made of that only a state close
 by leads on."""
+_SLOW = 5.0 / _SLOWER[0]
+"""Cutoff below which no log is low-passed for that [Hz]: slow moves under coarse encoders are looked
+at through 2 Hz from the first, far below any resonance."""
 
 
 def fit_yielding(
@@ -62,6 +66,12 @@ def fit_yielding(
     """
     found = _fit_yielding(problem, fitted, elastic=elastic, base=base)
     return found if cast(Bending, found[0].unseen).holds else (problem, fitted)
+
+
+def _slowed(log: Trajectory, by: int) -> Trajectory:
+    """A log through a low-pass of so many times lower cutoff, as far as it has anything to lose."""
+    by = min(by, round(noise_bandwidth(log.taps, log.rate) / _SLOW))
+    return log.slower(by) if by > 1 else log
 
 
 def is_in_balance(problem: MotionProblem, fitted: Fitted) -> bool:
@@ -108,7 +118,7 @@ def _fit_yielding(
 
     # How SUs on the base are turned is known when its motion is, which all limbs feel.
     moved = [replace(log, valid=log.valid & ((tree.su_joint >= 0) | (not base))) for log in logs]
-    first = moved if base else [log.slower(_SLOWER[0]) for log in moved]
+    first = moved if base else [_slowed(log, _SLOWER[0]) for log in moved]
     bends = bending(tree, first, state.placements, state.gravity, joints=elastic, base=base)
     state = replace(state, unseen=np.zeros(bends.n_numbers))
     priors = replace(problem.priors, unseen=bends.spread)
@@ -129,7 +139,7 @@ def _fit_yielding(
             )
             ways.append((cast(Bending, yielding.unseen), near.state))
             if slower > 1:
-                faster = [log.slower(slower) for log in moved]
+                faster = [_slowed(log, slower) for log in moved]
                 bends = unsettled(ways[-1][0], faster)
                 led = follow(MotionProblem(tree, faster, priors, n_knots, bends), near.state)
                 yielding, state = led.whole(), led.state

@@ -1,0 +1,146 @@
+"""The band in which a log is looked at: as wide as the motion, and no wider than encoders know it.
+
+An encoder's rounding, seen through two differentiations, grows with the frequency to the fourth
+power, and with the cutoff of a low-pass to the power of 2.5. What a joint's accelerations tell of
+lengths is, with S(f) the spectrum of its accelerations and N(f) that of the noise beside them,
+
+    I = (sum S)^2 / (sum S N),    N = a^2 / r^2 + (2 pi f)^4 p^2,
+
+summed up to the cutoff, where a is the noise of a sensor at an arm r, and p that of an encoder, all
+per root of a hertz: the information of least squares that weigh all frequencies alike. A cutoff
+beyond the motion costs nothing where encoders are finer than sensors are quiet. Where they are not,
+a robot that takes seconds for its moves is known several times better in a band of 2 Hz than in one
+of 5 Hz: at an encoder of 12 bits and 100 Hz, rounding makes 0.06 rad/s^2 of the one, and 0.006 of
+the other.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from skin2urdf.arrays import F64, Bool
+from skin2urdf.signals.motion import Motion
+from skin2urdf.signals.poses import Neighbourhood
+
+_BANDS_PER_HERTZ = 8
+_HIGHEST = 32
+"""Frequency up to which motion is looked at [Hz]: no motion of a robot's links is faster."""
+_SHORTEST = 64
+"""Samples of a window at least, half a second, in which a pattern shows."""
+_MOST_OF_IT = 0.98
+"""Part of the motion's energy that is kept, with second harmonics, which turning makes."""
+_NARROWEST, _USUAL, _WIDEST = 2.0, 5.0, 20.0
+"""Cutoffs [Hz]: below the first one, low-passes take more than three seconds of a log's ends and of
+what lies beside its gaps; patterns lie below the second one; sensors and grids end at the last."""
+_PATTERNS = 0.01
+"""Energy of the motion in poses, over that of the whole log, from which there are patterns: of a
+pattern of 1 rad/s in every pose it is a tenth and more, of a robot that only rests there 1e-6."""
+_CERTAIN = 5.0
+"""Standard deviations of a periodogram by which motion has to be above the noise of encoders."""
+_ARM = 0.3
+"""Arm of an SU about a joint [m], half of an arm's links."""
+_ENOUGH = 0.9
+"""Part of what the best band tells that a wider one has to tell: errors are 5 % larger then, and
+clocks and low-passes of sensors show at high frequencies."""
+
+
+def quietness(readings: F64, valid: Bool, still: Bool, rate: float) -> float:
+    """Noise of a typical SU, as a one-sided spectral density [m^2/s^4/Hz]; 0 where none shows any.
+
+    Args:
+        readings: (N, U, 3) on the grid.
+        valid: (N, U) which of them are.
+        still: (N,) where the robot rests.
+        rate: of the grid [Hz].
+    """
+    found = []
+    for u in range(valid.shape[1]):
+        ok = still & valid[:, u]
+        rests = ok[2:] & ok[1:-1] & ok[:-2]
+        if rests.any():
+            # Second differences leave nothing of slow motion, and six times the square of noise.
+            bend = np.diff(readings[:, u], n=2, axis=0)[rests]
+            found.append(float((bend**2).mean()) / 6 / (rate / 2))
+    return float(np.median(found)) if found else 0.0
+
+
+def suitable_cutoff(motion: Motion, neighbourhoods: Sequence[Neighbourhood], quiet: float) -> float:
+    """Cutoff of the low-pass that suits a log [Hz], at -6 dB.
+
+    It keeps the patterns' accelerations and their second harmonics; in a log without patterns, that
+    of all motion as far as encoders know it.
+
+    Args:
+        motion: of the joints.
+        neighbourhoods: poses, with the windows in which patterns may be.
+        quiet: noise of SUs, see :func:`quietness`.
+    """
+    patterns = _Spectrum(motion, [w for pose in neighbourhoods for w in pose.windows])
+    everything = _Spectrum(motion, [(0, motion.grid.size)])
+    if patterns.energy.sum() >= _PATTERNS * everything.energy.sum():
+        return _kept_by(patterns)
+    usual = _kept_by(everything)
+    told = everything.information(quiet / _ARM**2)
+    enough = np.flatnonzero(told >= _ENOUGH * told.max())
+    known = (enough[-1] + 1) / _BANDS_PER_HERTZ if told.max() > 0 else _WIDEST
+    return float(np.clip(known, _NARROWEST, usual))
+
+
+def _kept_by(spectrum: _Spectrum) -> float:
+    """Cutoff [Hz] that keeps nearly all of a motion, and what turning makes of it."""
+    energy = spectrum.energy
+    share = np.cumsum(energy) / max(energy.sum(), 1e-12)
+    highest = float(np.searchsorted(share, _MOST_OF_IT) / _BANDS_PER_HERTZ)
+    return float(np.clip(2.2 * highest + 1.0, _USUAL, _WIDEST))
+
+
+class _Spectrum:
+    """Motion of D joints in B bands of an eighth of a hertz, above what their encoders make of it.
+
+    Attributes:
+        energy: (B,) of the velocities of all joints, over the noise of their encoders; 0 in bands
+            that hold no more than that.
+    """
+
+    def __init__(self, motion: Motion, windows: Sequence[tuple[int, int]]) -> None:
+        """Add up all windows that are long enough."""
+        bands = _HIGHEST * _BANDS_PER_HERTZ + 1
+        rate, joints = motion.grid.rate, len(motion.dof_names)
+        velocity = np.zeros((bands, joints))
+        values = np.zeros(bands)
+        noise = np.zeros((bands, joints))
+        for begin, end in windows:
+            if end - begin < _SHORTEST:
+                continue
+            window = np.hanning(end - begin)[:, None]
+            spectrum = np.abs(np.fft.rfft(motion.qd[begin:end] * window, axis=0)) ** 2
+            f = np.fft.rfftfreq(end - begin, 1 / rate)
+            index = np.minimum((f * _BANDS_PER_HERTZ).astype(int), bands - 1)
+            per_density = 0.5 * rate * float((window**2).sum()) / (end - begin)
+            white = 2 * motion.noise**2 / motion.raw_rate * (2 * np.pi * f[:, None]) ** 2
+            np.add.at(velocity, index, spectrum / (end - begin))
+            np.add.at(noise, index, per_density * white)
+            np.add.at(values, index, 1.0)
+        scale = np.maximum(motion.noise * 100, 1e-4) ** 2
+        over, made = (velocity / scale).sum(axis=1), (noise / scale).sum(axis=1)
+        # Of each value in a band a periodogram has two degrees of freedom, for every joint.
+        chance = np.sqrt(1 / np.maximum(values * joints, 1.0))
+        moves = over > made * (1 + np.maximum(1.0, _CERTAIN * chance))
+        self.energy = np.where(moves, over - made, 0.0)
+        self._velocity = np.where(moves[:, None], np.maximum(velocity - noise, 0.0), 0.0)
+        self._density = motion.noise**2 * 2 / motion.raw_rate
+
+    def information(self, beside: float) -> F64:
+        """(B,) what accelerations up to each band tell of lengths, in no unit.
+
+        Args:
+            beside: noise of sensors, per square of an arm [1/s^4/Hz].
+        """
+        w = 2 * np.pi * (np.arange(len(self.energy))[:, None] + 0.5) / _BANDS_PER_HERTZ
+        known = self._velocity * w**2
+        square = np.cumsum(known, axis=0) ** 2
+        beside_it = np.cumsum(known * (beside + w**4 * self._density), axis=0)
+        told = np.divide(square, beside_it, out=np.zeros_like(square), where=beside_it > 0)
+        return np.asarray(told.sum(axis=1))

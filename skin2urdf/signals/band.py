@@ -1,17 +1,18 @@
 """The band in which a log is looked at: as wide as the motion, and no wider than encoders know it.
 
 An encoder's rounding, seen through two differentiations, grows with the frequency to the fourth
-power, and with the cutoff of a low-pass to the power of 2.5. What a joint's accelerations tell of
-lengths is, with S(f) the spectrum of its accelerations and N(f) that of the noise beside them,
+power, and with the cutoff of a low-pass to the power of 2.5. With S(f) the spectrum of a joint's
+accelerations, P(f) that of what its encoder makes of them, and A(f) that of the sensor's noise, the
+length r of an arm that least squares find has, over a time T, the relative variance
 
-    I = (sum S)^2 / (sum S N),    N = a^2 / r^2 + (2 pi f)^4 p^2,
+    v = int S (A / r^2 + P) df / (2 T (int S df)^2) + (c int P df / int S df)^2
 
-summed up to the cutoff, where a is the noise of a sensor at an arm r, and p that of an encoder, all
-per root of a hertz: the information of least squares that weigh all frequencies alike. A cutoff
-beyond the motion costs nothing where encoders are finer than sensors are quiet. Where they are not,
-a robot that takes seconds for its moves is known several times better in a band of 2 Hz than in one
-of 5 Hz: at an encoder of 12 bits and 100 Hz, rounding makes 0.06 rad/s^2 of the one, and 0.006 of
-the other.
+up to the cutoff. The first part is that of noise beside the motion. The second is that of noise in
+it, by which lengths come out shorter: what is known of that is taken off, but for a part c. So a
+band beyond the motion costs nothing where encoders are finer than sensors are quiet. Where they are
+not, a robot that takes seconds for its moves is known several times better in a band of 2 Hz than
+in one of 5 Hz: of 12 bits read at 100 Hz, rounding makes 0.006 rad/s^2 in the one, and 0.06 in the
+other.
 """
 
 from __future__ import annotations
@@ -41,6 +42,9 @@ _CERTAIN = 5.0
 """Standard deviations of a periodogram by which motion has to be above the noise of encoders."""
 _ARM = 0.3
 """Arm of an SU about a joint [m], half of an arm's links."""
+_UNKNOWN = 0.3
+"""Part of what encoders' noise does to lengths that is not taken off: rounding is white in the mean
+of many motions only."""
 _ENOUGH = 0.9
 """Part of what the best band tells that a wider one has to tell: errors are 5 % larger then, and
 clocks and low-passes of sensors show at high frequencies."""
@@ -105,42 +109,45 @@ class _Spectrum:
     """
 
     def __init__(self, motion: Motion, windows: Sequence[tuple[int, int]]) -> None:
-        """Add up all windows that are long enough."""
+        """Add up the periodograms of all windows that are long enough."""
         bands = _HIGHEST * _BANDS_PER_HERTZ + 1
         rate, joints = motion.grid.rate, len(motion.dof_names)
-        velocity = np.zeros((bands, joints))
+        read, made = np.zeros((bands, joints)), np.zeros((bands, joints))
         values = np.zeros(bands)
-        noise = np.zeros((bands, joints))
+        self._density = 2 * motion.noise**2 / motion.raw_rate
+        self._seconds = 0.0
         for begin, end in windows:
             if end - begin < _SHORTEST:
                 continue
             window = np.hanning(end - begin)[:, None]
-            spectrum = np.abs(np.fft.rfft(motion.qd[begin:end] * window, axis=0)) ** 2
+            power = np.abs(np.fft.rfft(motion.qd[begin:end] * window, axis=0)) ** 2
             f = np.fft.rfftfreq(end - begin, 1 / rate)
             index = np.minimum((f * _BANDS_PER_HERTZ).astype(int), bands - 1)
-            per_density = 0.5 * rate * float((window**2).sum()) / (end - begin)
-            white = 2 * motion.noise**2 / motion.raw_rate * (2 * np.pi * f[:, None]) ** 2
-            np.add.at(velocity, index, spectrum / (end - begin))
-            np.add.at(noise, index, per_density * white)
+            np.add.at(read, index, power / (0.5 * rate * (window**2).sum()))
+            np.add.at(made, index, (2 * np.pi * f[:, None]) ** 2 * self._density)
             np.add.at(values, index, 1.0)
+            self._seconds += (end - begin) / rate
         scale = np.maximum(motion.noise * 100, 1e-4) ** 2
-        over, made = (velocity / scale).sum(axis=1), (noise / scale).sum(axis=1)
+        over, beside = (read / scale).sum(axis=1), (made / scale).sum(axis=1)
         # Of each value in a band a periodogram has two degrees of freedom, for every joint.
         chance = np.sqrt(1 / np.maximum(values * joints, 1.0))
-        moves = over > made * (1 + np.maximum(1.0, _CERTAIN * chance))
-        self.energy = np.where(moves, over - made, 0.0)
-        self._velocity = np.where(moves[:, None], np.maximum(velocity - noise, 0.0), 0.0)
-        self._density = motion.noise**2 * 2 / motion.raw_rate
+        moves = over > beside * (1 + np.maximum(1.0, _CERTAIN * chance))
+        self.energy = np.where(moves, over - beside, 0.0)
+        mean = np.maximum(read - made, 0.0) / np.maximum(values, 1.0)[:, None]
+        self._velocity = np.where(moves[:, None], mean, 0.0)
 
     def information(self, beside: float) -> F64:
-        """(B,) what accelerations up to each band tell of lengths, in no unit.
+        """(B,) what all joints' accelerations up to each band tell of lengths, in no unit.
 
         Args:
             beside: noise of sensors, per square of an arm [1/s^4/Hz].
         """
-        w = 2 * np.pi * (np.arange(len(self.energy))[:, None] + 0.5) / _BANDS_PER_HERTZ
-        known = self._velocity * w**2
-        square = np.cumsum(known, axis=0) ** 2
-        beside_it = np.cumsum(known * (beside + w**4 * self._density), axis=0)
-        told = np.divide(square, beside_it, out=np.zeros_like(square), where=beside_it > 0)
+        width = 1 / _BANDS_PER_HERTZ
+        w = 2 * np.pi * (np.arange(len(self.energy))[:, None] + 0.5) * width
+        motion, encoder = self._velocity * w**2, self._density * w**4
+        known = np.cumsum(motion, axis=0) * width
+        beside_it = np.cumsum(motion * (beside + encoder), axis=0) * width / (2 * self._seconds)
+        within = _UNKNOWN * np.cumsum(encoder, axis=0) * width
+        error = beside_it + within**2
+        told = np.divide(known**2, error, out=np.zeros_like(known), where=error > 0)
         return np.asarray(told.sum(axis=1))

@@ -11,14 +11,17 @@ import numpy as np
 from skin2urdf.arrays import F64, Bool, give_back_freed_memory
 from skin2urdf.estimation.problem.state import N_SU
 from skin2urdf.estimation.trajectory.arrow import eliminated, newton_step
+from skin2urdf.estimation.trajectory.gyro import rate_weights
+from skin2urdf.estimation.trajectory.kinematics import levers
 from skin2urdf.estimation.trajectory.problem import MotionProblem
 from skin2urdf.estimation.trajectory.records import Equations, Predicted
-from skin2urdf.estimation.trajectory.shaken import Shaken
+from skin2urdf.estimation.trajectory.shaken import Shaken, made_by_encoders
 from skin2urdf.estimation.trajectory.state import MotionState
-from skin2urdf.estimation.trajectory.weighing import Weighing
 from skin2urdf.signals.trajectory import Trajectory
 from skin2urdf.threads import MANY
 
+_HUBER = 3.0
+"""Residual, in standard deviations, beyond which a sample counts less; noise is one in 400."""
 _DAMPING, _FELT, _FALL = 1e-4, 1e-2, 10.0
 """Share of its own information by which each coordinate is held at first, and of which steps are
 held back at all. It grows to that, and by ten, with every step that fails, and falls by ten with
@@ -42,6 +45,9 @@ _ENOUGH, _THINNEST = 1500, 4
 MOST_VALUES = 1 << 24
 """Values of all samples, SUs and axes from which samples that tell nothing of their own are left
 out: one array of so many takes 128 MiB, and about ten are needed at a time."""
+_QUIET = 1e-5
+"""Noise of a sample at least [m/s^2], 1 ug: no accelerometer has less, and simulated ones without
+noise are fitted no worse for it."""
 _NO_GAIN = 1e-7
 """Part of chi-squared below which an iteration gains nothing: a hundredth of its scatter with a
 hundred thousand measurements."""
@@ -249,29 +255,30 @@ def _descend(
     free_joint, free_su = free
     state = start
     predicted = predicted or tuple(problem.predict(state, g) for g in range(len(problem.logs)))
-    weighed = Weighing.of(problem, state, predicted)
-    cost = weighed.cost(problem, state, predicted)
-    damping, swings = _DAMPING, 0
+    noise, weights = _noise(problem, state, predicted)
+    shaken = Shaken.of(problem.tree, problem.logs, state, weights)
+    cost = _cost(problem, state, predicted, weights, shaken)
+    damping = _DAMPING
     longest, before = 0.0, np.inf
     for _ in range(iterations):
-        equations, known = known or problem.equations(state, predicted, weighed.weights), None
+        equations, known = known or problem.equations(state, predicted, weights), None
         at_once, enough = True, _SHORT * tolerance
         while True:
-            pulled = weighed.shaken.taken_off(equations, problem.layout, state.front)
+            pulled = shaken.taken_off(equations, problem.layout, state.front)
             system = eliminated(pulled, free_joint, free_su, damping)
             joint, sus = newton_step(system, free_joint)
             length = step_length(equations, joint, sus, free)
             if not length >= enough:  # NaN is not
                 tell(1.0)
-                here = _fitted(problem, state, predicted, weighed, cost)
+                here = Fitted(problem, state, noise, weights, predicted, cost)
                 here.keep(equations)
                 return problem, here
             led = follow(problem, problem.layout.moved(state, joint, sus))
             if led is not None:
                 about, trial = led.problem, led.state
                 ahead = tuple(about.predict(trial, g) for g in range(len(problem.logs)))
-                trial = about.refit_sensors(trial, ahead, weighed.weights, free_su)
-                there = weighed.cost(about, trial, ahead)
+                trial = about.refit_sensors(trial, ahead, weights, free_su)
+                there = _cost(about, trial, ahead, weights, shaken)
                 if there <= cost:
                     break
             if not far or length < tolerance:
@@ -285,10 +292,9 @@ def _descend(
         problem, state, predicted = led.whole(), trial, ahead
         if at_once:
             damping = max(damping / _FALL, 1e-12)
-        # What is weighed anew after every step may have the next one lead back to where it was.
-        swings += bool(at_once and length >= before)
-        weighed = weighed.towards(Weighing.of(problem, state, predicted), 1 / (1 + swings))
-        cost = weighed.cost(problem, state, predicted)
+        noise, weights = _noise(problem, state, predicted)
+        shaken = Shaken.of(problem.tree, problem.logs, state, weights)
+        cost = _cost(problem, state, predicted, weights, shaken)
         shrinks = length / before if at_once and length < before < np.inf else 1.0
         longest, before = max(longest, length) if length < np.inf else longest, length
         if tolerance < length < longest:
@@ -304,7 +310,7 @@ def _descend(
         if follow is not _stay and fell < _OF_CHANCE:
             break
     tell(1.0)
-    return problem, _fitted(problem, state, predicted, weighed, cost)
+    return problem, Fitted(problem, state, noise, weights, predicted, cost)
 
 
 def held(problem: MotionProblem, state: MotionState) -> Fitted:
@@ -317,9 +323,10 @@ def held(problem: MotionProblem, state: MotionState) -> Fitted:
     if problem.tree.n_sus >= MANY:
         give_back_freed_memory()
     predicted = tuple(problem.predict(state, g) for g in range(len(problem.logs)))
-    weighed = Weighing.of(problem, state, predicted)
-    cost = weighed.cost(problem, state, predicted)
-    return _fitted(problem, state, predicted, weighed, cost)
+    noise, weights = _noise(problem, state, predicted)
+    shaken = Shaken.of(problem.tree, problem.logs, state, weights)
+    cost = _cost(problem, state, predicted, weights, shaken)
+    return Fitted(problem, state, noise, weights, predicted, cost)
 
 
 def cost_with(weights: Sequence[F64], shaken: Shaken, fitted: Fitted) -> float:
@@ -330,8 +337,7 @@ def cost_with(weights: Sequence[F64], shaken: Shaken, fitted: Fitted) -> float:
         shaken: what encoders' noise makes of predictions with these weights.
         fitted: the fit.
     """
-    weighed = Weighing(fitted.noise, tuple(weights), shaken)
-    return weighed.cost(fitted.problem, fitted.state, fitted.predicted)
+    return _cost(fitted.problem, fitted.state, fitted.predicted, weights, shaken)
 
 
 def step_length(equations: Equations, joint: F64, sus: F64, free: tuple[Bool, Bool]) -> float:
@@ -354,12 +360,80 @@ def step_length(equations: Equations, joint: F64, sus: F64, free: tuple[Bool, Bo
     return float(np.sqrt(max(0.0, square)))
 
 
-def _fitted(
+def _cost(
     problem: MotionProblem,
     state: MotionState,
-    predicted: tuple[Predicted, ...],
-    weighed: Weighing,
-    cost: float,
-) -> Fitted:
-    """The record of a fit that ends at a state, with these weights."""
-    return Fitted(problem, state, weighed.noise, weighed.weights, predicted, cost)
+    predicted: Sequence[Predicted],
+    weights: Sequence[F64],
+    shaken: Shaken,
+) -> float:
+    """Chi-squared with given weights, without what front ends gain by cutting noise off."""
+    data = shaken.cut_off(state.front)
+    for w, p in zip(weights, predicted, strict=True):
+        square = np.einsum("kuc,kuc,kuc->ku", w[..., :3], p.residual, p.residual)
+        data += float(square[p.measured].sum())
+        if p.turned is not None:
+            data += float((w[..., 3:] * p.turned.residual**2).sum())
+    return data + problem.prior_chi2(state)
+
+
+def _noise(
+    problem: MotionProblem, state: MotionState, predicted: Sequence[Predicted]
+) -> tuple[tuple[F64, ...], tuple[F64, ...]]:
+    """Noise of each sample and weights.
+
+    It is what residuals of the SU show at rest and in motion, what encoders leave around a rest
+    beside what the most of it shows, and what its sampling leaves open where a joint on its way
+    leaps.
+    """
+    noise, weights = [], []
+    arms = levers(problem.tree, state.placements)
+    for log, p in zip(problem.logs, predicted, strict=True):
+        # By SU, as all axes have the same; which views give to each.
+        shape = p.residual.shape
+        sd = np.full(shape[1::-1], np.inf).T
+        around = made_by_encoders(problem.tree, log, state.placements)
+        square = np.einsum("kuc,kuc->uk", p.residual, p.residual).T
+        for joint in np.unique(problem.tree.su_joint).tolist():
+            sus = np.flatnonzero(problem.tree.su_joint == joint)
+            moves = log.moving[:, list(problem.tree.chain(joint))].any(axis=1)
+            for which in (moves, ~moves):
+                some = square.T[sus][:, which], p.measured.T[sus][:, which]
+                sd[np.ix_(which, sus)] = _spreads(*some)
+            if around is not None:
+                still = np.ix_(~moves, sus)
+                sd[still] = np.hypot(sd[still], np.sqrt(around[sus][:, ~moves]).T)
+        if log.leaps is not None:
+            sd = np.hypot(sd, np.sqrt(log.leaps.variance(arms)))
+        size = np.where(p.measured, np.sqrt(square / 3) / sd, 0.0)
+        share = _HUBER / np.maximum(size, _HUBER)
+        w = np.where(p.measured, log.independence * share, 0.0) / sd**2
+        w = np.where(np.isfinite(w), w, 0.0)
+        noise.append(np.broadcast_to(sd[..., None], shape))
+        weights.append(np.broadcast_to(w[..., None], shape))
+    turned = [p.turned for p in predicted]
+    if any(t is not None for t in turned):
+        rates = rate_weights(problem.tree, problem.logs, problem.gyros, turned)
+        noise = [np.concatenate(each, axis=2) for each in zip(noise, rates[0], strict=True)]
+        weights = [np.concatenate(each, axis=2) for each in zip(weights, rates[1], strict=True)]
+    return tuple(noise), tuple(weights)
+
+
+def _spreads(square: F64, measured: Bool) -> F64:
+    """(S,) standard deviations of residuals of squares (S, K), all axes together.
+
+    They are those of their medians, which outliers do not move.
+
+    Args:
+        square: sums over the axes of an SU.
+        measured: (S, K) which count.
+    """
+    out, count = np.full(len(square), np.inf), measured.sum(axis=1)
+    enough = count >= 8
+    whole = enough & (count == square.shape[1])
+    if whole.any():
+        out[whole] = np.median(square[whole], axis=1)
+    for s in np.flatnonzero(enough & ~whole).tolist():
+        out[s] = np.median(square[s, measured[s]])
+    # The median of chi-squared with three degrees of freedom is 2.366.
+    return np.maximum(np.sqrt(out / 2.366), _QUIET)

@@ -68,10 +68,6 @@ class Shaken(Record):
             return Shaken(np.zeros(0), np.zeros((0, tree.n_sus)))
         return Shaken(*(np.concatenate(each) for each in zip(*parts, strict=True)))
 
-    def towards(self, other: Shaken, share: float) -> Shaken:
-        """What is on the way from this to another one of the same logs, a share of 0 to 1 of it."""
-        return Shaken(other.w, self.chi2 + share * (other.chi2 - self.chi2))
-
     def cut_off(self, front: F64) -> float:
         """What front ends (U, 2) take of chi-squared by cutting noise off."""
         H, _ = transfer(self.w, front)

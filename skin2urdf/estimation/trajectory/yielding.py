@@ -48,8 +48,8 @@ patterns of 2 to 3 Hz are left of those up to 5 Hz, beside gears that resonate a
 Nearer to a resonance deflections change so fast with what they are made of that only a state close
 by leads on."""
 _SLOW = 5.0 / _SLOWER[0]
-"""Cutoff below which no log is low-passed for that [Hz]: slow moves under coarse encoders are looked
-at through 2 Hz from the first, far below any resonance."""
+"""Cutoff below which no log is low-passed for that [Hz]: slow moves under coarse encoders are
+looked at through 2 Hz from the first, far below any resonance."""
 
 
 def fit_yielding(

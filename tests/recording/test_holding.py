@@ -63,6 +63,14 @@ def test_a_sensor_polled_out_of_step_gives_its_own_measurements() -> None:
     assert np.array_equal(held.kept, np.flatnonzero(np.diff(at, prepend=-1)))
 
 
+def test_a_shaking_at_a_quarter_of_the_rate_is_no_repetition() -> None:
+    """It makes pairs of equal values where digits are coarser than noise; all other values pass."""
+    t = np.arange(N) / 500.0
+    shaking = np.outer(np.sin(2 * np.pi * 125.0 * t + 0.8) * (t % 6 < 3), [0.35, 0.1, -0.2])
+    values = np.round((signal(0.0, 0.0) + shaking) / 0.038) * 0.038
+    assert measurements(values, SPAN).kept.size == N
+
+
 def test_a_sensor_that_freezes_for_a_while_is_left_to_others() -> None:
     values = signal(0.01, 0.0)
     values[2000:3000] = values[2000]

@@ -58,6 +58,9 @@ def parser() -> argparse.ArgumentParser:
         "--imu-rate", type=float, default=default.imu_rate, help="samples per second of each SU"
     )
     what.add_argument(
+        "--bits", type=int, default=default.bits, help="resolution of the encoders [bits per turn]"
+    )
+    what.add_argument(
         "--effort", type=float, default=default.effort, metavar="NM",
         help="noise of the torques that joint states hold [N m] (default: they hold none)",
     )  # fmt: skip
@@ -76,12 +79,12 @@ def cases_of(options: argparse.Namespace) -> list[Case]:
     Raises:
         UsageError: an option can not be used.
     """
-    if options.poses < 1 or not options.minutes > 0:
-        raise UsageError("--poses starts at 1, --minutes above 0", "give larger numbers")
+    if options.poses < 1 or not options.minutes > 0 or options.bits < 1:
+        raise UsageError("--poses and --bits start at 1, --minutes above 0", "give larger numbers")
     return [
         Case(
             robot, row, seed, options.excite, options.poses, options.minutes, options.grade,
-            options.motion, options.imu_rate, options.effort,
+            options.motion, options.imu_rate, options.effort, options.bits,
         )
         for seed in batch_options.seeds(options)
         for robot in options.robots

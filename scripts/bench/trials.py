@@ -37,6 +37,7 @@ class Case:
         motion: which samples the calibration takes.
         imu_rate: samples per second of each SU [Hz].
         effort: noise of the torques that joint states hold [N m]; None for joint states without.
+        bits: steps of an encoder per turn, as a power of two.
     """
 
     robot: str
@@ -49,6 +50,7 @@ class Case:
     motion: Motion = "all"
     imu_rate: float = _SIMULATED.imu_rate
     effort: float | None = None
+    bits: int | None = _SIMULATED.encoder_bits
 
     @property
     def circumstance(self) -> str:
@@ -59,6 +61,8 @@ class Case:
             words.append(f"{self.imu_rate:g}Hz")
         if self.effort is not None:
             words.append(f"effort+-{self.effort:g}")
+        if self.bits != _SIMULATED.encoder_bits:
+            words.append(f"{self.bits} bits")
         if self.motion != "all":
             words.append(f"motion={self.motion}")
         return " ".join(words)
@@ -79,6 +83,7 @@ class Case:
             grade=self.grade,
             imu_rate=self.imu_rate,
             torque_noise=self.effort,
+            encoder_bits=self.bits,
             defects=ROWS[self.row],
         )
 

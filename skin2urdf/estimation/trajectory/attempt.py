@@ -146,12 +146,17 @@ class Attempt:
         """What bends that the readings show for certain beside what encoders round off.
 
         Slow moves of small loads leave little, which looks like rounding, and yet make lengths
-        others. Where no more is left than noise leaves, nothing is looked for.
+        others. Where no more is left than noise leaves, nothing is looked for. What bends has few
+        numbers, and has to say more than slack does, which follows whatever a drive that gives way
+        does within a step of its encoder.
         """
         if self.misfit <= 1 and self.certain_slack is None:
             return {}
         found = {cause: self._beside_rounding(cause) for cause in BENDS}
-        return {cause: size for cause, size in found.items() if size.gain > CERTAIN}
+        found = {cause: size for cause, size in found.items() if size.gain > CERTAIN}
+        slack = self._size_beside_rounding() if found else None
+        least = 0.0 if slack is None else slack.gain
+        return {cause: size for cause, size in found.items() if size.gain > least}
 
     def _beside_rounding(self, cause: str) -> Size:
         """What the readings show of what bends beside what encoders round off on the way."""

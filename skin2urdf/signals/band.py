@@ -50,27 +50,23 @@ _ENOUGH = 0.9
 clocks and low-passes of sensors show at high frequencies."""
 
 
-def quietness(readings: F64, valid: Bool, still: Bool, rate: float) -> float:
-    """Noise of a typical SU, as a one-sided spectral density [m^2/s^4/Hz]; 0 where none shows any.
+def quietness(readings: F64, still: Bool, rate: float) -> float:
+    """Noise of an SU, as a one-sided spectral density [m^2/s^4/Hz]; NaN where it never rests.
 
     Args:
-        readings: (N, U, 3) on the grid.
-        valid: (N, U) which of them are.
-        still: (N,) where the robot rests.
+        readings: (N, 3) on the grid.
+        still: (N,) where the robot rests, and they are valid.
         rate: of the grid [Hz].
     """
-    found = []
-    for u in range(valid.shape[1]):
-        ok = still & valid[:, u]
-        rests = ok[2:] & ok[1:-1] & ok[:-2]
-        if rests.any():
-            # Second differences leave nothing of slow motion, and six times the square of noise.
-            bend = np.diff(readings[:, u], n=2, axis=0)[rests]
-            found.append(float((bend**2).mean()) / 6 / (rate / 2))
-    return float(np.median(found)) if found else 0.0
+    rests = still[2:] & still[1:-1] & still[:-2]
+    if not rests.any():
+        return float("nan")
+    # Second differences leave nothing of slow motion, and six times the square of noise.
+    bend = np.diff(readings, n=2, axis=0)[rests]
+    return float((bend**2).mean()) / 6 / (rate / 2)
 
 
-def suitable_cutoff(motion: Motion, neighbourhoods: Sequence[Neighbourhood], quiet: float) -> float:
+def suitable_cutoff(motion: Motion, neighbourhoods: Sequence[Neighbourhood], quiet: F64) -> float:
     """Cutoff of the low-pass that suits a log [Hz], at -6 dB.
 
     It keeps the patterns' accelerations and their second harmonics; in a log without patterns, that
@@ -79,14 +75,16 @@ def suitable_cutoff(motion: Motion, neighbourhoods: Sequence[Neighbourhood], qui
     Args:
         motion: of the joints.
         neighbourhoods: poses, with the windows in which patterns may be.
-        quiet: noise of SUs, see :func:`quietness`.
+        quiet: (U,) noise of SUs, see :func:`quietness`, of which the middle one counts.
     """
     patterns = _Spectrum(motion, [w for pose in neighbourhoods for w in pose.windows])
     everything = _Spectrum(motion, [(0, motion.grid.size)])
     if patterns.energy.sum() >= _PATTERNS * everything.energy.sum():
         return _kept_by(patterns)
     usual = _kept_by(everything)
-    told = everything.information(quiet / _ARM**2)
+    measured = quiet[np.isfinite(quiet)]
+    beside = float(np.median(measured)) if len(measured) else 0.0
+    told = everything.information(beside / _ARM**2)
     enough = np.flatnonzero(told >= _ENOUGH * told.max())
     known = (enough[-1] + 1) / _BANDS_PER_HERTZ if told.max() > 0 else _WIDEST
     return float(np.clip(known, _NARROWEST, usual))

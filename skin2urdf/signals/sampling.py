@@ -139,7 +139,7 @@ def sample_recording(
     streams = {c.stream.name: c for c in checked(sus, at_rest, span, _pauses(motion))}
     readings = room_for_streams(grid.size, len(su_names))
     valid = np.zeros((grid.size, len(su_names)), dtype=bool)
-    period = np.zeros(len(su_names))
+    period, quiet = np.zeros(len(su_names)), np.full(len(su_names), np.nan)
     notes: list[Noted] = [*recording.notes, *held]
     faults: list[Fault] = []
     still = np.zeros(grid.size, dtype=bool)
@@ -162,6 +162,7 @@ def sample_recording(
         fault = unusable(name, readings[:, u], still, valid[:, u], GRAVITY)
         if fault is not None:
             valid[:, u] = False
+        quiet[u] = quietness(readings[:, u], still & valid[:, u], grid.rate)
         told = [] if fault is None or found.faults else [fault]
         return [Note("unit g", (name,))] if factor != 1.0 else [], [*found.faults, *told]
 
@@ -176,7 +177,7 @@ def sample_recording(
         {name: found.stream for name, found in streams.items()}, su_names, motion, still
     )
     notes += converted
-    cutoff = suitable_cutoff(motion, neighbourhoods, quietness(readings, valid, still, grid.rate))
+    cutoff = suitable_cutoff(motion, neighbourhoods, quiet)
     readings, filled = computed(motion, neighbourhoods, cutoff, readings, valid)
     if angle := angle_at_rest(rests, readings, valid, grid.rate):
         notes.append(Note("base moves", size=angle))

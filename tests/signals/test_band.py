@@ -35,7 +35,9 @@ def read_with(path: JointPath, bits: int | None, rate: float = 100.0) -> Motion:
 
 
 def cutoff(motion: Motion, quiet: float = QUIET) -> float:
-    return suitable_cutoff(motion, find_neighbourhoods(motion, find_rests(motion)), quiet)
+    return suitable_cutoff(
+        motion, find_neighbourhoods(motion, find_rests(motion)), np.array([quiet])
+    )
 
 
 def test_what_encoders_round_off_is_no_motion() -> None:
@@ -69,13 +71,16 @@ def test_patterns_keep_their_second_harmonics(bits: int | None) -> None:
     assert cutoff(read_with(path, bits)) >= 5.0
 
 
-def test_noise_is_told_from_motion() -> None:
-    rng = np.random.default_rng(2)
+@pytest.mark.parametrize("size", [0.01, 0.03])
+def test_noise_is_told_from_motion(size: float) -> None:
     rate, n = 125.0, 4000
-    t = np.arange(n)[:, None, None] / rate
-    motion = 3.0 * np.sin(2 * np.pi * 0.2 * t + np.arange(6).reshape(2, 3))
-    noise = np.array([0.01, 0.03])[:, None] * rng.standard_normal((n, 2, 3))
-    valid, still = np.ones((n, 2), dtype=bool), np.ones(n, dtype=bool)
-    found = [quietness((motion + noise)[:, [u]], valid[:, [u]], still, rate) for u in range(2)]
-    np.testing.assert_allclose(found, np.array([0.01, 0.03]) ** 2 / (rate / 2), rtol=0.1)
-    assert quietness(motion + noise, valid, still & False, rate) == 0.0
+    t = np.arange(n)[:, None] / rate
+    motion = 3.0 * np.sin(2 * np.pi * 0.2 * t + np.arange(3))
+    noise = size * np.random.default_rng(2).standard_normal((n, 3))
+    still = np.ones(n, dtype=bool)
+    assert quietness(motion + noise, still, rate) == pytest.approx(size**2 / (rate / 2), rel=0.1)
+    assert np.isnan(quietness(motion + noise, still & False, rate))
+
+
+def test_a_band_needs_no_sensor_that_rests() -> None:
+    assert cutoff(read_with(moves(0.8), 12), float("nan")) < 4.0

@@ -8,11 +8,11 @@ length r of an arm that least squares find has, over a time T, the relative vari
     v = int S (A / r^2 + P) df / (2 T (int S df)^2) + (c int P df / int S df)^2
 
 up to the cutoff. The first part is that of noise beside the motion. The second is that of noise in
-it, by which lengths come out shorter: what is known of that is taken off, but for a part c. So a
-band beyond the motion costs nothing where encoders are finer than sensors are quiet. Where they are
-not, a robot that takes seconds for its moves is known several times better in a band of 2 Hz than
-in one of 5 Hz: of 12 bits read at 100 Hz, rounding makes 0.006 rad/s^2 in the one, and 0.06 in the
-other.
+it, by which lengths come out shorter (errors in variables: Fuller 1987): what is known of that is
+taken off, but for a part c. So a band beyond the motion costs nothing where encoders are finer than
+sensors are quiet. Where they are not, a robot that takes seconds for its moves is known several
+times better in a band of 2 Hz than in one of 5 Hz: of 12 bits read at 100 Hz, rounding makes
+0.006 rad/s^2 in the one, and 0.06 in the other.
 """
 
 from __future__ import annotations
@@ -32,6 +32,9 @@ _SHORTEST = 64
 """Samples of a window at least, half a second, in which a pattern shows."""
 _MOST_OF_IT = 0.98
 """Part of the motion's energy that is kept, with second harmonics, which turning makes."""
+_HARMONICS, _MARGIN = 2.2, 1.0
+"""Cutoff over the highest frequency of a motion, and what it is beyond that [Hz]: second harmonics
+pass, which turning makes."""
 _NARROWEST, _USUAL, _WIDEST = 2.0, 5.0, 20.0
 """Cutoffs [Hz]: below the first one, low-passes take more than three seconds of a log's ends and of
 what lies beside its gaps; patterns lie below the second one; sensors and grids end at the last."""
@@ -52,6 +55,9 @@ clocks and low-passes of sensors show at high frequencies."""
 
 def quietness(readings: F64, still: Bool, rate: float) -> float:
     """Noise of an SU, as a one-sided spectral density [m^2/s^4/Hz]; NaN where it never rests.
+
+    Digits count as noise, which the median of steps (:func:`skin2urdf.signals.health.rest_noise`)
+    has none of where they are coarse; and moments that stand for rests may be slow motion.
 
     Args:
         readings: (N, 3) on the grid.
@@ -95,7 +101,7 @@ def _kept_by(spectrum: _Spectrum) -> float:
     energy = spectrum.energy
     share = np.cumsum(energy) / max(energy.sum(), 1e-12)
     highest = float(np.searchsorted(share, _MOST_OF_IT) / _BANDS_PER_HERTZ)
-    return float(np.clip(2.2 * highest + 1.0, _USUAL, _WIDEST))
+    return float(np.clip(_HARMONICS * highest + _MARGIN, _USUAL, _WIDEST))
 
 
 class _Spectrum:
@@ -112,7 +118,7 @@ class _Spectrum:
         rate, joints = motion.grid.rate, len(motion.dof_names)
         read, made = np.zeros((bands, joints)), np.zeros((bands, joints))
         values = np.zeros(bands)
-        self._density = 2 * motion.noise**2 / motion.raw_rate
+        self._density = motion.noise_density
         self._seconds = 0.0
         for begin, end in windows:
             if end - begin < _SHORTEST:

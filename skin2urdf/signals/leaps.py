@@ -140,7 +140,7 @@ def _noise_of_steps(motion: Motion, taps: F64) -> F64:
     smooth, slow = (np.abs(np.fft.rfft(t, 1024)) for t in (low_pass(SMOOTH, rate), taps))
     power = ((2 * np.pi * f) ** 2 * smooth * (1 - slow) * 2 * np.sin(np.pi * f / rate)) ** 2
     held = f[:, None] <= motion.raw_rate / 2
-    variance = 2 * motion.noise**2 / motion.raw_rate
+    variance = motion.noise_density
     return np.asarray(np.sqrt(variance * np.trapezoid(power[:, None] * held, f, axis=0)))
 
 

@@ -80,6 +80,14 @@ class Motion(Record):
         return np.asarray(travel(self) > self.creep)
 
     @property
+    def noise_density(self) -> F64:
+        """(D,) one-sided spectral density of the positions' noise [rad^2/Hz or m^2/Hz].
+
+        That of white samples, up to half the rate of the raw streams.
+        """
+        return np.asarray(2 * self.noise**2 / self.raw_rate)
+
+    @property
     def creep(self) -> F64:
         """(D,) how far the position of a joint at rest may seem to go [rad or m]."""
         encoder = np.maximum(_CREEP * self.resolution, 2 * _CREEP * self.noise)

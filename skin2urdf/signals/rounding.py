@@ -25,7 +25,7 @@ def regressor_noise(motion: Motion, cutoff: float) -> tuple[F64, F64]:
     taps = low_pass(cutoff, motion.grid.rate)
     k = np.arange(len(taps))
     gain = np.abs(np.exp(-2j * np.pi * f[:, None] * k / motion.grid.rate) @ taps) ** 2
-    density = 2 * motion.noise**2 / motion.raw_rate
+    density = motion.noise_density
     position = np.trapezoid(gain, f) * density
     acceleration = np.trapezoid(gain * (2 * np.pi * f) ** 4, f) * density
     both = -np.trapezoid(gain * (2 * np.pi * f) ** 2, f) * density

@@ -68,7 +68,8 @@ def test_patterns_keep_their_second_harmonics(bits: int | None) -> None:
         path.move(pose.tolist(), 2.0).rest(1.0)
         for joint in range(2):
             path.swing({joint: 0.2}, hertz=2.0).rest(0.5)
-    assert cutoff(read_with(path, bits)) >= 5.0
+    # A low-pass leaves 0.6 of its band as it is.
+    assert 0.6 * cutoff(read_with(path, bits)) > 2 * 2.0
 
 
 @pytest.mark.parametrize("size", [0.01, 0.03])

@@ -154,7 +154,7 @@ class Attempt:
             return {}
         found = {cause: self._beside_rounding(cause) for cause in BENDS}
         found = {cause: size for cause, size in found.items() if size.gain > CERTAIN}
-        slack = self._size_beside_rounding() if found else None
+        slack = self._size_beside_rounding if found else None
         least = 0.0 if slack is None else slack.gain
         return {cause: size for cause, size in found.items() if size.gain > least}
 
@@ -334,7 +334,7 @@ class Attempt:
         if self.shown is None or size is None:
             return None
         if self._is_more_than_rounding(size):
-            size = self._size_beside_rounding() or size
+            size = self._size_beside_rounding or size
             if self._is_more_than_rounding(size):
                 return None
         if size.gain <= CERTAIN:
@@ -346,6 +346,7 @@ class Attempt:
         fitted = fit(problem, state, near=True, predicted=before.predicted, equations=equations)
         return replace(self, problem=problem, fitted=fitted)
 
+    @cached_property
     def _size_beside_rounding(self) -> Size | None:
         """Slack beyond what encoders round off while joints move; None where they round nothing."""
         again = self._rounded_again

@@ -58,6 +58,8 @@ _SAME = 1e-6
 _NEAR_AXIS = 5e-3
 """Deviation of an SU's place, square to an axis, from which it is known to sit right on it [m]: of
 places within a decimetre of an axis one in 400 lies so near to it."""
+_DAMPING, _DAMPED = 1e-6, 1e-3
+"""Damping of the turns of gravity to begin with, and after a step that led nowhere."""
 _ROUNDS = 6
 _TURNS = 30
 
@@ -306,31 +308,43 @@ def _on_best(moments: list[list[Moments]], u: int, up: F64, priors: Priors) -> t
 def _turned(
     moments: list[list[Moments]], su_joint: Int, fits: list[Fit], up: F64, priors: Priors
 ) -> tuple[list[Fit], F64]:
-    """Gauss-Newton on gravity's directions, placements following."""
-    cost = sum(fit.cost for fit in fits)
+    """Levenberg-Marquardt on gravity's directions, placements following.
+
+    Each SU counts by what it leaves, so that one that fits nowhere turns gravity for no other. How
+    an SU is turned about gravity that stands still in it is any to begin with, and may lead the
+    first step away from where it leads the next.
+    """
     own = [moments[k] for k in su_joint]
     sums = [sums_of(each, u, up) for u, each in enumerate(own)]
+    count = np.array([sum(m.count[u].sum() for m in each) for u, each in enumerate(own)])
+    size, damping, moved = _sizes(fits, count), _DAMPING, True
     for _ in range(_TURNS):
-        axes = np.stack([turn_axes(each) for each in up])
-        H, g = np.zeros((2 * len(up), 2 * len(up))), np.zeros(2 * len(up))
-        for fit, each in zip(fits, sums, strict=True):
-            own_H, own_g = up_equations(fit, replace(each, up=up), axes, priors)
-            H += own_H
-            g += own_g
-        size = float(np.diag(H).max(initial=0.0))
-        step = np.linalg.solve(H + (1e-6 * size + 1e-9) * np.eye(len(H)), g).reshape(-1, 2)
-        step *= min(1.0, 0.3 / max(float(np.abs(step).max()), 1e-12))
+        if moved:
+            axes = np.stack([turn_axes(each) for each in up])
+            H, g = np.zeros((2 * len(up), 2 * len(up))), np.zeros(2 * len(up))
+            for fit, each, weight in zip(fits, sums, 1 / size, strict=True):
+                own_H, own_g = up_equations(fit, replace(each, up=up), axes, priors)
+                H += weight * own_H
+                g += weight * own_g
+        largest = float(np.diag(H).max(initial=0.0))
+        step = np.linalg.solve(H + (damping * largest + 1e-9) * np.eye(len(H)), g)
+        if not g @ step > _SAME * count.sum():
+            break
+        step = step.reshape(-1, 2) * min(1.0, 0.3 / max(float(np.abs(step).max()), 1e-12))
         turn = np.einsum("gij,gj->gi", axes, step)
         there = np.einsum("gij,gj->gi", rotation_exp(turn), up)
         trial = again(fits, [replace(each, up=there) for each in sums], own, priors)
-        total = sum(fit.cost for fit in trial)
-        if not total < cost:
-            break
-        gain = (cost - total) / max(cost, 1e-12)
-        fits, up, cost = trial, there, total
-        if gain < 1e-6:
-            break
+        smaller = _sizes(trial, count)
+        moved = bool(count @ np.log(smaller) < count @ np.log(size))
+        damping = max(damping / 10, _DAMPING) if moved else max(damping * 10, _DAMPED)
+        if moved:
+            fits, up, size = trial, there, smaller
     return fits, up
+
+
+def _sizes(fits: Sequence[Fit], count: Int) -> F64:
+    """(U,) mean squares that fits leave of samples (U,), and noise [m^2/s^4]."""
+    return np.array([fit.cost for fit in fits]) / (3 * np.maximum(count, 1)) + NOISE**2
 
 
 def _well_placed(fit: Fit, sums: Sums, priors: Priors, noise: float) -> bool:

@@ -167,9 +167,10 @@ def test_the_order_of_streams_and_their_names_mean_nothing() -> None:
     assert [joints[n] for n in found.model.tree.joint_names] == list(again.model.tree.joint_names)
     order = [again.model.tree.su_names.index(sus[n]) for n in found.model.tree.su_names]
     assert again.estimate.chi2 == pytest.approx(found.estimate.chi2, rel=1e-3)
-    np.testing.assert_allclose(
-        again.model.T_parent_joint[1:, :3, 3], found.model.T_parent_joint[1:, :3, 3], atol=1e-4
-    )
+    here, there = (each.model.T_parent_joint[1:, :3, 3] for each in (again, found))
+    # How far along the first axis the second one is, no motion shows.
+    np.testing.assert_allclose(here[:, :2], there[:, :2], atol=1e-4)
+    np.testing.assert_allclose(here[1:, 2], there[1:, 2], atol=1e-4)
     np.testing.assert_array_equal(again.model.tree.su_joint[order], found.model.tree.su_joint)
 
 

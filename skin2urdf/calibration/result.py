@@ -199,7 +199,7 @@ class Calibration(Record):
         known = "weak" not in verdicts and 2 * verdicts.count("determined") >= len(verdicts)
         known &= not self.mostly_open
         sound = not self.faults and not self.base_gives_way and not self.without_a_place
-        sound &= not self.turn_of_base
+        sound &= not (self.turn_of_base or self.tilt_of_base)
         sound &= not self.of_two_places
         sound &= not self.implausible
         return "good" if explained and alike and known and sound else "fair"
@@ -255,6 +255,12 @@ class Calibration(Record):
     def base_gives_way(self) -> bool:
         """Whether the base was found to move under the robot's load."""
         return self.along is not None and "base" in self.along.causes
+
+    @property
+    def tilt_of_base(self) -> float:
+        """Angle by which the base was found to tilt by itself, rms [rad]; 0 where it does not."""
+        tilts = self.along is not None and "tilts" in self.along.causes
+        return self.along.tilt_of_base if self.along is not None and tilts else 0.0
 
     @property
     def turn_of_base(self) -> float:

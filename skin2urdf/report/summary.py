@@ -291,6 +291,12 @@ def sensor_notes(along: MotionEstimate | None, of: Sequence[str] | None = None) 
             f"the base gives way under the robot's load: it turns by up to {turned} mrad within a "
             "log; it was followed: fix it more stiffly to know lengths along the first axis better"
         )
+    if "tilts" in along.causes:
+        notes.append(
+            f"the base tilts by itself, by {number(along.tilt_of_base * _MM)} mrad (rms) within a "
+            "log; it was followed as turns of gravity, and what it accelerates by is in the stated "
+            "errors: an SU on it tells its tilts from joints, one that stands still tells more"
+        )
     if uneven := [_GEARS[cause] for cause in along.causes if cause in _GEARS]:
         notes.append(
             f"gears are uneven ({', '.join(uneven)}): links are off what their encoders say, at "

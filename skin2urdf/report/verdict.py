@@ -147,6 +147,9 @@ def _doubts(calibration: Calibration) -> list[Doubt]:
         found.append(Doubt("soft base", words))
     if turn := calibration.turn_of_base:
         found.append(Doubt("moving base", f"{base_moves(turn)} ({STAND_STILL})", number=turn))
+    elif tilt := calibration.tilt_of_base:
+        words = f"the base tilts by itself, by {number(tilt * _DEG)} deg (rms) ({STAND_STILL})"
+        found.append(Doubt("moving base", words, number=tilt))
     known = {fault.subject for fault in calibration.faults}
     odd = [tree.su_names[u] for u in np.flatnonzero(calibration.unlike_sus.odd)]
     odd = [name for name in odd if name not in known]

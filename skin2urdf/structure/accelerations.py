@@ -91,7 +91,7 @@ class Along(Record):
         readings: (N, U, 3) [m/s^2], and
         change: (N, U, 3) their derivatives [m/s^3].
         valid: (N, U) where they are whole.
-        log: (N,) which log.
+        log: (N,) which log, or which span of time in which gravity has one direction.
         time: (N,) time in its log, from -1 at its begin to 1 at its end.
         stretch: (N,) which stretch of time, counted through all logs.
         rates: (N, U, 3) what gyroscopes read [rad/s]; None where no SU has one.
@@ -150,8 +150,14 @@ class Along(Record):
         return self._judged[case]
 
 
-def along(sampled: Sequence[Sampled]) -> Along:
-    """All logs, low-passed and thinned out."""
+def along(sampled: Sequence[Sampled], spans: Sequence[Int] = ()) -> Along:
+    """All logs, low-passed and thinned out.
+
+    Args:
+        sampled: the logs on their grids.
+        spans: per log (N,) number of the span of time of each sample of its grid, which stands for
+            that of the log where gravity has its own direction in each; () for logs as they are.
+    """
     parts, turns = [], []
     stretches = 0
     for g, s in enumerate(sampled):
@@ -173,7 +179,7 @@ def along(sampled: Sequence[Sampled]) -> Along:
                 y[kept],
                 first_derivative(y, rate)[kept],
                 ok[kept],
-                np.full(len(kept), g),
+                spans[g][kept] if spans else np.full(len(kept), g),
                 2 * kept / max(len(q) - 1, 1) - 1,
                 stretch,
             )

@@ -11,12 +11,12 @@ if there are more.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from skin2urdf.arrays import F64, Bool, Record
+from skin2urdf.arrays import F64, Bool, Int, Record
 from skin2urdf.errors import StructureError
 from skin2urdf.geometry.so3 import frame_with_z
 from skin2urdf.geometry.units import GRAVITY
@@ -36,6 +36,11 @@ from skin2urdf.structure.facing import facing_one_way
 from skin2urdf.structure.gravity import GravityWindows, gravity_windows, moments
 from skin2urdf.structure.growth import Growth, Known
 from skin2urdf.structure.records import KinematicTree
+from skin2urdf.structure.tilted import Tilted, tilts_of_base
+
+_EXPLAINED = 2.0
+"""Chi-squared per measurement up to which gravity is explained: what windows may be off by is the
+larger part of it, and sound logs leave less than 1."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,28 +119,58 @@ def trees_of_both_kinds(
     Raises:
         StructureError: no SU feels any joint move, or no chain of joints explains what any feels.
     """
+    try:
+        trees = _of_both_kinds(sampled, su_names, None, known, seed, tell)
+    except StructureError:
+        if (base := tilts_of_base(sampled)) is None:
+            raise
+        return _of_both_kinds(sampled, su_names, base, known, seed, tell)
+    if _is_explained(trees[0][0], su_names) or (base := tilts_of_base(sampled)) is None:
+        return trees
+    try:
+        others = _of_both_kinds(sampled, su_names, base, known, seed, tell)
+    except StructureError:
+        return trees
+    # What the SU on the base feels is explained by itself, whatever carries it.
+    heard = [name for u, name in enumerate(su_names) if u != base.su]
     samples = along(sampled)
+    left, there = (_unexplained(each[0][0], samples, su_names, heard) for each in (trees, others))
+    return others if there < left else trees
+
+
+def _of_both_kinds(
+    sampled: Sequence[Sampled],
+    su_names: Sequence[str],
+    base: Tilted | None,
+    known: KinematicTree | None,
+    seed: int,
+    tell: Callable[[float], None],
+) -> list[tuple[MotionTree, ...]]:
+    """Trees by rests and by moves on a base that stands still, or that tilts as an SU feels."""
+    spans = () if base is None else base.span
+    samples = along(sampled, spans)
     grown: list[tuple[MotionTree, ...]] = []
     missing: StructureError | None = None
-    kinds = gravity_windows(sampled, su_names), moments(sampled, su_names)
+    kinds = gravity_windows(sampled, su_names, spans), moments(sampled, su_names, spans)
     for i, windows in enumerate(kinds):
 
         def part(share: float, i: int = i) -> None:
             tell((i + share) / len(kinds))
 
         try:
-            grown.append(_grown_from(windows, samples, sampled, known, seed, part))
+            grown.append(_grown_from(windows, samples, sampled, base, known, seed, part))
         except StructureError as lack:
             missing = missing or lack
     if not grown:
         raise missing or StructureError("there is no tree", "record more moves")
-    return sorted(grown, key=lambda trees: _unexplained(trees[0], samples, su_names))
+    return sorted(grown, key=lambda trees: _unexplained(trees[0], samples, su_names, su_names))
 
 
 def _grown_from(
     windows: GravityWindows,
     samples: Along,
     sampled: Sequence[Sampled],
+    base: Tilted | None,
     known: KinematicTree | None,
     seed: int,
     tell: Callable[[float], None],
@@ -150,7 +185,8 @@ def _grown_from(
     sliding: tuple[int, ...] = ()
     while True:
         turning = tuple(int(d) for d in np.flatnonzero(moved) if d not in sliding)
-        growth = Growth(windows, turning, np.random.default_rng(seed), tree)
+        up = None if base is None else base.up
+        growth = Growth(windows, turning, np.random.default_rng(seed), tree, up)
         growth.grow(tell)
         drafts = _drafted(growth, samples, moved, sliding)
         more = () if known else _that_slide(drafts[0], samples)
@@ -158,7 +194,8 @@ def _grown_from(
             break
         # What was taken to turn has bent all directions beyond it.
         sliding += more
-    best, *others = (_motion_tree(d, growth, samples, sampled, moved) for d in drafts)
+    of_span = np.arange(len(sampled)) if base is None else base.log
+    best, *others = (_motion_tree(d, growth, samples, sampled, moved, of_span) for d in drafts)
     notes = (*best.tree.notes, *(doubt(best.tree, other.tree) for other in others))
     return replace(best, tree=replace(best.tree, notes=notes)), *others
 
@@ -230,14 +267,23 @@ def _known(tree: KinematicTree, windows: GravityWindows) -> Known:
     )
 
 
-def _unexplained(tree: MotionTree, samples: Along, su_names: Sequence[str]) -> float:
-    """Negative log-likelihood of what a tree leaves of all readings, whatever their noise is.
+def _is_explained(tree: MotionTree, su_names: Sequence[str]) -> bool:
+    """Whether a tree has all SUs, and gravity leaves of none more than what windows may be off."""
+    return len(tree.tree.su_names) == len(su_names) and bool((tree.chi2 <= _EXPLAINED).all())
+
+
+def _unexplained(
+    tree: MotionTree, samples: Along, su_names: Sequence[str], counted: Collection[str]
+) -> float:
+    """Negative log-likelihood of what a tree leaves of readings, whatever their noise is.
 
     Of an SU that it leaves out, all that changes is left.
     """
     left = dict(zip(tree.tree.su_names, tree.left, strict=True))
     total = 0.0
     for u, name in enumerate(su_names):
+        if name not in counted:
+            continue
         use = samples.valid[:, u]
         count = 3.0 * use.sum()
         if count and name not in left:
@@ -278,9 +324,23 @@ def _triple(axis: F64) -> tuple[float, float, float]:
 
 
 def _motion_tree(
-    draft: Draft, growth: Growth, samples: Along, sampled: Sequence[Sampled], moved: Bool
+    draft: Draft,
+    growth: Growth,
+    samples: Along,
+    sampled: Sequence[Sampled],
+    moved: Bool,
+    of_span: Int,
 ) -> MotionTree:
-    """A draft in the frame of the first log, with notes on what is left out."""
+    """A draft in the frame of the first log, with notes on what is left out.
+
+    Args:
+        draft: the tree.
+        growth: what it has grown from.
+        samples: low-passed samples.
+        sampled: the logs.
+        moved: (D,) joints that moved.
+        of_span: (P,) log of each of the draft's directions of gravity.
+    """
     windows = growth.windows
     names = windows.dof_names
     heard = np.flatnonzero(draft.su_joint >= -1)
@@ -307,12 +367,14 @@ def _motion_tree(
     at, _ = growth.best()
     chi2 = [growth.segments[int(at[u])].fits.chi2[u] / growth.n[u] for u in heard]
     judged = [draft.judged(samples, int(u)) for u in heard]
-    R = frame_with_z(draft.up[0]).T
+    up = np.array([draft.up[of_span == g].mean(axis=0) for g in range(len(sampled))])
+    up /= np.linalg.norm(up, axis=1, keepdims=True)
+    R = frame_with_z(up[0]).T
     return MotionTree(
         tree,
         np.array([j.axis for j in draft.joints]).reshape(-1, 3) @ R.T,
         R @ draft.R[heard],
-        draft.up @ R.T,
+        up @ R.T,
         draft.sensor[heard, :3],
         draft.sensor[heard, 3:],
         np.array(chi2),

@@ -87,7 +87,7 @@ class GravityWindows(Record):
         dof_names: D DoF names.
         su_names: U SU names.
         q: (W, D) mean joint positions [rad or m].
-        log: (W,) index of the log.
+        log: (W,) index of the log, or of the span of time in which gravity has one direction.
         reading: (W, U, 3) mean readings [m/s^2]; 0 where an SU was not heard.
         sd: (W, U) what gravity's share of them may be off by, per axis [m/s^2]; infinite where an
             SU was not heard.
@@ -117,13 +117,19 @@ class GravityWindows(Record):
 
 
 def gravity_windows(
-    sampled: Sequence[Sampled], su_names: Sequence[str], most: int = _MOST_WINDOWS
+    sampled: Sequence[Sampled],
+    su_names: Sequence[str],
+    spans: Sequence[Int] = (),
+    *,
+    most: int = _MOST_WINDOWS,
 ) -> GravityWindows:
     """Windows of all logs in which readings are mostly gravity, the steadiest ones.
 
     Args:
         sampled: the logs on their grids, with the same joints and SUs.
         su_names: U SU names.
+        spans: per log (N,) number of the span of time of each sample of its grid, which stands for
+            that of the log where gravity has its own direction in each; () for logs as they are.
         most: number of windows kept at most.
     """
     q, log, reading, variance = [], [], [], []
@@ -149,7 +155,7 @@ def gravity_windows(
                 turning = np.linalg.norm(s.readings[end - 1] - s.readings[begin], axis=-1) / seconds
                 error = felt**2 + (_LAG * turning) ** 2
             q.append(s.motion.q[part].mean(axis=0))
-            log.append(g)
+            log.append(int(spans[g][(begin + end) // 2]) if spans else g)
             reading.append(np.where(valid[:, None], mean, 0.0))
             variance.append(np.where(valid, error + _STEADY**2, np.inf))
     D, U = sampled[0].motion.q.shape[1], len(su_names)
@@ -165,13 +171,18 @@ def gravity_windows(
 
 
 def moments(
-    sampled: Sequence[Sampled], su_names: Sequence[str], most: int = _MOST_MOMENTS
+    sampled: Sequence[Sampled],
+    su_names: Sequence[str],
+    spans: Sequence[Int] = (),
+    *,
+    most: int = _MOST_MOMENTS,
 ) -> GravityWindows:
     """Samples spread evenly over all logs, with how the joints move there.
 
     Args:
         sampled: the logs on their grids, with the same joints and SUs.
         su_names: U SU names.
+        spans: as for :func:`gravity_windows`.
         most: number of samples at most.
     """
     total = sum(s.motion.grid.size for s in sampled)
@@ -194,7 +205,8 @@ def moments(
         sd = np.where(ok[at], rough, np.inf)
         left = np.where(ok[at], modelled[:, None], np.inf)
         reading = np.where(ok[at, :, None], y[at], 0.0)
-        parts.append((q[at], np.full(len(at), g), reading, sd, qd, qdd, change, left))
+        of_log = spans[g][at] if spans else np.full(len(at), g)
+        parts.append((q[at], of_log, reading, sd, qd, qdd, change, left))
     q, log, reading, sd, qd, qdd, change, left = (
         np.concatenate([p[i] for p in parts]) for i in range(8)
     )

@@ -140,6 +140,7 @@ class Growth:
         rng: draws axes from which chains of several joints are searched.
         known: the tree, where it is known already: it grows no further where nothing explains what
             an SU feels, since rotations beyond are not to be had.
+        up: (G, 3) upward unit vectors of the logs in the base frame, where they are known.
     """
 
     def __init__(
@@ -148,20 +149,14 @@ class Growth:
         moved: Sequence[int],
         rng: np.random.Generator,
         known: Known | None = None,
+        up: F64 | None = None,
     ):
         self.windows = windows
         self._moved = tuple(moved)
         self._rng = rng
         self._known = known
         self._grid = fibonacci_sphere(_GRID)
-        logs = int(windows.log.max(initial=0)) + 1
-        # The log that holds most of the motion shows the first joints.
-        spread = [
-            float(np.ptp(windows.q[windows.log == g], axis=0).sum()) if g in windows.log else 0.0
-            for g in range(logs)
-        ]
-        self.up = np.full((logs, 3), np.nan)
-        self.up[int(np.argmax(spread))] = (0.0, 0.0, 1.0)
+        self.up = _first_of(windows) if up is None else np.array(up)
         self.segments: list[Segment] = []
         self._begin([(-1, -1, np.zeros(3))])
 
@@ -170,7 +165,7 @@ class Growth:
         self.segments = []
         self._losses: dict[tuple[int, int], F64] = {}
         self._fitted: dict[tuple[int, int, int], tuple[float, F64]] = {}
-        usable = np.isfinite(self.up).all(axis=1)[self.windows.log]
+        usable = np.asarray(np.isfinite(self.up).all(axis=1))[self.windows.log]
         self._weight = self.windows.weight * usable[:, None]
         # Axes are ranked by gravity alone, whatever is modelled when they are fitted.
         self._rough = self._weight
@@ -506,3 +501,16 @@ class Growth:
                 found = True
         if found:
             self._begin([(s.parent, s.dof, s.axis) for s in self.segments])
+
+
+def _first_of(windows: GravityWindows) -> F64:
+    """(G, 3) upward unit vectors of which that of one log is known: it makes the base frame."""
+    logs = int(windows.log.max(initial=0)) + 1
+    # The log that holds most of the motion shows the first joints.
+    spread = [
+        float(np.ptp(windows.q[windows.log == g], axis=0).sum()) if g in windows.log else 0.0
+        for g in range(logs)
+    ]
+    up = np.full((logs, 3), np.nan)
+    up[int(np.argmax(spread))] = (0.0, 0.0, 1.0)
+    return up

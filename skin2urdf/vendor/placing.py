@@ -344,7 +344,7 @@ def _turned(
 
 def _sizes(fits: Sequence[Fit], count: Int) -> F64:
     """(U,) mean squares that fits leave of samples (U,), and noise [m^2/s^4]."""
-    return np.array([fit.cost for fit in fits]) / (3 * np.maximum(count, 1)) + NOISE**2
+    return np.asarray(np.array([fit.cost for fit in fits]) / (3 * np.maximum(count, 1)) + NOISE**2)
 
 
 def _well_placed(fit: Fit, sums: Sums, priors: Priors, noise: float) -> bool:

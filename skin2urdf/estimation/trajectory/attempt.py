@@ -43,6 +43,7 @@ from skin2urdf.estimation.trajectory.slack import (
     size_of,
     with_unseen,
 )
+from skin2urdf.estimation.trajectory.tilting import tilts
 from skin2urdf.estimation.trajectory.unseen import Unseen
 from skin2urdf.estimation.trajectory.wandering import wandering, with_steady_clocks
 from skin2urdf.estimation.trajectory.yielding import fit_yielding
@@ -59,6 +60,8 @@ deviations. Slack of gears in a log of 15 s has 8, rounding that 200 SUs see 4."
 BENDS, PLAY, CLOCK, DRIFT, CURVES = ("elastic", "base"), "play", "clock", "drift", "nonlinearity"
 """Causes of deflections, what is followed as the first of them and is none, and those of clocks
 that wander, of biases and of sensors' axes."""
+TILTS = "tilts"
+"""That of a base that is tilted otherwise from time to time."""
 _KNOTS = 15.0
 """Time between the moments that a drifting bias is given at [s]; sensors warm up in minutes."""
 
@@ -152,7 +155,7 @@ class Attempt:
         """
         if self.misfit <= 1 and self.certain_slack is None:
             return {}
-        found = {cause: self._beside_rounding(cause) for cause in BENDS}
+        found = {cause: self._beside_rounding(cause) for cause in self.bends}
         found = {cause: size for cause, size in found.items() if size.gain > CERTAIN}
         slack = self._size_beside_rounding if found else None
         least = 0.0 if slack is None else slack.gain
@@ -201,7 +204,7 @@ class Attempt:
         return Explained(self.problem, self.fitted, self.causes, tried, under, self.wander)
 
     def on_steady_clocks(self) -> Attempt:
-        """With clocks that no longer wander, where that says more than all that bends, else as is.
+        """With clocks that no longer wander, where that says more than a base or gears, else as is.
 
         Slack is no rival: of another size from moment to moment, it follows whatever clocks do.
         """
@@ -210,6 +213,8 @@ class Attempt:
             return self
         gain = size_of(self.problem, self.fitted, more).gain
         if gain <= CERTAIN or gain <= max(self.gains.values()):
+            return self
+        if (tilting := self._tilting) is not None and gain <= self.sized(tilting)[1].gain:
             return self
         problem, fitted, wander = with_steady_clocks(self.problem, self.fitted)
         causes = (*self.causes, CLOCK)
@@ -220,8 +225,8 @@ class Attempt:
         found = self.certain_curvature
         if found is None:
             return self
-        uneven = [self.sized(more)[1].gain for _, more in self.uneven() if more is not None]
-        return self if found.gain <= max([*self.gains.values(), *uneven]) else self.curved()
+        others = [self.sized(more)[1].gain for _, more in self.of_few_sizes() if more is not None]
+        return self if found.gain <= max([*self.gains.values(), *others]) else self.curved()
 
     def curved(self) -> Attempt:
         """With axes that are curved by as much as the readings show."""
@@ -245,8 +250,11 @@ class Attempt:
         causes = tuple(cause for cause in self.causes if cause != CURVES)
         return replace(self, problem=problem, fitted=fit(problem, state, near=True), causes=causes)
 
-    def uneven(self) -> list[tuple[str, Unseen | None]]:
-        """Errors of gears by name, of those that it has not yet."""
+    def of_few_sizes(self) -> list[tuple[str, Unseen | None]]:
+        """What has as many numbers as slack, or fewer, by name: what it has not yet.
+
+        Errors of gears, and tilts of a base that no load moves.
+        """
         tree, logs = self.problem.tree, self.problem.logs
         kinds: list[tuple[str, Unseen | None]] = []
         if "harmonics" not in self.causes:
@@ -254,7 +262,15 @@ class Attempt:
         if "ripples" not in self.causes:
             found = find_ripples(self.problem, self.fitted)
             kinds.append(("ripples", ripples(logs, found)))
-        return kinds
+        return [*kinds, (TILTS, self._tilting)]
+
+    @property
+    def _tilting(self) -> Unseen | None:
+        """Tilts of the base by themselves; None of one that moves already."""
+        problem = self.problem
+        if problem.unseen is not None and problem.unseen.moves_base(problem.tree.n_joints):
+            return None
+        return tilts(problem.tree, problem.logs, self.fitted.state.placements.up[0])
 
     def likely(self, causes: Collection[str]) -> list[str]:
         """Of what bends, the causes that may explain most of what is lacking, the likeliest first.
@@ -289,8 +305,12 @@ class Attempt:
 
     @cached_property
     def bends(self) -> dict[str, Size]:
-        """What the readings show of each kind of what bends, to first order."""
-        return {cause: size_of(self.problem, self.fitted, self._loads(cause)) for cause in BENDS}
+        """What the readings show of each kind of what bends, to first order.
+
+        A base that tilts by itself gives way to no load as well.
+        """
+        kinds = BENDS[:1] if TILTS in self.causes else BENDS
+        return {cause: size_of(self.problem, self.fitted, self._loads(cause)) for cause in kinds}
 
     def _loads(self, cause: str) -> Unseen:
         """The deflections that loads of one kind of what bends can make."""

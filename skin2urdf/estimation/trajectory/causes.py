@@ -106,7 +106,7 @@ def _of_any_cause(rigid: Attempt, without: Collection[str]) -> tuple[Attempt, li
     """The attempt that explains most, and all that were made."""
     bends = [cause for cause in BENDS if cause not in without]
     likeliest = rigid.likely(bends)[:1] if rigid.lacks else []
-    best = _with_uneven_gears(rigid, rigid.gains[likeliest[0]] if likeliest else 0.0)
+    best = _with_few_sizes(rigid, rigid.gains[likeliest[0]] if likeliest else 0.0)
     attempts = [best]
     if best.lacks:
         other, more = _with_physics(rigid, without)
@@ -175,8 +175,8 @@ def _with_physics(rigid: Attempt, without: Collection[str]) -> tuple[Attempt, li
     return best, tried
 
 
-def _with_uneven_gears(rigid: Attempt, by_bends: float) -> Attempt:
-    """An attempt with the errors of gears that say more than slack of any kind would.
+def _with_few_sizes(rigid: Attempt, by_bends: float) -> Attempt:
+    """An attempt with the errors of gears and tilts of the base that say more than slack would.
 
     Args:
         rigid: the attempt without.
@@ -184,7 +184,7 @@ def _with_uneven_gears(rigid: Attempt, by_bends: float) -> Attempt:
     """
     best = rigid
     while (slack_size := best.certain_slack) is not None:
-        proposed = {name: best.sized(more) for name, more in best.uneven() if more is not None}
+        proposed = {name: best.sized(more) for name, more in best.of_few_sizes() if more}
         if not proposed:
             break
         name = max(proposed, key=lambda each: proposed[each][1].gain)

@@ -48,6 +48,7 @@ from skin2urdf.estimation.trajectory.problem import MotionProblem
 from skin2urdf.estimation.trajectory.products import NEAR, fit_with_products
 from skin2urdf.estimation.trajectory.publishers import Late, with_deviations, with_publishers
 from skin2urdf.estimation.trajectory.records import Gyros
+from skin2urdf.estimation.trajectory.rocking import of_accelerations
 from skin2urdf.estimation.trajectory.rounded import lost_in_averages, rounded_off_again
 from skin2urdf.estimation.trajectory.senses import in_likelier_sense
 from skin2urdf.estimation.trajectory.sensors import with_sensors_alike
@@ -191,8 +192,17 @@ class MotionEstimate:
 
         In metres and radians; 0 where it does not give way.
         """
-        logs = self.problem.base_motions(self.fitted.state)
-        return np.asarray(np.max([np.ptp(x, axis=0) for x in logs], axis=0))
+        return np.asarray(np.max([np.ptp(x, axis=0) for x in self._base_motions], axis=0))
+
+    @cached_property
+    def _base_motions(self) -> tuple[F64, ...]:
+        return self.problem.base_motions(self.fitted.state)
+
+    @property
+    def tilt_of_base(self) -> float:
+        """Angle by which the base turns about where it is in the mean of a log, rms [rad]."""
+        turns = [x[:, 3:] - x[:, 3:].mean(axis=0) for x in self._base_motions]
+        return float(np.sqrt((np.concatenate(turns) ** 2).sum(axis=1).mean()))
 
     def compliance(self, covariance: F64) -> tuple[F64, F64]:
         """(D,) what each joint yields per torque that is known, and its standard deviation.
@@ -394,6 +404,7 @@ def _ended(found: Explained, mended: F64, *, lengths: bool, alike: bool) -> _End
     hidden = (
         *hidden_lengths(problem, fitted, corrected),
         *of_the_other_clock(problem, fitted, drift),
+        *of_accelerations(problem, fitted),
     )
     return _Ended(problem, fitted, corrected, hidden, loads)
 

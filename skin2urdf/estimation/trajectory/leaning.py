@@ -28,7 +28,7 @@ def with_leaning_base(problem: MotionProblem, fitted: Fitted) -> tuple[MotionPro
         fitted: the fit.
     """
     tree = problem.tree
-    if problem.unseen is None or not problem.unseen.moves_base(tree.n_joints):
+    if not problem.base_swings:
         return problem, fitted
     turns = np.concatenate(problem.base_motions(fitted.state))[:, 3:]
     about = np.array([turn(tree, 0), turn(tree, 1)])

@@ -109,7 +109,7 @@ def turned_as_the_base(problem: MotionProblem, state: MotionState, seconds: floa
         state: with its motion.
         seconds: length of the spans [s].
     """
-    if problem.skeleton.tree is problem.tree:
+    if not problem.base_swings:
         return state
     matrix, T = state.placements.sensor_matrix(), np.array(state.placements.T_joint_su)
     of_logs = []

@@ -75,7 +75,7 @@ class MotionProblem(Derivatives):
         no motion of the base is followed by its loads, or the robot is known.
         """
         unseen, places = self.unseen, state.placements
-        follows = unseen is not None and unseen.settled and unseen.moves_base(self.tree.n_joints)
+        follows = self.base_swings and unseen is not None and unseen.settled
         if not follows or self.priors.blueprint is not None:
             return np.zeros((0, self.layout.n_joint))
         ways = rise(self.tree, places)[0], turned(self.tree, places, places.up[0])[0]
@@ -123,10 +123,15 @@ class MotionProblem(Derivatives):
             su[:, layout.gyro.start + N_GYRO : layout.gyro.stop] = True
         return joint, su & self.free_su
 
+    @property
+    def base_swings(self) -> bool:
+        """Whether SUs feel the base accelerate."""
+        return self.unseen is not None and self.unseen.swings_base(self.tree.n_joints)
+
     @cached_property
     def between_limbs(self) -> Int:
         """Coordinates of the joint part that tell where limbs are, if only the base shows it."""
-        if self.skeleton.tree is self.tree or self.priors.blueprint is not None:
+        if not self.base_swings or self.priors.blueprint is not None:
             return np.zeros(0, dtype=np.int64)
         still = identifiable(self.tree, 1).joints
         return np.flatnonzero((joints_on_hinges(self.tree) & ~still).ravel())
@@ -147,8 +152,8 @@ class MotionProblem(Derivatives):
         su[:, N_PLACEMENT:N_SU] &= priors.sensors.deviations > 0
         su[:, layout.front] = priors.front[1] > 0
         # On a base that gives way, an SU shows where it is, and when it reads and how.
-        resting = (tree.su_joint < 0) & (self.skeleton.tree is tree)
-        if self.skeleton.tree is not tree:
+        resting = (tree.su_joint < 0) & (not self.base_swings)
+        if self.base_swings:
             su[:, :3] = True
         for g in range(layout.n_logs):
             su[:, layout.clock(g)] = np.array([priors.lag > 0, priors.drift > 0])

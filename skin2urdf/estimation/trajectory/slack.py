@@ -363,20 +363,31 @@ def with_unseen(problem: MotionProblem, more: Unseen, size: float) -> MotionProb
     return MotionProblem(problem.tree, problem.logs, priors, problem.layout.n_knots, motion)
 
 
-def _stays(log: Trajectory) -> list[tuple[int, int]]:
-    """First and end of the kept samples of each stay: rests at one place, one after the other."""
+def resting(log: Trajectory) -> list[tuple[int, int]]:
+    """First and end of the kept samples of each time in which no joint moves.
+
+    Args:
+        log: a trajectory.
+    """
     rest = ~log.moving.any(axis=1)
     edges = np.flatnonzero(np.diff(np.concatenate([[False], rest, [False]]).astype(int)))
+    return [
+        (int(b), int(e))
+        for b, e in edges.reshape(-1, 2)
+        if not log.time[e - 1] - log.time[b] < _REST
+    ]
+
+
+def _stays(log: Trajectory) -> list[tuple[int, int]]:
+    """First and end of the kept samples of each stay: rests at one place, one after the other."""
     out: list[tuple[int, int]] = []
     q = log.q[log.kept]
-    for begin, end in edges.reshape(-1, 2):
-        if log.time[end - 1] - log.time[begin] < _REST:
-            continue
+    for begin, end in resting(log):
         here = q[begin:end].mean(axis=0)
         if out and np.abs(here - q[out[-1][0] : out[-1][1]][-1]).max() < _SAME:
-            out[-1] = (out[-1][0], int(end))
+            out[-1] = (out[-1][0], end)
         else:
-            out.append((int(begin), int(end)))
+            out.append((begin, end))
     return out
 
 

@@ -45,6 +45,8 @@ class Unseen(Record):
             else of them is known, and none of the numbers is ever more than looked at; else ().
         several: what it is put together from, one after the other, and what has its motions; ()
             where it has them itself.
+        slow: whether the base moves too slowly, or at times too little known, for what it
+            accelerates by to be felt; it moves in no other way then.
     """
 
     joint: Int
@@ -57,6 +59,7 @@ class Unseen(Record):
     every: tuple[int, ...] = field(default=(), kw_only=True)
     kept: tuple[F64, ...] = field(default=(), kw_only=True)
     several: tuple[Unseen, ...] = field(default=(), kw_only=True)
+    slow: bool = field(default=False, kw_only=True)
     _known: tuple[list[NDArray[Any]], tuple[F64, ...]] | None = field(
         default=None, init=False, repr=False
     )
@@ -110,6 +113,9 @@ class Unseen(Record):
             np.ascontiguousarray(passed_at_kept(d, step, log))
             for d, step, log in zip(self.motions, steps, logs, strict=True)
         )
+        if self.slow:
+            for each in found:
+                each[1:] = 0.0
         object.__setattr__(self, "_known", (made_of, found))
         return found
 
@@ -136,11 +142,15 @@ class Unseen(Record):
         self._add_motion(e, g, away)
         if self.settled:
             e += self.settled[g][:, : e.shape[1]]
+        felt = e
+        if self.slow:
+            felt = np.array(e)
+            felt[:, n_joints:] = 0.0
         return replace(
             log,
             q=log.q + e,
-            qd=log.qd + first_derivative(e, log.rate),
-            qdd=log.qdd + second_derivative(e, log.rate),
+            qd=log.qd + first_derivative(felt, log.rate),
+            qdd=log.qdd + second_derivative(felt, log.rate),
         )
 
     def _add_motion(self, e: F64, g: int, x: F64) -> None:
@@ -173,6 +183,10 @@ class Unseen(Record):
         """Whether a base that carries so many joints moves."""
         return bool((self.joint >= n_joints).any())
 
+    def swings_base(self, n_joints: int) -> bool:
+        """Whether it does so that SUs feel it accelerate."""
+        return self.moves_base(n_joints) and not self.slow
+
 
 def _with_hinges(log: Trajectory, n: int) -> Trajectory:
     """A log with n columns more, of hinges that stay."""
@@ -201,6 +215,7 @@ def together(several: Sequence[Unseen]) -> Unseen:
         origin=np.concatenate([each.origin for each in several]),
         settled=_sums([each.settled for each in several if each.settled]),
         several=tuple(map(_finely, several)),
+        slow=any(each.slow for each in several),
     )
 
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from math import degrees
 
+STAND_STILL = "record while it stands still, or fix it"
+"""What to do about a base that moves."""
 _PHYSICS = {
     "elastic": (
         "joints that yield under load",
@@ -14,6 +16,10 @@ _PHYSICS = {
     "base": (
         "a base that gives way",
         "put an SU on the base, and fix it more stiffly",
+    ),
+    "tilts": (
+        "a base that tilts by itself",
+        STAND_STILL,
     ),
     "play": (
         "joints with play",
@@ -83,10 +89,6 @@ def why_unexplained(
         f"leave {misfit:.0f} times what noise would"
     )
     return told, f"{cure}; otherwise {remedy}"
-
-
-STAND_STILL = "record while it stands still, or fix it"
-"""What to do about a base that moves."""
 
 
 def base_moves(angle: float) -> str:

@@ -1,0 +1,105 @@
+"""A base that tilts by itself is followed, with an SU on it or none, and the error is as stated.
+
+The base stands on two joints that are moved along with the robot's, and of which no log is made:
+what SUs feel of it is the physics of the simulation.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from folding_arm import folding_arm
+from simulated import held_against
+
+from skin2urdf.arrays import F64
+from skin2urdf.calibration.pipeline import calibrate
+from skin2urdf.calibration.result import Calibration
+from skin2urdf.estimation.uncertainty.observability import aligned_deviations
+from skin2urdf.report.verdict import doubts
+from skin2urdf.simulation import RobotSpec, SimulationSettings, simulate
+from skin2urdf.simulation.robots import GivenSu, SkinLayout
+from skin2urdf.simulation.settings import Excitation
+
+_STAND = """
+<link name="{parent}"><inertial><mass value="20"/>
+  <inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link>
+<joint name="{name}" type="revolute">
+  <parent link="{parent}"/><child link="{child}"/><axis xyz="{axis}"/>
+  <limit lower="-{most}" upper="{most}" velocity="1" effort="9000"/>
+</joint>"""
+_ON_BASE = "su_base"
+
+
+def _robot(folder: Path, most: float, *, on_base: bool) -> RobotSpec:
+    """The arm on a stand that tilts by up to an angle [rad] about two axes."""
+    roll = _STAND.format(name="roll", parent="ground", child="plate", axis="1 0 0", most=most)
+    pitch = _STAND.format(name="pitch", parent="plate", child="base", axis="0 1 0", most=most)
+    path = folder / "on_a_stand.urdf"
+    text = folding_arm("1.2 0 0").replace("<robot name='folding'>", "")
+    path.write_text(f"<robot name='folding'>{roll}{pitch}{text}", encoding="utf-8")
+    rng = np.random.default_rng(4)
+    links = ("base",) * on_base + ("upper", "fore", "fore", "hand", "hand")
+    given = tuple(
+        GivenSu(link, _three(0.1 * rng.standard_normal(3)), _three(rng.uniform(-3, 3, 3)))
+        for link in links
+    )
+    return RobotSpec("folding", path, moving=("*",), skin=SkinLayout(0, 0, given=given))
+
+
+def _three(x: F64) -> tuple[float, float, float]:
+    return float(x[0]), float(x[1]), float(x[2])
+
+
+def _calibrated(
+    folder: Path, most: float, excite: Excitation, *, on_base: bool = True
+) -> tuple[Calibration, str]:
+    """What a log without the stand's joints says, and the truth of a base that stands still."""
+    settings = SimulationSettings(
+        excite=excite, minutes=1.5, upright=True, seed=3, imu_rate=200.0, joint_rate=100.0
+    )
+    simulation = simulate(_robot(folder, most, on_base=on_base), settings)
+    recording = simulation.recording
+    arm = tuple(joint for joint in recording.joints if joint.name.startswith("j"))
+    truth = simulation.truth.urdf
+    for name in ("roll", "pitch"):
+        joint = f'<joint name="{name}" type="{{}}"'
+        assert joint.format("revolute") in truth
+        truth = truth.replace(joint.format("revolute"), joint.format("fixed"))
+    return calibrate(replace(recording, joints=arm)), truth
+
+
+@pytest.mark.parametrize(
+    ("most", "on_base"),
+    [(0.03, True), (0.004, False)],
+    ids=["by more than trees are grown with", "by little with no SU on it"],
+)
+def test_a_base_that_is_carried_on_is_followed(most: float, on_base: bool, tmp_path: Path) -> None:
+    found, truth = _calibrated(tmp_path, most, "none", on_base=on_base)
+    assert found.along is not None
+    assert "tilts" in found.along.causes
+    assert found.quality == "fair"
+    assert "moving base" in [doubt.kind for doubt in doubts(found)]
+    assert 0.5 * most < found.along.tilt_of_base < 1.2 * most
+    assert found.along.base_motion[[0, 1, 2, 5]] == pytest.approx(0.0)
+    _hold(found, truth, tmp_path)
+
+
+def test_what_a_base_accelerates_by_as_it_sways_is_in_what_is_stated(tmp_path: Path) -> None:
+    found, truth = _calibrated(tmp_path, 0.01, "series")
+    assert found.along is not None
+    assert "tilts" in found.along.causes
+    _hold(found, truth, tmp_path)
+
+
+def _hold(found: Calibration, truth: str, folder: Path) -> None:
+    """The true errors are no more than twice what is stated, in a tree that is right."""
+    compared = held_against(found, truth, folder)
+    assert compared.tree_equal
+    share = np.random.default_rng(0).uniform(size=(60, found.model.tree.n_joints))
+    q = found.limits[:, 0] + share * (found.limits[:, 1] - found.limits[:, 0])
+    stated = aligned_deviations(found.estimate, found.observability, q)
+    for true, each in zip((compared.position, compared.orientation), stated, strict=True):
+        assert true.rms < 2.0 * float(np.sqrt(np.nanmean(each**2)))

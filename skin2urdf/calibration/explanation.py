@@ -28,7 +28,7 @@ from skin2urdf.calibration.samples import (
     without_false_hits,
 )
 from skin2urdf.calibration.taken_apart import retold, with_sus_apart
-from skin2urdf.errors import Skin2UrdfError, StructureError
+from skin2urdf.errors import BadFitError, Skin2UrdfError, StructureError
 from skin2urdf.estimation.trajectory.estimate import MotionEstimate
 from skin2urdf.hypotheses.attempts import StandsOut
 from skin2urdf.hypotheses.kinds import KINDS
@@ -72,7 +72,14 @@ def explain_readings(begun: Beginning, clock: Clock) -> tuple[Solution, MotionEs
         if of_moves is None:
             raise
         return of_moves
-    check_hope(solution.found)
+    try:
+        check_hope(solution.found)
+    except BadFitError:
+        # Around a pose features take the base to stand, wherever it stood around the last one.
+        of_moves = _of_moves(begun, solution.found.tree.n_sus, clock) if begun.of_patterns else None
+        if of_moves is None:
+            raise
+        return of_moves
     known = looked if first is not None and _untouched(first, solution) else None
     if not unexplained and names_what_differs_by_place(solution) and not begun.leaps:
         # Features that leave hardly more than noise did not ask for a look: coarse encoders do.
@@ -157,7 +164,9 @@ def _of_moves(begun: Beginning, n_sus: int, clock: Clock) -> tuple[Solution, Mot
         return None
     if solution.found.tree.n_sus < n_sus:
         return None
-    along = clock.run("all samples", lambda tell: fit_samples(solution, tell, most=BAD_MISFIT))
+    # What explains all rests is no wrong tree, whatever a base does between them.
+    most = np.inf if solution.found.cost_per_dof <= GOOD_FIT else BAD_MISFIT
+    along = clock.run("all samples", lambda tell: fit_samples(solution, tell, most=most))
     if along is None:
         return None
     found = with_sus_apart(solution, along, clock, of_patterns=False)

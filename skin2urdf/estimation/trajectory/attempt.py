@@ -264,6 +264,13 @@ class Attempt:
             kinds.append(("ripples", ripples(logs, found)))
         return [*kinds, (TILTS, self._tilting)]
 
+    def tilted(self) -> Attempt | None:
+        """With tilts of the base of the size that is shown; None where none is for certain."""
+        if (more := self._tilting) is None:
+            return None
+        size = self.sized(more)[1]
+        return self.with_more(TILTS, more, size.size) if size.gain > CERTAIN else None
+
     @property
     def _tilting(self) -> Unseen | None:
         """Tilts of the base by themselves; None of one that moves already."""

@@ -19,6 +19,7 @@ from skin2urdf.estimation.trajectory.attempt import (
     DRIFT,
     EXPLAINED,
     PLAY,
+    TILTS,
     Attempt,
     Explained,
     explains_most,
@@ -119,10 +120,11 @@ def _of_any_cause(rigid: Attempt, without: Collection[str]) -> tuple[Attempt, li
 def _of_what_seemed_unlikely(
     rigid: Attempt, slackened: Attempt, attempts: list[Attempt], without: Collection[str]
 ) -> Attempt | None:
-    """The attempt with what bends and was not tried that takes most of what slack leaves.
+    """The attempt with what moves and was not tried that takes most of what slack leaves.
 
     A base that resonates with the motion, or sways under loads that differ by more than one size
-    takes, says little to first order, and explains all once it is followed.
+    takes, says little to first order, and explains all once it is followed. One that tilts by
+    itself may say less than slack of all joints, which leaves what the base's own SUs feel.
 
     Args:
         rigid: the attempt without any cause.
@@ -138,6 +140,11 @@ def _of_what_seemed_unlikely(
         attempts.append(rigid.adding(cause))
         if explains_most(attempts[-1], slackened):
             return attempts[-1]
+    tilted = rigid.tilted() if TILTS not in known else None
+    if tilted is not None:
+        attempts.append(tilted)
+        if explains_most(tilted, slackened):
+            return tilted
     return None
 
 

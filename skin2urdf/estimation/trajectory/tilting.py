@@ -26,6 +26,8 @@ _OFTEN = 0.5
 """Time between knots at least [s]: what turns faster is a swing, and is felt to accelerate."""
 _MOST = 300
 """Knots at most, of two numbers each, since time goes with their square."""
+_ENTRIES = 40_000_000
+"""Entries of splines at samples, at most, a third of a gigabyte: logs of hours have fewer knots."""
 _CUBIC = 3
 
 
@@ -37,7 +39,8 @@ def tilts(tree: KinematicTree, logs: Sequence[Trajectory], up: F64) -> Unseen | 
         logs: trajectories.
         up: (3,) unit vector opposite to gravity in the base frame.
     """
-    shares = [_splines(log, _knots(log, _MOST // len(logs))) for log in logs]
+    most = min(_MOST, _ENTRIES // max(1, sum(len(log.q) for log in logs))) // len(logs)
+    shares = [_splines(log, _knots(log, most)) for log in logs]
     ends = np.cumsum([0, *(each.shape[1] for each in shares)])
     n = int(ends[-1])
     if n < 2:

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from math import pi
 from types import MappingProxyType
 
+from bench.tilting import Tilting
 from skin2urdf.simulation.defects import (
     Backlash,
     BiasWalk,
@@ -86,6 +87,8 @@ ROWS: Mapping[str, tuple[Defect, ...]] = MappingProxyType(
         "lost 2 %": (Lost(0.02),),
         "bursts of 4, 5 % lost": (Bursts(4, lost=0.05),),
         "stalls of 0.25 s": (Stalls(5.0, 0.25),),
+        "base carried by 8 mrad": (),
+        "base sways by 5 mrad": (),
         "eight at once": (
             ElasticGears(28e3, 14e3),
             _gear(0.5),
@@ -99,3 +102,7 @@ ROWS: Mapping[str, tuple[Defect, ...]] = MappingProxyType(
     }
 )
 """Defects of every row, by its name."""
+BASES: Mapping[str, Tilting] = MappingProxyType(
+    {"base carried by 8 mrad": Tilting(8e-3), "base sways by 5 mrad": Tilting(5e-3, 5.0)}
+)
+"""How the base tilts by itself in some of the rows."""

@@ -8,7 +8,8 @@ from dataclasses import dataclass, replace
 from batch.records import Record
 
 from bench.measured import Figures, measured
-from bench.rows import ROWS
+from bench.rows import BASES, ROWS
+from bench.tilting import on_a_tilting_base
 from skin2urdf import CalibrationSettings
 from skin2urdf.calibration.settings import Motion
 from skin2urdf.recording.retiming import retimed
@@ -111,6 +112,9 @@ def perform(case: Case) -> Figures:
     """Do a case."""
     warnings.simplefilter("ignore")
     simulation = simulate(robot(case.robot), case.settings)
-    truth, recording = simulation.truth, retimed(simulation.recording)
+    truth, recording = simulation.truth, simulation.recording
+    if case.row in BASES:
+        recording = on_a_tilting_base(simulation, BASES[case.row], case.seed)
+    recording = retimed(recording)
     del simulation
     return measured(recording, truth, calibration_settings(case))

@@ -104,7 +104,9 @@ def trees_of_both_kinds(
     """Trees by rests and trees by moves, those first whose best one leaves less.
 
     Rests show gravity alone; where there are few, moves show it beside accelerations. Directions by
-    either kind may be too rough to tell whose tree is right, where these are not the same.
+    either kind may be too rough to tell whose tree is right, where these are not the same. Where a
+    base that stands still leaves more than gravity may be off by, the SU in which gravity turns
+    least is taken to be on one that tilts, if that leaves less of all others.
 
     Args:
         sampled: the logs on their grids, with the same joints and SUs.

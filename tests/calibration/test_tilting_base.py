@@ -10,22 +10,17 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import pinocchio as pin
 import pytest
+from bench.tilting import Tilting, on_a_tilting_base
 from folding_arm import folding_arm
-from scipy.interpolate import PchipInterpolator
-from scipy.spatial.transform import Rotation
 from simulated import held_against
 
 from skin2urdf.arrays import F64
 from skin2urdf.calibration.pipeline import calibrate
 from skin2urdf.calibration.result import Calibration
 from skin2urdf.estimation.uncertainty.observability import aligned_deviations
-from skin2urdf.recording.records import Recording
 from skin2urdf.report.verdict import doubts
-from skin2urdf.signals.motion import joint_motion
-from skin2urdf.signals.poses import find_rests
-from skin2urdf.simulation import RobotSpec, Simulation, SimulationSettings, simulate
+from skin2urdf.simulation import RobotSpec, SimulationSettings, simulate
 from skin2urdf.simulation.robots import GivenSu, SkinLayout
 from skin2urdf.simulation.settings import Excitation
 
@@ -115,41 +110,7 @@ def _hold(found: Calibration, truth: str, folder: Path) -> None:
 def test_patterns_around_poses_are_no_obstacle(tmp_path: Path) -> None:
     settings = SimulationSettings(n_poses=5, upright=True, seed=3, imu_rate=100.0, joint_rate=100.0)
     simulation = simulate(_robot(tmp_path, 0.0, on_base=True), settings)
-    recording = _carried_between_poses(simulation, 0.006)
-    found = calibrate(recording)
+    found = calibrate(on_a_tilting_base(simulation, Tilting(0.006), seed=7))
     assert found.along is not None
     assert "tilts" in found.along.causes
     _hold(found, simulation.truth.urdf, tmp_path)
-
-
-def _carried_between_poses(simulation: Simulation, size: float) -> Recording:
-    """The recording as it would be had the base been tilted otherwise in each pose [rad, rms]."""
-    recording, truth = simulation.recording, simulation.truth
-    motion = joint_motion(recording)
-    time, turn, last = [-1.0], [np.zeros(2)], np.full(motion.q.shape[1], np.inf)
-    rng = np.random.default_rng(7)
-    for rest in find_rests(motion):
-        here = motion.q[rest.begin : rest.end].mean(axis=0)
-        # Patterns come back to their pose.
-        there = turn[-1] if np.abs(here - last).max() < 0.05 else size * rng.standard_normal(2)
-        time += motion.grid.time[[rest.begin, rest.end - 1]].tolist()
-        turn += [there, there]
-        last = here
-    tilt = PchipInterpolator(time, turn)
-    model = pin.buildModelFromXML(truth.urdf)
-    data = model.createData()
-    streams = {joint.name: joint for joint in recording.joints}
-    tilted = []
-    for su in recording.sus:
-        q = np.stack([
-            np.interp(su.time, streams[name].time, streams[name].position)
-            for name in model.names[1:]
-        ], axis=1)  # fmt: skip
-        base = Rotation.from_rotvec(np.pad(tilt(su.time), ((0, 0), (0, 1))))
-        more = base.inv().apply(-truth.gravity_base) + truth.gravity_base
-        frame, force = model.getFrameId(su.name), np.array(su.specific_force)
-        for k, each in enumerate(q):
-            pin.forwardKinematics(model, data, each)
-            force[k] += pin.updateFramePlacement(model, data, frame).rotation.T @ more[k]
-        tilted.append(replace(su, specific_force=force))
-    return replace(recording, sus=tuple(tilted))

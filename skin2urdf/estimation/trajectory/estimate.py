@@ -79,9 +79,9 @@ class MotionEstimate:
             where the model explains the readings.
         gyros: what was found of gyroscopes; None where no SU has one.
         causes: what was added to a rigid robot with steady sensors: ``elastic`` joints, a ``base``
-            that gives way, ``play`` of joints, ``drift`` of biases, ``nonlinearity`` of sensors,
-            ``harmonics`` and ``ripples`` of gears, ``clock`` of joints and SUs that wander,
-            ``slack`` from place to place.
+            that gives way, ``tilts`` of one that moves by itself, ``play`` of joints, ``drift`` of
+            biases, ``nonlinearity`` of sensors, ``harmonics`` and ``ripples`` of gears, ``clock``
+            of joints and SUs that wander, ``slack`` from place to place.
         tried: misfit with each cause that was tried, chosen or not.
         under_known: what joints yield under torques that are known, the first of what encoders do
             not see; None where none do, or torques are not known.

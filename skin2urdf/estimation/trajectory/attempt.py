@@ -277,7 +277,7 @@ class Attempt:
         problem = self.problem
         if problem.unseen is not None and problem.unseen.moves_base(problem.tree.n_joints):
             return None
-        return tilts(problem.tree, problem.logs, self.fitted.state.placements.up[0])
+        return tilts(problem.tree, problem.logs, self.fitted.state.placements.up)
 
     def likely(self, causes: Collection[str]) -> list[str]:
         """Of what bends, the causes that may explain most of what is lacking, the likeliest first.

@@ -143,7 +143,7 @@ def _of_what_seemed_unlikely(
     tilted = rigid.tilted() if TILTS not in known else None
     if tilted is not None:
         attempts.append(tilted)
-        # Links that bend under 0.3 mrad are taken for tilts by half: these leave more than noise.
+        # Links that bend look like tilts by half, and what is left of them is more than noise.
         if tilted.misfit <= EXPLAINED and explains_most(tilted, slackened):
             return tilted
     return None
@@ -192,7 +192,9 @@ def _with_few_sizes(rigid: Attempt, by_bends: float) -> Attempt:
     """
     best = rigid
     while (slack_size := best.certain_slack) is not None:
-        proposed = {name: best.sized(more) for name, more in best.of_few_sizes() if more}
+        proposed = {
+            name: best.sized(more) for name, more in best.of_few_sizes() if more is not None
+        }
         if not proposed:
             break
         name = max(proposed, key=lambda each: proposed[each][1].gain)

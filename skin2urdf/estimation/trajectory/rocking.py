@@ -2,7 +2,7 @@
 
 Its tilts are followed as turns of gravity alone (:mod:`tilting`). One that turns within seconds is
 felt to accelerate as well, by how much and about which point nobody knows: turns about its frame,
-and about a point below or above that, are two errors that nothing rules out.
+about a point below or above that, and where an SU on it is, are errors that nothing rules out.
 """
 
 from __future__ import annotations

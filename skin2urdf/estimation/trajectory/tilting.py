@@ -37,7 +37,7 @@ def tilts(tree: KinematicTree, logs: Sequence[Trajectory], up: F64) -> Unseen | 
     Args:
         tree: D joints.
         logs: trajectories.
-        up: (3,) unit vector opposite to gravity in the base frame.
+        up: (G, 3) unit vectors opposite to gravity in the base frame, per log.
     """
     most = min(_MOST, _ENTRIES // max(1, sum(len(log.q) for log in logs))) // len(logs)
     shares = [_splines(log, _knots(log, most)) for log in logs]
@@ -49,13 +49,14 @@ def tilts(tree: KinematicTree, logs: Sequence[Trajectory], up: F64) -> Unseen | 
         np.pad(each, ((0, 0), (first, n - last)))
         for each, first, last in zip(shares, ends[:-1], ends[1:], strict=True)
     ]
-    level = frame_with_z(up)[:, :2]
+    # What is level in one log need not be in the next.
+    level = np.repeat([frame_with_z(each)[:, :2] for each in up], np.diff(ends), axis=0)
     axis, which, number = (x.ravel() for x in np.indices((3, 2, n)))
     return Unseen(
         np.array([turn(tree, a) for a in axis]),
         tuple(motions),
         column=number,
-        unit=level[axis, which],
+        unit=level[number, axis, which],
         number=2 * number + which,
         slow=True,
     )

@@ -35,7 +35,7 @@ def _log(seconds: float = 40.0) -> Trajectory:
 
 
 def _problem(log: Trajectory) -> tuple[MotionProblem, F64]:
-    more = tilts(_TREE, [log], _UP)
+    more = tilts(_TREE, [log], _UP[None])
     assert more is not None
     priors = motion_priors(Priors(), gravity=0.0, front=(np.zeros(2), np.zeros(2)))
     priors = replace(priors, unseen=np.full(more.n_numbers, 0.01))
@@ -45,7 +45,7 @@ def _problem(log: Trajectory) -> tuple[MotionProblem, F64]:
 
 def test_a_constant_tilt_is_one_of_them() -> None:
     log = _log()
-    more = tilts(_TREE, [log], _UP)
+    more = tilts(_TREE, [log], _UP[None])
     assert more is not None
     np.testing.assert_allclose(more.motions[0].sum(axis=1), 1.0)
     moved = more.moved(log, 0, np.tile([0.01, 0.0], more.n_numbers // 2))
@@ -55,9 +55,20 @@ def test_a_constant_tilt_is_one_of_them() -> None:
     np.testing.assert_allclose(moved.q[:, turn(_TREE, 2)], 0.0)
 
 
+def test_axes_are_level_in_their_own_log() -> None:
+    log, lying = _log(), np.array([1.0, 0.0, 0.0])
+    more = tilts(_TREE, [log, log], np.stack([_UP, lying]))
+    assert more is not None
+    x = np.ones(more.n_numbers)
+    for g, (up, other) in enumerate([(_UP, lying), (lying, _UP)]):
+        turned = more.moved(log, g, x).q[:, turn(_TREE, 0) : turn(_TREE, 2) + 1]
+        np.testing.assert_allclose(turned @ up, 0.0, atol=1e-12)
+        assert np.abs(turned @ other).min() > 0.1
+
+
 @pytest.mark.parametrize("seconds", [10.0, 40.0, 600.0])
 def test_numbers_are_as_many_as_there_is_time_for(seconds: float) -> None:
-    more = tilts(_TREE, [_log(seconds)], _UP)
+    more = tilts(_TREE, [_log(seconds)], _UP[None])
     assert more is not None
     assert 2 * seconds / 2 < more.n_numbers <= 610
 

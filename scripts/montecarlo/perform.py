@@ -6,7 +6,6 @@ from montecarlo.normalised import blocks_of
 from montecarlo.records import Case, Figures
 from skin2urdf.calibration.pipeline import calibrate
 from skin2urdf.calibration.settings import CalibrationSettings
-from skin2urdf.recording.retiming import retimed
 from skin2urdf.simulation import SimulationSettings, load_robot, simulate
 
 LAG = 0.03
@@ -24,6 +23,6 @@ def perform(case: Case) -> Figures:
         n_poses=case.poses, excite=case.excite, seed=case.seed, grade=case.grade, lag=LAG
     )
     simulation = simulate(load_robot(case.robot), settings)
-    found = calibrate(retimed(simulation.recording), CalibrationSettings(gravity_deviation=0.0))
+    found = calibrate(simulation.recording, CalibrationSettings(gravity_deviation=0.0))
     blocks = blocks_of(found, simulation.truth)
     return Figures(blocks, float(found.estimate.cost_per_dof))

@@ -17,7 +17,6 @@ from sensitive.logs import log
 from skin2urdf import Calibration, CalibrationSettings, calibrate, compare, save
 from skin2urdf.errors import Skin2UrdfError
 from skin2urdf.estimation.uncertainty.observability import aligned_deviations
-from skin2urdf.recording.retiming import retimed
 
 CONFIGURATIONS = 20
 
@@ -105,7 +104,7 @@ def _usual(name: str, seed: int) -> Calibration:
 
 
 def _calibrated(name: str, seed: int) -> Calibration:
-    return calibrate(retimed(log(name, seed)), CalibrationSettings(gravity_deviation=0.0))
+    return calibrate(log(name, seed), CalibrationSettings(gravity_deviation=0.0))
 
 
 def _named(found: Calibration) -> set[tuple[str, str]]:

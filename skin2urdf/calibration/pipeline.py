@@ -193,13 +193,14 @@ def _follow_the_paper(begun: Beginning, clock: Clock) -> tuple[Solution, None]:
 def recordings_of(
     logs: str | Path | Recording | Sequence[str | Path | Recording], tell: Tell
 ) -> list[Recording]:
-    """Read the logs that are not read yet, and take repeated positions out of the others.
+    """Read the logs that are not read yet; those made in memory are timed as files are.
 
     Raises:
         UnreadableInputError: a log can not be read.
         InsufficientDataError: none is given.
     """
     from skin2urdf.recording.reading import read
+    from skin2urdf.recording.retiming import retimed
 
     given = [logs] if isinstance(logs, str | Path | Recording) else list(logs)
     out = []
@@ -208,9 +209,10 @@ def recordings_of(
         def part(share: Share, i: int = i) -> None:
             tell(share.among(i, len(given)))
 
-        out.append(
-            joints_as_measured(log) if isinstance(log, Recording) else read(log, progress=part)
-        )
+        if not isinstance(log, Recording):
+            out.append(read(log, progress=part))
+        else:
+            out.append(joints_as_measured(log) if log.digest else retimed(log))
     if not out:
         raise InsufficientDataError("no log was given", "name at least one log", lacks="logs")
     return out

@@ -85,7 +85,8 @@ class Recording:
         sus: one stream per SU, sorted by name.
         start: time of the first sample [s since the Unix epoch].
         source: where it came from (a path), for messages.
-        digest: SHA-256 of the input bytes (hex), empty for a recording made in memory.
+        digest: SHA-256 of the input bytes (hex), empty for a recording made in memory, of which a
+            calibration takes times for stamps (:mod:`~skin2urdf.recording.retiming`).
         notes: what the reader mended or passed over.
     """
 

@@ -26,6 +26,9 @@ def retimed(recording: Recording) -> Recording:
     recording = joints_as_measured(recording)
     sus = []
     for su in recording.sus:
+        if not len(su.time):
+            sus.append(su)
+            continue
         time, kept, _ = _times(su.time, su.specific_force)
         whole = su if len(kept) == len(su.time) else su.at(kept)
         sus.append(replace(whole, time=time))
@@ -35,7 +38,8 @@ def retimed(recording: Recording) -> Recording:
         time, kept, noise = _times(members[0].time, signal)
         for j in members:
             regular = j if len(kept) == len(j.time) else j.at(kept)
-            joints[j.name] = replace(regular, time=time, stamp_noise=noise)
+            # Of times that were made from stamps before, the stamps' noise is known from then.
+            joints[j.name] = replace(regular, time=time, stamp_noise=max(noise, j.stamp_noise))
     return replace(
         recording, joints=tuple(joints[j.name] for j in recording.joints), sus=tuple(sus)
     )

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from skin2urdf.calibration.pipeline import recordings_of
 from skin2urdf.recording.reading import read
 from skin2urdf.recording.records import JointStream, Recording, SuStream
 from skin2urdf.recording.retiming import retimed
@@ -54,3 +55,21 @@ def test_exact_times_stay_as_they_are() -> None:
     found = retimed(exact).joints[0]
     assert found.time == pytest.approx(true, abs=1e-8)
     assert found.stamp_noise < 1e-8
+
+
+def test_what_is_regular_already_keeps_the_noise_of_its_stamps() -> None:
+    once = retimed(_noisy(3)[0])
+    twice = retimed(once)
+    assert twice.joints[0].stamp_noise == once.joints[0].stamp_noise > 1e-4
+    assert np.array_equal(twice.joints[0].time, once.joints[0].time)
+
+
+def test_calibrations_take_no_stamps_for_times(tmp_path) -> None:
+    """Stamps of joints that scatter make positions that are off, and lengths with them."""
+    recording, _ = _noisy(4)
+    path = tmp_path / "log.mcap"
+    write(recording, path)
+    here, there = recordings_of([recording, read(path)], lambda _: None)
+    for a, b in zip(here.joints, there.joints, strict=True):
+        assert a.time - a.time[0] == pytest.approx(b.time - b.time[0], abs=2e-6)
+        assert a.stamp_noise == pytest.approx(b.stamp_noise, rel=0.01)

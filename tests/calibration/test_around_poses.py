@@ -14,6 +14,7 @@ from skin2urdf.calibration.around_poses import judged_by_samples, samples_around
 from skin2urdf.calibration.result import GOOD_FIT, Calibration
 from skin2urdf.estimation.trajectory.estimate import MotionEstimate
 from skin2urdf.estimation.uncertainty.goodness import Goodness, Share
+from skin2urdf.recording.retiming import retimed
 from skin2urdf.signals.records import Features
 from skin2urdf.signals.sampling import Sampled, sampled_together
 
@@ -23,7 +24,7 @@ _OFF = 0.05
 
 @cache
 def _sampled() -> Sequence[Sampled]:
-    return sampled_together([simulation().recording])[0]
+    return sampled_together([retimed(simulation().recording)])[0]
 
 
 def _all() -> tuple[MotionEstimate, Features]:

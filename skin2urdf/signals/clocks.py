@@ -41,6 +41,7 @@ from skin2urdf.signals.stretches import (
     Stretch,
     best_lines,
     binned,
+    rests_between,
     stretches,
 )
 from skin2urdf.threads import each
@@ -101,13 +102,15 @@ def su_clocks(sus: Sequence[SuStream], motion: Motion) -> tuple[SuClock, ...]:
     Returns:
         One record for each SU whose clock is off significantly, none for the others.
     """
-    found = stretches(motion)
+    found, rests = stretches(motion), rests_between(motion)
     grid = motion.grid
     middle = grid.start + (grid.size - 1) / (2 * grid.rate)
     sus_heard = [su for su in sus if len(su.time) >= SAMPLES]
     clocks: list[SuClock] = []
     for part in each(
-        lambda some: _clocks(some, motion, found, middle), _in_parts(sus_heard), len(sus_heard)
+        lambda some: _clocks(some, motion, found, rests, middle),
+        _in_parts(sus_heard),
+        len(sus_heard),
     ):
         clocks += part
     vague = [u for u, clock in enumerate(clocks) if clock.latency_sd > _VAGUE]
@@ -138,13 +141,22 @@ def _in_parts(sus: Sequence[SuStream]) -> Iterator[list[SuStream]]:
 
 
 def _clocks(
-    sus: Sequence[SuStream], motion: Motion, stretches: Sequence[Stretch], middle: float
+    sus: Sequence[SuStream],
+    motion: Motion,
+    stretches: Sequence[Stretch],
+    rests: Sequence[Stretch],
+    middle: float,
 ) -> list[SuClock]:
-    """The line of each SU; its deviation is infinite where no motion is felt."""
+    """The line of each SU; its deviation is infinite where no motion is felt.
+
+    Where lines far apart are told from each other, each rest counts as a stretch of its own: one
+    pattern after the other, of as many seconds each, looks right a pattern later as well.
+    """
     clocks = [SuClock(su.name, 0.0, np.inf, 0.0, np.inf, middle) for su in sus]
     rate, span = motion.grid.rate / EVERY, motion.grid.size / motion.grid.rate
     reach, steep, open_ = LARGEST_OFFSET, LARGEST_DRIFT, list(range(len(sus)))
-    looked_at = stretches[::2] if len(stretches) >= 4 * FEWEST else stretches
+    some = stretches[::2] if len(stretches) >= 4 * FEWEST else stretches
+    looked_at = [*some, *rests]
     integrals = []
     for su in sus:
         integrals.append(Integral.of(su))
@@ -167,9 +179,9 @@ def _clocks(
                 drift_sd=line.drift_sd,
             )
             change = abs(line.offset) + abs(line.drift) * span / 2
-            if change >= _SETTLED or looked_at is not stretches:
+            if change >= _SETTLED or reach == LARGEST_OFFSET:
                 again.append(u)
-        reach, steep, looked_at, open_ = _NEAR, 2 * _NEAR / span, stretches, again
+        reach, steep, looked_at, open_ = _NEAR, 2 * _NEAR / span, list(stretches), again
         if not open_:
             break
     return clocks

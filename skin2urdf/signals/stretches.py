@@ -17,6 +17,7 @@ from scipy.fft import irfft, next_fast_len, rfft
 from skin2urdf.arrays import F64, Bool
 from skin2urdf.recording.records import SuStream
 from skin2urdf.signals.motion import Motion
+from skin2urdf.signals.poses import find_rests, stop_blur
 from skin2urdf.signals.profiles import valley
 from skin2urdf.signals.records import SuClock
 
@@ -83,6 +84,21 @@ def stretches(motion: Motion) -> list[Stretch]:
             continue
         columns = np.hstack([q[part][:, active], qdd[part][:, active]])
         out.append(Stretch(part.start, spanned(columns)))
+    return out
+
+
+def rests_between(motion: Motion) -> list[Stretch]:
+    """What is left of each rest once half a bin more than its edges' blur is taken off both ends.
+
+    Windows of some seconds hold rests and motion, and what is not linear in that hides that an SU
+    turns in a rest, which no lag but a wrong one makes it do.
+    """
+    margin = stop_blur(motion.grid.rate) // EVERY + 1
+    out = []
+    for rest in find_rests(motion):
+        begin, end = -(-rest.begin // EVERY) + margin, rest.end // EVERY - margin
+        if end - begin >= FEWEST:
+            out.append(Stretch(begin, np.full((end - begin, 1), (end - begin) ** -0.5)))
     return out
 
 

@@ -14,6 +14,7 @@ from skin2urdf.report.clocks import clock_notes
 from skin2urdf.signals.clocks import as_far_as_confirmed, su_clocks
 from skin2urdf.signals.motion import joint_motion
 from skin2urdf.signals.records import SuClock
+from skin2urdf.simulation import SimulationSettings, load_robot, simulate
 
 
 def retimed(recording: Recording, latency: float, drift: float, only: str = "") -> Recording:
@@ -174,6 +175,14 @@ def test_patterns_of_one_joint_are_not_those_of_the_next(wait: float) -> None:
     su = about_the_vertical(path, 5, seed)
     clocks = su_clocks([su], joint_motion(path.recording(100.0, [su])))
     assert all(abs(clock.latency) < 5e-3 for clock in clocks)
+
+
+@pytest.mark.parametrize("seed", [8, 9])
+def test_who_feels_the_first_patterns_of_each_pose_is_not_one_pattern_late(seed: int) -> None:
+    """Most stretches are quieter later by 2 s, and every rest is louder."""
+    settings = SimulationSettings(seed=seed, n_poses=8)
+    recording = simulate(load_robot("z1"), settings).recording
+    assert su_clocks(recording.sus, joint_motion(recording)) == ()
 
 
 def test_a_rest_confirms_no_clock() -> None:

@@ -27,6 +27,7 @@ NoteKind = Literal[
     "unit g",
     "unit deg/s",
     "base moves",
+    "felt at rest",
 ]
 """Of the structure: an SU and a joint that are in no tree; SUs that no log holds while joints move;
 a bit of the activity that the rest decided; no SU on the base; another order of joints, or other
@@ -35,7 +36,8 @@ motion; a tree that a second look gave; an SU that sits where its readings fit; 
 positions of joints before SUs.
 Of the fit: an SU and poses that fit worse than the rest; SUs that may sit on a vertical axis;
 errors that no working sensor has.
-Of the streams: readings in g, rates in deg/s, both converted; what turns all SUs at rest."""
+Of the streams: readings in g, rates in deg/s, both converted; what turns all SUs at rest, or
+changes what they feel there."""
 
 Detail = Literal[
     "",

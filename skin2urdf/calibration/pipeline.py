@@ -161,8 +161,8 @@ def su_sources(recordings: Sequence[Recording], sampled: Sequence[Sampled]) -> d
     found: dict[str, SuSource] = {}
     for recording, s in zip(recordings, sampled, strict=True):
         rate = s.motion.grid.rate
-        taps = low_pass(s.cutoff, rate)
-        once, twice = (noise_bandwidth(t, rate) for t in (taps, np.convolve(taps, taps)))
+        taps, along = (low_pass(cutoff, rate) for cutoff in (s.cutoff, s.cutoff_along))
+        once, twice = (noise_bandwidth(t, rate) for t in (taps, np.convolve(along, along)))
         for su in recording.sus:
             known = found.get(su.name)
             if su.time.size > 1 and (known is None or known.duration < recording.duration):

@@ -10,7 +10,12 @@ from skin2urdf.errors import BadFitError, StructureError
 from skin2urdf.estimation.solve.estimate import Estimate
 from skin2urdf.estimation.trajectory.estimate import MotionEstimate
 from skin2urdf.estimation.uncertainty.health import why_bad
-from skin2urdf.estimation.uncertainty.physics import STAND_STILL, base_moves, why_unexplained
+from skin2urdf.estimation.uncertainty.physics import (
+    STAND_STILL,
+    base_moves,
+    felt_at_rest,
+    why_unexplained,
+)
 from skin2urdf.notes import of_kind
 from skin2urdf.signals.sampling import Sampled
 
@@ -48,11 +53,20 @@ def tell_of_moving_bases(sampled: Sequence[Sampled]) -> Iterator[None]:
     try:
         yield
     except (BadFitError, StructureError) as error:
-        moved = [note for s in sampled for note in of_kind(s.notes, "base moves")]
-        if moved:
-            error.args = (f"{base_moves(max(note.size for note in moved))}; {error}",)
+        if told := _of_the_base(sampled):
+            error.args = (f"{told}; {error}",)
             error.remedy = STAND_STILL
         raise
+
+
+def _of_the_base(sampled: Sequence[Sampled]) -> str:
+    """What shows that the base moves by itself, in words; none where nothing does."""
+    notes = [note for s in sampled for note in s.notes]
+    if turns := [note.size for note in of_kind(notes, "base moves")]:
+        return base_moves(max(turns))
+    if changes := [note.size for note in of_kind(notes, "felt at rest")]:
+        return felt_at_rest(max(changes))
+    return ""
 
 
 def _refuse_beyond(

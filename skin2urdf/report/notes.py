@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from skin2urdf.estimation.uncertainty.physics import STAND_STILL, base_moves
+from skin2urdf.estimation.uncertainty.physics import STAND_STILL, base_moves, felt_at_rest
 from skin2urdf.notes import Note, Noted, ReadingNote
 
 _LISTED = 6
@@ -77,6 +77,8 @@ def _words(note: Note) -> str:
             return f"the gyroscope of {sus} reports deg/s; its rates were converted"
         case "base moves":
             return f"{base_moves(note.size)}; {STAND_STILL}"
+        case "felt at rest":
+            return f"{felt_at_rest(note.size)}; {STAND_STILL}"
         case "misfit" | "poses misfit" | "implausible shape" | "implausible bias":
             return _of_the_fit(note)
         case _:

@@ -18,6 +18,7 @@ times better in a band of 2 Hz than in one of 5 Hz: of 12 bits read at 100 Hz, r
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -72,11 +73,28 @@ def quietness(readings: F64, still: Bool, rate: float) -> float:
     return float((bend**2).mean()) / 6 / (rate / 2)
 
 
-def suitable_cutoff(motion: Motion, neighbourhoods: Sequence[Neighbourhood], quiet: F64) -> float:
-    """Cutoff of the low-pass that suits a log [Hz], at -6 dB.
+@dataclass(frozen=True)
+class Cutoffs:
+    """Cutoffs of the low-passes that suit a log, at -6 dB [Hz].
 
-    It keeps the patterns' accelerations and their second harmonics; in a log without patterns, that
-    of all motion as far as encoders know it.
+    Attributes:
+        patterns: of what is looked at around poses; it keeps the patterns' accelerations and their
+            second harmonics.
+        along: of all samples, along the whole log; the same, or less where encoders do not know the
+            motion so far.
+    """
+
+    patterns: float
+    along: float
+
+
+def suitable_cutoffs(
+    motion: Motion, neighbourhoods: Sequence[Neighbourhood], quiet: F64
+) -> Cutoffs:
+    """The bands in which a log is looked at.
+
+    Around poses, patterns need theirs, however coarse encoders are: features are sums of harmonics.
+    In a log without patterns both are the same.
 
     Args:
         motion: of the joints.
@@ -85,15 +103,15 @@ def suitable_cutoff(motion: Motion, neighbourhoods: Sequence[Neighbourhood], qui
     """
     patterns = _Spectrum(motion, [w for pose in neighbourhoods for w in pose.windows])
     everything = _Spectrum(motion, [(0, motion.grid.size)])
-    if patterns.energy.sum() >= _PATTERNS * everything.energy.sum():
-        return _kept_by(patterns)
-    usual = _kept_by(everything)
+    some = patterns.energy.sum() >= _PATTERNS * everything.energy.sum()
+    usual = _kept_by(patterns if some else everything)
     measured = quiet[np.isfinite(quiet)]
     beside = float(np.median(measured)) if len(measured) else 0.0
     told = everything.information(beside / _ARM**2)
     enough = np.flatnonzero(told >= _ENOUGH * told.max())
     known = (enough[-1] + 1) / _BANDS_PER_HERTZ if told.max() > 0 else _WIDEST
-    return float(np.clip(known, _NARROWEST, usual))
+    along = float(np.clip(known, _NARROWEST, usual))
+    return Cutoffs(usual if some else along, along)
 
 
 def _kept_by(spectrum: _Spectrum) -> float:

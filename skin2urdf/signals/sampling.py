@@ -18,7 +18,7 @@ from skin2urdf.recording.holding import as_measured
 from skin2urdf.recording.naming import shortened
 from skin2urdf.recording.records import Recording, SuStream
 from skin2urdf.recording.shelf import STREAMS_IN_MEMORY, put_away, room_for_streams
-from skin2urdf.signals.band import quietness, suitable_cutoff
+from skin2urdf.signals.band import quietness, suitable_cutoffs
 from skin2urdf.signals.clocks import su_clocks
 from skin2urdf.signals.filters import sample, spread
 from skin2urdf.signals.health import WEIGHTLESS, checked, unusable
@@ -32,7 +32,7 @@ from skin2urdf.signals.poses import (
     slowest_moments,
 )
 from skin2urdf.signals.records import StaticMoves, SuClock
-from skin2urdf.signals.standing import angle_at_rest
+from skin2urdf.signals.standing import changes_at_rest
 from skin2urdf.signals.swings import Swings
 from skin2urdf.signals.turning import Turning, sampled_turning
 from skin2urdf.threads import each
@@ -62,7 +62,8 @@ class Sampled:
         neighbourhoods: poses with their windows.
         readings: (N, U, 3) SU readings on the grid [m/s^2].
         valid: (N, U) where they are whole.
-        cutoff: low-pass cutoff that suits the patterns [Hz].
+        cutoff: of the low-pass that suits the patterns [Hz].
+        cutoff_along: of the one that suits all samples [Hz].
         notes: what was found and mended; what the reader says is in words.
         computed: (N, U) where they were missing, and were computed from the rest of the window.
         period: (U,) time between two readings of an SU [s]; 0 for those that have none.
@@ -77,6 +78,7 @@ class Sampled:
     readings: F64
     valid: Bool
     cutoff: float
+    cutoff_along: float
     notes: tuple[Noted, ...]
     computed: Bool
     period: F64
@@ -130,13 +132,13 @@ def sample_recording(
     neighbourhoods = find_neighbourhoods(motion, rests)
     tell(0.5 * _POSED)
     grid = motion.grid
-    at_rest = [(grid.start + r.begin / grid.rate, grid.start + r.end / grid.rate) for r in rests]
+    spans = [(grid.start + r.begin / grid.rate, grid.start + r.end / grid.rate) for r in rests]
     span = (grid.start, grid.start + grid.size / grid.rate)
     n_sus = len(recording.sus)
     measured, held = as_measured(list(each(_without_spikes, recording.sus, n_sus)))
     clocks = {clock.su: clock for clock in su_clocks(measured, motion)}
     sus = [_on_time(su, clocks.get(su.name)) for su in measured]
-    streams = {c.stream.name: c for c in checked(sus, at_rest, span, _pauses(motion))}
+    streams = {c.stream.name: c for c in checked(sus, spans, span, _pauses(motion))}
     readings = room_for_streams(grid.size, len(su_names))
     valid = np.zeros((grid.size, len(su_names)), dtype=bool)
     period, quiet = np.zeros(len(su_names)), np.full(len(su_names), np.nan)
@@ -177,13 +179,16 @@ def sample_recording(
         {name: found.stream for name, found in streams.items()}, su_names, motion, still
     )
     notes += converted
-    cutoff = suitable_cutoff(motion, neighbourhoods, quiet)
-    readings, filled = computed(motion, neighbourhoods, cutoff, readings, valid)
-    if angle := angle_at_rest(rests, readings, valid, grid.rate):
-        notes.append(Note("base moves", size=angle))
+    band = suitable_cutoffs(motion, neighbourhoods, quiet)
+    readings, filled = computed(motion, neighbourhoods, band.patterns, readings, valid)
+    at_rest = changes_at_rest(rests, readings, valid, grid.rate)
+    if at_rest.angle:
+        notes.append(Note("base moves", size=at_rest.angle))
+    elif at_rest.change:
+        notes.append(Note("felt at rest", size=at_rest.change))
     return Sampled(
-        motion, rests, neighbourhoods, readings, valid | filled, cutoff, tuple(notes), filled,
-        frozen(period), tuple(faults), tuple(clocks.values()), turning,
+        motion, rests, neighbourhoods, readings, valid | filled, band.patterns, band.along,
+        tuple(notes), filled, frozen(period), tuple(faults), tuple(clocks.values()), turning,
     )  # fmt: skip
 
 

@@ -9,10 +9,12 @@ SU sits before the first joint does a creep of that one look the same.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from skin2urdf.arrays import F64, Bool
+from skin2urdf.geometry.units import GRAVITY
 from skin2urdf.signals.poses import Rest
 
 _PIECE = 0.5
@@ -32,8 +34,23 @@ _MOST = 0.75
 """Share of the SUs that have to turn alike: some may be loose, or drift."""
 
 
-def angle_at_rest(rests: Sequence[Rest], readings: F64, valid: Bool, rate: float) -> float:
-    """By what angle all SUs turn in half a second while no joint moves, rms over rests [rad].
+@dataclass(frozen=True)
+class AtRest:
+    """What changes from one half second to the next while no joint moves; 0 where nothing does.
+
+    Attributes:
+        angle: by which all SUs turn alike, rms over rests [rad]; 0 where most pairs of half seconds
+            do not show any, as a base that moves at times only has it.
+        change: of what three SUs of four feel at least, rms over the pairs that show any [m/s^2].
+            Where a base drives or turns, SUs at other places feel other changes.
+    """
+
+    angle: float
+    change: float
+
+
+def changes_at_rest(rests: Sequence[Rest], readings: F64, valid: Bool, rate: float) -> AtRest:
+    """Compare half seconds of readings in which no joint moves with those before them.
 
     Args:
         rests: where no joint moves; moments that only stand for rests do not count.
@@ -42,11 +59,10 @@ def angle_at_rest(rests: Sequence[Rest], readings: F64, valid: Bool, rate: float
         rate: of the grid [Hz].
 
     Returns:
-        0 where no rest lasts two such pieces, and where most pairs of neighbours in rests do not
-        show any for certain, in three SUs of four at least.
+        Nothing that chance may have made; nothing where no rest lasts two such pieces.
     """
     size = max(2, round(_PIECE * rate))
-    found = [np.zeros(0)]
+    angles, changes = [np.zeros(0)], [np.zeros(0)]
     for rest in rests:
         pieces = (rest.end - rest.begin) // size if rest.still else 0
         first = rest.begin + size * np.arange(pieces)
@@ -54,10 +70,18 @@ def angle_at_rest(rests: Sequence[Rest], readings: F64, valid: Bool, rate: float
         if pieces > 1 and len(heard) > 1:
             # One after the other: a rest may be as long as a log of a thousand SUs.
             seen = [_seen(readings[k : k + size][:, heard], rate) for k in first.tolist()]
-            found.append(_turned(np.stack([m for m, _ in seen]), np.stack([d for _, d in seen])))
-    angles = np.concatenate(found)
-    shown = angles[angles > 0.0]
-    return float(np.sqrt(np.mean(shown**2))) if 2 * len(shown) > len(angles) else 0.0
+            mean, sd = np.stack([m for m, _ in seen]), np.stack([d for _, d in seen])
+            angles.append(_turned(mean, sd))
+            changes.append(_changed(mean, sd))
+    angle, change = np.concatenate(angles), np.concatenate(changes)
+    most = 2 * np.count_nonzero(angle) > len(angle)
+    return AtRest(_rms(angle) if most else 0.0, _rms(change))
+
+
+def _rms(x: F64) -> float:
+    """Of those that are not 0; 0 without any."""
+    shown = x[x > 0.0]
+    return float(np.sqrt(np.mean(shown**2))) if len(shown) else 0.0
 
 
 def _seen(x: F64, rate: float) -> tuple[F64, F64]:
@@ -85,3 +109,16 @@ def _turned(mean: F64, sd: F64) -> F64:
     alike = np.abs(angle - common[:, None]) < _CERTAIN * off + _ALIKE * common[:, None]
     certain = common > np.maximum(_CERTAIN * np.median(off, axis=1), _LEAST)
     return np.where(certain & (alike.mean(axis=1) >= _MOST), common, 0.0)
+
+
+def _changed(mean: F64, sd: F64) -> F64:
+    """(P - 1,) change of what SUs feel between neighbours of P pieces [m/s^2]; 0 for none.
+
+    Args:
+        mean: (P, U, 3) readings of each, and
+        sd: (P, U) deviations of their directions [rad].
+    """
+    change = np.linalg.norm(np.diff(mean, axis=0), axis=2)
+    off = sd * np.linalg.norm(mean, axis=2)
+    certain = change > np.maximum(_CERTAIN * np.hypot(off[1:], off[:-1]), _LEAST * GRAVITY)
+    return np.where(certain.mean(axis=1) >= _MOST, np.median(change, axis=1), 0.0)

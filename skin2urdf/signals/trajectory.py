@@ -315,11 +315,11 @@ def trajectory(
     """
     sus = np.arange(sampled.valid.shape[1]) if sus is None else sus
     motion, rate = sampled.motion, sampled.motion.grid.rate
-    taps = low_pass(sampled.cutoff, rate)
+    taps = low_pass(sampled.cutoff_along, rate)
     half = len(taps) // 2
     positions, left = without_toggling(motion, taps)
     q = filtered(positions, taps)
-    every = max(1, int(rate / (_RATE_OVER_CUTOFF * sampled.cutoff)))
+    every = max(1, int(rate / (_RATE_OVER_CUTOFF * sampled.cutoff_along)))
     kept = np.arange(half, motion.grid.size - half, every)
     readings = room_for_streams(motion.grid.size, len(sus))
 

@@ -20,7 +20,14 @@ DETAILS: dict[NoteKind, tuple[Detail, ...]] = {
     "vertical axis": ("active", "inactive"),
     "order from motion": ("", "weak"),
 }  # fmt: skip
-OF_NOTHING = {"bare base", "sense unknown", "second look", "poses misfit", "base moves"}
+OF_NOTHING = {
+    "bare base",
+    "sense unknown",
+    "second look",
+    "poses misfit",
+    "base moves",
+    "felt at rest",
+}
 OF_JOINTS_ALONE = {"joint left out", "order from motion", "other order"}
 OF_SUS_ALONE = {
     "su left out", "positions lacking", "misfit", "unit g", "unit deg/s",

@@ -7,7 +7,7 @@ import pytest
 from joint_paths import JointPath
 
 from skin2urdf.arrays import F64
-from skin2urdf.signals.band import quietness, suitable_cutoff
+from skin2urdf.signals.band import Cutoffs, quietness, suitable_cutoffs
 from skin2urdf.signals.motion import Motion
 from skin2urdf.signals.poses import find_neighbourhoods, find_rests
 
@@ -34,10 +34,17 @@ def read_with(path: JointPath, bits: int | None, rate: float = 100.0) -> Motion:
     return path.motion(rate, off)
 
 
-def cutoff(motion: Motion, quiet: float = QUIET) -> float:
-    return suitable_cutoff(
+def cutoffs(motion: Motion, quiet: float = QUIET) -> Cutoffs:
+    return suitable_cutoffs(
         motion, find_neighbourhoods(motion, find_rests(motion)), np.array([quiet])
     )
+
+
+def cutoff(motion: Motion, quiet: float = QUIET) -> float:
+    """That of a log without patterns."""
+    found = cutoffs(motion, quiet)
+    assert found.patterns == found.along
+    return found.along
 
 
 def test_what_encoders_round_off_is_no_motion() -> None:
@@ -69,7 +76,10 @@ def test_patterns_keep_their_second_harmonics(bits: int | None) -> None:
         for joint in range(2):
             path.swing({joint: 0.2}, hertz=2.0).rest(0.5)
     # A low-pass leaves 0.6 of its band as it is.
-    assert 0.6 * cutoff(read_with(path, bits)) > 2 * 2.0
+    found = cutoffs(read_with(path, bits))
+    assert 0.6 * found.patterns > 2 * 2.0
+    # All samples are looked at in as much of it as encoders know.
+    assert found.along == found.patterns if bits is None else found.along < found.patterns
 
 
 @pytest.mark.parametrize("size", [0.01, 0.03])

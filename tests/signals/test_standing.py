@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from copy import copy
 from types import SimpleNamespace
 from typing import Any, cast
 
@@ -9,14 +10,14 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from skin2urdf.arrays import F64
+from skin2urdf.arrays import F64, Bool
 from skin2urdf.calibration.refusal import tell_of_moving_bases
 from skin2urdf.errors import BadFitError, Skin2UrdfError, StructureError, UsageError
-from skin2urdf.notes import Note, of_kind
+from skin2urdf.notes import Note, NoteKind, of_kind
 from skin2urdf.recording.records import JointStream, Recording, SuStream
 from skin2urdf.signals.poses import Rest
 from skin2urdf.signals.sampling import sample_recording
-from skin2urdf.signals.standing import angle_at_rest
+from skin2urdf.signals.standing import AtRest, changes_at_rest
 
 RATE = 100.0
 SUS = 5
@@ -40,11 +41,15 @@ def swayed(by: float) -> F64:
     return np.tile(by * np.sin(2 * np.pi * 0.4 * TIME)[:, None], SUS)
 
 
+def at_rest(x: F64, heard: Bool = HEARD) -> AtRest:
+    return changes_at_rest(REST, x, heard, RATE)
+
+
 @pytest.mark.parametrize("by", [0.015, 0.05])
 def test_a_base_that_sways_turns_all_sus_at_rest(by: float) -> None:
     x = readings(swayed(by), np.random.default_rng(1))
     # Half a second of a sine of 0.4 Hz: 2 sin(0.2 pi) of the amplitude at most, 0.7 of it rms.
-    assert angle_at_rest(REST, x, HEARD, RATE) == pytest.approx(by, rel=0.4)
+    assert at_rest(x).angle == pytest.approx(by, rel=0.4)
 
 
 def test_a_loose_or_deaf_su_does_not_hide_it() -> None:
@@ -52,7 +57,7 @@ def test_a_loose_or_deaf_su_does_not_hide_it() -> None:
     x[150:, 1] = x[150:, 1] @ Rotation.from_rotvec([0.3, 0.1, 0.0]).as_matrix()
     heard = HEARD.copy()
     heard[100:, 4] = False
-    assert angle_at_rest(REST, x, heard, RATE) == pytest.approx(0.05, rel=0.4)
+    assert at_rest(x, heard).angle == pytest.approx(0.05, rel=0.4)
 
 
 @pytest.mark.parametrize("case", ["noise", "a joint creeps", "biases drift", "one slips"])
@@ -66,13 +71,39 @@ def test_what_stands_does_not_move(case: str) -> None:
     x = readings(tilt, rng)
     if case == "biases drift":
         x += 0.05 * TIME[:, None, None] * rng.standard_normal((SUS, 3))
-    assert angle_at_rest(REST, x, HEARD, RATE) == 0.0
+    assert at_rest(x).angle == 0.0
+
+
+@pytest.mark.parametrize("how", ["drives", "turns"])
+def test_a_base_that_moves_at_times_is_felt_at_rest(how: str) -> None:
+    """In one second of four; where it turns, SUs feel as much as they are away from its axis."""
+    x = readings(np.zeros((len(TIME), SUS)), np.random.default_rng(5))
+    size = 0.4 * (np.ones(SUS) if how == "drives" else np.array([0.3, 0.6, 0.9, 1.2, 1.5]))
+    for u in range(SUS):
+        x[200:300, u] += size[u] * MOUNTED[u].apply([1.0, 0.0, 0.0])
+    found = at_rest(x)
+    assert found.angle == 0.0
+    assert found.change == pytest.approx(np.median(size), rel=0.2)
+
+
+@pytest.mark.parametrize("case", ["noise", "rings", "biases drift", "one slips"])
+def test_a_base_that_stands_is_not_felt(case: str) -> None:
+    rng = np.random.default_rng(6)
+    x = readings(np.zeros((len(TIME), SUS)), rng)
+    if case == "rings":
+        ringing = np.exp(-TIME / 0.4) * np.sin(2 * np.pi * 5.3 * TIME)
+        x += ringing[:, None, None] * rng.standard_normal((SUS, 3))
+    if case == "biases drift":
+        x += 0.01 * TIME[:, None, None] * rng.standard_normal((SUS, 3))
+    if case == "one slips":
+        x[150:, 0] = x[150:, 0] @ Rotation.from_rotvec([0.3, 0.1, 0.0]).as_matrix()
+    assert at_rest(x).change == 0.0
 
 
 def test_moments_that_stand_for_rests_tell_nothing_of_the_base() -> None:
     x = readings(swayed(0.05), np.random.default_rng(3))
     moving = (Rest(0, len(TIME), np.zeros(1), still=False),)
-    assert angle_at_rest(moving, x, HEARD, RATE) == 0.0
+    assert changes_at_rest(moving, x, HEARD, RATE) == AtRest(0.0, 0.0)
 
 
 @pytest.mark.parametrize("by", [0.0, 0.05])
@@ -85,10 +116,12 @@ def test_a_log_of_a_base_that_moves_says_so(by: float) -> None:
     assert bool(of_kind(sampled.notes, "base moves")) == (by > 0)
 
 
+@pytest.mark.parametrize("kind", ["base moves", "felt at rest"])
 @pytest.mark.parametrize("error", [StructureError("x", "y"), BadFitError("x", "y", 3.0)])
-def test_a_refusal_begins_with_the_base_that_moves(error: Skin2UrdfError) -> None:
+def test_a_refusal_begins_with_the_base_that_moves(error: Skin2UrdfError, kind: NoteKind) -> None:
+    error = copy(error)
     still = cast(Any, SimpleNamespace(notes=()))
-    moved = cast(Any, SimpleNamespace(notes=(Note("base moves", size=0.1),)))
+    moved = cast(Any, SimpleNamespace(notes=(Note(kind, size=0.1),)))
     with pytest.raises(type(error)) as caught, tell_of_moving_bases([still]):
         raise error
     assert (str(caught.value), caught.value.remedy) == ("x", "y")

@@ -101,3 +101,16 @@ def base_moves(angle: float) -> str:
         f"the base moves by itself: gravity turns by {degrees(angle):.2g} deg in half a second, "
         "in all SUs alike, while no joint moves"
     )
+
+
+def felt_at_rest(change: float) -> str:
+    """What shows that a base moves at times, or is shaken, in words.
+
+    Args:
+        change: of what SUs feel from one half second at rest to the next [m/s^2].
+    """
+    return (
+        f"while no joint moves, what the SUs feel changes by {change:.2g} m/s^2 from one half "
+        "second to the next, in most of them at a time: the base drives or turns, or something "
+        "shakes the robot"
+    )

@@ -29,6 +29,7 @@ from skin2urdf.estimation.trajectory.problem import MotionProblem
 from skin2urdf.estimation.trajectory.slack import slack, with_unseen
 from skin2urdf.model.canonical import canonical
 from skin2urdf.signals import sampling
+from skin2urdf.signals.band import Cutoffs
 from skin2urdf.simulation import SimulationSettings, simulate
 from skin2urdf.simulation.robots import SkinLayout
 from skin2urdf.simulation.settings import Excitation
@@ -72,7 +73,7 @@ def test_what_coarse_encoders_do_to_lengths_is_taken_off(
 
     So it is through 5 Hz; the band that suits such moves is narrower, and leaves little of it.
     """
-    monkeypatch.setattr(sampling, "suitable_cutoff", lambda *_: 5.0)
+    monkeypatch.setattr(sampling, "suitable_cutoffs", lambda *_: Cutoffs(5.0, 5.0))
     layout = SkinLayout(sus_per_segment=2, sus_on_base=1)
     settings = SimulationSettings(
         seed=3, excite=excite, minutes=1.0, encoder_bits=bits, imu_rate=250.0, joint_rate=125.0

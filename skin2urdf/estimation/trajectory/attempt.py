@@ -37,6 +37,7 @@ from skin2urdf.estimation.trajectory.rounded import rounded_off_again
 from skin2urdf.estimation.trajectory.slack import (
     UNKNOWN,
     Lacking,
+    Shared,
     Size,
     lacking,
     rounded_off,
@@ -162,12 +163,18 @@ class Attempt:
         return {cause: size for cause, size in found.items() if size.gain > least}
 
     def _beside_rounding(self, cause: str) -> Size:
-        """What the readings show of what bends beside what encoders round off on the way."""
+        """What the readings show of what bends beside what encoders round off on the way.
+
+        Drives give way to loads, which encoders show by whole steps: by how much a held joint does
+        within one is like elastic joints of that size.
+        """
         alone = self.bends[cause]
         if alone.gain <= CERTAIN or (again := self._rounded_again) is None:
             return alone
-        both = lacking(self.problem, self.fitted, [self._loads(cause), again])
-        return both.size(0, drawn=1, times=UNKNOWN)
+        groups = [self._loads(cause), again, self._loads(BENDS[0])]
+        found = lacking(self.problem, self.fitted, groups)
+        step = 2 * rounded_off(self.problem.tree, self.problem.logs)
+        return found.size(0, Shared(draws=1, times=UNKNOWN, loads=2, load=step / np.sqrt(12)))
 
     @property
     def lacks(self) -> bool:
@@ -379,7 +386,7 @@ class Attempt:
         again = self._rounded_again
         if again is None or self.places is None:
             return None
-        return lacking(self.problem, self.fitted, [self.places, again]).size(0, drawn=1)
+        return lacking(self.problem, self.fitted, [self.places, again]).size(0, Shared(draws=1))
 
     def slackened(self) -> Attempt:
         """With slack where the readings show any for certain, else as it is."""

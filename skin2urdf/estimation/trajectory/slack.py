@@ -16,7 +16,7 @@ anew (:mod:`rounded`), whatever the readings are: no error of a gear hides in it
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.linalg import null_space
@@ -152,6 +152,39 @@ def rounded_off(tree: KinematicTree, logs: Sequence[Trajectory]) -> float:
     return 0.5 * float(np.max(steps, initial=0.0))
 
 
+@dataclass(frozen=True)
+class Shared:
+    """Groups of unseen motion that stand for noise, which all SUs beyond a joint share.
+
+    Attributes:
+        draws: the group each of whose numbers is a draw of it.
+        times: (T,) by how much more variance it may have than its draws, of which the likeliest
+            counts.
+        loads: another group, whose numbers are noise themselves; None for none.
+        load: standard deviation of each of them.
+    """
+
+    draws: int
+    times: F64 = field(default_factory=lambda: np.ones(1))
+    loads: int | None = None
+    load: float = 0.0
+
+    @property
+    def groups(self) -> list[int]:
+        """All of them."""
+        return [self.draws] if self.loads is None else [self.draws, self.loads]
+
+
+@dataclass(frozen=True)
+class _Noise:
+    """The same, as coordinates of the joint part."""
+
+    drawn: Int = field(default_factory=lambda: _NOTHING)
+    times: F64 = field(default_factory=lambda: np.ones(1))
+    loads: Int = field(default_factory=lambda: _NOTHING)
+    load: float = 0.0
+
+
 @dataclass(frozen=True, eq=False)
 class Lacking:
     """Groups of unseen motion that a fit lacks, and what the readings say of each alone.
@@ -170,25 +203,25 @@ class Lacking:
     groups: tuple[Int, ...]
     curvature: Curvature | None = None
 
-    def size(self, group: int, drawn: int | None = None, times: F64 | None = None) -> Size:
+    def size(self, group: int, shared: Shared | None = None) -> Size:
         """The size that the readings give to a group, by their likelihood.
 
         Args:
             group: whose size.
-            drawn: another group, each of whose numbers is a draw of noise that SUs share; None
-                where their noise is independent.
-            times: (T,) by how much more variance that noise may have, of which the likeliest
-                counts; None for as much as the draws have.
+            shared: what SUs share beside; None where their noise is independent.
         """
-        both = [group] if drawn is None else [group, drawn]
-        others = [at for i, at in enumerate(self.groups) if i not in both]
+        beside = [] if shared is None else shared.groups
+        others = [at for i, at in enumerate(self.groups) if i not in (group, *beside)]
         every = np.arange(self.problem.layout.n_joint)
         kept = np.setdiff1d(every, np.concatenate(others)) if others else every
         free = self.problem.free_joint[kept], self.problem.free_su
         at = np.searchsorted(kept, self.groups[group])
-        noise = _NOTHING if drawn is None else np.searchsorted(kept, self.groups[drawn])
+        noise = _Noise()
+        if shared is not None:
+            drawn, *loads = (np.searchsorted(kept, self.groups[each]) for each in beside)
+            noise = _Noise(drawn, shared.times, loads[0] if loads else _NOTHING, shared.load)
         wide, none = np.full(len(at), _WIDE), np.zeros(len(at))
-        return _likeliest(self.minimised.of_joint(kept), free, at, wide, none, noise, times)
+        return _likeliest(self.minimised.of_joint(kept), free, at, wide, none, noise)
 
     def pull(self, group: int) -> tuple[F64, F64]:
         """What a group of that size does to the estimate.
@@ -297,8 +330,7 @@ def _likeliest(
     at: Int,
     spread: F64,
     x: F64,
-    drawn: Int = _NOTHING,
-    times: F64 | None = None,
+    noise: _Noise | None = None,
 ) -> Size:
     """The size of some coordinates of the joint part that makes the readings most likely.
 
@@ -311,11 +343,10 @@ def _likeliest(
         at: (S,) which coordinates.
         spread: (S,) standard deviations that the equations have of them.
         x: (S,) where they are.
-        drawn: coordinates that stand for draws of noise that SUs share, which makes pulls beside
-            the independent noise of each.
-        times: (T,) variances of that noise over those of its draws, of which the likeliest counts,
-            with and without the coordinates; None for those of the draws.
+        noise: what SUs share, which makes pulls beside the independent noise of each; the likeliest
+            of its variances counts, with and without the coordinates.
     """
+    noise = noise or _Noise()
     free_joint, free_su = free
     system = eliminated(equations, free_joint, free_su)
     H, g = np.array(system.schur), np.array(system.gradient)
@@ -324,9 +355,10 @@ def _likeliest(
     g[at] += spread**-2 * x
     g += H[:, at] @ x
     others = free_joint.copy()
-    others[np.concatenate([at, drawn])] = False
+    beside = np.concatenate([noise.drawn, noise.loads])
+    others[np.concatenate([at, beside])] = False
     S = len(at)
-    follow = joint_inverse(H, others) @ np.column_stack([H[:, at], g, H[:, drawn]])
+    follow = joint_inverse(H, others) @ np.column_stack([H[:, at], g, H[:, beside]])
     left = H[np.ix_(at, at)] - H[at] @ follow[:, :S]
     pull = g[at] - H[at] @ follow[:, S]
     lam, V = np.linalg.eigh(0.5 * (left + left.T))
@@ -335,9 +367,10 @@ def _likeliest(
     v = _SIZES[:, None] ** 2
     lam, pull, V = lam[known], pull[known], V[:, known]
     # Pulls have variances c + v lam^2, where those of independent noise are c = lam.
-    by_noise = V.T @ (H[np.ix_(at, drawn)] - H[at] @ follow[:, S + 1 :])
-    shared = (by_noise**2).sum(axis=1) / max(1, len(drawn))
-    c = lam + (np.ones(1) if times is None else times)[:, None] * shared
+    n = len(noise.drawn)
+    by_noise = (V.T @ (H[np.ix_(at, beside)] - H[at] @ follow[:, S + 1 :])) ** 2
+    shared = by_noise[:, :n].sum(axis=1) / max(1, n)
+    c = lam + by_noise[:, n:].sum(axis=1) * noise.load**2 + noise.times[:, None] * shared
     without = -0.5 * (pull**2 / c + np.log(c)).sum(axis=1)
     ratio = v * (lam**2 / c)[:, None]
     more = 0.5 * ((pull**2 / c)[:, None] * ratio / (1 + ratio) - np.log1p(ratio)).sum(axis=2)

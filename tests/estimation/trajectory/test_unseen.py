@@ -16,7 +16,7 @@ from skin2urdf.estimation.trajectory.estimate import MotionEstimate, estimate_al
 from skin2urdf.estimation.trajectory.fit import fit
 from skin2urdf.estimation.trajectory.gears import find_ripples, harmonics, ripples
 from skin2urdf.estimation.trajectory.problem import MotionProblem
-from skin2urdf.estimation.trajectory.slack import Lacking, lacking, size_of, slack
+from skin2urdf.estimation.trajectory.slack import Lacking, Shared, lacking, size_of, slack
 from skin2urdf.estimation.trajectory.state import MotionState
 from skin2urdf.estimation.trajectory.unseen import Unseen
 from skin2urdf.model.specific_force import specific_forces
@@ -182,9 +182,9 @@ def _of_many(size: float) -> Lacking:
 def test_noise_that_many_sus_share_is_no_slack() -> None:
     sound, loose = _of_many(0.0), _of_many(3e-4)
     assert sound.size(0).gain > 100
-    assert sound.size(0, drawn=1).gain < 3
-    assert loose.size(0, drawn=1).gain > 10
-    assert loose.size(0, drawn=1).size == pytest.approx(3e-4, rel=0.5)
+    assert sound.size(0, Shared(draws=1)).gain < 3
+    assert loose.size(0, Shared(draws=1)).gain > 10
+    assert loose.size(0, Shared(draws=1)).size == pytest.approx(3e-4, rel=0.5)
 
 
 @pytest.mark.parametrize("unseen", ["harmonics", "ripples"])

@@ -78,6 +78,8 @@ class Trajectory(Record):
         left_out: (N, E) positions of joints that move and are none of these; (0, 0) for none.
         effort: (N, D) measured torques, low-passed once [N m or N], NaN for joints of which the log
             does not hold them; (0, 0) where it holds none.
+        motion_cutoff: of a low-pass that keeps all of the joints' motion [Hz]; 0 where that is the
+            log's own.
         thin: of the samples that hold all that the low-pass lets through, one in so many is kept.
         known: what was made of readings, and the readings; of the same ones nothing is made anew.
     """
@@ -106,6 +108,7 @@ class Trajectory(Record):
     averaged: F64 = field(default_factory=lambda: np.zeros((0, 0)))
     left_out: F64 = field(default_factory=lambda: np.zeros((0, 0)))
     effort: F64 = field(default_factory=lambda: np.zeros((0, 0)))
+    motion_cutoff: float = 0.0
     thin: int = 1
     known: dict[str, tuple[F64, tuple[Spline, ...]]] = field(default_factory=dict, repr=False)
 
@@ -226,6 +229,13 @@ class Trajectory(Record):
             # Who counts a turn the other way counts its torque that way, too.
             effort=self.effort * np.sign(factor) if len(self.effort) else self.effort,
         )
+
+    @property
+    def path(self) -> F64:
+        """(N, D) joint positions with all of their motion, and nothing beyond [rad or m]."""
+        if not (self.motion_cutoff and len(self.positions)):
+            return self.q
+        return filtered(self.positions, low_pass(self.motion_cutoff, self.rate))
 
     @property
     def every(self) -> int:
@@ -365,6 +375,7 @@ def trajectory(
         positions=positions,
         resolution=motion.resolution,
         raw_rate=motion.raw_rate,
+        motion_cutoff=sampled.cutoff if sampled.cutoff > sampled.cutoff_along else 0.0,
         averaged=filtered(motion.q - positions, taps) if (left < 1).any() else np.zeros((0, 0)),
         effort=filtered(motion.effort, taps) if len(motion.effort) else motion.effort,
     )

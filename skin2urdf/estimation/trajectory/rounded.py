@@ -82,12 +82,12 @@ def _off(log: Trajectory, rng: np.random.Generator) -> Iterator[F64]:
     if not len(log.resolution):
         yield from [np.zeros((len(log.q), D))] * DRAWS
         return
-    raw = log.raw_rate if len(log.raw_rate) else np.full(D, log.rate)
+    raw, path = log.raw_rate if len(log.raw_rate) else np.full(D, log.rate), log.path
     for _ in range(DRAWS):
         off = np.zeros((len(log.q), D))
         for rate in np.unique(raw):
             some = np.flatnonzero(raw == rate)
-            drawn, q = _Rounding(log.resolution[some], rng.uniform(size=len(some))), log.q[:, some]
+            drawn, q = _Rounding(log.resolution[some], rng.uniform(size=len(some))), path[:, some]
             if rate < log.rate:
                 off[:, some] = drawn.seldom(q, log.rate, float(rate), float(rng.uniform()))
             else:

@@ -25,7 +25,7 @@ from skin2urdf.estimation.trajectory.bending import Bending
 from skin2urdf.estimation.trajectory.estimate import MotionEstimate, estimate_along, motion_priors
 from skin2urdf.estimation.trajectory.fit import Fitted
 from skin2urdf.estimation.trajectory.problem import MotionProblem
-from skin2urdf.estimation.trajectory.slack import Lacking, Size, lacking, size_of
+from skin2urdf.estimation.trajectory.slack import Lacking, Shared, Size, lacking, size_of
 from skin2urdf.estimation.trajectory.unseen import Unseen
 from skin2urdf.estimation.uncertainty.observability import Subject, observability_along
 from skin2urdf.geometry.so3 import rotation_exp, rotation_log
@@ -179,8 +179,8 @@ def test_what_a_base_leaves_is_judged_by_its_size(monkeypatch: pytest.MonkeyPatc
     """In noise that falls with what is explained, little that is left is as certain as much was."""
 
     class Certain(Lacking):
-        def size(self, group: int, drawn: int | None = None, times: F64 | None = None) -> Size:
-            size = super().size(group, drawn, times)
+        def size(self, group: int, shared: Shared | None = None) -> Size:
+            size = super().size(group, shared)
             return replace(size, gain=max(size.gain, 13.0))
 
     def in_less_noise(

@@ -34,6 +34,7 @@ def along_of(folder: Path, **changes: Any) -> MotionEstimate:
     return along
 
 
+@pytest.mark.usefixtures("through_the_patterns_band")
 def test_coarse_encoders_make_no_clock_late(tmp_path: Path) -> None:
     along = along_of(tmp_path, seed=6, excite="all", encoder_bits=13)
     # Where a low-pass may cut noise off, all three are off by more than 1.7 ms.

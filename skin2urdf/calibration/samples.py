@@ -13,7 +13,7 @@ from skin2urdf.calibration.result import GOOD_FIT
 from skin2urdf.calibration.rounds import Logs, Solution
 from skin2urdf.calibration.settings import CalibrationSettings
 from skin2urdf.estimation.problem.cost import Priors
-from skin2urdf.estimation.problem.state import N_JOINT
+from skin2urdf.estimation.problem.state import N_JOINT, N_PLACEMENT
 from skin2urdf.estimation.solve.estimate import Estimate
 from skin2urdf.estimation.trajectory.attempt import BENDS, CERTAIN, CLOCK, PLAY
 from skin2urdf.estimation.trajectory.estimate import (
@@ -366,7 +366,24 @@ def differs_by_physics(
     # Slack and other causes would explain what is wrong as well.
     as_stiff = plain.slack <= along.slack and set(plain.causes) <= set(along.causes)
     needs_more = set(plain.causes) < set(along.causes)
-    return as_stiff and (needs_more or gained(plain, along) <= CERTAIN)
+    return as_stiff and (needs_more or gained(plain, along) <= _worth(solution, along))
+
+
+def _worth(solution: Solution, along: MotionEstimate) -> float:
+    """Logarithm of the likelihood that what was found of encoders and loose SUs has to gain.
+
+    Each of its parameters costs half the logarithm of the number of measurements (Schwarz 1978).
+    """
+    parameters = sum(
+        N_PLACEMENT if fault.kind == "loose" else 1
+        for fault in solution.faults
+        if fault.kind in _OF_PLACES
+    )
+    measured = sum(
+        3 * log.independence * float(p.measured.sum())
+        for log, p in zip(along.problem.logs, along.fitted.predicted, strict=True)
+    )
+    return max(CERTAIN, 0.5 * parameters * float(np.log(max(measured, 1.0))))
 
 
 def gained(plain: MotionEstimate, along: MotionEstimate) -> float:

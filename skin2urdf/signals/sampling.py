@@ -181,7 +181,7 @@ def sample_recording(
     notes += converted
     band = suitable_cutoffs(motion, neighbourhoods, quiet)
     readings, filled = computed(motion, neighbourhoods, band.patterns, readings, valid)
-    at_rest = changes_at_rest(rests, readings, valid, grid.rate)
+    at_rest = changes_at_rest(rests, readings, valid, motion.q, grid.rate)
     if at_rest.angle:
         notes.append(Note("base moves", size=at_rest.angle))
     elif at_rest.change:

@@ -49,17 +49,21 @@ class AtRest:
     change: float
 
 
-def changes_at_rest(rests: Sequence[Rest], readings: F64, valid: Bool, rate: float) -> AtRest:
+def changes_at_rest(
+    rests: Sequence[Rest], readings: F64, valid: Bool, q: F64, rate: float
+) -> AtRest:
     """Compare half seconds of readings in which no joint moves with those before them.
 
     Args:
         rests: where no joint moves; moments that only stand for rests do not count.
         readings: (N, U, 3) readings on the grid [m/s^2].
         valid: (N, U) where they are whole.
+        q: (N, D) joint positions, which may creep to their rest [rad or m].
         rate: of the grid [Hz].
 
     Returns:
-        Nothing that chance may have made; nothing where no rest lasts two such pieces.
+        Nothing that chance, or joints that creep, may have made; nothing where no rest lasts two
+        such pieces.
     """
     size = max(2, round(_PIECE * rate))
     angles, changes = [np.zeros(0)], [np.zeros(0)]
@@ -72,7 +76,8 @@ def changes_at_rest(rests: Sequence[Rest], readings: F64, valid: Bool, rate: flo
             seen = [_seen(readings[k : k + size][:, heard], rate) for k in first.tolist()]
             mean, sd = np.stack([m for m, _ in seen]), np.stack([d for _, d in seen])
             angles.append(_turned(mean, sd))
-            changes.append(_changed(mean, sd))
+            where = np.stack([q[k : k + size].mean(axis=0) for k in first.tolist()])
+            changes.append(_changed(mean, sd, np.abs(np.diff(where, axis=0)).sum(axis=1)))
     angle, change = np.concatenate(angles), np.concatenate(changes)
     most = 2 * np.count_nonzero(angle) > len(angle)
     return AtRest(_rms(angle) if most else 0.0, _rms(change))
@@ -111,14 +116,16 @@ def _turned(mean: F64, sd: F64) -> F64:
     return np.where(certain & (alike.mean(axis=1) >= _MOST), common, 0.0)
 
 
-def _changed(mean: F64, sd: F64) -> F64:
+def _changed(mean: F64, sd: F64, crept: F64) -> F64:
     """(P - 1,) change of what SUs feel between neighbours of P pieces [m/s^2]; 0 for none.
 
     Args:
         mean: (P, U, 3) readings of each, and
         sd: (P, U) deviations of their directions [rad].
+        crept: (P - 1,) by how much all joints together moved, which turns gravity by as much [rad].
     """
     change = np.linalg.norm(np.diff(mean, axis=0), axis=2)
     off = sd * np.linalg.norm(mean, axis=2)
-    certain = change > np.maximum(_CERTAIN * np.hypot(off[1:], off[:-1]), _LEAST * GRAVITY)
+    least = np.maximum(_CERTAIN * np.hypot(off[1:], off[:-1]), _LEAST * GRAVITY)
+    certain = change > least + GRAVITY * crept[:, None]
     return np.where(certain.mean(axis=1) >= _MOST, np.median(change, axis=1), 0.0)

@@ -41,8 +41,11 @@ def swayed(by: float) -> F64:
     return np.tile(by * np.sin(2 * np.pi * 0.4 * TIME)[:, None], SUS)
 
 
-def at_rest(x: F64, heard: Bool = HEARD) -> AtRest:
-    return changes_at_rest(REST, x, heard, RATE)
+STILL = np.zeros((len(TIME), 1))
+
+
+def at_rest(x: F64, heard: Bool = HEARD, q: F64 = STILL) -> AtRest:
+    return changes_at_rest(REST, x, heard, q, RATE)
 
 
 @pytest.mark.parametrize("by", [0.015, 0.05])
@@ -100,10 +103,18 @@ def test_a_base_that_stands_is_not_felt(case: str) -> None:
     assert at_rest(x).change == 0.0
 
 
+def test_joints_that_creep_to_their_rest_are_no_base_that_moves() -> None:
+    creep = 0.03 * np.exp(-TIME / 0.5)
+    tilt = np.outer(creep, [0.0, 1.0, 1.0, 1.0, 1.0])
+    x = readings(tilt, np.random.default_rng(7))
+    assert at_rest(x).change > 0.0
+    assert at_rest(x, q=creep[:, None]).change == 0.0
+
+
 def test_moments_that_stand_for_rests_tell_nothing_of_the_base() -> None:
     x = readings(swayed(0.05), np.random.default_rng(3))
     moving = (Rest(0, len(TIME), np.zeros(1), still=False),)
-    assert changes_at_rest(moving, x, HEARD, RATE) == AtRest(0.0, 0.0)
+    assert changes_at_rest(moving, x, HEARD, STILL, RATE) == AtRest(0.0, 0.0)
 
 
 @pytest.mark.parametrize("by", [0.0, 0.05])

@@ -4,6 +4,9 @@ As long as no joint moves, a robot is one rigid body, and gravity keeps its dire
 the body turns, gravity turns by the same angle in each, however it is mounted: a joint that creeps,
 an SU that slips, or biases that drift turn it by other angles, or in some SUs alone. Only where no
 SU sits before the first joint does a creep of that one look the same.
+
+A base that drives, lifts or turns about a vertical axis turns gravity in no SU, and adds to what
+each feels, by other amounts at other places. That shows at the times when it speeds up or brakes.
 """
 
 from __future__ import annotations
@@ -26,12 +29,13 @@ _CERTAIN = 5.0
 """Standard deviations from which an angle is none by chance."""
 _LEAST = 2e-3
 """Angle [rad] by which nothing that stands turns: what a floor does under people, and biases in
-seconds, is less, and lengths feel less of it than of gravity's own deviation."""
+seconds, is less, and lengths feel less of it than of gravity's own deviation. Over gravity it is
+also the change of what is felt that is no more than that."""
 _ALIKE = 0.2
 """Part of the angle by which SUs may differ: gravity is longer or shorter by what bases accelerate.
 """
 _MOST = 0.75
-"""Share of the SUs that have to turn alike: some may be loose, or drift."""
+"""Share of the SUs that have to turn alike, or to feel a change: some may be loose, or drift."""
 
 
 @dataclass(frozen=True)

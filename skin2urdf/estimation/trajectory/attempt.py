@@ -171,8 +171,10 @@ class Attempt:
         alone = self.bends[cause]
         if alone.gain <= CERTAIN or (again := self._rounded_again) is None:
             return alone
-        groups = [self._loads(cause), again, self._loads(BENDS[0])]
-        found = lacking(self.problem, self.fitted, groups)
+        drives = self._loads(BENDS[0])
+        bends = drives if cause == BENDS[0] else self._loads(cause)
+        found = lacking(self.problem, self.fitted, [bends, again, drives])
+        # What is left of a step is anything from minus a half to a half of it.
         step = 2 * rounded_off(self.problem.tree, self.problem.logs)
         return found.size(0, Shared(draws=1, times=UNKNOWN, loads=2, load=step / np.sqrt(12)))
 

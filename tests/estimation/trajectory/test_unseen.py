@@ -187,6 +187,12 @@ def test_noise_that_many_sus_share_is_no_slack() -> None:
     assert loose.size(0, Shared(draws=1)).size == pytest.approx(3e-4, rel=0.5)
 
 
+def test_what_is_no_larger_than_noise_of_its_own_kind_is_not_shown() -> None:
+    loose = _of_many(3e-4)
+    assert loose.size(0, Shared(draws=1, loads=0, load=6e-4)).gain < 1
+    assert loose.size(0, Shared(draws=1, loads=0, load=1e-5)).gain > 10
+
+
 @pytest.mark.parametrize("unseen", ["harmonics", "ripples"])
 def test_uneven_gears_are_found_and_followed(unseen: str) -> None:
     uneven, log = _fit(unseen), _log(unseen)

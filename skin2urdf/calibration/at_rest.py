@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
+from skin2urdf.calibration.by_physics import gained
 from skin2urdf.calibration.clock import Clock
 from skin2urdf.calibration.rounds import Logs, Solution, Structure
-from skin2urdf.calibration.samples import fit_samples, gained
+from skin2urdf.calibration.samples import fit_samples
 from skin2urdf.errors import StructureError
 from skin2urdf.estimation.solve.estimate import estimate
 from skin2urdf.estimation.start.from_rests import state_of

@@ -15,6 +15,7 @@ import numpy as np
 from skin2urdf.calibration.at_rest import estimate_at_rest
 from skin2urdf.calibration.clock import Clock
 from skin2urdf.calibration.gravity_of_slides import with_gravity_of_slides
+from skin2urdf.calibration.late import late_publishers
 from skin2urdf.calibration.refusal import tell_of_moving_bases
 from skin2urdf.calibration.rounds import (
     Logs,
@@ -25,7 +26,7 @@ from skin2urdf.calibration.rounds import (
     sample_logs,
     take_features,
 )
-from skin2urdf.calibration.samples import fit_samples, late_publishers
+from skin2urdf.calibration.samples import fit_samples
 from skin2urdf.calibration.settings import CalibrationSettings
 from skin2urdf.errors import InsufficientDataError, Skin2UrdfError
 from skin2urdf.estimation.trajectory.estimate import MotionEstimate

@@ -14,19 +14,18 @@ import numpy as np
 
 from skin2urdf.calibration.at_rest import estimate_at_rest
 from skin2urdf.calibration.beginning import Beginning
+from skin2urdf.calibration.by_physics import (
+    differs_by_physics,
+    is_explained_by_physics,
+    names_what_differs_by_place,
+    without_false_hits,
+)
 from skin2urdf.calibration.clock import Clock
+from skin2urdf.calibration.moments import stands_out
 from skin2urdf.calibration.refusal import check_hope
 from skin2urdf.calibration.result import BAD_FIT, BAD_MISFIT, GOOD_FIT, HOPELESS_FIT
 from skin2urdf.calibration.rounds import Solution
-from skin2urdf.calibration.samples import (
-    differs_by_physics,
-    fit_samples,
-    is_explained_by_physics,
-    names_what_differs_by_place,
-    rejected,
-    stands_out,
-    without_false_hits,
-)
+from skin2urdf.calibration.samples import fit_samples, rejected
 from skin2urdf.calibration.taken_apart import retold, with_sus_apart
 from skin2urdf.errors import BadFitError, Skin2UrdfError, StructureError
 from skin2urdf.estimation.trajectory.estimate import MotionEstimate

@@ -13,15 +13,11 @@ from skin2urdf.calibration.around_poses import judged_by_samples
 from skin2urdf.calibration.beginning import Beginning, begin
 from skin2urdf.calibration.clock import Clock, Progress, Tell
 from skin2urdf.calibration.explanation import explain_readings
+from skin2urdf.calibration.late import clocks_in_all, late_publishers, late_sus
 from skin2urdf.calibration.refusal import check_fit, tell_of_moving_bases
 from skin2urdf.calibration.result import Calibration, Source, SuSource
 from skin2urdf.calibration.rounds import Solution
-from skin2urdf.calibration.samples import (
-    clocks_in_all,
-    late_publishers,
-    late_sus,
-    with_samples,
-)
+from skin2urdf.calibration.samples import with_samples
 from skin2urdf.calibration.settings import CalibrationSettings
 from skin2urdf.errors import BadFitError, InsufficientDataError
 from skin2urdf.estimation.trajectory.estimate import MotionEstimate

@@ -29,7 +29,7 @@ def promise(now: Attempt | None, candidate: Candidate, tried: int) -> float:
     left = max(chi2 - candidate.drop, _TINY * chi2) / _count(found)
     expected = _gain(found.misfit, left, _count(found), _looks(found))
     looks = _count(found) if left <= GOOD_FIT else _looks(found)
-    return expected + candidate.apart - _price(looks, added(now, candidate), tried)
+    return expected + candidate.apart - price_of(added(now, candidate), looks, tried)
 
 
 def brought(now: Attempt | None, after: Attempt, candidate: Candidate, tried: int) -> float:
@@ -72,10 +72,17 @@ def _gain(before: float, after: float, count: int, looks: int) -> float:
 def price(found: Estimate, parameters: int, tried: int, *, of_poses: bool = False) -> float:
     """Chi-squared that parameters and the choice among candidates cost."""
     looks = len(found.count) if of_poses else _looks(found)
-    return _price(_count(found) if found.misfit <= GOOD_FIT else looks, parameters, tried)
+    return price_of(parameters, _count(found) if found.misfit <= GOOD_FIT else looks, tried)
 
 
-def _price(looks: int, parameters: int, tried: int) -> float:
+def price_of(parameters: int, looks: float, tried: int = 1) -> float:
+    """Chi-squared that parameters cost beside so many measurements, or so many looks at SUs.
+
+    Args:
+        parameters: number of them.
+        looks: number of what they explain.
+        tried: among how many candidates they were chosen.
+    """
     return parameters * float(np.log(max(2, looks))) + 2 * float(np.log(max(1, tried)))
 
 

@@ -10,10 +10,10 @@ import numpy as np
 
 from skin2urdf.arrays import Int
 from skin2urdf.calibration.clock import Clock, Progress
+from skin2urdf.calibration.late import clocks_in_all, late_publishers
 from skin2urdf.calibration.pipeline import recordings_of, su_sources
 from skin2urdf.calibration.result import Source
 from skin2urdf.calibration.rounds import Logs, sample_logs
-from skin2urdf.calibration.samples import clocks_in_all, late_publishers
 from skin2urdf.calibration.settings import CalibrationSettings
 from skin2urdf.errors import InsufficientDataError
 from skin2urdf.faults import Fault, distinct

@@ -9,8 +9,8 @@ import pytest
 from calibrated import calibration, simulation
 from random_robots import small_arm
 
+from skin2urdf.calibration.late import clocks_in_all
 from skin2urdf.calibration.pipeline import calibrate
-from skin2urdf.calibration.samples import clocks_in_all
 from skin2urdf.calibration.settings import CalibrationSettings
 from skin2urdf.recording.retiming import retimed
 from skin2urdf.signals.records import SuClock

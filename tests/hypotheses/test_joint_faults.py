@@ -22,7 +22,8 @@ from simulated import (
 )
 
 from skin2urdf.arrays import F64
-from skin2urdf.calibration import samples
+from skin2urdf.calibration import by_physics
+from skin2urdf.calibration.by_physics import without_false_hits
 from skin2urdf.calibration.clock import Clock
 from skin2urdf.calibration.pipeline import calibrate
 from skin2urdf.calibration.result import Calibration
@@ -35,7 +36,7 @@ from skin2urdf.calibration.rounds import (
     sample_logs,
     take_features,
 )
-from skin2urdf.calibration.samples import fit_samples, without_false_hits
+from skin2urdf.calibration.samples import fit_samples
 from skin2urdf.calibration.settings import CalibrationSettings
 from skin2urdf.estimation.trajectory.estimate import MotionEstimate
 from skin2urdf.faults import Fault
@@ -290,10 +291,10 @@ def test_nothing_that_yields_is_tried_with_a_hit_in_a_log_that_leaves_only_noise
         return along
 
     solution, along = solved_panda(), along_panda()
-    monkeypatch.setattr(samples, "fit_samples", watched)
+    monkeypatch.setattr(by_physics, "fit_samples", watched)
     named = replace(solution, faults=(Fault("contact", "panda_joint4", log=0, begin=9.0, end=9.3),))
     without_false_hits(named, along, solution.logs, solution, lambda _: None)
-    monkeypatch.setattr(samples, "leaves_only_noise", lambda _: False)
+    monkeypatch.setattr(by_physics, "leaves_only_noise", lambda _: False)
     without_false_hits(named, along, solution.logs, solution, lambda _: None)
     assert most == [0.0, np.inf]
 

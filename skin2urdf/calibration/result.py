@@ -269,9 +269,12 @@ class Calibration(Record):
 
     @property
     def mostly_open(self) -> bool:
-        """Whether more than half of the SUs that a recording could place are not determined."""
+        """Whether more than half of the SUs that a recording could place are not determined.
+
+        Those that no place in the tree explains are among them.
+        """
         placed = self._placed
-        return 2 * placed.count("determined") < len(placed)
+        return 2 * placed.count("determined") < len(placed) + len(self.without_a_place)
 
     @property
     def implausible(self) -> tuple[str, ...]:

@@ -123,8 +123,10 @@ def is_to_repair(calibration: Calibration) -> bool:
     found = findings(calibration)
     # A log of rests alone leaves all positions open, and nothing is wrong with it where it tells
     # how most SUs are turned.
-    turned = 2 * sum(map(bool, found.unknown)) <= len(found.unknown)
-    missing = calibration.mostly_open and not (found.positions_open and turned)
+    turned = [not open_ for open_ in found.unknown]
+    all_sus = len(turned) + len(calibration.without_a_place)
+    of_use = found.positions_open and 2 * sum(turned) >= all_sus
+    missing = calibration.mostly_open and not of_use
     faulty = any(fault.to_repair for fault in calibration.faults)
     return missing or faulty or bool(calibration.implausible)
 

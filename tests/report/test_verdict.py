@@ -257,7 +257,26 @@ def test_rests_that_tell_how_sus_are_turned_are_of_use_and_others_are_not() -> N
     assert findings(all_open).positions_open
     assert is_to_repair(all_open)
     most = (directions,) * 3 + (directions[:3],) * 4
-    assert not is_to_repair(with_observability(su_verdict=none, su_unobservable=most))
+    rests = with_observability(su_verdict=none, su_unobservable=most)
+    assert not is_to_repair(rests)
+    assert is_to_repair(replace(rests, notes=(*rests.notes, *lost("a", "b"))))
+
+
+def lost(*sus: str) -> tuple[Note, ...]:
+    """SUs whose readings no place in the tree explains."""
+    return tuple(Note("su left out", sus=(su,), detail="no chain") for su in sus)
+
+
+def test_a_tree_that_most_sus_fit_nowhere_in_is_of_no_use_before_they_do() -> None:
+    """However well it explains the few that are left."""
+    sound = calibration()
+    placed = sound.observability.su_verdict.count("determined")
+    few = replace(sound, notes=(*sound.notes, *lost("a", "b")))
+    assert not few.mostly_open
+    assert not is_to_repair(few)
+    most = replace(sound, notes=(*sound.notes, *lost(*map(str, range(placed + 1)))))
+    assert most.mostly_open
+    assert is_to_repair(most)
 
 
 def test_sus_before_the_model_do_not_vouch_for_it() -> None:

@@ -1,9 +1,9 @@
 """Whether what carries all SUs stands still while no joint moves.
 
 As long as no joint moves, a robot is one rigid body, and gravity keeps its direction in all SUs. If
-the body turns, gravity turns by the same angle in each, however it is mounted: a joint that creeps,
-an SU that slips, or biases that drift turn it by other angles, or in some SUs alone. Only where no
-SU sits before the first joint does a creep of that one look the same.
+the body turns, gravity turns by the same angle in each, however it is mounted: an SU that slips, or
+biases that drift turn it by other angles, or in some SUs alone. Joints that creep to their rest
+turn what is beyond them, and may turn most SUs alike: by no more than they move.
 
 A base that drives, lifts or turns about a vertical axis turns gravity in no SU, and adds to what
 each feels, by other amounts at other places. That shows at the times when it speeds up or brakes.
@@ -79,9 +79,11 @@ def changes_at_rest(
             # One after the other: a rest may be as long as a log of a thousand SUs.
             seen = [_seen(readings[k : k + size][:, heard], rate) for k in first.tolist()]
             mean, sd = np.stack([m for m, _ in seen]), np.stack([d for _, d in seen])
-            angles.append(_turned(mean, sd))
             where = np.stack([q[k : k + size].mean(axis=0) for k in first.tolist()])
-            changes.append(_changed(mean, sd, np.abs(np.diff(where, axis=0)).sum(axis=1)))
+            # No SU is turned by more than all joints together.
+            crept = np.abs(np.diff(where, axis=0)).sum(axis=1)
+            angles.append(_turned(mean, sd, crept))
+            changes.append(_changed(mean, sd, crept))
     angle, change = np.concatenate(angles), np.concatenate(changes)
     most = 2 * np.count_nonzero(angle) > len(angle)
     return AtRest(_rms(angle) if most else 0.0, _rms(change))
@@ -104,19 +106,20 @@ def _seen(x: F64, rate: float) -> tuple[F64, F64]:
     return mean, noise * alone / np.maximum(np.linalg.norm(mean, axis=1), noise.clip(1e-12))
 
 
-def _turned(mean: F64, sd: F64) -> F64:
+def _turned(mean: F64, sd: F64, crept: F64) -> F64:
     """(P - 1,) angle between neighbours of P pieces [rad]; 0 where it is none.
 
     Args:
         mean: (P, U, 3) readings of each, and
         sd: (P, U) deviations of their directions [rad].
+        crept: (P - 1,) by how much all joints together moved [rad].
     """
     across = np.linalg.norm(np.cross(mean[1:], mean[:-1]), axis=2)
     angle = np.arctan2(across, np.einsum("pui,pui->pu", mean[1:], mean[:-1]))
     common = np.median(angle, axis=1)
     off = np.hypot(sd[1:], sd[:-1])
     alike = np.abs(angle - common[:, None]) < _CERTAIN * off + _ALIKE * common[:, None]
-    certain = common > np.maximum(_CERTAIN * np.median(off, axis=1), _LEAST)
+    certain = common > np.maximum(_CERTAIN * np.median(off, axis=1), _LEAST) + crept
     return np.where(certain & (alike.mean(axis=1) >= _MOST), common, 0.0)
 
 
@@ -126,7 +129,7 @@ def _changed(mean: F64, sd: F64, crept: F64) -> F64:
     Args:
         mean: (P, U, 3) readings of each, and
         sd: (P, U) deviations of their directions [rad].
-        crept: (P - 1,) by how much all joints together moved, which turns gravity by as much [rad].
+        crept: (P - 1,) by how much all joints together moved [rad].
     """
     change = np.linalg.norm(np.diff(mean, axis=0), axis=2)
     off = sd * np.linalg.norm(mean, axis=2)

@@ -111,6 +111,15 @@ def test_joints_that_creep_to_their_rest_are_no_base_that_moves() -> None:
     assert at_rest(x, q=creep[:, None]).change == 0.0
 
 
+def test_a_joint_before_all_sus_that_creeps_turns_them_alike_and_is_no_base() -> None:
+    creep = 0.04 * TIME
+    x = readings(np.tile(creep[:, None], SUS), np.random.default_rng(6))
+    assert at_rest(x).angle == pytest.approx(0.02, rel=0.2)  # as a base would
+    assert at_rest(x, q=creep[:, None]).angle == 0.0
+    # It turns nothing by more than it moves.
+    assert at_rest(x, q=0.1 * creep[:, None]).angle == pytest.approx(0.02, rel=0.2)
+
+
 def test_moments_that_stand_for_rests_tell_nothing_of_the_base() -> None:
     x = readings(swayed(0.05), np.random.default_rng(3))
     moving = (Rest(0, len(TIME), np.zeros(1), still=False),)

@@ -28,6 +28,7 @@ from skin2urdf.calibration.rounds import Solution
 from skin2urdf.calibration.samples import fit_samples, rejected
 from skin2urdf.calibration.taken_apart import retold, with_sus_apart
 from skin2urdf.errors import BadFitError, Skin2UrdfError, StructureError
+from skin2urdf.estimation.trajectory.displaced import one_alone_changed
 from skin2urdf.estimation.trajectory.estimate import MotionEstimate
 from skin2urdf.hypotheses.attempts import StandsOut
 from skin2urdf.hypotheses.kinds import KINDS
@@ -131,9 +132,15 @@ def _fit_along(
         return solution, None
     # No physics leaves so much in the features of any SU, be it weighed down or not.
     most = np.inf if solution.found.misfit <= HOPELESS_FIT else 0.0
-    along = known or clock.run(
-        "all samples", lambda tell: fit_samples(solution, tell, without=in_vain, most=most)
-    )
+    fitting = partial(fit_samples, solution, without=in_vain, most=most)
+    # Of an SU that slipped, or whose bias stepped, physics would be tried in vain.
+    may_be_one = known is None and not solution.faults and most > GOOD_FIT
+    along = known or clock.run("all samples", partial(fitting, unless_one_changed=may_be_one))
+    if along is not None and may_be_one and _is_left_to_one(along):
+        apart = with_sus_apart(solution, along, clock, of_patterns=begun.of_patterns)
+        if apart[1] is not along:
+            return apart
+        along = clock.run("all samples", fitting)
     if along is None:
         return solution, None
     first = begun.first
@@ -149,6 +156,11 @@ def _fit_along(
     if begun.of_patterns and along.misfit > GOOD_FIT:
         return _of_moves(begun, solution.found.tree.n_sus, clock) or (solution, along)
     return solution, along
+
+
+def _is_left_to_one(along: MotionEstimate) -> bool:
+    """Whether no physics was tried on what samples leave, as the change of an SU explains it."""
+    return not along.tried and one_alone_changed(along.problem, along.fitted, GOOD_FIT)
 
 
 def _of_moves(begun: Beginning, n_sus: int, clock: Clock) -> tuple[Solution, MotionEstimate] | None:

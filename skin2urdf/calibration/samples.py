@@ -41,6 +41,7 @@ def fit_samples(
     most: float = np.inf,
     without: Collection[str] = (),
     look_further: bool = True,
+    unless_one_changed: bool = False,
 ) -> MotionEstimate | None:
     """Fit all samples of mended logs, starting from what the features around poses say.
 
@@ -50,6 +51,7 @@ def fit_samples(
         most: misfit beyond which no physics is tried that a rigid robot has not.
         without: causes that need not be tried, see :func:`rejected`.
         look_further: whether any is tried.
+        unless_one_changed: whether none is where the change of a single SU explains what is left.
 
     Returns:
         None where most moments are around poses that have no samples to compare, as rests that were
@@ -82,7 +84,8 @@ def fit_samples(
     return estimate_along(
         independent(trajectories), tree, found.state, priors, latency, tell,
         most=most, without=without, look_further=look_further,
-        alike=settings.estimation.intrinsics, mended=_mended(logs.sampled, tree.su_names),
+        unless_one_changed=unless_one_changed, alike=settings.estimation.intrinsics,
+        mended=_mended(logs.sampled, tree.su_names),
     )  # fmt: skip
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,8 +13,11 @@ from random_robots import small_arm
 from simulated import held_against
 
 from skin2urdf.arrays import F64
+from skin2urdf.calibration import explanation
 from skin2urdf.calibration.pipeline import calibrate
 from skin2urdf.calibration.result import Calibration
+from skin2urdf.calibration.samples import fit_samples
+from skin2urdf.estimation.trajectory.estimate import MotionEstimate
 from skin2urdf.geometry.so3 import rotation_exp
 from skin2urdf.recording.records import Recording, SuStream
 from skin2urdf.recording.retiming import retimed
@@ -133,6 +137,24 @@ def test_a_bias_that_steps_is_no_slip(
     assert fault.deviation < 3e-3
     assert not fault.to_repair
     assert error(found, tmp_path_factory, name) < 1.5 * error(clean, tmp_path_factory, name)
+
+
+@pytest.mark.parametrize("n", [1, 2])
+def test_no_physics_is_tried_for_what_one_su_alone_shows(
+    n: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As long as a single one is all that is left: two that changed at once may be a joint."""
+    tried: list[bool] = []
+
+    def watched(*arguments: Any, **more: Any) -> MotionEstimate | None:
+        along = fit_samples(*arguments, **more)
+        tried.append(bool(along is not None and along.tried))
+        return along
+
+    monkeypatch.setattr(explanation, "fit_samples", watched)
+    found = calibrate(retimed(changed(last_names(n), lambda force: force + 0.2)))
+    assert any(tried) == (n == 2)
+    assert told(found) == [("bias step", *last_names(1))] * (n == 1)
 
 
 def test_sus_that_change_at_one_moment_did_not_do_so_by_themselves() -> None:

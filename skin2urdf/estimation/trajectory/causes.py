@@ -24,6 +24,7 @@ from skin2urdf.estimation.trajectory.attempt import (
     Explained,
     explains_most,
 )
+from skin2urdf.estimation.trajectory.displaced import one_alone_changed
 from skin2urdf.estimation.trajectory.elastic import UnderKnown
 from skin2urdf.estimation.trajectory.fit import Fitted
 from skin2urdf.estimation.trajectory.problem import MotionProblem
@@ -42,6 +43,7 @@ def explained(
     *,
     only_known: bool = False,
     without: Collection[str] = (),
+    unless_one_changed: bool = False,
 ) -> Explained:
     """Try what a rigid robot with steady sensors has not, where it does not explain the readings.
 
@@ -51,11 +53,15 @@ def explained(
         most: misfit of the rigid robot beyond which nothing is tried.
         only_known: try nothing but joints that yield under known torques.
         without: causes of what drifts and bends that need not be tried.
+        unless_one_changed: whether nothing is tried, either, where the change of a single SU
+            explains what the rigid robot leaves.
     """
     given = problem.priors.blueprint is not None
     places = slack(problem.tree, problem.logs, zeros_given=given)
     rigid = Attempt(problem, fitted, (), places)
     if rigid.misfit > min(most, _BEYOND):
+        return Explained(problem, fitted)
+    if unless_one_changed and one_alone_changed(problem, fitted, EXPLAINED):
         return Explained(problem, fitted)
     # What clocks leave goes with the motion, and may pass for noise of SUs that move.
     rigid = rigid.on_steady_clocks()

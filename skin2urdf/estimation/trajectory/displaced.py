@@ -24,7 +24,13 @@ from skin2urdf.arrays import F64, Bool, Int
 from skin2urdf.estimation.problem.state import N_PLACEMENT
 from skin2urdf.estimation.trajectory.arrow import Eliminated, eliminated, joint_inverse
 from skin2urdf.estimation.trajectory.fit import Fitted
-from skin2urdf.estimation.trajectory.misfit import SPAN, misfit_of_sus, span_edges, span_means
+from skin2urdf.estimation.trajectory.misfit import (
+    SPAN,
+    misfit,
+    misfit_of_sus,
+    span_edges,
+    span_means,
+)
 from skin2urdf.estimation.trajectory.problem import MotionProblem
 from skin2urdf.estimation.trajectory.spans import parts_of
 
@@ -88,6 +94,23 @@ def displaced(problem: MotionProblem, fitted: Fitted, among: Bool) -> tuple[Disp
             around = spans.around(best.span)
             out.append(Displaced(u, *around, best.gain, float(share)))
     return tuple(sorted(out, key=lambda each: -each.gain))
+
+
+def one_alone_changed(problem: MotionProblem, fitted: Fitted, limit: float) -> bool:
+    """Whether only one SU leaves more than noise, and all of that for having changed at some time.
+
+    Args:
+        problem: what was fitted.
+        fitted: the fit.
+        limit: misfit up to which nothing is left to explain, of an SU and, to first order, of all.
+    """
+    means, variances = span_means(problem, fitted.predicted, fitted.weights, SPAN)
+    suspicious = np.nan_to_num(misfit_of_sus(means, variances)) > limit
+    left, count = misfit(means, variances), int(np.isfinite(variances).sum())
+    if left <= limit or suspicious.sum() != 1:
+        return False
+    changes = displaced(problem, fitted, suspicious)
+    return bool(changes) and left - changes[0].gain / count <= limit
 
 
 @dataclass(frozen=True, eq=False)

@@ -309,6 +309,7 @@ def estimate_along(
     only_known: bool = False,
     without: Collection[str] = (),
     most: float = np.inf,
+    unless_one_changed: bool = False,
     iterations: int = 30,
     lengths: bool = True,
     alike: bool = False,
@@ -328,6 +329,7 @@ def estimate_along(
         only_known: then nothing but joints that yield under known torques is.
         without: causes of what drifts and bends that need not be tried.
         most: misfit beyond which they are not tried either.
+        unless_one_changed: nor, if so, where the change of one SU explains what is left.
         iterations: linearisations, at most, of a first fit and of the last.
         lengths: whether what the noise of encoders does to lengths is taken off.
         alike: whether what the samples show of some sensors tells how good the others are.
@@ -361,7 +363,10 @@ def estimate_along(
     if look_further and not _links_may_explain(problem, fitted):
         without = {*without, *BENDS}
     if look_further:
-        found = explained(problem, fitted, most, only_known=only_known, without=without)
+        found = explained(
+            problem, fitted, most, only_known=only_known, without=without,
+            unless_one_changed=unless_one_changed,
+        )  # fmt: skip
     ended = _ended(found, mended, lengths=lengths, alike=alike)
     if not is_in_balance(ended.problem, ended.fitted):
         # Whatever yields so is nothing that carries loads.

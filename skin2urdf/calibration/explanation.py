@@ -17,6 +17,7 @@ from skin2urdf.calibration.beginning import Beginning
 from skin2urdf.calibration.by_physics import (
     differs_by_physics,
     is_explained_by_physics,
+    leaves_only_noise,
     names_what_differs_by_place,
     without_false_hits,
 )
@@ -133,12 +134,12 @@ def _fit_along(
     # No physics leaves so much in the features of any SU, be it weighed down or not.
     most = np.inf if solution.found.misfit <= HOPELESS_FIT else 0.0
     fitting = partial(fit_samples, solution, without=in_vain, most=most)
-    # Of an SU that slipped, or whose bias stepped, physics would be tried in vain.
+    # On an SU that slipped, or whose bias stepped, physics would be tried in vain.
     may_be_one = known is None and not solution.faults and most > GOOD_FIT
     along = known or clock.run("all samples", partial(fitting, unless_one_changed=may_be_one))
     if along is not None and may_be_one and _is_left_to_one(along):
         apart = with_sus_apart(solution, along, clock, of_patterns=begun.of_patterns)
-        if apart[1] is not along:
+        if apart[1] is not along and not apart[1].causes and leaves_only_noise(apart[1]):
             return apart
         along = clock.run("all samples", fitting)
     if along is None:

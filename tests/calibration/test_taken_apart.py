@@ -139,6 +139,21 @@ def test_a_bias_that_steps_is_no_slip(
     assert error(found, tmp_path_factory, name) < 1.5 * error(clean, tmp_path_factory, name)
 
 
+def test_a_bias_that_drifts_does_not_step() -> None:
+    """However much of that a step in its middle explains: three quarters."""
+    recording, (name,) = sound().recording, last_names(1)
+
+    def drifting(su: SuStream) -> SuStream:
+        grown = (su.time - su.time[0]) / (su.time[-1] - su.time[0])
+        return replace(su, specific_force=su.specific_force + grown[:, None] * [0.04, -0.02, 0.03])
+
+    sus = tuple(drifting(su) if su.name == name else su for su in recording.sus)
+    found = calibrate(retimed(replace(recording, sus=sus)))
+    assert found.along is not None
+    assert found.along.causes == ("drift",)
+    assert told(found) == []
+
+
 @pytest.mark.parametrize("n", [1, 2])
 def test_no_physics_is_tried_for_what_one_su_alone_shows(
     n: int, monkeypatch: pytest.MonkeyPatch

@@ -102,15 +102,17 @@ def one_alone_changed(problem: MotionProblem, fitted: Fitted, limit: float) -> b
     Args:
         problem: what was fitted.
         fitted: the fit.
-        limit: misfit up to which nothing is left to explain, of an SU and, to first order, of all.
+        limit: misfit up to which nothing is left to explain, of all and of an SU, of which it is to
+            first order what a change leaves. A bias that drifts leaves more.
     """
     means, variances = span_means(problem, fitted.predicted, fitted.weights, SPAN)
-    suspicious = np.nan_to_num(misfit_of_sus(means, variances)) > limit
-    left, count = misfit(means, variances), int(np.isfinite(variances).sum())
-    if left <= limit or suspicious.sum() != 1:
+    of_sus = np.nan_to_num(misfit_of_sus(means, variances))
+    suspicious = of_sus > limit
+    if misfit(means, variances) <= limit or suspicious.sum() != 1:
         return False
     changes = displaced(problem, fitted, suspicious)
-    return bool(changes) and left - changes[0].gain / count <= limit
+    worst = float(of_sus.max())
+    return bool(changes) and worst - changes[0].share * (worst - 1) <= limit
 
 
 @dataclass(frozen=True, eq=False)

@@ -29,7 +29,6 @@ from skin2urdf.calibration.rounds import Solution
 from skin2urdf.calibration.samples import fit_samples, rejected
 from skin2urdf.calibration.taken_apart import retold, with_sus_apart
 from skin2urdf.errors import BadFitError, Skin2UrdfError, StructureError
-from skin2urdf.estimation.trajectory.displaced import one_alone_changed
 from skin2urdf.estimation.trajectory.estimate import MotionEstimate
 from skin2urdf.hypotheses.attempts import StandsOut
 from skin2urdf.hypotheses.kinds import KINDS
@@ -135,9 +134,9 @@ def _fit_along(
     most = np.inf if solution.found.misfit <= HOPELESS_FIT else 0.0
     fitting = partial(fit_samples, solution, without=in_vain, most=most)
     # On an SU that slipped, or whose bias stepped, physics would be tried in vain.
-    may_be_one = known is None and not solution.faults and most > GOOD_FIT
-    along = known or clock.run("all samples", partial(fitting, unless_one_changed=may_be_one))
-    if along is not None and may_be_one and _is_left_to_one(along):
+    at_first = partial(fitting, unless_one_changed=not solution.faults)
+    along = known or clock.run("all samples", at_first)
+    if along is not None and along.left_to_one:
         apart = with_sus_apart(solution, along, clock, of_patterns=begun.of_patterns)
         if apart[1] is not along and not apart[1].causes and leaves_only_noise(apart[1]):
             return apart
@@ -157,11 +156,6 @@ def _fit_along(
     if begun.of_patterns and along.misfit > GOOD_FIT:
         return _of_moves(begun, solution.found.tree.n_sus, clock) or (solution, along)
     return solution, along
-
-
-def _is_left_to_one(along: MotionEstimate) -> bool:
-    """Whether no physics was tried on what samples leave, as the change of an SU explains it."""
-    return not along.tried and one_alone_changed(along.problem, along.fitted, GOOD_FIT)
 
 
 def _of_moves(begun: Beginning, n_sus: int, clock: Clock) -> tuple[Solution, MotionEstimate] | None:

@@ -16,7 +16,9 @@ _LISTED = 6
 _WHY = {
     "no readings": "it has no usable readings",
     "no chain": "no chain of joints explains what it feels; put SUs on the segments before it if "
-    "they have none, else see whether its clock is off: move from rest to rest, which shows it",
+    "they have none, else see whether its clock is off (move from rest to rest, which shows it), "
+    "or whether the position of a joint before it depends on another one (a coupled drive, a "
+    "parallelogram): then give positions of the joints themselves",
     "never moved": "it never moved in this log",
     "not alone": "it moved, but neither alone nor in a pattern, so what it moves is not known",
     "turns no gravity": (

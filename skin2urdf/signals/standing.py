@@ -80,7 +80,7 @@ def changes_at_rest(
             seen = [_seen(readings[k : k + size][:, heard], rate) for k in first.tolist()]
             mean, sd = np.stack([m for m, _ in seen]), np.stack([d for _, d in seen])
             where = np.stack([q[k : k + size].mean(axis=0) for k in first.tolist()])
-            # No SU is turned by more than all joints together.
+            # No SU is turned by more than all joints together; one that slides counts as if it did.
             crept = np.abs(np.diff(where, axis=0)).sum(axis=1)
             angles.append(_turned(mean, sd, crept))
             changes.append(_changed(mean, sd, crept))
@@ -112,7 +112,7 @@ def _turned(mean: F64, sd: F64, crept: F64) -> F64:
     Args:
         mean: (P, U, 3) readings of each, and
         sd: (P, U) deviations of their directions [rad].
-        crept: (P - 1,) by how much all joints together moved [rad].
+        crept: (P - 1,) by how much all joints together moved [rad or m].
     """
     across = np.linalg.norm(np.cross(mean[1:], mean[:-1]), axis=2)
     angle = np.arctan2(across, np.einsum("pui,pui->pu", mean[1:], mean[:-1]))
@@ -129,7 +129,7 @@ def _changed(mean: F64, sd: F64, crept: F64) -> F64:
     Args:
         mean: (P, U, 3) readings of each, and
         sd: (P, U) deviations of their directions [rad].
-        crept: (P - 1,) by how much all joints together moved [rad].
+        crept: (P - 1,) by how much all joints together moved [rad or m].
     """
     change = np.linalg.norm(np.diff(mean, axis=0), axis=2)
     off = sd * np.linalg.norm(mean, axis=2)

@@ -80,6 +80,7 @@ class Explained:
             not see; None where none do, or torques are not known.
         wander: per log (N,) by how much later its readings were taken as clocks wander [s]; ()
             where they do not.
+        left_to_one: whether nothing was tried, as what is left is the change of a single SU.
     """
 
     problem: MotionProblem
@@ -88,6 +89,7 @@ class Explained:
     tried: Mapping[str, float] = field(default_factory=dict)
     under_known: UnderKnown | None = None
     wander: tuple[F64, ...] = ()
+    left_to_one: bool = False
 
 
 @dataclass(frozen=True, eq=False)

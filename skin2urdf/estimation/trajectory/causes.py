@@ -62,7 +62,7 @@ def explained(
     if rigid.misfit > min(most, _BEYOND):
         return Explained(problem, fitted)
     if unless_one_changed and one_alone_changed(problem, fitted, EXPLAINED):
-        return Explained(problem, fitted)
+        return Explained(problem, fitted, left_to_one=True)
     # What clocks leave goes with the motion, and may pass for noise of SUs that move.
     rigid = rigid.on_steady_clocks()
     if not (rigid.lacks or rigid.certain_curvature):

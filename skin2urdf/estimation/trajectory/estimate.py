@@ -92,6 +92,7 @@ class MotionEstimate:
         loads: what it does through the loads that links bend under; None where they do not.
         wander: per log (N,) by how much later its readings were taken as clocks wander [s]; ()
             where they do not.
+        left_to_one: whether no cause was tried, as what is left is the change of a single SU.
     """
 
     problem: MotionProblem
@@ -106,6 +107,7 @@ class MotionEstimate:
     hidden: tuple[tuple[F64, F64], ...] = ()
     loads: ShakenLoads | None = None
     wander: tuple[F64, ...] = ()
+    left_to_one: bool = False
 
     @property
     def state(self) -> State:
@@ -382,7 +384,7 @@ def estimate_along(
     what = found.causes, found.tried, found.under_known
     return MotionEstimate(
         problem, fitted, left, gyros, *what, late, ended.corrected, ended.hidden, ended.loads,
-        found.wander,
+        found.wander, found.left_to_one,
     )  # fmt: skip
 
 

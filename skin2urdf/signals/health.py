@@ -103,16 +103,21 @@ def checked(
         pauses: begin and end of the times at which no joints were recorded either [s].
     """
 
-    def resting(su: SuStream) -> tuple[Bool, float, float]:
+    def resting(su: SuStream) -> tuple[Bool, float, float, float]:
         still = _within(su.time, rests)
         values = su.specific_force
-        found = still, _repeated(values[still]), rest_noise(values, still)
+        found = (
+            still,
+            _repeated(values[still]),
+            rest_noise(values, still),
+            _digit_of(_steps_at_rest(values, still)),
+        )
         su.put_away()
         return found
 
     of_all = list(each(resting, sus, len(sus)))
-    still = [moments for moments, _, _ in of_all]
-    at_rest, noise = (np.array([found[i] for found in of_all]) for i in (1, 2))
+    still = [found[0] for found in of_all]
+    at_rest, noise, digit = (np.array([found[i] for found in of_all]) for i in (1, 2, 3))
 
     def look(u: int) -> Checked:
         su = sus[u]
@@ -123,8 +128,12 @@ def checked(
         if not kept.all():
             whole = su.at(kept)
         if not faults:
-            faults = [*_silences(su, span), *_losses(su, pauses), *_noisiness(su.name, u, noise)]
-        if impulses := _impulses(su, rests, noise[u]):
+            faults = [
+                *_silences(su, span),
+                *_losses(su, pauses),
+                *_noisiness(su.name, u, noise, digit),
+            ]
+        if impulses := _impulses(su, rests, max(noise[u], digit[u])):
             # While the robot moves nothing tells them from readings, and their mean is not zero.
             kept, whole = np.zeros_like(kept), su.at(np.zeros_like(kept))
             faults = [f for f in faults if f.kind != "noisy"] + impulses
@@ -174,8 +183,19 @@ def _repeated(samples: F64) -> float:
 
 def rest_noise(samples: F64, still: Bool) -> float:
     """Standard deviation of white noise [m/s^2] from the steps between samples (M, 3) at rest."""
-    steps = np.diff(samples, axis=0)[still[1:] & still[:-1]]
+    steps = _steps_at_rest(samples, still)
     return float(np.sqrt(np.median(steps**2, axis=0).mean() / 2) / 0.6745) if len(steps) else 0.0
+
+
+def _steps_at_rest(samples: F64, still: Bool) -> F64:
+    """(K, 3) from each of the samples (M, 3) at rest to the next one [m/s^2]."""
+    return np.diff(samples, axis=0)[still[1:] & still[:-1]]
+
+
+def _digit_of(steps: F64) -> float:
+    """The smallest step that is one, which is a digit of a sensor that has digits [m/s^2]."""
+    sizes = np.abs(steps)
+    return float(sizes.min(initial=np.inf, where=sizes > 0)) if sizes.any() else 0.0
 
 
 def _thawed(su: SuStream, still: Bool, chance: float) -> tuple[Bool, list[Fault]]:
@@ -285,11 +305,15 @@ def _losses(su: SuStream, pauses: Sequence[tuple[float, float]]) -> list[Fault]:
     return [Fault("intermittent", su.name, begin=float(begin), end=float(end), size=share)]
 
 
-def _noisiness(name: str, u: int, noise: F64) -> list[Fault]:
-    """The fault of being far noisier than the other SUs."""
+def _noisiness(name: str, u: int, noise: F64, digit: F64) -> list[Fault]:
+    """The fault of being far noisier than the other SUs.
+
+    Where a digit is coarser than noise, more than half of the steps are none or one of these, which
+    looks like no noise or like as much as a digit, by where the readings lie.
+    """
     if len(noise) < 3:
         return []
-    usual = max(float(np.median(np.delete(noise, u))), _LEAST_NOISE)
+    usual = max(float(np.median(np.delete(noise, u))), float(digit[u]), _LEAST_NOISE)
     if noise[u] < _NOISY * usual:
         return []
     return [Fault("noisy", name, size=float(noise[u] / usual))]
@@ -304,19 +328,18 @@ def _impulses(su: SuStream, rests: Sequence[tuple[float, float]], noise: float) 
     Args:
         su: the stream.
         rests: begin and end of the times at which the robot rests [s].
-        noise: standard deviation of its noise, as most samples at rest show it [m/s^2].
+        noise: standard deviation of its noise, as most samples at rest show it, or its digit where
+            this is more [m/s^2].
     """
-    sizes, digit, still = [], np.inf, []
+    sizes, still = [], []
     for begin, end in rests:
         a, b = np.searchsorted(su.time, [begin, end])
         if b - a > 2:
             still.append(su.specific_force[a:b])
-            steps = np.abs(np.diff(still[-1], axis=0))
             # Of what swings on at the begin of a rest a sample is near the mean of its neighbours.
             bends = np.diff(still[-1], n=2, axis=0)
             sizes.append(float(np.sqrt((bends**2).mean() / 6)))
-            digit = min(digit, float(steps[steps > 0].min(initial=np.inf)))
-    usual = float(max(noise, digit if np.isfinite(digit) else 0.0, _LEAST_NOISE))
+    usual = max(noise, _LEAST_NOISE)
     times = float(np.median(sizes)) / usual if sizes else 0.0
     if times < _IMPULSIVE or not _leans(still, _NOISY * usual):
         return []

@@ -71,6 +71,15 @@ def test_a_spread_of_noise_is_no_fault() -> None:
     assert kinds(*alike, stream(noise(sd=0.1, seed=9)))[-1] == ["noisy"]
 
 
+def test_no_su_is_noisy_whose_readings_lie_at_the_edge_of_a_digit() -> None:
+    """With digits of twice the noise most steps are none within one, and a digit at its edge."""
+    within = [stream(np.round(noise(sd=0.0047, seed=i) / 0.01) * 0.01) for i in range(3)]
+    edge = stream(np.round((noise(sd=0.0047, seed=3) + 0.005) / 0.01) * 0.01)
+    assert kinds(*within, edge) == [[]] * 4
+    loud = stream(np.round(noise(sd=0.08, seed=4) / 0.01) * 0.01)
+    assert kinds(*within, loud) == [[], [], [], ["noisy"]]
+
+
 def test_values_that_no_motion_made_cost_an_su_and_a_hit_does_not() -> None:
     rests = [(2.0 * k, 2.0 * k + 1.5) for k in range(10)]
     rng = np.random.default_rng(3)

@@ -6,12 +6,12 @@ loads: both are solved for by Newton's method.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from skin2urdf.arrays import F64
+from skin2urdf.arrays import F64, Bool
 from skin2urdf.estimation.problem.state import State
 from skin2urdf.estimation.trajectory.bending import PAIRS, SPINDLE, UNLIKE, Bending
 from skin2urdf.estimation.trajectory.coarser import coarser, on_grid
@@ -73,7 +73,7 @@ def bending(
     square = np.zeros((len(parts), len(size), len(size)))
     count = 0
     for g, log in enumerate(logs):
-        for Y, _ in regressors(tree, state, g, gravity, log, base=base):
+        for Y, _ in regressors(tree, state, g, gravity, coarser(log, _step(log)), base=base):
             deflection = Y[:, parts] * size * unit[:, None]
             square += np.einsum("nri,nrj->rij", deflection, deflection, optimize=True)
             count += len(Y)
@@ -147,7 +147,7 @@ def balanced(
     about = replace(about, origin=x)
     sizes, of_logs, bent, all_springs, every, holds = [], [], [], [], [], True
     for g, (log, beyond) in enumerate(zip(logs, before, strict=True)):
-        step = max(1, int(log.rate / (_PER_CUTOFF * noise_bandwidth(log.taps, log.rate))))
+        step = _step(log)
         within = slice(int(log.kept[0]) // step, int(log.kept[-1]) // step + 1)
         of_log = Loaded(tree, state, g, gravity, coarser(log, step), about, within)
         beyond = beyond[::step]
@@ -207,22 +207,35 @@ class Balance:
             of_log.motions(beyond, springs).reshape(len(beyond), -1)
             for of_log, beyond, springs in zip(self.of_logs, self.bent, self.springs, strict=True)
         ]
-        numbers = np.arange(still.n_numbers)
+        numbers = np.arange(motions[0].shape[1] // len(still.joint))
         most = int(
             np.argmax(np.max([np.ptp(e[:, still.parts], axis=0) for e in still.settled], axis=0))
         )
         held = np.ones((len(still.joint), len(numbers)), dtype=bool)
-        held[:, len(still.basis) + most] = False  # what one part yields is the scale of all
-        shows = held & (np.max([np.abs(m).max(axis=0) for m in motions], axis=0) > 0).reshape(
-            held.shape
-        )
+        # What one part yields is the scale of all.
+        held[:, numbers == len(still.basis) + most] = False
+        moves = np.any([m.any(axis=0) for m in motions], axis=0)
+        shows = held & moves.reshape(held.shape)
         joint, number = np.broadcast_arrays(still.joint[:, None], numbers)
         return replace(
             still,
             joint=joint[shows],
-            motions=tuple(m[:, shows.ravel()] for m in motions),
+            motions=tuple(_columns(motions, shows.ravel())),
             number=number[shows],
         )
+
+
+def _step(log: Trajectory) -> int:
+    """Grid samples from one at which deflections are worked out to the next."""
+    return max(1, int(log.rate / (_PER_CUTOFF * noise_bandwidth(log.taps, log.rate))))
+
+
+def _columns(of_all: list[F64], shows: Bool) -> Iterator[F64]:
+    """Some columns of each array, which are read-only; what they are taken from goes at once."""
+    while of_all:
+        some = of_all.pop(0)[:, shows]
+        some.flags.writeable = False
+        yield some
 
 
 def _beyond(tree: KinematicTree, log: Trajectory, moved: Trajectory) -> F64:

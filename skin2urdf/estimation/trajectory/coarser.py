@@ -6,9 +6,10 @@ Motions that were low-passed hold nothing beyond it: each so many-th sample tell
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from skin2urdf.arrays import F64, Int
 from skin2urdf.signals.filters import (
@@ -59,28 +60,35 @@ def on_grid(x: F64, step: int, size: int) -> F64:
     return x if step == 1 else np.asarray(_between(np.arange(size), step, len(x)) @ x)
 
 
-def passed_at_kept(x: F64, step: int, log: Trajectory) -> F64:
+def passed_at_kept(x: F64, step: int, log: Trajectory, dtype: type[np.floating]) -> NDArray[Any]:
     """(3, C, K) values and their first two derivatives, low-passed, where a log is compared.
 
     Args:
         x: (M, C) at each so many-th sample of the log's grid.
         step: grid samples from one to the next.
         log: the log.
+        dtype: of the result.
     """
     coarse = coarser(log, step)
     largest = np.abs(x).max(initial=0.0)
     at, rate = log.kept, coarse.rate
     if step == 1 and _in_a_row(at):
-        return _passed(x, log)
-    x = filtered(x, coarse.taps)
-    x[np.abs(x) < _NOTHING * largest] = 0.0
-    if step == 1:
-        derived = first_derivative(x, rate, at), second_derivative(x, rate, at)
-        return np.stack([each.T for each in (x[at], *derived)])
-    between = _between(at, step, len(x))
-    of_first = between @ _differences(FIRST_DIFFERENCES * rate, len(x))
-    of_second = between @ _differences(SECOND_DIFFERENCES * rate**2, len(x))
-    return np.stack([(matrix @ x).T for matrix in (between, of_first, of_second)])
+        return _passed(x, log, dtype)
+    if step > 1:
+        between = _between(at, step, len(x))
+        of_first = between @ _differences(FIRST_DIFFERENCES * rate, len(x))
+        of_second = between @ _differences(SECOND_DIFFERENCES * rate**2, len(x))
+    out = np.empty((3, x.shape[1], len(at)), dtype=dtype)
+    for first in range(0, x.shape[1], _TOGETHER):
+        some = slice(first, first + _TOGETHER)
+        here = filtered(x[:, some], coarse.taps)
+        here[np.abs(here) < _NOTHING * largest] = 0.0
+        if step > 1:
+            out[:, some] = [(matrix @ here).T for matrix in (between, of_first, of_second)]
+            continue
+        derived = first_derivative(here, rate, at), second_derivative(here, rate, at)
+        out[:, some] = [each.T for each in (here[at], *derived)]
+    return out
 
 
 def _in_a_row(at: Int) -> bool:
@@ -88,7 +96,7 @@ def _in_a_row(at: Int) -> bool:
     return len(at) > 1 and bool((np.diff(at) == at[1] - at[0]).all())
 
 
-def _passed(x: F64, log: Trajectory) -> F64:
+def _passed(x: F64, log: Trajectory, dtype: type[np.floating]) -> NDArray[Any]:
     """The same of values (N, C) on the log's grid, where samples are compared in a row."""
     at, every = log.kept, int(log.kept[1] - log.kept[0])
     slopes = FIRST_DIFFERENCES * log.rate, SECOND_DIFFERENCES * log.rate**2
@@ -98,7 +106,7 @@ def _passed(x: F64, log: Trajectory) -> F64:
     reach = filters.shape[1] // 2
     # Ends repeat the outermost samples.
     around = np.arange(at[0] - reach, at[-1] + reach + 1).clip(0, len(x) - 1)
-    out = np.empty((3, x.shape[1], len(at)))
+    out = np.empty((3, x.shape[1], len(at)), dtype=dtype)
     for first in range(0, x.shape[1], _TOGETHER):
         some = slice(first, first + _TOGETHER)
         here = np.ascontiguousarray(x[around, some].T)

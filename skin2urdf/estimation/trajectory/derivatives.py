@@ -8,7 +8,7 @@ from functools import cached_property, partial
 
 import numpy as np
 
-from skin2urdf.arrays import F64, Bool, Int
+from skin2urdf.arrays import F32, F64, Bool, Int
 from skin2urdf.estimation.problem.state import (
     JOINT_COORDINATES,
     N_JOINT,
@@ -107,7 +107,7 @@ class Derivatives:
         )
 
     @cached_property
-    def _motions(self) -> tuple[F64, ...]:
+    def _motions(self) -> tuple[F32, ...]:
         """Per log what each number moves; steps that fail never ask."""
         return self.unseen.at_kept(self.logs) if self.unseen else ()
 

@@ -246,7 +246,7 @@ def _standing(problem: MotionProblem) -> Unseen | None:
         return None
     kept = []
     for motions in unseen.at_kept(problem.logs):
-        here = np.zeros_like(motions[:, :, ::EVERY])
+        here = np.zeros(motions[:, :, ::EVERY].shape)
         here[0] = motions[0, :, ::EVERY]
         kept.append(here)
     return Unseen(

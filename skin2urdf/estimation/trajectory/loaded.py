@@ -29,6 +29,8 @@ _LATE = 2e-3
 """Time by which dampers make deflections late [s]: a twentieth of the critical damping at 8 Hz."""
 _SLOWLY = 2
 """Samples from one at which inertias are worked out to the next: some 30 ms."""
+_TOGETHER = 16
+"""Numbers whose motions are worked out at once, so that what is copied for them stays small."""
 _FAR = 3.0
 """Logarithm that it does not reach: nothing is late by more than a sixth of a swing at 4 Hz."""
 
@@ -74,15 +76,43 @@ class Loaded:
     def motions(self, beyond: F64, springs: Springs) -> F64:
         """(N, R or R + 3, S) what parts do, and the base's shifts, per unit of each number.
 
+        Where nothing has a load yet, no number but the P loads moves anything, and S is P.
+
         Args:
             beyond: (N, D + 6) deflections about which that is [rad or m].
             springs: how deflections follow their loads there.
         """
+        found = self.found
+        out = self._loaded_by_loads(beyond) if self._at_rest else self._loaded(beyond)
+        out *= self._there[:, None, None]
+        for first in range(0, out.shape[2], _TOGETHER):
+            some = slice(first, first + _TOGETHER)
+            out[..., some] = self.log.smooth(springs.bent(out[..., some]))
+        if not found.base:
+            return out
+        shifts = np.einsum("ji,njs->nis", skew(found.lever), out[:, -3:])
+        if not self._at_rest:
+            for i in range(3):
+                shifts[:, :, i - 3] += beyond[:, self._turns] @ skew(np.eye(3)[i])
+        return np.concatenate([out, shifts], axis=1)
+
+    @property
+    def _at_rest(self) -> bool:
+        """Whether nothing has a load yet, so that nothing bends and no inertia is known."""
+        return not self.found.origin.any()
+
+    def _loaded_by_loads(self, beyond: F64) -> F64:
+        """(N, R, P) what loads the springs, per unit of each load."""
+        tau, _ = self._under(beyond, self.found.basis)
+        return np.asarray(np.matmul(-self.found.compliance, tau))
+
+    def _loaded(self, beyond: F64) -> F64:
+        """(N, R, S) what loads the springs, per unit of each number, where they are bent."""
         found, C = self.found, self.found.compliance
         P, R, S = len(found.basis), len(found.parts), found.n_numbers
         tau, force = self._under(beyond, found.basis)
         out = np.zeros((len(beyond), R, S))
-        out[..., :P] = -np.einsum("rs,nsp->nrp", C, tau, optimize=True)
+        np.matmul(-C, tau, out=out[..., :P])
         robot, force = (each @ found.origin[:P] for each in (tau, force))
         rates = first_derivative(beyond[:, found.parts], self.log.rate)
         # The base's dampers and its own inertia load its springs as the robot does.
@@ -102,14 +132,7 @@ class Loaded:
             self._write_base(out, tau, a)
             for i in range(3):
                 out[:, :, S - 3 + i] = -self._deeper(i, robot, force, beyond) @ C
-        out *= self._there[:, None, None]
-        bent = self.log.smooth(springs.bent(out))
-        if not found.base:
-            return bent
-        shifts = np.einsum("ji,njs->nis", skew(found.lever), bent[:, -3:])
-        for i in range(3):
-            shifts[:, :, S - 3 + i] += beyond[:, self._turns] @ skew(np.eye(3)[i])
-        return np.concatenate([bent, shifts], axis=1)
+        return out
 
     def springs(self, beyond: F64) -> Springs:
         """How deflections follow their loads along a motion.
@@ -117,7 +140,11 @@ class Loaded:
         Args:
             beyond: (N, D + 6) of the links beyond the encoders [rad or m].
         """
-        found = self.found
+        found, size = self.found, len(beyond)
+        damped = self._damped * self._late
+        if self._at_rest:
+            none = np.zeros((1, *found.compliance.shape))
+            return Springs(found.compliance, none, damped, self.log.rate, size)
         thin = slice(None, None, _SLOWLY)
         moved = self._moved(beyond)
         moved = replace(moved, q=moved.q[thin], qd=moved.qd[thin], qdd=moved.qdd[thin])
@@ -125,11 +152,11 @@ class Loaded:
         of_all = joint_inertias(self.tree, self.state, moved, self._parameters, base=found.base)
         moves = self._moves[: of_all.shape[1]]
         inertia = moves.T @ of_all @ moves + self._own_inertia()
-        at = np.minimum(np.arange(len(beyond)) / _SLOWLY, len(q) - 1)
+        at = np.minimum(np.arange(size) / _SLOWLY, len(q) - 1)
         low = at.astype(np.int64)
         high, part = np.minimum(low + 1, len(q) - 1), (at - low)[:, None, None]
         inertia = (1 - part) * inertia[low] + part * inertia[high]
-        return Springs(found.compliance, inertia, self._damped * self._late, self.log.rate)
+        return Springs(found.compliance, inertia, damped, self.log.rate)
 
     @cached_property
     def _there(self) -> F64:

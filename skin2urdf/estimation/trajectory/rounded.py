@@ -38,7 +38,7 @@ def rounded_off_again(logs: Sequence[Trajectory]) -> Unseen | None:
     kept = tuple(np.empty((3, DRAWS, D, len(log.kept))) for log in logs)
     for draw, off_of_logs in enumerate(drawn_anew(logs)):
         for log, drawn, off in zip(logs, kept, off_of_logs, strict=True):
-            drawn[:, draw] = passed_at_kept(off, 1, log)
+            drawn[:, draw] = passed_at_kept(off, 1, log, np.float64)
     flat = tuple(each.reshape(3, DRAWS * D, -1) for each in kept)
     joint, number = np.tile(np.arange(D), DRAWS), np.repeat(np.arange(DRAWS), D)
     return Unseen(joint, (), number=number, kept=flat)

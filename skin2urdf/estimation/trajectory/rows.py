@@ -14,7 +14,7 @@ from functools import cached_property
 
 import numpy as np
 
-from skin2urdf.arrays import F64, Bool, Int
+from skin2urdf.arrays import F32, F64, Bool, Int
 from skin2urdf.estimation.trajectory.unseen import Unseen
 
 _BLOCK = 512
@@ -68,7 +68,7 @@ class Beyond:
     """
 
     unseen: Unseen
-    motions: F64
+    motions: F32
     first: int
 
     def blocks(self, joints: Int, by_motion: F64) -> Iterator[tuple[slice, Int, F64]]:

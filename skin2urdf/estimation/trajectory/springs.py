@@ -30,14 +30,18 @@ class Springs:
 
     Args:
         compliance: (R, R) symmetric.
-        inertia: (N, R, R) that goes with it: their product is in s^2. What resonates too fast for
-            steps of fourth order has such of second order, which are stable for any; inertia below
-            none, as of masses that are not found yet, counts as none.
+        inertia: (N, R, R) that goes with it, or (1, R, R) where it stays as it is: their product is
+            in s^2. What resonates too fast for steps of fourth order has such of second order,
+            which are stable for any; inertia below none, as of masses that are not found yet,
+            counts as none.
         late: (R, R) compliance times damping [s].
         rate: samples per second [Hz].
+        size: N, where it is not said by the inertia.
     """
 
-    def __init__(self, compliance: F64, inertia: F64, late: F64, rate: float) -> None:
+    def __init__(
+        self, compliance: F64, inertia: F64, late: F64, rate: float, size: int | None = None
+    ) -> None:
         self._h = h = 1 / rate
         self._late = late
         root, inverse = roots(compliance)
@@ -51,9 +55,15 @@ class Springs:
         there, back = there * unit[:, None], unit[..., None] * back
         damped = back @ (0.5 * h * self._late) @ there
         turned_round = there @ np.linalg.inv(np.eye(len(compliance)) + damped) @ back
-        self._n = len(inertia)
-        self._length = length = max(1, round(np.sqrt(self._n)))
-        self._inverse, self._later = _in_blocks(turned_round, length), _in_blocks(later, length)
+        self._n = len(inertia) if size is None else size
+        self._length = max(1, round(np.sqrt(self._n)))
+        self._inverse, self._later = self._along(turned_round), self._along(later)
+
+    def _along(self, steps: F64) -> F64:
+        """(B or 1, L, R, R) what takes each step, in blocks of the time; one block that stays."""
+        if len(steps) == 1:
+            return np.broadcast_to(steps, (1, self._length, *steps.shape[1:]))
+        return _in_blocks(steps, self._length)
 
     def bent(self, loads: F64) -> F64:
         """(N, R, S) deflections by loads (N, R, S), from rest in balance with the first.
@@ -66,7 +76,8 @@ class Springs:
         begin[0] = loads[0]
         blocks = _in_blocks(loads, self._length)
         out, ends = self._stepped(blocks, np.zeros((3, len(blocks), *loads.shape[1:])))
-        moved_on, at_end = self._from_units
+        of_all = (np.broadcast_to(x, (len(blocks), *x.shape[1:])) for x in self._from_units)
+        moved_on, at_end = of_all
         state = begin
         for b in range(len(blocks)):
             flat = state.reshape(3 * R, -1)

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from skin2urdf.arrays import F64, Int, Record, frozen
+from skin2urdf.arrays import F32, F64, Int, Record, frozen
 from skin2urdf.estimation.trajectory.coarser import on_grid, passed_at_kept
 from skin2urdf.estimation.trajectory.skeleton import N_HINGES
 from skin2urdf.signals.filters import first_derivative, second_derivative
@@ -60,7 +60,7 @@ class Unseen(Record):
     kept: tuple[F64, ...] = field(default=(), kw_only=True)
     several: tuple[Unseen, ...] = field(default=(), kw_only=True)
     slow: bool = field(default=False, kw_only=True)
-    _known: tuple[list[NDArray[Any]], tuple[F64, ...]] | None = field(
+    _known: tuple[list[NDArray[Any]], tuple[F32, ...]] | None = field(
         default=None, init=False, repr=False
     )
 
@@ -90,18 +90,19 @@ class Unseen(Record):
     def n_columns(self) -> int:
         """M."""
         if self.several:
-            return sum(each.n_columns for each in self.several)
+            return sum(each.n_columns for each in _unlike(self.several))
         return int(self.kept[0].shape[1] if self.kept else self.motions[0].shape[1])
 
-    def at_kept(self, logs: Sequence[Trajectory]) -> tuple[F64, ...]:
+    def at_kept(self, logs: Sequence[Trajectory]) -> tuple[F32, ...]:
         """Per log (3, M, K): motions and their derivatives at the samples compared.
 
-        They are low-passed as predictions are: readings feel what is left then.
+        They are low-passed as predictions are: readings feel what is left then. Nothing but
+        derivatives is made of them, for which seven digits do: a humanoid's take gigabytes.
         """
         if self.kept:
-            return self.kept
+            return tuple(each.astype(np.float32) for each in self.kept)
         if self.several:
-            parts = zip(*(each.at_kept(logs) for each in self.several), strict=True)
+            parts = zip(*(each.at_kept(logs) for each in _unlike(self.several)), strict=True)
             return tuple(np.concatenate(each, axis=1) for each in parts)
         # Several problems of the same logs ask for it.
         made_of = [each for log in logs for each in (log.kept, log.taps)]
@@ -110,7 +111,7 @@ class Unseen(Record):
             return known[1]
         steps = self.every or (1,) * len(logs)
         found = tuple(
-            np.ascontiguousarray(passed_at_kept(d, step, log))
+            passed_at_kept(d, step, log, np.float32)
             for d, step, log in zip(self.motions, steps, logs, strict=True)
         )
         if self.slow:
@@ -172,7 +173,7 @@ class Unseen(Record):
     def on_grid(self) -> tuple[F64, ...]:
         """Per log (N, M) the motions at all samples of its grid."""
         if self.several:
-            parts = zip(*(each.on_grid for each in self.several), strict=True)
+            parts = zip(*(each.on_grid for each in _unlike(self.several)), strict=True)
             return tuple(np.concatenate(each, axis=1) for each in parts)
         if not self.every:
             return self.motions
@@ -205,23 +206,26 @@ def eased(x: F64) -> F64:
 def together(several: Sequence[Unseen]) -> Unseen:
     """The numbers of several, one after the other; their motions stay where they are."""
     first = np.cumsum([0, *(each.n_numbers for each in several)])
-    columns = np.cumsum([0, *(each.n_columns for each in several)])
+    unlike = _unlike(several)
+    ends = np.cumsum([each.n_columns for each in unlike])
+    begins = {id(each): int(end) - each.n_columns for each, end in zip(unlike, ends, strict=True)}
+    columns = [begins[id(each)] for each in several]
     return Unseen(
         np.concatenate([each.joint for each in several]),
         (),
-        column=np.concatenate([e.columns + n for e, n in zip(several, columns[:-1], strict=True)]),
+        column=np.concatenate([e.columns + n for e, n in zip(several, columns, strict=True)]),
         unit=np.concatenate([each.units for each in several]),
         number=np.concatenate([e.number + n for e, n in zip(several, first[:-1], strict=True)]),
         origin=np.concatenate([each.origin for each in several]),
         settled=_sums([each.settled for each in several if each.settled]),
-        several=tuple(map(_finely, several)),
+        several=tuple(several),
         slow=any(each.slow for each in several),
     )
 
 
-def _finely(unseen: Unseen) -> Unseen:
-    """The same with its motions at all samples of the logs' grids."""
-    return replace(unseen, motions=unseen.on_grid, every=()) if unseen.every else unseen
+def _unlike(several: Sequence[Unseen]) -> list[Unseen]:
+    """Those whose motions are their own: the same may stand for two groups of numbers."""
+    return list({id(each): each for each in several}.values())
 
 
 def _sums(several: Sequence[tuple[F64, ...]]) -> tuple[F64, ...]:

@@ -108,6 +108,17 @@ def test_what_comes_later_changes_nothing_before() -> None:
     np.testing.assert_allclose(part[0], loads[0])
 
 
+@pytest.mark.parametrize("inertia", [0.0, 1e-3])
+def test_inertia_that_stays_is_that_of_every_sample(inertia: float) -> None:
+    rng, n = np.random.default_rng(2), 900
+    loads = rng.standard_normal((n, 2, 3))
+    compliance, late = np.diag([1.0, 0.4]), 3e-3 * np.eye(2)
+    stays = inertia * np.array([[[2.0, 0.3], [0.3, 1.0]]])
+    found = Springs(compliance, stays, late, RATE, n).bent(loads)
+    each = Springs(compliance, np.repeat(stays, n, axis=0), late, RATE).bent(loads)
+    np.testing.assert_allclose(found, each, rtol=0, atol=1e-12 * np.abs(each).max())
+
+
 @pytest.mark.parametrize("inertia", [-1e-3, 0.0, 1e-6])
 def test_what_resonates_too_fast_or_not_at_all_bends_with_its_loads(inertia: float) -> None:
     late, w = 2e-2, 2 * np.pi * 3.0

@@ -18,7 +18,7 @@ from skin2urdf.estimation.trajectory.gears import find_ripples, harmonics, rippl
 from skin2urdf.estimation.trajectory.problem import MotionProblem
 from skin2urdf.estimation.trajectory.slack import Lacking, Shared, lacking, size_of, slack
 from skin2urdf.estimation.trajectory.state import MotionState
-from skin2urdf.estimation.trajectory.unseen import Unseen
+from skin2urdf.estimation.trajectory.unseen import Unseen, together
 from skin2urdf.model.specific_force import specific_forces
 from skin2urdf.signals.filters import filtered, first_derivative, second_derivative
 from skin2urdf.signals.trajectory import Trajectory
@@ -132,6 +132,19 @@ def test_what_a_fit_lacks_is_seen_together_as_it_is_alone() -> None:
         # Columns are not low-passed once more, residuals are: what that changes is small.
         scale = 2 * np.sqrt(both.equations.joint[i, i] * chi2(state))
         assert slope == pytest.approx(-2 * both.equations.joint_gradient[i], abs=2e-2 * scale)
+
+
+def test_motions_that_two_groups_of_numbers_share_are_kept_once() -> None:
+    gears = harmonics(_TREE, [_log("nothing")])
+    assert gears is not None
+    once, copied = together([gears, gears]), together([gears, replace(gears)])
+    assert once.n_numbers == copied.n_numbers == 2 * gears.n_numbers
+    assert once.n_columns == gears.n_columns == copied.n_columns / 2
+    log = _log("nothing")
+    x = np.random.default_rng(0).standard_normal(once.n_numbers)
+    np.testing.assert_allclose(once.moved(log, 0, x).q, copied.moved(log, 0, x).q)
+    for one, other in zip(once.at_kept([log]), copied.at_kept([log]), strict=True):
+        np.testing.assert_array_equal(one[:, once.columns], other[:, copied.columns])
 
 
 def test_slack_that_rounding_may_have_made_is_asked_for_no_cause() -> None:

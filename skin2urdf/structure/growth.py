@@ -14,7 +14,8 @@ and the accelerations by which they are felt belong to the fits; else what moves
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from copy import copy
+from dataclasses import dataclass, replace
 from itertools import pairwise, permutations
 
 import numpy as np
@@ -103,6 +104,8 @@ class _Extension:
         axes: (m, 3) their axes.
         misfit: what the fit leaves.
         gain: what that is less than on the best known segment, less the price of the parameters.
+        before: (k, 3) axes of the joints up to the known segment, where they were fitted again;
+            None where they are as they were.
     """
 
     su: int
@@ -111,6 +114,7 @@ class _Extension:
     axes: F64
     misfit: float
     gain: float
+    before: F64 | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -195,11 +199,17 @@ class Growth:
             found = self._next()
             if found is None or (self._known is not None and not self._explained(found)):
                 return
-            at = found.segment
-            for dof, axis in zip(found.dofs, found.axes, strict=True):
-                self._add(at, dof, axis)
-                at = len(self.segments) - 1
+            self._extend(found)
             self._look_at_other_logs(found.su)
+
+    def _extend(self, found: _Extension) -> None:
+        """Add an extension's joints, once those before them are turned as it has them."""
+        if found.before is not None:
+            self._begin(self._turned(found))
+        at = found.segment
+        for dof, axis in zip(found.dofs, found.axes, strict=True):
+            self._add(at, dof, axis)
+            at = len(self.segments) - 1
 
     @property
     def unplaced(self) -> tuple[int, ...]:
@@ -279,6 +289,8 @@ class Growth:
     def _next(self) -> _Extension | None:
         """The extension that leaves least, of those that are worth their parameters."""
         found = self._single()
+        if found is not None and found.misfit > self._noise()[found.su]:
+            found = self._with_axes_before(found)
         for length in _RANDOM_STARTS:
             if found is not None and self._explained(found):
                 break
@@ -287,6 +299,42 @@ class Growth:
             if longer and (found is None or longer.misfit + price < found.misfit):
                 found = longer
         return found
+
+    def _with_axes_before(self, option: _Extension) -> _Extension:
+        """An extension with all axes before it fitted again, where that says more than it costs.
+
+        Along a level axis a bias is felt as a tilt is: SUs right beyond it leave it open, and those
+        that other joints turn over tell.
+        """
+        chain = self.chain(option.segment)
+        if not chain:
+            return option
+        dofs = (*(self.segments[i].dof for i in chain), *option.dofs)
+        axes = np.array([*(self.segments[i].axis for i in chain), *option.axes])
+        chi2, found = self._fit([(option.su, 0, dofs)], axes[None])
+        left = float(self.misfit(chi2[0], np.array(option.su)))
+        gain = option.misfit - left - self._price(option.su, len(chain), 1)
+        if gain <= 0:
+            return option
+        before, beyond = found[0, : len(chain)], found[0, len(chain) :]
+        turned = replace(option, axes=beyond, misfit=left, gain=option.gain + gain, before=before)
+        return turned if self._suits_others(turned) else option
+
+    def _suits_others(self, option: _Extension) -> bool:
+        """Whether SUs that are explained still are where axes before an extension are turned."""
+        at_most = np.maximum(self._noise(), self.best()[1])
+        turned = copy(self)
+        turned._begin(self._turned(option))
+        explained = self.explained() & (self.n > 0)
+        return bool((turned.best()[1] <= at_most)[explained].all())
+
+    def _turned(self, option: _Extension) -> list[tuple[int, int, F64]]:
+        """Parent, joint and axis of all segments, with the axes that an extension has before it."""
+        axes = [s.axis for s in self.segments]
+        if option.before is not None:
+            for i, axis in zip(self.chain(option.segment), option.before, strict=True):
+                axes[i] = axis
+        return [(s.parent, s.dof, axis) for s, axis in zip(self.segments, axes, strict=True)]
 
     def _explained(self, option: _Extension) -> bool:
         """Whether an extension leaves too little for more joints to be looked for at once.
@@ -432,7 +480,7 @@ class Growth:
         if len(free) < length:
             return None
         _, now = self.best()
-        unexplained = np.flatnonzero((now > self._noise()) & (self.n > 0))
+        unexplained = np.flatnonzero(~self.explained() & (self.n > 0))
         best: _Extension | None = None
         for u in sorted(unexplained, key=lambda u: now[u] / self.n[u])[:_TRIED]:
             option = self._longer_chain(int(u), length, free, now[u])

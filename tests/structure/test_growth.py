@@ -82,6 +82,18 @@ def test_a_tree_is_found_with_its_axes(seed: int) -> None:
     assert angle.max() < 1.0
 
 
+@pytest.mark.parametrize("seed", [4, 5, 6])
+def test_a_level_axis_is_told_from_a_bias_by_sus_further_out(seed: int) -> None:
+    """An SU that a level joint alone turns feels its bias along the axis as a tilt of this."""
+    robot = Robot(seed)
+    robot.axes[0] = (1.0, 0.0, 0.0)
+    windows = robot.windows(60)
+    bias = robot.rng.uniform(-0.8, 0.8, windows.reading.shape[1:])
+    growth = grown(replace(windows, reading=windows.reading + bias))
+    assert chains(growth) == TRUE
+    np.testing.assert_array_less(growth.left(), 1.5 * SD)
+
+
 def test_two_joints_without_an_su_in_between() -> None:
     windows = Robot(2).windows()
     bare = [0, 1, 3, 4, 5]

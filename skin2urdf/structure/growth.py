@@ -50,9 +50,11 @@ _TRIED = 4
 """SUs for which chains of several joints are searched at a time, those that feel least first."""
 _NEAR = 6
 """Segments on which an SU fits best, beyond which chains of several joints are searched."""
-_LIKELY = {2: 8, 3: 6}
-"""Joints that explain most by themselves, of which such chains are made: more would be thousands
-of orders."""
+_LIKELY = 8
+"""Joints that explain most by themselves, of which chains of two are made."""
+_TRIPLES = 120
+"""Chains of three that are searched for an SU beyond each of these segments, at least: as many as
+there are orders of six joints. More would take longer than all else."""
 _LEFT = 0.1
 """Share of an SU's log-likelihood that a chain may leave without a joint being missing: where one
 is, 0.79 to 0.99 are left (29 simulated recordings of panda, ur5 and z1 with a bare segment)."""
@@ -62,6 +64,8 @@ leaves at least: 0.79 to 0.99 in those recordings, below 0.1 where none is missi
 _CHUNK = 400_000
 """Entries of Jacobians that are held at a time."""
 
+_Chain = tuple[int, tuple[int, ...]]
+"""A known segment, and the joints beyond it."""
 _Problem = tuple[int, int, tuple[int, ...]]
 """An SU, the known segment, and the joints beyond it."""
 
@@ -169,6 +173,7 @@ class Growth:
         self.segments = []
         self._losses: dict[tuple[int, int], F64] = {}
         self._fitted: dict[tuple[int, int, int], tuple[float, F64]] = {}
+        self._by_pairs: dict[int, list[_Chain]] = {}
         usable = np.asarray(np.isfinite(self.up).all(axis=1))[self.windows.log]
         self._weight = self.windows.weight * usable[:, None]
         # Axes are ranked by gravity alone, whatever is modelled when they are fitted.
@@ -494,16 +499,10 @@ class Growth:
         self, su: int, length: int, free: Sequence[int], now: float
     ) -> _Extension | None:
         """The best extension by several joints of one SU: from random axes, in two rounds."""
-        segments = np.argsort([s.misfit[su] for s in self.segments], kind="stable")[:_NEAR]
-        likely = list(free)
-        if self._known is None:
-            # Each joint of a chain explains something by itself, wherever it is put.
-            alone = [min(float(self._losses[s, d][su].min()) for s in segments) for d in free]
-            likely = [free[i] for i in np.argsort(alone, kind="stable")[: _LIKELY[length]]]
+        beyond = self._pairs(su, free) if length == 2 else self._triples(su, free)
         problems: list[_Problem] = [
-            (su, int(s), dofs)
-            for s in segments
-            for dofs in permutations(likely, length)
+            (su, s, dofs)
+            for s, dofs in beyond
             if self._may_carry(dofs[-1], su)
             and all(self._may_follow(a, b) for a, b in pairwise((self.segments[s].dof, *dofs)))
             for _ in range(_RANDOM_STARTS[length])
@@ -515,6 +514,10 @@ class Growth:
         heaviest = np.argsort(-self._rough[:, su], kind="stable")[: 2 * _SEARCHED]
         few = heaviest[:: max(1, len(heaviest) // _SEARCHED)]
         chi2, axes = self._fit(problems, axes, windows=few, iterations=4, roughly=True)
+        if length == 2:
+            starts = chi2.reshape(-1, _RANDOM_STARTS[length]).min(axis=1)
+            chains = [(s, dofs) for _, s, dofs in problems[:: _RANDOM_STARTS[length]]]
+            self._by_pairs[su] = [chains[i] for i in np.argsort(starts, kind="stable")]
         kept = np.argsort(chi2, kind="stable")[: max(16, len(chi2) // 10)]
         some = [problems[i] for i in kept]
         chi2, axes = self._fit(some, axes[kept], windows=few)
@@ -525,6 +528,38 @@ class Growth:
         left = float(self.misfit(chi2[i], np.array(su)))
         gain = now - left - self._price(su, length, len(problems) // _RANDOM_STARTS[length])
         return _Extension(su, some[i][1], some[i][2], axes[i], left, gain) if gain > 0 else None
+
+    def _pairs(self, su: int, free: Sequence[int]) -> list[_Chain]:
+        """Two joints in a row beyond the segments on which an SU fits best."""
+        likely = list(free)
+        if self._known is None:
+            # Each of two joints explains something by itself, wherever it is put.
+            near = self._near(su)
+            alone = [min(float(self._losses[s, d][su].min()) for s in near) for d in free]
+            likely = [free[i] for i in np.argsort(alone, kind="stable")[:_LIKELY]]
+        return [(s, dofs) for s in self._near(su) for dofs in permutations(likely, 2)]
+
+    def _triples(self, su: int, free: Sequence[int]) -> list[_Chain]:
+        """The pairs that leave least, with any other joint before, between or behind them.
+
+        A joint that says little by itself is found by what it adds to the other two.
+        """
+        if self._known is not None:
+            return [(s, dofs) for s in self._near(su) for dofs in permutations(free, 3)]
+        found: dict[_Chain, None] = {}
+        most = _TRIPLES * len(self._near(su))
+        for s, (a, b) in self._by_pairs.get(su, []):
+            if a in free and b in free:
+                for c in set(free) - {a, b}:
+                    found |= dict.fromkeys(((s, (c, a, b)), (s, (a, c, b)), (s, (a, b, c))))
+            if len(found) >= most:
+                break
+        return list(found)
+
+    def _near(self, su: int) -> list[int]:
+        """Segments on which an SU fits best."""
+        misfit = [s.misfit[su] for s in self.segments]
+        return [int(s) for s in np.argsort(misfit, kind="stable")[:_NEAR]]
 
     def _look_at_other_logs(self, su: int) -> None:
         """Gravity in logs where it is not known yet, as an SU feels it on the newest segment."""

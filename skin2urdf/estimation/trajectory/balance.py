@@ -214,8 +214,8 @@ class Balance:
         held = np.ones((len(still.joint), len(numbers)), dtype=bool)
         # What one part yields is the scale of all.
         held[:, numbers == len(still.basis) + most] = False
-        moves = np.any([m.any(axis=0) for m in motions], axis=0)
-        shows = held & moves.reshape(held.shape)
+        largest = [np.maximum(m.max(axis=0), -m.min(axis=0)) for m in motions]
+        shows = held & (np.max(largest, axis=0) > 0).reshape(held.shape)
         joint, number = np.broadcast_arrays(still.joint[:, None], numbers)
         return replace(
             still,

@@ -79,6 +79,16 @@ def real_efforts(effort: F64) -> F64 | None:
     return effort if sound.all() else np.where(sound, effort, np.nan)
 
 
+def digit_of(steps: F64) -> float:
+    """Size of the smallest step that is one: a digit of a sensor that has digits; 0 without any.
+
+    Args:
+        steps: (N, C) from samples to later ones, in the samples' unit.
+    """
+    sizes = np.abs(steps)
+    return float(sizes.min(initial=np.inf, where=sizes > 0)) if sizes.any() else 0.0
+
+
 def spikes(values: F64) -> Bool:
     """(N,) True for single samples that depart far from those around them, which agree.
 
@@ -90,8 +100,7 @@ def spikes(values: F64) -> Bool:
         return found
     bend = values[1:-1] - 0.5 * (values[:-2] + values[2:])
     kink = np.sqrt(np.einsum("nc,nc->n", bend, bend))
-    steps = np.abs(np.diff(values[:: len(values) // 4096 | 1], axis=0))
-    digit = float(steps[steps > 0].min(initial=np.inf)) if steps.any() else 0.0
+    digit = digit_of(np.diff(values[:: len(values) // 4096 | 1], axis=0))
     usual = max(median_of(kink), digit)
     # A second spike two samples further halves the kink of the first.
     suspects = np.flatnonzero(kink > 0.5 * _FAR * usual) + 1

@@ -12,6 +12,7 @@ from scipy.special import erf, erfc
 from skin2urdf.arrays import F64, Bool, Int
 from skin2urdf.faults import Fault
 from skin2urdf.geometry.units import GRAVITY
+from skin2urdf.recording.credibility import digit_of
 from skin2urdf.recording.records import SuStream
 from skin2urdf.threads import each
 
@@ -110,7 +111,7 @@ def checked(
             still,
             _repeated(values[still]),
             rest_noise(values, still),
-            _digit_of(_steps_at_rest(values, still)),
+            digit_of(_steps_at_rest(values, still)),
         )
         su.put_away()
         return found
@@ -190,12 +191,6 @@ def rest_noise(samples: F64, still: Bool) -> float:
 def _steps_at_rest(samples: F64, still: Bool) -> F64:
     """(K, 3) from each of the samples (M, 3) at rest to the next one [m/s^2]."""
     return np.diff(samples, axis=0)[still[1:] & still[:-1]]
-
-
-def _digit_of(steps: F64) -> float:
-    """The smallest step that is one, which is a digit of a sensor that has digits [m/s^2]."""
-    sizes = np.abs(steps)
-    return float(sizes.min(initial=np.inf, where=sizes > 0)) if sizes.any() else 0.0
 
 
 def _thawed(su: SuStream, still: Bool, chance: float) -> tuple[Bool, list[Fault]]:
@@ -310,6 +305,12 @@ def _noisiness(name: str, u: int, noise: F64, digit: F64) -> list[Fault]:
 
     Where a digit is coarser than noise, more than half of the steps are none or one of these, which
     looks like no noise or like as much as a digit, by where the readings lie.
+
+    Args:
+        name: of the SU.
+        u: its number.
+        noise: (U,) standard deviations of noise of all SUs at rest [m/s^2].
+        digit: (U,) their digits, 0 where they have none [m/s^2].
     """
     if len(noise) < 3:
         return []

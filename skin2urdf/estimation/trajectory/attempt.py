@@ -158,15 +158,16 @@ class Attempt:
         """
         if self.misfit <= 1 and self.certain_slack is None:
             return {}
-        certain = [cause for cause in self.bends if self.bends[cause].gain > CERTAIN]
-        drives = self._loads(BENDS[0]) if certain and self._rounded_again else None
-        found = {cause: self._beside_rounding(cause, drives) for cause in certain}
-        found = {cause: size for cause, size in found.items() if size.gain > CERTAIN}
+        found = {cause: size for cause, size in self.bends.items() if size.gain > CERTAIN}
+        if found and (again := self._rounded_again) is not None:
+            drives = self._loads(BENDS[0])
+            beside = {cause: self._beside_rounding(cause, again, drives) for cause in found}
+            found = {cause: size for cause, size in beside.items() if size.gain > CERTAIN}
         slack = self._size_beside_rounding if found else None
         least = 0.0 if slack is None else slack.gain
         return {cause: size for cause, size in found.items() if size.gain > least}
 
-    def _beside_rounding(self, cause: str, drives: Unseen | None) -> Size:
+    def _beside_rounding(self, cause: str, again: Unseen, drives: Unseen) -> Size:
         """What the readings show of what bends beside what encoders round off on the way.
 
         Drives give way to loads, which encoders show by whole steps: by how much a held joint does
@@ -174,11 +175,9 @@ class Attempt:
 
         Args:
             cause: what bends.
-            drives: the deflections of elastic joints; None where encoders round nothing.
+            again: what encoders round off, drawn anew.
+            drives: the deflections of elastic joints.
         """
-        again = self._rounded_again
-        if again is None or drives is None:
-            return self.bends[cause]
         bends = drives if cause == BENDS[0] else self._loads(cause)
         found = lacking(self.problem, self.fitted, [bends, again, drives])
         # What is left of a step is anything from minus a half to a half of it.

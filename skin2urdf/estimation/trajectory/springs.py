@@ -76,8 +76,9 @@ class Springs:
         begin[0] = loads[0]
         blocks = _in_blocks(loads, self._length)
         out, ends = self._stepped(blocks, np.zeros((3, len(blocks), *loads.shape[1:])))
-        of_all = (np.broadcast_to(x, (len(blocks), *x.shape[1:])) for x in self._from_units)
-        moved_on, at_end = of_all
+        moved_on, at_end = self._from_units
+        moved_on = np.broadcast_to(moved_on, (len(blocks), *moved_on.shape[1:]))
+        at_end = np.broadcast_to(at_end, (len(blocks), *at_end.shape[1:]))
         state = begin
         for b in range(len(blocks)):
             flat = state.reshape(3 * R, -1)
@@ -90,7 +91,8 @@ class Springs:
         """What becomes of deflection, speed and acceleration of one unit each without loads.
 
         Returns:
-            Per block (B, L, R, 3 R) deflections, and (B, 3 R, 3 R) all three at its end.
+            Per block (B, L, R, 3 R) deflections, and (B, 3 R, 3 R) all three at its end; B is 1
+            where all blocks are alike.
         """
         B, L, R = self._later.shape[:3]
         units = np.eye(3 * R).reshape(3, 1, R, 3 * R)

@@ -293,24 +293,24 @@ class Growth:
 
     def _next(self) -> _Extension | None:
         """The extension that leaves least, of those that are worth their parameters."""
-        found = self._single()
-        if found is not None and found.misfit > self._noise()[found.su]:
-            found = self._with_axes_before(found)
+        found = self._with_axes_before(self._single())
         for length in _RANDOM_STARTS:
             if found is not None and self._explained(found):
                 break
-            longer = self._longer(length)
+            longer = self._with_axes_before(self._longer(length))
             price = 0.0 if longer is None else self._price(longer.su, length, 1)
             if longer and (found is None or longer.misfit + price < found.misfit):
                 found = longer
         return found
 
-    def _with_axes_before(self, option: _Extension) -> _Extension:
+    def _with_axes_before(self, option: _Extension | None) -> _Extension | None:
         """An extension with all axes before it fitted again, where that says more than it costs.
 
         Along a level axis a bias is felt as a tilt is: SUs right beyond it leave it open, and those
         that other joints turn over tell.
         """
+        if option is None or option.misfit <= self._noise()[option.su]:
+            return option
         chain = self.chain(option.segment)
         if not chain:
             return option

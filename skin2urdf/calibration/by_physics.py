@@ -130,11 +130,18 @@ def differs_by_physics(
 
 def _worth(solution: Solution, along: MotionEstimate) -> float:
     """Logarithm of the likelihood that what was found of encoders and loose SUs has to gain."""
-    parameters = sum(
-        N_PLACEMENT if fault.kind == "loose" else 1
-        for fault in solution.faults
-        if fault.kind in _OF_PLACES
+    return worth_of(
+        sum(
+            N_PLACEMENT if fault.kind == "loose" else 1
+            for fault in solution.faults
+            if fault.kind in _OF_PLACES
+        ),
+        along,
     )
+
+
+def worth_of(parameters: int, along: MotionEstimate) -> float:
+    """Logarithm of the likelihood that so many parameters have to gain of all samples."""
     measured = sum(
         3 * log.independence * float(p.measured.sum())
         for log, p in zip(along.problem.logs, along.fitted.predicted, strict=True)

@@ -27,7 +27,7 @@ from skin2urdf.calibration.refusal import check_hope
 from skin2urdf.calibration.result import BAD_FIT, BAD_MISFIT, GOOD_FIT, HOPELESS_FIT
 from skin2urdf.calibration.rounds import Solution
 from skin2urdf.calibration.samples import fit_samples, rejected
-from skin2urdf.calibration.taken_apart import retold, with_sus_apart
+from skin2urdf.calibration.taken_apart import retold, with_sus_apart, with_sus_together
 from skin2urdf.errors import BadFitError, Skin2UrdfError, StructureError
 from skin2urdf.estimation.trajectory.estimate import MotionEstimate
 from skin2urdf.hypotheses.attempts import StandsOut
@@ -150,6 +150,7 @@ def _fit_along(
     solution, along = clock.run(
         "all samples", lambda tell: without_false_hits(solution, fitted, begun.logs, first, tell)
     )
+    solution, along = with_sus_together(solution, along, clock)
     solution, along = with_sus_apart(
         retold(solution, along), along, clock, of_patterns=begun.of_patterns
     )

@@ -10,7 +10,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from skin2urdf.arrays import F64
+from skin2urdf.arrays import F64, Int
+from skin2urdf.calibration.by_physics import gained, worth_of
 from skin2urdf.calibration.clock import Clock
 from skin2urdf.calibration.result import GOOD_FIT
 from skin2urdf.calibration.rounds import Logs, Solution, relinearise, take_features
@@ -31,11 +32,13 @@ from skin2urdf.hypotheses.slip import (
     PLACED,
     Moment,
     Slipped,
+    as_one,
     fresh,
     like_an_encoder,
 )
 from skin2urdf.structure.chain_fit import LEVER
 from skin2urdf.structure.gravity import gravity_features, gravity_windows
+from skin2urdf.structure.ordering import places_of
 from skin2urdf.structure.records import KinematicTree
 
 _FAR = 5.0
@@ -74,6 +77,59 @@ def with_sus_apart(
     return solution, along
 
 
+def with_sus_together(
+    solution: Solution, along: MotionEstimate, clock: Clock
+) -> tuple[Solution, MotionEstimate]:
+    """The robot without the slips that features told and that all samples do not need.
+
+    Features of a wrong tree show slips that the right one explains, and coarse encoders bend them
+    by more than they tell: with both placements all samples are then hardly likelier than with one.
+
+    Args:
+        solution: the estimate, with slips of features among its faults.
+        along: the fit of all samples.
+        clock: runs the stages.
+    """
+    worth = worth_of(N_PLACEMENT, along)
+    for fault in solution.faults:
+        if fault.kind != "loose" or not set(fault.sus) <= set(along.problem.tree.su_names):
+            continue
+        if _needed(along, *fault.sus) > worth:
+            continue
+        together = _together(solution, along, fault, clock)
+        if together is not None and gained(together[1], along) <= worth:
+            solution, along = together
+    return solution, along
+
+
+def _needed(along: MotionEstimate, name: str, earlier: str) -> float:
+    """Logarithm of the likelihood that all samples lose without an SU's change, as far as linear.
+
+    The bias changes as well there, so that no less is lost than that.
+    """
+    second, first = (along.problem.tree.su_names.index(n) for n in (name, earlier))
+    change, covariance = _change(along, first, second), _covariance(along, first, second)
+    return 0.5 * len(change) * _distance(change, covariance)
+
+
+def _together(
+    solution: Solution, along: MotionEstimate, fault: Fault, clock: Clock
+) -> tuple[Solution, MotionEstimate] | None:
+    """With one SU in place of two; None where that leaves more than noise."""
+    name, earlier = fault.sus
+    logs, tree = as_one(solution.logs, solution.found.tree, name, earlier)
+    state = _of_sus(along.state, places_of(tree.su_names, along.problem.tree.su_names))
+    try:
+        whole = _estimated(replace(solution, logs=logs), tree, state, True, clock)
+    except Skin2UrdfError:
+        return None
+    whole = replace(whole, faults=tuple(f for f in solution.faults if f is not fault))
+    again = clock.run("all samples", lambda tell: fit_samples(whole, tell, without=rejected(along)))
+    if again is None or not again.misfit_of_sus[tree.su_names.index(name)] <= GOOD_FIT:
+        return None
+    return whole, again
+
+
 def _changed(solution: Solution, along: MotionEstimate, clock: Clock) -> Slipped | None:
     """The SU that changed for certain and explains most by that; None where there is none."""
     suspicious = np.nan_to_num(along.misfit_of_sus) > GOOD_FIT
@@ -92,7 +148,8 @@ def _taken_apart(
 ) -> tuple[Solution, MotionEstimate] | None:
     """With an SU taken apart; None where that does not explain its readings."""
     logs, tree = change.of_placements(solution.logs, solution.found.tree)
-    state = _twice(along.state, along.problem.tree.su_names.index(change.name))
+    names = along.problem.tree.su_names
+    state = _of_sus(along.state, np.append(np.arange(len(names)), names.index(change.name)))
     try:
         apart = _estimated(replace(solution, logs=logs), tree, state, of_patterns, clock)
     except Skin2UrdfError:
@@ -127,18 +184,10 @@ def _at_once(one: Moment, other: Moment) -> bool:
     return one.until <= other.since and other.until <= one.since
 
 
-def _twice(state: State, u: int) -> State:
-    """A state with one more SU, where SU u is."""
-
-    def more(x: F64) -> F64:
-        return np.concatenate([x, x[u : u + 1]])
-
+def _of_sus(state: State, sus: Int) -> State:
+    """A state with the SUs of some numbers, be they fewer or more."""
     return State(
-        state.T_parent_joint,
-        more(state.T_joint_su),
-        state.up,
-        more(state.bias),
-        more(state.shape),
+        state.T_parent_joint, state.T_joint_su[sus], state.up, state.bias[sus], state.shape[sus]
     )
 
 
@@ -200,19 +249,16 @@ def _of_all_samples(fault: Fault, along: MotionEstimate) -> Fault | None:
     None where they do not need any change for certain.
     """
     second, first = (along.problem.tree.su_names.index(n) for n in fault.sus)
-    T, covariance = along.state.T_joint_su, _covariance(along, first, second)
-    moved = np.linalg.inv(T[first]) @ T[second]
-    turn, shift = rotation_log(moved[:3, :3]), moved[:3, 3]
-    bias = along.state.bias[second] - along.state.bias[first]
+    change, covariance = _change(along, first, second), _covariance(along, first, second)
+    shift, turn, bias = change[:3], change[3:N_PLACEMENT], change[N_PLACEMENT:]
     placed = _is_placed(along, first, second)
     of_placement = slice(0 if placed else 3, N_PLACEMENT)
     of_bias = slice(N_PLACEMENT, len(covariance))
-    far = _distance(np.r_[shift, turn][of_placement], covariance[of_placement, of_placement])
+    far = _distance(change[of_placement], covariance[of_placement, of_placement])
     matters = np.linalg.norm(turn) > LEAST_TURN or (placed and np.linalg.norm(shift) > LEAST_SHIFT)
     own = covariance[of_bias, of_bias]
     everything = slice(of_placement.start, None)
-    changed = np.r_[shift, turn, bias][everything]
-    if _distance(changed, covariance[everything, everything]) < _FAR**2:
+    if _distance(change[everything], covariance[everything, everything]) < _FAR**2:
         return None
     if matters and far > _distance(bias, own):
         distance = float(np.linalg.norm(shift)) if placed else np.nan
@@ -255,6 +301,14 @@ def _is_placed(along: MotionEstimate, first: int, second: int) -> bool:
     """Whether it is known where two SUs are."""
     variances = np.einsum("uii->ui", along.su_covariances[[first, second]])[:, :3]
     return bool(variances.max() < PLACED**2)
+
+
+def _change(along: MotionEstimate, first: int, second: int) -> F64:
+    """(9,) shift [m], turn [rad] and change of bias [m/s^2] from one SU to another."""
+    T, bias = along.state.T_joint_su, along.state.bias
+    moved = np.linalg.inv(T[first]) @ T[second]
+    turn = rotation_log(moved[:3, :3])
+    return np.concatenate([moved[:3, 3], turn, bias[second] - bias[first]])
 
 
 def _covariance(along: MotionEstimate, first: int, second: int) -> F64:

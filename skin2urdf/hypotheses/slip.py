@@ -8,14 +8,14 @@ from typing import Literal
 
 import numpy as np
 
-from skin2urdf.arrays import Bool
+from skin2urdf.arrays import Bool, Int
 from skin2urdf.calibration.rounds import Logs
 from skin2urdf.estimation.problem.state import N_PLACEMENT
 from skin2urdf.estimation.solve.arrow import factor
 from skin2urdf.estimation.solve.estimate import Estimate
 from skin2urdf.faults import Fault
 from skin2urdf.geometry.so3 import rotation_log
-from skin2urdf.hypotheses.attempts import Search
+from skin2urdf.hypotheses.attempts import Search, of_logs
 from skin2urdf.hypotheses.loose import Slip, slips
 from skin2urdf.hypotheses.records import Amendment, Attempt, Candidate
 from skin2urdf.signals.records import Features
@@ -264,6 +264,43 @@ def _doubled(sampled: Sampled, u: int, log: int, at: Moment) -> Sampled:
         valid=valid,
         computed=np.concatenate([sampled.computed, sampled.computed[:, u : u + 1]], axis=1),
         period=np.append(sampled.period, sampled.period[u]),
+        turning=turning,
+    )
+
+
+def as_one(logs: Logs, tree: KinematicTree, name: str, earlier: str) -> tuple[Logs, KinematicTree]:
+    """Logs and tree with one SU again, of those that have one for each of its placements.
+
+    Args:
+        logs: with the readings of both.
+        tree: with both.
+        name: the SU.
+        earlier: that which stands for the placement before.
+    """
+    u, v = map(logs.su_names.index, (name, earlier))
+    others = np.flatnonzero(np.arange(len(logs.su_names)) != v)
+    whole = replace(
+        logs,
+        sampled=[_as_one(s, u, v, others) for s in logs.sampled],
+        su_names=tuple(logs.su_names[i] for i in others),
+    )
+    return whole, of_logs(tree, whole)
+
+
+def _as_one(sampled: Sampled, u: int, v: int, others: Int) -> Sampled:
+    """A log whose SU u has the readings of v as well, with the columns (U - 1,) other than v."""
+    valid, turning = np.array(sampled.valid), sampled.turning
+    valid[:, u] |= valid[:, v]
+    if turning is not None:
+        known = np.array(turning.valid)
+        known[:, u] |= known[:, v]
+        turning = replace(turning, valid=known).of(others)
+    return replace(
+        sampled,
+        readings=sampled.readings[:, others],
+        valid=valid[:, others],
+        computed=sampled.computed[:, others],
+        period=sampled.period[others],
         turning=turning,
     )
 

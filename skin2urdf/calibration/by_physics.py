@@ -19,7 +19,7 @@ from skin2urdf.calibration.samples import fit_samples, rejected
 from skin2urdf.estimation.problem.state import N_PLACEMENT
 from skin2urdf.estimation.trajectory.attempt import BENDS, CERTAIN, CLOCK, PLAY
 from skin2urdf.estimation.trajectory.estimate import MotionEstimate
-from skin2urdf.estimation.uncertainty.health import are_plausible
+from skin2urdf.estimation.uncertainty.plausible import are_plausible
 from skin2urdf.hypotheses.measure import price_of
 
 _OF_PLACES = frozenset({"encoder jump", "encoder scale", "loose"})

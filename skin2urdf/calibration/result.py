@@ -15,7 +15,6 @@ from skin2urdf.estimation.solve.estimate import Estimate
 from skin2urdf.estimation.trajectory.estimate import MotionEstimate
 from skin2urdf.estimation.trajectory.vertical import NEAREST
 from skin2urdf.estimation.uncertainty.goodness import Goodness
-from skin2urdf.estimation.uncertainty.health import are_plausible
 from skin2urdf.estimation.uncertainty.observability import Observability
 from skin2urdf.estimation.uncertainty.open_directions import ALIKE
 from skin2urdf.estimation.uncertainty.outliers import (
@@ -24,6 +23,7 @@ from skin2urdf.estimation.uncertainty.outliers import (
     sus_unlike_the_rest,
 )
 from skin2urdf.estimation.uncertainty.physics import physics_found
+from skin2urdf.estimation.uncertainty.plausible import are_plausible
 from skin2urdf.faults import Fault
 from skin2urdf.geometry.se3 import inverse
 from skin2urdf.model.records import KinematicModel, OpenDirection
@@ -189,7 +189,8 @@ class Calibration(Record):
             return "bad"
         if self.misfit > GOOD_FIT and self._placed and "determined" not in self._placed:
             return "bad"
-        if self.unexplained or (self.mostly_open and self.mostly_implausible):
+        known_by_few = self.mostly_open or not self._placed
+        if self.unexplained or (known_by_few and self.mostly_implausible):
             return "bad"
         goodness, seen = self.goodness, self.observability
         explained = max(self.misfit, goodness.prediction, seen.widening) <= GOOD_FIT
@@ -285,8 +286,12 @@ class Calibration(Record):
 
     @property
     def mostly_implausible(self) -> bool:
-        """Whether most SUs that a recording could place need errors that no working sensor has."""
-        plausible = are_plausible(self.estimate.state)[self._beyond]
+        """Whether most SUs that a recording could place need errors that no working sensor has.
+
+        Where all axes are parallel, so that none could, most that joints move.
+        """
+        told = self._beyond if self._beyond.any() else self.model.tree.su_joint >= 0
+        plausible = are_plausible(self.estimate.state)[told]
         return bool(2 * plausible.sum() < len(plausible))
 
     @property

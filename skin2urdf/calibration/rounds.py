@@ -21,7 +21,8 @@ from skin2urdf.estimation.solve.estimate import Estimate, estimate
 from skin2urdf.estimation.start.from_rests import state_of
 from skin2urdf.estimation.start.order import ordered
 from skin2urdf.estimation.start.starts import felt_up
-from skin2urdf.estimation.uncertainty.health import are_plausible, unlike_the_rest
+from skin2urdf.estimation.uncertainty.health import unlike_the_rest
+from skin2urdf.estimation.uncertainty.plausible import are_plausible
 from skin2urdf.faults import Fault
 from skin2urdf.model.specific_force import AroundPose
 from skin2urdf.notes import Note

@@ -268,7 +268,26 @@ def that_slide(draft: Draft, samples: Along) -> tuple[int, ...]:
     Returns:
         What each of them is among the joints of the logs.
     """
-    found = []
+    return tuple(dof for dof, moved in _likelier_as_slides(draft, samples) if moved.holds)
+
+
+def that_may_slide(draft: Draft, samples: Along) -> tuple[int, ...]:
+    """Joints of a draft whose readings a push predicts for certain, if not one of length 1.
+
+    Where directions have been bent so that a joint might turn what it pushes, no push is right.
+
+    Args:
+        draft: a tree.
+        samples: the logs.
+
+    Returns:
+        What each of them is among the joints of the logs.
+    """
+    return tuple(dof for dof, moved in _likelier_as_slides(draft, samples) if not moved.holds)
+
+
+def _likelier_as_slides(draft: Draft, samples: Along) -> Iterator[tuple[int, _Moved]]:
+    """Joints that a draft has as turning and that explain more as sliding ones, and how much."""
     now = [draft.judged(samples, u) if j >= 0 else None for u, j in enumerate(draft.su_joint)]
     for j, joint in enumerate(draft.joints):
         if joint.kind == "prismatic":
@@ -277,9 +296,8 @@ def that_slide(draft: Draft, samples: Along) -> tuple[int, ...]:
             draft, draft.sliding(j), samples, draft.beyond(j), "prismatic", draft.parent[j], now,
             CERTAIN,
         )  # fmt: skip
-        if moved is not None and moved.holds and moved.gain > CERTAIN:
-            found.append(joint.dof)
-    return tuple(found)
+        if moved is not None and moved.gain > CERTAIN:
+            yield joint.dof, moved
 
 
 def _alike(draft: Draft) -> Iterator[int]:

@@ -28,6 +28,7 @@ from skin2urdf.structure.draft import (
     QUIET,
     Draft,
     in_best_order,
+    that_may_slide,
     that_slide,
     with_unseen_joints,
 )
@@ -176,15 +177,25 @@ def _grown_from(
     known: KinematicTree | None,
     seed: int,
     tell: Callable[[float], None],
+    sliding: tuple[int, ...] = (),
 ) -> tuple[MotionTree, ...]:
     """Trees that some windows show, best first.
+
+    Args:
+        windows: of gravity.
+        samples: low-passed samples.
+        sampled: the logs.
+        base: how the base tilts; None where it stands still.
+        known: a tree that is right, where there is one.
+        seed: of random axes.
+        tell: told the share of the work that is done.
+        sliding: what joints are, among those of the logs, that are taken to slide.
 
     Raises:
         StructureError: they show none.
     """
     moved = moved_joints(sampled)
     tree = None if known is None else _known(known, windows)
-    sliding: tuple[int, ...] = ()
     while True:
         turning = tuple(int(d) for d in np.flatnonzero(moved) if d not in sliding)
         up = None if base is None else base.up
@@ -199,7 +210,17 @@ def _grown_from(
     of_span = np.arange(len(sampled)) if base is None else base.log
     best, *others = (_motion_tree(d, growth, samples, sampled, moved, of_span) for d in drafts)
     notes = (*best.tree.notes, *(doubt(best.tree, other.tree) for other in others))
-    return replace(best, tree=replace(best.tree, notes=notes)), *others
+    trees = replace(best, tree=replace(best.tree, notes=notes)), *others
+    if known or not (doubtful := that_may_slide(drafts[0], samples)):
+        return trees
+    try:
+        likelier = _grown_from(
+            windows, samples, sampled, base, known, seed, tell, (*sliding, *doubtful)
+        )
+    except StructureError:
+        return trees
+    names = windows.su_names
+    return min(trees, likelier, key=lambda each: _unexplained(each[0], samples, names, names))
 
 
 def _drafted(growth: Growth, samples: Along, moved: Bool, sliding: Sequence[int]) -> list[Draft]:

@@ -382,7 +382,11 @@ class Growth:
             for (u, s, d), (left, axis) in self._fitted.items()
             if d in free
         ]
-        worth = [o for o in options if o.gain > 0]
+        noise, explained = self._noise(), self.explained()
+        # Of an SU that lacks no joint, one more has to explain most of what is left: the rest of it
+        # is what accelerations make, of which any joint explains something.
+        at_most = np.where(explained, noise + _MISSING * np.maximum(now - noise, 0), np.inf)
+        worth = [o for o in options if o.gain > 0 and o.misfit <= at_most[o.su]]
         return min(worth, key=self._left, default=None)
 
     def _left(self, option: _Extension) -> tuple[float, float]:

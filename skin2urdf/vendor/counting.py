@@ -15,7 +15,7 @@ import numpy as np
 
 from skin2urdf.arrays import F64
 from skin2urdf.estimation.trajectory.blueprint import Blueprint
-from skin2urdf.estimation.uncertainty.health import are_plausible
+from skin2urdf.estimation.uncertainty.plausible import are_plausible
 from skin2urdf.geometry.se3 import screw
 from skin2urdf.vendor.deviating import FEW, LOOKED_AT, with_zeros
 from skin2urdf.vendor.explained import Explained

@@ -28,6 +28,12 @@ HIDDEN = (
     Joint("slides", 1, "prismatic", rpy=(0.4, 0.0, 0.0), limits=(-0.2, 0.2)),
     Joint("turns", 2, "revolute", rpy=(0.5, 0.3, 0.0)),
 )
+PALLETISER = (
+    Joint("vertical", -1, "revolute", (0.2, 0.0, 0.06)),
+    Joint("lifts", 0, "revolute", (0.04, 0.0, 0.19), (-np.pi / 2, 0.0, 0.0)),
+    Joint("bends", 1, "revolute", (0.07, 0.07, 0.16)),
+    Joint("slides", 2, "prismatic", (0.0, -0.03, 0.18), limits=(-0.3, 0.3)),
+)
 PARALLEL = (
     Joint("first", -1, "revolute", rpy=SQUARE),
     Joint("second", 0, "revolute", xyz=(0.3, 0.0, 0.02)),
@@ -93,6 +99,22 @@ def test_a_push_is_not_taken_for_a_swing_about_a_far_axis(tmp_path: Path) -> Non
     found, *_ = trees_from_motion(logs, names)
     assert found.tree.joint_types == ("revolute", "prismatic", "revolute")
     assert found.tree.parent.tolist() == [-1, 0, 1]
+
+
+@pytest.mark.parametrize("seed", [1, 5])
+def test_directions_that_a_slide_has_bent_do_not_make_it_turn(seed: int, tmp_path: Path) -> None:
+    """In motion that never rests: bent so that it might turn the last SU, it pushes that by 1.1.
+
+    With one seed another joint is put in beyond the others as well, for what it pushes.
+    """
+    settings = SimulationSettings(
+        excite="series", minutes=0.8, seed=seed, upright=True, imu_rate=100.0, joint_rate=50.0
+    )
+    made = simulate(robot_of(PALLETISER, tmp_path, SkinLayout(1, 1)), settings)
+    logs, names = sampled_together([retimed(made.recording)], must_rest=False)
+    found, *_ = trees_from_motion(logs, names)
+    assert found.tree.joint_types == ("revolute", "revolute", "revolute", "prismatic")
+    assert found.tree.su_joint.tolist() == [su.joint for su in made.truth.sus]
 
 
 def test_an_su_that_two_sliding_joints_push_and_none_turns_is_found(tmp_path: Path) -> None:

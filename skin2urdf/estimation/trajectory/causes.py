@@ -52,7 +52,7 @@ def explained(
         fitted: its fit.
         most: misfit of the rigid robot beyond which nothing is tried.
         only_known: try nothing but joints that yield under known torques.
-        without: causes of what drifts and bends that need not be tried.
+        without: causes that need not be tried.
         unless_one_changed: whether nothing is tried, either, where the change of a single SU
             explains what the rigid robot leaves.
     """
@@ -72,7 +72,8 @@ def explained(
     if not rigid.lacks:
         return rigid.as_explained()
     rounded = rigid.with_rounding()
-    if rounded is not None and rounded.misfit <= EXPLAINED and not rigid.certain_bends:
+    bends = not set(BENDS) <= set(without) and rigid.certain_bends
+    if rounded is not None and rounded.misfit <= EXPLAINED and not bends:
         return rounded.as_explained()
     # Few numbers that say more than many would.
     known = rigid.with_known_torque()
@@ -113,7 +114,8 @@ def _of_any_cause(rigid: Attempt, without: Collection[str]) -> tuple[Attempt, li
     """The attempt that explains most, and all that were made."""
     bends = [cause for cause in BENDS if cause not in without]
     likeliest = rigid.likely(bends)[:1] if rigid.lacks else []
-    best = _with_few_sizes(rigid, rigid.gains[likeliest[0]] if likeliest else 0.0)
+    by_bends = rigid.gains[likeliest[0]] if likeliest else 0.0
+    best = _with_few_sizes(rigid, by_bends, without)
     attempts = [best]
     if best.lacks:
         other, more = _with_physics(rigid, without)
@@ -146,7 +148,7 @@ def _of_what_seemed_unlikely(
         attempts.append(rigid.adding(cause))
         if explains_most(attempts[-1], slackened):
             return attempts[-1]
-    tilted = rigid.tilted() if TILTS not in known else None
+    tilted = rigid.tilted() if TILTS not in known and TILTS not in without else None
     if tilted is not None:
         attempts.append(tilted)
         # Links that bend look like tilts by half, and what is left of them is more than noise.
@@ -189,17 +191,20 @@ def _with_physics(rigid: Attempt, without: Collection[str]) -> tuple[Attempt, li
     return best, tried
 
 
-def _with_few_sizes(rigid: Attempt, by_bends: float) -> Attempt:
+def _with_few_sizes(rigid: Attempt, by_bends: float, without: Collection[str]) -> Attempt:
     """An attempt with the errors of gears and tilts of the base that say more than slack would.
 
     Args:
         rigid: the attempt without.
         by_bends: what the likeliest of what bends says.
+        without: causes that need not be tried.
     """
     best = rigid
     while (slack_size := best.certain_slack) is not None:
         proposed = {
-            name: best.sized(more) for name, more in best.of_few_sizes() if more is not None
+            name: best.sized(more)
+            for name, more in best.of_few_sizes()
+            if more is not None and name not in without
         }
         if not proposed:
             break

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -13,6 +13,7 @@ from skin2urdf.estimation.problem.cost import Priors
 from skin2urdf.estimation.problem.state import State
 from skin2urdf.estimation.trajectory.ahead import Ahead, step_ahead
 from skin2urdf.estimation.trajectory.attempt import BENDS, Explained
+from skin2urdf.estimation.trajectory.bending import bends_of
 from skin2urdf.estimation.trajectory.causes import explained
 from skin2urdf.estimation.trajectory.clocks import with_likely_clocks
 from skin2urdf.estimation.trajectory.deviations import su_covariances
@@ -51,7 +52,7 @@ from skin2urdf.estimation.trajectory.records import Gyros
 from skin2urdf.estimation.trajectory.rocking import of_accelerations
 from skin2urdf.estimation.trajectory.rounded import lost_in_averages, rounded_off_again
 from skin2urdf.estimation.trajectory.senses import in_likelier_sense
-from skin2urdf.estimation.trajectory.sensors import with_sensors_alike
+from skin2urdf.estimation.trajectory.sensors import with_likely_sensors, with_sensors_alike
 from skin2urdf.estimation.trajectory.shaken_loads import ShakenLoads
 from skin2urdf.estimation.trajectory.slack import lacking
 from skin2urdf.estimation.trajectory.state import MotionState
@@ -60,6 +61,7 @@ from skin2urdf.estimation.trajectory.time_scale import of_the_other_clock
 from skin2urdf.estimation.trajectory.unseen import Unseen
 from skin2urdf.estimation.trajectory.unsure import unsure
 from skin2urdf.estimation.trajectory.yielding import is_in_balance
+from skin2urdf.estimation.uncertainty.plausible import are_plausible
 from skin2urdf.signals.trajectory import Trajectory
 from skin2urdf.structure.records import KinematicTree
 
@@ -369,6 +371,14 @@ def estimate_along(
             problem, fitted, most, only_known=only_known, without=without,
             unless_one_changed=unless_one_changed,
         )  # fmt: skip
+    found = _by_likely_sensors(found, iterations)
+    if found.causes and not are_plausible(found.fitted.state.placements).all():
+        # What no sensor is has stood for another cause.
+        again = {*without, *found.causes}
+        other = explained(problem, fitted, most, only_known=only_known, without=again)
+        other = _by_likely_sensors(other, iterations)
+        if are_plausible(other.fitted.state.placements).all():
+            found, without = other, again
     ended = _ended(found, mended, lengths=lengths, alike=alike)
     if not is_in_balance(ended.problem, ended.fitted):
         # Whatever yields so is nothing that carries loads.
@@ -448,6 +458,15 @@ def _led(
     fitted = in_likelier_sense(problem, fitted, iterations)
     problem, fitted = fit_with_products(problem, fitted, iterations)
     return with_possible_fronts(problem, fitted, iterations)
+
+
+def _by_likely_sensors(found: Explained, iterations: int) -> Explained:
+    """The same with sensors that are likely, where samples are likelier then."""
+    problem = found.problem
+    # What bends is known about where it was followed to, and not from afar.
+    bent = bool(found.causes) and bends_of(problem.unseen) is None
+    fitted = with_likely_sensors(problem, found.fitted, iterations, bent=bent)
+    return replace(found, fitted=fitted)
 
 
 def _shaking(problem: MotionProblem, fitted: Fitted) -> tuple[F64, F64]:

@@ -1,9 +1,10 @@
-"""Which way round a joint turns whose axis is vertical, where no other joint turns what it carries.
+"""Which way round joints turn whose axes are vertical, where no others turn what they carry.
 
 Gravity does not show such a joint, and patterns show what it pushes to first order: as well an axis
 on the one side that turns to the left as one on the other side that turns to the right. What tells
 them apart is the pull towards the axis when the joint turns fast, which moves have. So a fit is
-held against one that begins on the other side. Where another joint turns what is carried, or is
+held against one that begins on the other side. Several such joints hide each other's senses where
+their axes lie close to each other. Where a joint that is not vertical turns what is carried, or is
 turned, patterns do tell.
 """
 
@@ -39,16 +40,16 @@ def in_likelier_sense(problem: MotionProblem, fitted: Fitted, iterations: int) -
     if problem.priors.blueprint is not None:
         return fitted
     q = np.concatenate([log.q for log in problem.logs]).mean(axis=0)
-    for joint in hidden_senses(problem.tree, fitted.state.placements):
+    for joints in hidden_senses(problem.tree, fitted.state.placements):
         state = fitted.state
-        turned = turned_round(problem.tree, state.placements, joint, q)
+        turned = turned_round(problem.tree, state.placements, joints, q)
         other = fit(problem, replace(state, placements=turned), iterations=iterations)
-        if _left(other) < _left(fitted):
+        if minus_log_posterior(other) < minus_log_posterior(fitted):
             fitted = other
     return fitted
 
 
-def _left(fitted: Fitted) -> float:
+def minus_log_posterior(fitted: Fitted) -> float:
     """Negative logarithm of the posterior of a fit, but for a constant.
 
     Of noise that all samples of an SU in a log share: fast moments tell senses apart, and these are
@@ -64,24 +65,29 @@ def _left(fitted: Fitted) -> float:
     return total
 
 
-def hidden_senses(tree: KinematicTree, state: State) -> list[int]:
-    """Joints whose sense neither gravity nor patterns show.
+def hidden_senses(tree: KinematicTree, state: State) -> list[tuple[int, ...]]:
+    """Joints whose senses neither gravity nor patterns need show, by those that hide each other's.
+
+    Of several vertical axes patterns tell the senses by how far apart these are.
 
     Args:
         tree: the structure.
         state: its placements.
+
+    Returns:
+        The joints of each group, the one that carries the others first.
     """
-    turning = ~tree.prismatic
-    return [j for j in range(tree.n_joints) if turning[j] and _alone(tree, j)
-            and _is_vertical(tree, state, j)]  # fmt: skip
-
-
-def _alone(tree: KinematicTree, joint: int) -> bool:
-    """Whether no other joint turns what a joint turns."""
-    carried = [k for k in range(tree.n_joints) if joint in tree.chain(k)]
-    return not any(
-        not tree.prismatic[k] and k != joint for each in carried for k in tree.chain(each)
-    )
+    vertical = [
+        not tree.prismatic[j] and _is_vertical(tree, state, j) for j in range(tree.n_joints)
+    ]
+    chains = [tree.chain(k) for k in range(tree.n_joints)]
+    out = []
+    for j in range(tree.n_joints):
+        carried = [k for k in range(tree.n_joints) if j in chains[k] and not tree.prismatic[k]]
+        before = [k for k in chains[j] if k != j and not tree.prismatic[k]]
+        if not tree.prismatic[j] and not before and all(vertical[k] for k in carried):
+            out.append(tuple(carried))
+    return out
 
 
 def _is_vertical(tree: KinematicTree, state: State, joint: int) -> bool:
@@ -92,8 +98,8 @@ def _is_vertical(tree: KinematicTree, state: State, joint: int) -> bool:
     return bool((np.abs(state.up @ axis) > _VERTICAL).all())
 
 
-def turned_round(tree: KinematicTree, state: State, joint: int, q: F64) -> State:
-    """Placements with a joint in the other sense, and what it carries on the other side of it.
+def turned_round(tree: KinematicTree, state: State, joints: Sequence[int], q: F64) -> State:
+    """Placements with joints in the other sense, and what the first carries on its other side.
 
     Orientations stay, and so do pushes to first order. The sensors of what it carries begin without
     errors: a fit in the wrong sense bends them to the mirror images that no sensor is.
@@ -101,7 +107,7 @@ def turned_round(tree: KinematicTree, state: State, joint: int, q: F64) -> State
     Args:
         tree: the structure.
         state: placements.
-        joint: the joint.
+        joints: the joints, the one that carries the others first.
         q: (D,) positions of the joints at which orientations stay.
     """
     motion = [
@@ -109,21 +115,22 @@ def turned_round(tree: KinematicTree, state: State, joint: int, q: F64) -> State
         for at, slides in zip(q, tree.prismatic, strict=True)
     ]
     before = _in_base(tree, state, motion)
-    axis = before[joint]
+    first, axis = joints[0], before[joints[0]]
     across = axis @ screw("z", np.pi, 0.0) @ inverse(axis)
     after = list(before)
     for k in range(tree.n_joints):
-        if joint in tree.chain(k):
+        if first in tree.chain(k):
             after[k] = _moved(across, before[k])
-    after[joint] = axis @ screw("x", np.pi, 0.0)
+        if k in joints:
+            after[k] = after[k] @ screw("x", np.pi, 0.0)
     T_parent_joint, T_joint_su = state.T_parent_joint.copy(), state.T_joint_su.copy()
     for k, parent in enumerate(tree.parent):
-        if joint in tree.chain(k):
+        if first in tree.chain(k):
             base = after[parent] if parent >= 0 else np.eye(4)
             T_parent_joint[k] = inverse(base) @ after[k] @ inverse(motion[k])
     bias, shape = state.bias.copy(), state.shape.copy()
     for u, k in enumerate(tree.su_joint):
-        if k >= 0 and joint in tree.chain(int(k)):
+        if k >= 0 and first in tree.chain(int(k)):
             T_joint_su[u] = inverse(after[k]) @ _moved(across, before[k] @ state.T_joint_su[u])
             bias[u], shape[u] = 0.0, 0.0
     return replace(

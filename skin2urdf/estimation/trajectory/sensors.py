@@ -1,5 +1,8 @@
 """How good the sensors of one robot are, learnt from what all samples show of each.
 
+Where the fit leaves sensors that are hardly made, it may have ended on the wrong side of a hill:
+one that began where causes were not known yet has bent sensors in their place, and would stay.
+
 An SU that only one joint turns can not tell its tilt from a bias or a cross-axis error, so that its
 orientation is known as well as its sensor is. What is known of it is what the other SUs show of
 theirs. All samples show that far better than the features did that a fit begins with, most of all
@@ -19,7 +22,14 @@ from skin2urdf.estimation.solve.spread import narrowed
 from skin2urdf.estimation.trajectory.arrow import eliminated, joint_inverse
 from skin2urdf.estimation.trajectory.fit import Fitted, fit
 from skin2urdf.estimation.trajectory.problem import MotionProblem
+from skin2urdf.estimation.trajectory.senses import minus_log_posterior
 
+_FAR = 5.0
+"""Standard deviations of chi-squared from which sensors are hardly made so. What this decides about
+is time alone: one fit more."""
+_HALF = 0.5
+"""Share of chi-squared's mean below which sensors are not bent by much, whatever began it: they are
+better than they were said to be. This decides about time alone as well."""
 _NOTHING = 1e-13
 """Share by which directions without any information are held: a thousand times rounding. What is
 known of a bias before has 1e-10 of the information that an hour at rest has on a tilt, and must
@@ -41,6 +51,32 @@ def with_sensors_alike(problem: MotionProblem, fitted: Fitted) -> tuple[MotionPr
     equations = alike.with_other_priors(fitted.equations, fitted.state, problem)
     begin = fitted.predicted
     return alike, fit(alike, fitted.state, near=True, predicted=begin, equations=equations)
+
+
+def with_likely_sensors(
+    problem: MotionProblem, fitted: Fitted, iterations: int, *, bent: bool
+) -> Fitted:
+    """The fit, or one that begins with sensors without errors, where samples are likelier then.
+
+    It is tried where sensors differ from what is known of them by more than chance makes, or by
+    half of that at least where the fit began before it was known what they stood for.
+
+    Args:
+        problem: what was fitted.
+        fitted: its fit.
+        iterations: linearisations, at most, of another fit.
+        bent: whether something else than sensors may have bent them before the fit.
+    """
+    places, free = fitted.state.placements, problem.free_su[:, N_PLACEMENT:N_SU]
+    error = np.concatenate([places.bias, places.shape], axis=1)
+    known = np.broadcast_to(problem.priors.sensors.deviations, error.shape)
+    chi2, freedom = float(((error[free] / known[free]) ** 2).sum()), int(free.sum())
+    if chi2 <= (_HALF * freedom if bent else freedom + _FAR * np.sqrt(2 * freedom)):
+        return fitted
+    exact = replace(places, bias=0 * places.bias, shape=0 * places.shape)
+    start = replace(fitted.state, placements=exact)
+    other = fit(problem, start, iterations=iterations, far=True)
+    return other if minus_log_posterior(other) < minus_log_posterior(fitted) else fitted
 
 
 def _learnt(problem: MotionProblem, fitted: Fitted) -> Priors:

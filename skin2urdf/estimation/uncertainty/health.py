@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from skin2urdf.arrays import F64, Bool
-from skin2urdf.estimation.problem.state import State
+from skin2urdf.arrays import F64
 from skin2urdf.estimation.solve.estimate import Estimate
 from skin2urdf.estimation.start.inward import inward_starts
 from skin2urdf.estimation.start.orientation import axes_at_zero, with_all_sus
 from skin2urdf.estimation.uncertainty.goodness import Goodness, by_block
 from skin2urdf.estimation.uncertainty.narrow import narrow_priors
 from skin2urdf.estimation.uncertainty.outliers import poses_unlike_the_rest, sus_unlike_the_rest
+from skin2urdf.estimation.uncertainty.plausible import IMPLAUSIBLE_BIAS, IMPLAUSIBLE_SHAPE
 from skin2urdf.notes import Note
 
 _HANDED = 30.0
@@ -21,10 +21,6 @@ _LEFT = 0.1
 """Share of one image's chi-squared that the other leaves at most where that is the only cause.
 Right ones left up to 0.02 (so101 with four poses; panda with six 0.0001), and readings of which
 something else was wrong 0.5 to 1 (panda: names, gears and senses of encoders)."""
-_IMPLAUSIBLE_SHAPE = 0.2
-"""Scale or cross-axis error [1] that no working sensor has."""
-_IMPLAUSIBLE_BIAS = 4.0
-"""Bias [m/s^2] that no working sensor has."""
 
 
 def mirrored_sus(estimate: Estimate) -> tuple[int, ...]:
@@ -52,12 +48,6 @@ def mirrored_sus(estimate: Estimate) -> tuple[int, ...]:
     return tuple(int(u) for u in np.flatnonzero(mirrored))
 
 
-def are_plausible(state: State) -> Bool:
-    """(U,) whether each sensor has a bias, scale and cross-axis errors as working sensors have."""
-    shape, bias = (np.abs(x).max(axis=1, initial=0.0) for x in (state.shape, state.bias))
-    return np.asarray((shape <= _IMPLAUSIBLE_SHAPE) & (bias <= _IMPLAUSIBLE_BIAS))
-
-
 def unlike_the_rest(estimate: Estimate) -> tuple[int, ...]:
     """SUs that fit far worse than the others."""
     odd = sus_unlike_the_rest(by_block(estimate)).odd
@@ -78,9 +68,9 @@ def health_notes(estimate: Estimate, goodness: Goodness) -> tuple[Note, ...]:
         notes.append(Note("poses misfit", numbers=poses, of=len(goodness.by_pose.dof)))
     for i, name in enumerate(tree.su_names):
         scale = float(np.abs(state.shape[i]).max())
-        if scale > _IMPLAUSIBLE_SHAPE:
+        if scale > IMPLAUSIBLE_SHAPE:
             notes.append(Note("implausible shape", (name,), size=scale))
-        elif float(np.abs(state.bias[i]).max()) > _IMPLAUSIBLE_BIAS:
+        elif float(np.abs(state.bias[i]).max()) > IMPLAUSIBLE_BIAS:
             bias = float(np.abs(state.bias[i]).max())
             notes.append(Note("implausible bias", (name,), size=bias))
     return tuple(notes)

@@ -13,10 +13,10 @@ ARM = 0.1
 
 _SCALE = np.array([1.0, 1.0, 1.0, ARM, ARM, ARM])
 _MAX_STEPS = 30
-_FIRST_DAMPING, _MOST_DAMPING = 1e-6, 1e3
+FIRST_DAMPING, MOST_DAMPING = 1e-6, 1e3
 """Share of its own information by which a step is held, once it does not lead down at once: from a
 thousandth of its length on."""
-_ARRIVED = 1e-12
+ARRIVED = 1e-12
 """Part of the cost below which a step gains nothing."""
 
 
@@ -52,18 +52,30 @@ def align(
 def _fit(T_est_su: F64, T_true_su: F64, P: F64) -> tuple[F64, F64]:
     """X and D of :func:`align` over all given SUs, whose projectors are P (U, 6, 6).
 
-    Gauss-Newton with the displacements eliminated: the cost is linear in the number of SUs. Places
-    that are free by decimetres turn everything where they count, so that where all SUs are free to
-    move it begins from their orientations as well, and the better one lasts.
+    Gauss-Newton with the displacements eliminated: the cost is linear in the number of SUs.
+    """
+    fits = [_from(X, T_est_su, T_true_su, P) for X in starts(T_est_su, T_true_su, P)]
+    _, X, D = min(fits, key=lambda fit: fit[0])
+    return X, D
+
+
+def starts(T_est_su: F64, T_true_su: F64, P: F64) -> list[F64]:
+    """First transforms X of :func:`align`, of which the one that leads to the better fit lasts.
+
+    Places that are free by decimetres turn everything where they count, so that where all SUs are
+    free to move it begins from their orientations as well.
+
+    Args:
+        T_est_su: (N, U, 4, 4) SU poses in the estimate's base.
+        T_true_su: (N, U, 4, 4) the same SUs at the same configurations in the true base.
+        P: (U, 6, 6) projectors onto each SU's free directions.
     """
     ranks = np.array([np.linalg.matrix_rank(p) for p in P])
     firm = ranks == ranks.min()
-    starts = [kabsch(T_est_su[:, firm], T_true_su[:, firm])]
+    begun = [kabsch(T_est_su[:, firm], T_true_su[:, firm])]
     if ranks.min() > 0:
-        starts.append(kabsch(_turned(T_est_su[:, firm]), _turned(T_true_su[:, firm])))
-    fits = [_from(X, T_est_su, T_true_su, P) for X in starts]
-    _, X, D = min(fits, key=lambda fit: fit[0])
-    return X, D
+        begun.append(kabsch(_turned(T_est_su[:, firm]), _turned(T_true_su[:, firm])))
+    return begun
 
 
 def _turned(T: F64) -> F64:
@@ -92,23 +104,34 @@ def _from(X: F64, T_est_su: F64, T_true_su: F64, P: F64) -> tuple[float, F64, F6
         # What a displacement takes up is the mean along its directions. It is projected out of A,
         # and thereby out of r: A_seen is orthogonal to it.
         A_seen = (A - P @ A.mean(axis=0)).reshape(-1, 6)
-        held = np.sqrt(damping) * np.diag(np.linalg.norm(A_seen, axis=0))
-        rows, values = np.vstack([A_seen, held]), np.append(r.reshape(-1), np.zeros(6))
-        step = np.linalg.lstsq(rows, values, rcond=1e-10)[0]
+        step = damped_step(A_seen, r.reshape(-1), damping)
         further = D @ _displacement(P, (r - A @ step).mean(axis=0))
         there = X @ se3.exp(step)
         r_there, cost_there = left(there, further)
         if cost_there < cost:
-            arrived = cost - cost_there <= _ARRIVED * cost
+            arrived = cost - cost_there <= ARRIVED * cost
             X, D, r, cost = there, further, r_there, cost_there
             damping *= 0.1
             if arrived:
                 break
-        elif damping > _MOST_DAMPING:
+        elif damping > MOST_DAMPING:
             break
         else:
-            damping = max(10 * damping, _FIRST_DAMPING)
+            damping = max(10 * damping, FIRST_DAMPING)
     return cost, X, D
+
+
+def damped_step(A: F64, r: F64, damping: float) -> F64:
+    """(k,) the step that takes most off r (n,), each number held by a share of its information.
+
+    Args:
+        A: (n, k) derivatives of what is taken off.
+        r: (n,) what is left.
+        damping: that share.
+    """
+    held = np.sqrt(damping) * np.diag(np.linalg.norm(A, axis=0))
+    rows, values = np.vstack([A, held]), np.append(r, np.zeros(A.shape[1]))
+    return np.asarray(np.linalg.lstsq(rows, values, rcond=1e-10)[0])
 
 
 def displace(T_est_su: F64, T_true_su: F64, P: F64) -> F64:

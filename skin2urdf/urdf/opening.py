@@ -17,7 +17,16 @@ from skin2urdf.errors import UsageError
 from skin2urdf.geometry import se3
 from skin2urdf.geometry.se3 import inverse
 from skin2urdf.model.records import OpenDirection
-from skin2urdf.urdf.alignment import ARM, displace, kabsch, projector
+from skin2urdf.urdf.alignment import (
+    ARM,
+    ARRIVED,
+    FIRST_DAMPING,
+    MOST_DAMPING,
+    damped_step,
+    displace,
+    projector,
+    starts,
+)
 from skin2urdf.urdf.kinematics import kinematics, placements
 from skin2urdf.urdf.loading import Robot
 
@@ -28,6 +37,8 @@ A direction that the compared configurations hardly tell from these would take a
 """
 _SCALE = np.array([1.0, 1.0, 1.0, ARM, ARM, ARM])
 _MAX_STEPS = 30
+_EXACT = 1e-10
+"""Residual, rms, that is none [m]: rounding leaves as much."""
 _TURN = 2.0 * np.pi / 3.0
 """Turns to start from, either way: any angle is within a sixth of a full turn of one of three."""
 
@@ -109,10 +120,13 @@ def closest(
     """
     moved = moved_by(robot, directions, sight.names)
     for group in dict.fromkeys(groups):
-        on = anchors & np.array([each == group for each in groups])
-        mine = [each for each, rows in zip(directions, moved, strict=True) if (rows & on).any()]
-        if mine:
-            robot = _fitted(robot, mine, sight.of(on))
+        here = np.array([each == group for each in groups])
+        mine = (moved & here & anchors).any(axis=1)
+        if mine.any():
+            # What anchors hardly tell from motions of the base may move others by metres.
+            on = here & (anchors | moved[mine].any(axis=0))
+            some = [each for each, is_mine in zip(directions, mine, strict=True) if is_mine]
+            robot = _fitted(robot, some, sight.of(on))
     return robot
 
 
@@ -146,34 +160,61 @@ def _turns(direction: OpenDirection) -> bool:
 def _descended(
     robot: Robot, directions: Sequence[OpenDirection], sight: Sight
 ) -> tuple[Robot, float]:
+    """The best of where Gauss-Newton leads from the limb's first transforms; see :func:`_from`."""
+    P = np.stack([projector(rows) for rows in sight.free])
+    still = ~moved_by(robot, directions, sight.names).any(axis=0)
+    still = still if still.any() else ~still
+    T, _ = _motions(robot, directions, sight)
+    begun = starts(T[:, still], sight.T_true_su[:, still], P[still])
+    found = [_from(X, robot, directions, sight, P) for X in begun]
+    return min(found, key=lambda each: each[1])
+
+
+def _from(
+    X: F64, robot: Robot, directions: Sequence[OpenDirection], sight: Sight, P: F64
+) -> tuple[Robot, float]:
     """Gauss-Newton over the limb's transform and the amplitudes, SUs displaced where they may be.
+
+    What the compared configurations hardly tell from motions of the base is damped until it leads
+    down, as in :mod:`skin2urdf.urdf.alignment`.
 
     Returns:
         The best robot and its sum of squares.
     """
-    P = np.stack([projector(rows) for rows in sight.free])
-    still = ~moved_by(robot, directions, sight.names).any(axis=0)
-    still = still if still.any() else ~still
-    X: F64 | None = None
-    best, least = robot, np.inf
-    for _ in range(_MAX_STEPS):
-        T, along = _motions(robot, directions, sight)
-        X = kabsch(T[:, still], sight.T_true_su[:, still]) if X is None else X
+
+    def left(X: F64, T: F64) -> tuple[F64, F64, float]:
         D = displace(X @ T, sight.T_true_su, P)
         r = se3.log(inverse(X @ T @ D) @ sight.T_true_su) * _SCALE
-        cost = float(np.sum(r**2))
-        if cost >= least:
+        return D, r, float(np.sum(r**2))
+
+    T, along = _motions(robot, directions, sight)
+    D, r, cost = left(X, T)
+    damping = 0.0
+    for _ in range(_MAX_STEPS):
+        if cost <= _EXACT**2 * r.size:
             break
-        best, least = robot, cost
         A = np.concatenate([se3.adjoint(inverse(T @ D)), se3.adjoint(inverse(D)) @ along], axis=-1)
         A = _SCALE[:, None] * A
         A = (A - P @ A.mean(axis=0)).reshape(-1, 6 + len(directions))
         kept = _kept(A)
         step = np.zeros(A.shape[1])
-        step[kept] = np.linalg.lstsq(A[:, kept], r.reshape(-1), rcond=1e-10)[0]
-        X = X @ se3.exp(step[:6])
-        robot = _moved(robot, directions, step[6:].tolist())
-    return best, least
+        step[kept] = damped_step(A[:, kept], r.reshape(-1), damping)
+        X_there = X @ se3.exp(step[:6])
+        there = _moved(robot, directions, step[6:].tolist())
+        T_there, along_there = _motions(there, directions, sight)
+        D_there, r_there, cost_there = left(X_there, T_there)
+        if cost_there < cost:
+            arrived = cost - cost_there <= ARRIVED * cost
+            X, robot, T, along = X_there, there, T_there, along_there
+            D, r, cost = D_there, r_there, cost_there
+            damping *= 0.1
+            if arrived:
+                break
+        elif damping > MOST_DAMPING:
+            break
+        else:
+            damping = max(10 * damping, FIRST_DAMPING)
+    return robot, cost
 
 
 def _motions(robot: Robot, directions: Sequence[OpenDirection], sight: Sight) -> tuple[F64, F64]:

@@ -169,6 +169,26 @@ def test_a_direction_that_the_configurations_do_not_tell_is_left(
     assert c.position.rms == pytest.approx(reference.position.rms, rel=1e-6)
 
 
+def test_what_anchors_hardly_tell_from_the_base_moves_no_other_su_by_metres(
+    tmp_path: Path, fork: KinematicModel
+) -> None:
+    """Both branches turned alike are a turn of the base, but for a little; su_0 stays behind."""
+    rng = np.random.default_rng(3)
+    T = fork.T_joint_su @ exp(1e-3 * rng.standard_normal((fork.tree.n_sus, 6)))
+    wrong = replace(fork, T_joint_su=T)
+    reference = held(tmp_path, wrong, fork)
+    estimate = moved(wrong, 3, 0.25 * ALONG)
+    little = ABOUT + 0.02 * np.eye(6)[3]
+    both = OpenDirection(
+        {**beyond(estimate, 1, ABOUT).joints, **beyond(estimate, 3, little).joints},
+        {"su_0": 3.0 * np.eye(6)[0]},
+    )
+    slid = beyond(estimate, 3, ALONG)
+    anchors = ("su_1", "su_2", "su_5", "su_6")
+    c = held(tmp_path, estimate, fork, [both, slid], anchors=anchors)
+    assert c.position.rms == pytest.approx(reference.position.rms, rel=0.5)
+
+
 def test_directions_of_another_robot_are_refused(tmp_path: Path, fork: KinematicModel) -> None:
     with pytest.raises(UsageError, match="'elsewhere'"):
         held(tmp_path, fork, fork, [OpenDirection({"elsewhere": ALONG}, {})])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -13,7 +13,6 @@ from skin2urdf.estimation.problem.cost import Priors
 from skin2urdf.estimation.problem.state import State
 from skin2urdf.estimation.trajectory.ahead import Ahead, step_ahead
 from skin2urdf.estimation.trajectory.attempt import BENDS, Explained
-from skin2urdf.estimation.trajectory.bending import bends_of
 from skin2urdf.estimation.trajectory.causes import explained
 from skin2urdf.estimation.trajectory.clocks import with_likely_clocks
 from skin2urdf.estimation.trajectory.deviations import su_covariances
@@ -363,27 +362,29 @@ def estimate_along(
     problem, fitted, late = with_publishers(
         problem, fitted, begin, lambda about, at: misfit_of(about, at, SPAN)
     )
-    found = Explained(problem, fitted)
+
+    def look(without: Collection[str], unless_one_changed: bool = False) -> Explained:
+        found = Explained(problem, fitted)
+        if look_further:
+            found = explained(
+                problem, fitted, most, only_known=only_known, without=without,
+                unless_one_changed=unless_one_changed,
+            )  # fmt: skip
+        return with_likely_sensors(found, iterations)
+
     if look_further and not _links_may_explain(problem, fitted):
         without = {*without, *BENDS}
-    if look_further:
-        found = explained(
-            problem, fitted, most, only_known=only_known, without=without,
-            unless_one_changed=unless_one_changed,
-        )  # fmt: skip
-    found = _by_likely_sensors(found, iterations)
+    found = look(without, unless_one_changed)
     if found.causes and not are_plausible(found.fitted.state.placements).all():
         # What no sensor is has stood for another cause.
-        again = {*without, *found.causes}
-        other = explained(problem, fitted, most, only_known=only_known, without=again)
-        other = _by_likely_sensors(other, iterations)
+        others = {*without, *found.causes}
+        other = look(others)
         if are_plausible(other.fitted.state.placements).all():
-            found, without = other, again
+            found, without = other, others
     ended = _ended(found, mended, lengths=lengths, alike=alike)
     if not is_in_balance(ended.problem, ended.fitted):
         # Whatever yields so is nothing that carries loads.
-        without = {*without, *BENDS}
-        found = explained(problem, fitted, most, only_known=only_known, without=without)
+        found = look({*without, *BENDS})
         ended = _ended(found, mended, lengths=lengths, alike=alike)
     problem, fitted = ended.problem, ended.fitted
     left = misfit_of(problem, fitted, SPAN)
@@ -458,15 +459,6 @@ def _led(
     fitted = in_likelier_sense(problem, fitted, iterations)
     problem, fitted = fit_with_products(problem, fitted, iterations)
     return with_possible_fronts(problem, fitted, iterations)
-
-
-def _by_likely_sensors(found: Explained, iterations: int) -> Explained:
-    """The same with sensors that are likely, where samples are likelier then."""
-    problem = found.problem
-    # What bends is known about where it was followed to, and not from afar.
-    bent = bool(found.causes) and bends_of(problem.unseen) is None
-    fitted = with_likely_sensors(problem, found.fitted, iterations, bent=bent)
-    return replace(found, fitted=fitted)
 
 
 def _shaking(problem: MotionProblem, fitted: Fitted) -> tuple[F64, F64]:

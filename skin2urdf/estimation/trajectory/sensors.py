@@ -20,6 +20,8 @@ from skin2urdf.estimation.problem.cost import Priors
 from skin2urdf.estimation.problem.state import N_PLACEMENT, N_SU
 from skin2urdf.estimation.solve.spread import narrowed
 from skin2urdf.estimation.trajectory.arrow import eliminated, joint_inverse
+from skin2urdf.estimation.trajectory.attempt import Explained
+from skin2urdf.estimation.trajectory.bending import bends_of
 from skin2urdf.estimation.trajectory.fit import Fitted, fit
 from skin2urdf.estimation.trajectory.problem import MotionProblem
 from skin2urdf.estimation.trajectory.senses import minus_log_posterior
@@ -53,30 +55,30 @@ def with_sensors_alike(problem: MotionProblem, fitted: Fitted) -> tuple[MotionPr
     return alike, fit(alike, fitted.state, near=True, predicted=begin, equations=equations)
 
 
-def with_likely_sensors(
-    problem: MotionProblem, fitted: Fitted, iterations: int, *, bent: bool
-) -> Fitted:
+def with_likely_sensors(found: Explained, iterations: int) -> Explained:
     """The fit, or one that begins with sensors without errors, where samples are likelier then.
 
     It is tried where sensors differ from what is known of them by more than chance makes, or by
-    half of that at least where the fit began before it was known what they stood for.
+    half of that at least where the fit began before it was known what they stood for. What bends is
+    known about where it was followed to, and not from afar.
 
     Args:
-        problem: what was fitted.
-        fitted: its fit.
+        found: what was fitted, and the fit.
         iterations: linearisations, at most, of another fit.
-        bent: whether something else than sensors may have bent them before the fit.
     """
+    problem, fitted = found.problem, found.fitted
     places, free = fitted.state.placements, problem.free_su[:, N_PLACEMENT:N_SU]
     error = np.concatenate([places.bias, places.shape], axis=1)
     known = np.broadcast_to(problem.priors.sensors.deviations, error.shape)
     chi2, freedom = float(((error[free] / known[free]) ** 2).sum()), int(free.sum())
+    bent = bool(found.causes) and bends_of(problem.unseen) is None
     if chi2 <= (_HALF * freedom if bent else freedom + _FAR * np.sqrt(2 * freedom)):
-        return fitted
+        return found
     exact = replace(places, bias=0 * places.bias, shape=0 * places.shape)
     start = replace(fitted.state, placements=exact)
     other = fit(problem, start, iterations=iterations, far=True)
-    return other if minus_log_posterior(other) < minus_log_posterior(fitted) else fitted
+    likelier = minus_log_posterior(other) < minus_log_posterior(fitted)
+    return replace(found, fitted=other) if likelier else found
 
 
 def _learnt(problem: MotionProblem, fitted: Fitted) -> Priors:

@@ -12,11 +12,11 @@ from skin2urdf.arrays import F64
 from skin2urdf.estimation.problem.cost import Cost
 from skin2urdf.estimation.uncertainty.goodness import Goodness, Share
 from skin2urdf.estimation.uncertainty.health import (
-    are_plausible,
     health_notes,
     mirrored_sus,
     unlike_the_rest,
 )
+from skin2urdf.estimation.uncertainty.plausible import are_plausible
 from skin2urdf.notes import Note, of_kind
 
 

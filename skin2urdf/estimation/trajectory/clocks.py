@@ -2,10 +2,10 @@
 
 SUs of one robot mostly share a bus, a driver and so a clock, or have clocks that differ by as much
 as those of the others do. An SU on a vertical joint that moves slowly feels next to nothing of its
-motion: a fit may end at any lag, with another place for each. So where a log tells less of an SU's
-clock than the spread of the others' does, and has it stand out, it is tried among them: it stays
-there unless that leaves more by what a clock of its own costs, the choice of one out of all that
-could be. How far clocks spread is learnt, and is as wide as they are where each has its own.
+motion: a fit may end at any lag, with another place for each, and half a period of a pattern off it
+is on the other side of the joint. So an SU's clock that stands out is tried among the others: it
+stays there unless that leaves more by what a clock of its own costs, the choice of one out of all
+that could be. How far clocks spread is learnt, and is as wide as they are where each has its own.
 """
 
 from __future__ import annotations
@@ -25,12 +25,14 @@ from skin2urdf.estimation.trajectory.state import MotionState
 _STANDS_OUT = 2.0
 """Standard deviations from which a clock is tried among the others: one in twenty by chance, which
 costs a fit. What decides is chi-squared."""
+_OTHERS = 3
+"""Other SUs that tell where clocks are, at least: of two nobody knows which stands out."""
 _PASSES = 3
 """Times that clocks are looked at again: some that stand out make the others look spread."""
 
 
 def clocks_of_others(clock: F64, variance: F64, mended: F64, given: F64) -> ClockPriors:
-    """What the other SUs tell of each SU's clock, where that is more than its own samples do.
+    """What the other SUs tell of clocks that stand out, or that they tell more of than the SU does.
 
     Args:
         clock: (G, U, 2) lag [s] and drift [1] of each SU in each log.
@@ -44,16 +46,18 @@ def clocks_of_others(clock: F64, variance: F64, mended: F64, given: F64) -> Cloc
     total = clock + mended
     mean, deviation = np.zeros(total.shape), np.broadcast_to(given, total.shape).copy()
     told = variance < DETERMINED * given**2
-    for g, c in np.ndindex(len(total), len(given)):
-        if told[g, :, c].sum() <= ENOUGH:
+    for g, c, u in np.ndindex(len(total), len(given), total.shape[1]):
+        others = told[g, :, c] & (np.arange(total.shape[1]) != u)
+        if others.sum() < _OTHERS:
             continue
         least = BEYOND_NOISE**2 * float(np.median(variance[g, told[g, :, c], c]))
-        for u in np.flatnonzero(variance[g, :, c] > least):
-            others = told[g, :, c] & (np.arange(total.shape[1]) != u)
-            usual = float(np.median(total[g, others, c]))
-            size2 = max(spread(total[g, others, c] - usual, variance[g, others, c]) ** 2, least)
-            if size2 < min(variance[g, u, c], given[c] ** 2):
-                mean[g, u, c], deviation[g, u, c] = usual - mended[g, u, c], np.sqrt(size2)
+        usual = float(np.median(total[g, others, c]))
+        size2 = max(spread(total[g, others, c] - usual, variance[g, others, c]) ** 2, least)
+        # Its own samples may have led to where a pattern looks right half a period off.
+        out = abs(total[g, u, c] - usual) > _STANDS_OUT * np.sqrt(size2 + variance[g, u, c])
+        vague = others.sum() >= ENOUGH and variance[g, u, c] > max(least, size2)
+        if (out or vague) and size2 < given[c] ** 2:
+            mean[g, u, c], deviation[g, u, c] = usual - mended[g, u, c], np.sqrt(size2)
     return ClockPriors(mean, deviation)
 
 

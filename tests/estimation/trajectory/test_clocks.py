@@ -65,6 +65,17 @@ def test_two_others_are_too_few_to_tell() -> None:
     np.testing.assert_array_equal(expected.deviation[0], np.tile(GIVEN, (3, 1)))
 
 
+@pytest.mark.parametrize("n", [4, 10])
+def test_a_clock_that_stands_out_is_tried_among_the_others(n: int) -> None:
+    """However well its own samples tell it: half a period of a pattern off looks right as well."""
+    rng = np.random.default_rng(0)
+    lags = 1e-4 * rng.standard_normal(n)
+    lags[3] = 0.25
+    expected = clocks_of_others(*clocks(lags, np.full(n, 1e-4)), np.zeros((1, n, 2)), GIVEN)
+    assert abs(expected.mean[0, 3, 0]) < 1e-3
+    assert expected.deviation[0, 3, 0] < 2e-3
+
+
 def found(late: float, begin: float, noise: float) -> MotionEstimate:
     """A fit in which the SU on the vertical joint is late, and its clock begins off."""
     rng = np.random.default_rng(2)

@@ -141,7 +141,12 @@ def _worth(solution: Solution, along: MotionEstimate) -> float:
 
 
 def worth_of(parameters: int, along: MotionEstimate) -> float:
-    """Logarithm of the likelihood that so many parameters have to gain of all samples."""
+    """Logarithm of the likelihood that so many parameters have to gain of all samples.
+
+    Args:
+        parameters: number of them.
+        along: the fit of all samples, which tells how many measurements there are.
+    """
     measured = sum(
         3 * log.independence * float(p.measured.sum())
         for log, p in zip(along.problem.logs, along.fitted.predicted, strict=True)

@@ -2,22 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from skin2urdf.arrays import F64, Bool
 from skin2urdf.geometry import se3
 from skin2urdf.geometry.se3 import inverse
+from skin2urdf.urdf.descent import descended
 
 ARM = 0.1
 """Lever arm that makes lengths of angles [m/rad]: 1 deg weighs as much as 1.75 mm."""
 
 _SCALE = np.array([1.0, 1.0, 1.0, ARM, ARM, ARM])
 _MAX_STEPS = 30
-FIRST_DAMPING, MOST_DAMPING = 1e-6, 1e3
-"""Share of its own information by which a step is held, once it does not lead down at once: from a
-thousandth of its length on."""
-ARRIVED = 1e-12
-"""Part of the cost below which a step gains nothing."""
 
 
 def align(
@@ -88,50 +86,27 @@ def _turned(T: F64) -> F64:
 def _from(X: F64, T_est_su: F64, T_true_su: F64, P: F64) -> tuple[float, F64, F64]:
     """Cost, X and D where Gauss-Newton ends from a first X.
 
-    SUs that are all free along about the same axis leave X nearly free along it as well. A step
-    that would lead far out there is damped (Marquardt 1963) until it leads down.
+    SUs that are all free along about the same axis leave X nearly free along it as well.
     """
 
-    def left(X: F64, D: F64) -> tuple[F64, float]:
-        r = se3.log(inverse(X @ T_est_su @ D) @ T_true_su) * _SCALE
-        return r, float(np.sum(r**2))
+    def left(here: tuple[F64, F64]) -> F64:
+        X, D = here
+        return np.asarray(se3.log(inverse(X @ T_est_su @ D) @ T_true_su) * _SCALE)
 
-    D = _first_displacements(X @ T_est_su, T_true_su, P)
-    r, cost = left(X, D)
-    damping = 0.0
-    for _ in range(_MAX_STEPS):
+    def linear(here: tuple[F64, F64], r: F64) -> tuple[F64, Callable[[F64], tuple[F64, F64]]]:
+        X, D = here
         A = _SCALE[:, None] * se3.adjoint(inverse(T_est_su @ D))
+
+        def moved(step: F64) -> tuple[F64, F64]:
+            return X @ se3.exp(step), D @ _displacement(P, (r - A @ step).mean(axis=0))
+
         # What a displacement takes up is the mean along its directions. It is projected out of A,
-        # and thereby out of r: A_seen is orthogonal to it.
-        A_seen = (A - P @ A.mean(axis=0)).reshape(-1, 6)
-        step = damped_step(A_seen, r.reshape(-1), damping)
-        further = D @ _displacement(P, (r - A @ step).mean(axis=0))
-        there = X @ se3.exp(step)
-        r_there, cost_there = left(there, further)
-        if cost_there < cost:
-            arrived = cost - cost_there <= ARRIVED * cost
-            X, D, r, cost = there, further, r_there, cost_there
-            damping *= 0.1
-            if arrived:
-                break
-        elif damping > MOST_DAMPING:
-            break
-        else:
-            damping = max(10 * damping, FIRST_DAMPING)
+        # and thereby out of r: the rest is orthogonal to it.
+        return (A - P @ A.mean(axis=0)).reshape(-1, 6), moved
+
+    begin = X, _first_displacements(X @ T_est_su, T_true_su, P)
+    (X, D), cost = descended(begin, left, linear)
     return cost, X, D
-
-
-def damped_step(A: F64, r: F64, damping: float) -> F64:
-    """(k,) the step that takes most off r (n,), each number held by a share of its information.
-
-    Args:
-        A: (n, k) derivatives of what is taken off.
-        r: (n,) what is left.
-        damping: that share.
-    """
-    held = np.sqrt(damping) * np.diag(np.linalg.norm(A, axis=0))
-    rows, values = np.vstack([A, held]), np.append(r, np.zeros(A.shape[1]))
-    return np.asarray(np.linalg.lstsq(rows, values, rcond=1e-10)[0])
 
 
 def displace(T_est_su: F64, T_true_su: F64, P: F64) -> F64:

@@ -7,7 +7,7 @@ followed exactly, so that a branch may be half a turn about a vertical axis away
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -17,16 +17,8 @@ from skin2urdf.errors import UsageError
 from skin2urdf.geometry import se3
 from skin2urdf.geometry.se3 import inverse
 from skin2urdf.model.records import OpenDirection
-from skin2urdf.urdf.alignment import (
-    ARM,
-    ARRIVED,
-    FIRST_DAMPING,
-    MOST_DAMPING,
-    damped_step,
-    displace,
-    projector,
-    starts,
-)
+from skin2urdf.urdf.alignment import ARM, displace, projector, starts
+from skin2urdf.urdf.descent import descended
 from skin2urdf.urdf.kinematics import kinematics, placements
 from skin2urdf.urdf.loading import Robot
 
@@ -36,9 +28,6 @@ NEWS = 0.01
 A direction that the compared configurations hardly tell from these would take a huge amplitude.
 """
 _SCALE = np.array([1.0, 1.0, 1.0, ARM, ARM, ARM])
-_MAX_STEPS = 30
-_EXACT = 1e-10
-"""Residual, rms, that is none [m]: rounding leaves as much."""
 _TURN = 2.0 * np.pi / 3.0
 """Turns to start from, either way: any angle is within a sixth of a full turn of one of three."""
 
@@ -170,51 +159,55 @@ def _descended(
     return min(found, key=lambda each: each[1])
 
 
+@dataclass(frozen=True, eq=False)
+class _Seen:
+    """A robot X (4, 4) from the truth's base, with motions as :func:`_motions` and displacements.
+
+    The latter, D (U, 4, 4), are those along SUs' free directions that fit best.
+    """
+
+    X: F64
+    robot: Robot
+    T: F64
+    along: F64
+    D: F64
+
+
 def _from(
     X: F64, robot: Robot, directions: Sequence[OpenDirection], sight: Sight, P: F64
 ) -> tuple[Robot, float]:
     """Gauss-Newton over the limb's transform and the amplitudes, SUs displaced where they may be.
 
-    What the compared configurations hardly tell from motions of the base is damped until it leads
-    down, as in :mod:`skin2urdf.urdf.alignment`.
-
     Returns:
         The best robot and its sum of squares.
     """
 
-    def left(X: F64, T: F64) -> tuple[F64, F64, float]:
-        D = displace(X @ T, sight.T_true_su, P)
-        r = se3.log(inverse(X @ T @ D) @ sight.T_true_su) * _SCALE
-        return D, r, float(np.sum(r**2))
+    def seen(X: F64, robot: Robot) -> _Seen:
+        T, along = _motions(robot, directions, sight)
+        return _Seen(X, robot, T, along, displace(X @ T, sight.T_true_su, P))
 
-    T, along = _motions(robot, directions, sight)
-    D, r, cost = left(X, T)
-    damping = 0.0
-    for _ in range(_MAX_STEPS):
-        if cost <= _EXACT**2 * r.size:
-            break
-        A = np.concatenate([se3.adjoint(inverse(T @ D)), se3.adjoint(inverse(D)) @ along], axis=-1)
+    def left(here: _Seen) -> F64:
+        return np.asarray(se3.log(inverse(here.X @ here.T @ here.D) @ sight.T_true_su) * _SCALE)
+
+    def linear(here: _Seen, _: F64) -> tuple[F64, Callable[[F64], _Seen]]:
+        back = inverse(here.D)
+        A = np.concatenate(
+            [se3.adjoint(inverse(here.T @ here.D)), se3.adjoint(back) @ here.along], axis=-1
+        )
         A = _SCALE[:, None] * A
         A = (A - P @ A.mean(axis=0)).reshape(-1, 6 + len(directions))
         kept = _kept(A)
-        step = np.zeros(A.shape[1])
-        step[kept] = damped_step(A[:, kept], r.reshape(-1), damping)
-        X_there = X @ se3.exp(step[:6])
-        there = _moved(robot, directions, step[6:].tolist())
-        T_there, along_there = _motions(there, directions, sight)
-        D_there, r_there, cost_there = left(X_there, T_there)
-        if cost_there < cost:
-            arrived = cost - cost_there <= ARRIVED * cost
-            X, robot, T, along = X_there, there, T_there, along_there
-            D, r, cost = D_there, r_there, cost_there
-            damping *= 0.1
-            if arrived:
-                break
-        elif damping > MOST_DAMPING:
-            break
-        else:
-            damping = max(10 * damping, FIRST_DAMPING)
-    return robot, cost
+
+        def moved(some: F64) -> _Seen:
+            step = np.zeros(A.shape[1])
+            step[kept] = some
+            robot = _moved(here.robot, directions, step[6:].tolist())
+            return seen(here.X @ se3.exp(step[:6]), robot)
+
+        return A[:, kept], moved
+
+    best, cost = descended(seen(X, robot), left, linear)
+    return best.robot, cost
 
 
 def _motions(robot: Robot, directions: Sequence[OpenDirection], sight: Sight) -> tuple[F64, F64]:

@@ -154,7 +154,7 @@ def _fit_along(
     solution, along = with_sus_apart(
         retold(solution, along), along, clock, of_patterns=begun.of_patterns
     )
-    if begun.of_patterns and along.misfit > GOOD_FIT:
+    if begun.of_patterns and (along.misfit > GOOD_FIT or along.slack_is_none):
         return _of_moves(begun, solution.found.tree.n_sus, clock) or (solution, along)
     return solution, along
 
@@ -177,4 +177,4 @@ def _of_moves(begun: Beginning, n_sus: int, clock: Clock) -> tuple[Solution, Mot
     if along is None:
         return None
     found = with_sus_apart(solution, along, clock, of_patterns=False)
-    return None if found[1].misfit > GOOD_FIT else found
+    return None if found[1].misfit > GOOD_FIT or found[1].slack_is_none else found

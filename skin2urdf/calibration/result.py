@@ -177,15 +177,16 @@ class Calibration(Record):
         place, and one alone, no joint is weak, half of the joints are determined, and the base
         stands still, since lengths along the first axis may else be off by more than is stated.
 
-        It is bad where the readings are not explained, or only in part while no SU that a recording
-        could place is determined, or where most of these are not and most would need errors that no
-        sensor has: then it is the model that is wrong, which SUs on the base fit whatever it is;
-        and so it is where an SU feels motion that its place in the tree does not explain.
+        It is bad where the readings are not explained, or by more slack than joints have, or only
+        in part while no SU that a recording could place is determined, or where most of these are
+        not and most would need errors that no sensor has: then it is the model that is wrong, which
+        SUs on the base fit whatever it is; and so it is where an SU feels motion that its place in
+        the tree does not explain.
 
         What no recording can tell must not spoil it, such as where branches that meet in one joint
         sit along its axis.
         """
-        if not self.misfit <= self.largest_misfit:
+        if not self.misfit <= self.largest_misfit or self._needs_impossible_slack:
             return "bad"
         if self.misfit > GOOD_FIT and self._placed and "determined" not in self._placed:
             return "bad"
@@ -195,7 +196,7 @@ class Calibration(Record):
         goodness, seen = self.goodness, self.observability
         explained = max(self.misfit, goodness.prediction, seen.widening) <= GOOD_FIT
         explained &= not self.not_arrived
-        alike = not (self.unlike_sus.odd.any() or self.unlike_poses.odd.any())
+        alike = not (self.unlike_sus.odd.any() or self.unlike_poses.odd.any() or self.feel_more)
         verdicts = seen.joint_verdict
         known = "weak" not in verdicts and 2 * verdicts.count("determined") >= len(verdicts)
         known &= not self.mostly_open
@@ -293,6 +294,11 @@ class Calibration(Record):
         told = self._beyond if self._beyond.any() else self.model.tree.su_joint >= 0
         plausible = are_plausible(self.estimate.state)[told]
         return bool(2 * plausible.sum() < len(plausible))
+
+    @property
+    def _needs_impossible_slack(self) -> bool:
+        """Whether all samples are explained by joints that are further off than any encoder."""
+        return self.along is not None and self.along.slack_is_none
 
     @property
     def _placed(self) -> list[str]:

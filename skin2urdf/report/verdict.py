@@ -152,7 +152,7 @@ def _doubts(calibration: Calibration) -> list[Doubt]:
         found.append(Doubt("moving base", words, number=tilt))
     known = {fault.subject for fault in calibration.faults}
     odd = [tree.su_names[u] for u in np.flatnonzero(calibration.unlike_sus.odd)]
-    odd = [name for name in odd if name not in known]
+    odd = [name for name in dict.fromkeys((*odd, *calibration.feel_more)) if name not in known]
     if odd:
         fit = "fits" if len(odd) == 1 else "fit"
         words = f"{shortened(odd, _NAMED)} {fit} far worse than the other SUs"

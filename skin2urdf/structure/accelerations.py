@@ -360,7 +360,7 @@ def _motion_of(samples: Along, chain: Sequence[ChainJoint], up: F64) -> _ChainMo
     priors: list[float] = []
     slides: list[int] = []
     slopes: list[F64] = []
-    last = (-1, (0.0, 0.0, 0.0))
+    last, about = (-1, (0.0, 0.0, 0.0)), (0.0, 0.0, 0.0)
     at = 0
     for i, joint in enumerate(chain):
         d, axis = joint.dof, np.array(joint.axis)
@@ -371,6 +371,7 @@ def _motion_of(samples: Along, chain: Sequence[ChainJoint], up: F64) -> _ChainMo
             slides.append(at)
             at += 3
         else:
+            about = joint.axis
             a = np.tensordot(axis, turn, 1)
             alpha = alpha + a * qdd[d] + cross(omega, a) * qd[d]
             omega = omega + a * qd[d]
@@ -384,7 +385,7 @@ def _motion_of(samples: Along, chain: Sequence[ChainJoint], up: F64) -> _ChainMo
         if carried and omega.any():
             columns.append(applied(spin.swapaxes(0, 1), turn))
             priors += [_OFFSET] * 3
-            last = (at, joint.axis if joint.kind == "revolute" else last[1])
+            last = (at, about)
             at += 3
     open_ = [*columns, *slopes]
     return _ChainMotion(

@@ -142,6 +142,18 @@ class Draft(Record):
             su_joint=np.array([place[int(j)] for j in su_joint]),
         )
 
+    def brought(self, at: int, children: Sequence[int]) -> tuple[Draft, int, list[int]]:
+        """With branches on a segment (-1: the RS), wherever they began before.
+
+        Returns:
+            The draft, and what the segment and the branches' first joints are in it.
+        """
+        if all(self.parent[c] == at for c in children):
+            return self, at, list(children)
+        out = self.gathered(at, children, [])
+        place = {joint.dof: j for j, joint in enumerate(out.joints)}
+        return out, place[self.joints[at].dof], [place[self.joints[c].dof] for c in children]
+
     def without_joint(self, joint: int) -> Draft:
         """Without a joint: what it carries is carried by the one before it."""
         before = self.parent[joint]
@@ -386,21 +398,23 @@ def _placed(
     children: list[int] = []
     sus: list[int] = []
     pushes: list[tuple[float, F64]] = []
-    for own, members in groups(draft, at):
-        trial = draft.with_joint(joint, at, own, [] if own else members)
-        moved = _moved(draft, trial, samples, members, joint.kind, at, now, price)
+    for own, members in _on_the_way(draft, at):
+        single = [] if own else members
+        there, place, behind = draft.brought(at, own)
+        trial = there.with_joint(joint, place, behind, single)
+        moved = _moved(there, trial, samples, members, joint.kind, place, now, price)
         if moved is None:
             continue
         if moved.gain > price and not moved.holds and others and joint.kind == "prismatic":
-            beside = draft.pushed(others, at, own, [] if own else members)
-            trial = beside.with_joint(joint, at, [at + 1], [])
+            beside = there.pushed(others, place, behind, single)
+            trial = beside.with_joint(joint, place, [place + 1], [])
             pushed = [beside.judged(samples, u) if u in members else None for u in range(len(now))]
-            moved = _moved(beside, trial, samples, members, joint.kind, at, pushed, price)
+            moved = _moved(beside, trial, samples, members, joint.kind, place, pushed, price)
         if moved is None or not moved.holds:
             continue
         total += moved.gain
         children += own
-        sus += [] if own else members
+        sus += single
         pushes.append((moved.push_sd, moved.push))
     if not (children or sus):
         return None
@@ -408,7 +422,22 @@ def _placed(
         push = min(pushes, key=lambda p: p[0])[1]
         axis = push / np.linalg.norm(push)
         joint = replace(joint, axis=(float(axis[0]), float(axis[1]), float(axis[2])))
-    return Place(draft.with_joint(joint, at, children, sus), total - price)
+    there, place, behind = draft.brought(at, children)
+    return Place(there.with_joint(joint, place, behind, sus), total - price)
+
+
+def _on_the_way(draft: Draft, at: int) -> Iterator[tuple[list[int], list[int]]]:
+    """What a joint behind a segment may move: what sits there, or before hidden joints up to it.
+
+    What sits beyond two joints that gravity does not show may be explained by neither alone, and
+    is then left before the one that is found first.
+    """
+    before, path = at, set(draft.path(at))
+    while True:
+        yield from (each for each in groups(draft, before) if path.isdisjoint(each[0]))
+        if before < 0 or not draft.joints[before].is_hidden:
+            return
+        before = draft.parent[before]
 
 
 def groups(draft: Draft, at: int) -> Iterator[tuple[list[int], list[int]]]:

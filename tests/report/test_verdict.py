@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
+from copy import copy
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -17,6 +18,7 @@ from skin2urdf.calibration.refusal import check_fit
 from skin2urdf.calibration.result import Calibration
 from skin2urdf.errors import BadFitError
 from skin2urdf.estimation.trajectory.fit import held
+from skin2urdf.estimation.trajectory.slack import MOST_SLACK
 from skin2urdf.estimation.uncertainty.goodness import Share
 from skin2urdf.estimation.uncertainty.physics import physics_found, why_unexplained
 from skin2urdf.faults import Fault
@@ -324,25 +326,54 @@ def test_a_bad_result_that_is_not_written_names_the_physics_that_was_found(tmp_p
     assert re.findall(r"\d+", str(plain).split("robot.urdf")[1])[:3] == ["7", "0", "7"]
 
 
-def test_a_bad_result_names_the_few_sus_that_are_not_explained(tmp_path: Path) -> None:
-    """A joint that yields is felt by most SUs; a bias that steps is felt by its own."""
-    found = calibration()
-    along = found.along
+def stepped(n: int, **changes: Any) -> Calibration:
+    """The calibration with readings of the first SUs that step by 20 mg half-way."""
+    found, along = calibration(), calibration().along
+    assert along is not None
+    predicted = []
+    for log in along.fitted.predicted:
+        residual = log.residual.copy()
+        residual[len(residual) // 2 :, :n] += 0.2
+        predicted.append(replace(log, residual=residual))
+    fitted = replace(along.fitted, predicted=tuple(predicted))
+    return replace(found, along=replace(along, fitted=fitted, **changes))
+
+
+def test_an_su_that_feels_more_than_noise_makes_it_fair() -> None:
+    name = calibration().estimate.tree.su_names[0]
+    found = stepped(1)
+    assert found.misfit < 2.0
+    assert found.quality == "fair"
+    assert ("SUs misfit", (name,)) in against(found)
+    told = replace(found, faults=(Fault("stepped", name),))
+    assert "SUs misfit" not in dict(against(told))
+
+
+def test_joints_that_would_be_off_by_more_than_any_gear_allows_make_it_bad() -> None:
+    """A tree that lacks a joint is explained by joints that stand elsewhere in every place."""
+    along = calibration().along
     assert along is not None
 
-    def told_of(n: int) -> tuple[str, ...]:
-        predicted = []
-        for log in along.fitted.predicted:
-            residual = log.residual.copy()
-            residual[len(residual) // 2 :, :n] += 0.2
-            predicted.append(replace(log, residual=residual))
-        fitted = replace(along.fitted, predicted=tuple(predicted))
-        stepped = replace(found, along=replace(along, fitted=fitted, misfit=7.0))
-        refused = str(not_to_be_saved(stepped, tmp_path / "robot.urdf"))
-        assert all(name in refused for name in stepped.feel_more)
-        return stepped.feel_more
+    def with_slack(size: float) -> Calibration:
+        loose = copy(along.problem)
+        loose.priors = replace(loose.priors, unseen=np.array([size]))
+        changed = replace(along, problem=loose, causes=("slack",))
+        return replace(calibration(), along=changed)
 
-    names = along.problem.tree.su_names
+    assert with_slack(0.02).quality == "good"
+    assert with_slack(MOST_SLACK).quality == "bad"
+
+
+def test_a_bad_result_names_the_few_sus_that_are_not_explained(tmp_path: Path) -> None:
+    """A joint that yields is felt by most SUs; a bias that steps is felt by its own."""
+
+    def told_of(n: int) -> tuple[str, ...]:
+        bad = stepped(n, misfit=7.0)
+        refused = str(not_to_be_saved(bad, tmp_path / "robot.urdf"))
+        assert all(name in refused for name in bad.feel_more)
+        return bad.feel_more
+
+    names = calibration().estimate.tree.su_names
     assert told_of(0) == ()
     assert told_of(1) == names[:1]
     assert told_of(len(names) // 2) == names[: len(names) // 2]

@@ -6,6 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pytest
 from random_robots import Joint, robot_of
 from simulated import changed_sus
 
@@ -35,6 +36,41 @@ def test_a_scara_is_found_from_moves_alone(tmp_path: Path) -> None:
     assert found.tree.joint_names == simulation.truth.joint_names
     assert found.tree.joint_types == tuple(joint.kind for joint in SCARA)
     assert found.tree.parent.tolist() == [-1, 0, 1, 2]
+    joint = {su.name: su.joint for su in simulation.truth.sus}
+    assert found.tree.su_joint.tolist() == [joint[name] for name in found.tree.su_names]
+
+
+COAXIAL = (
+    Joint("turntable", -1, "revolute", (0.0, 0.0, 0.2)),
+    Joint("waist", 0, "revolute", (0.0, 0.0, 0.05)),
+    Joint("shoulder", 1, "revolute", (0.2, 0.0, 0.05), (-np.pi / 2, 0.0, 0.0)),
+)
+ON_A_SLIDE = (
+    Joint("shoulder", -1, "revolute"),
+    Joint("elbow", 0, "revolute", (0.25, 0.0, 0.05)),
+    Joint("slide", 1, "prismatic", (0.2, 0.0, 0.0), limits=(-0.1, 0.1)),
+    Joint("wrist", 2, "revolute", (0.0, 0.0, -0.1)),
+)
+
+
+@pytest.mark.parametrize(
+    ("joints", "seed"), [(COAXIAL, 10), (COAXIAL, 11), (ON_A_SLIDE, 10), (ON_A_SLIDE, 14)]
+)
+def test_what_two_hidden_joints_move_is_found_beyond_both(
+    joints: tuple[Joint, ...], seed: int, tmp_path: Path
+) -> None:
+    """All joints move at once: either of two that gravity does not show explains next to nothing.
+
+    An SU on a slide is turned by the vertical joint before it.
+    """
+    settings = SimulationSettings(
+        excite="none", minutes=0.8, seed=seed, upright=True, imu_rate=100.0, joint_rate=50.0
+    )
+    simulation = simulate(robot_of(joints, tmp_path, SkinLayout(1, 1)), settings)
+    logs, names = sampled_together([retimed(simulation.recording)], must_rest=False)
+    found, *_ = trees_from_motion(logs, names)
+    assert found.tree.joint_types == tuple(joint.kind for joint in joints)
+    assert found.tree.parent.tolist() == [joint.parent for joint in joints]
     joint = {su.name: su.joint for su in simulation.truth.sus}
     assert found.tree.su_joint.tolist() == [joint[name] for name in found.tree.su_names]
 

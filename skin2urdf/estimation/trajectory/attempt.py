@@ -205,6 +205,11 @@ class Attempt:
         rounding = rounded_off(self.problem.tree, self.problem.logs)
         return slack.gain_beyond(rounding) > _DOUBTED
 
+    @property
+    def gives_way(self) -> bool:
+        """Whether it has joints, links or a base that yield."""
+        return bool(set(BENDS) & set(self.causes))
+
     @cached_property
     def has_play(self) -> bool:
         """Whether it has joints that yield, of which what is lacking shows that they have play."""

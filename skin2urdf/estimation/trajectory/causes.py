@@ -81,6 +81,11 @@ def explained(
         best, attempts = (rigid, []) if only_known else _of_any_cause(rigid, without)
     else:
         best, attempts = known, [known]
+    if best.gives_way and not only_known:
+        # Of gears that are uneven as well, slack of the size of rounding would take the rest.
+        others = [gain for cause, gain in best.gains.items() if cause not in best.causes]
+        even, best = best, _with_few_sizes(best, max(others, default=0.0), without)
+        attempts += [best] if best is not even else []
     curved = best if best is rigid else best.curved_where_likeliest()
     if curved is not best:
         best = curved

@@ -53,7 +53,7 @@ from skin2urdf.estimation.trajectory.rounded import lost_in_averages, rounded_of
 from skin2urdf.estimation.trajectory.senses import in_likelier_sense
 from skin2urdf.estimation.trajectory.sensors import with_likely_sensors, with_sensors_alike
 from skin2urdf.estimation.trajectory.shaken_loads import ShakenLoads
-from skin2urdf.estimation.trajectory.slack import lacking
+from skin2urdf.estimation.trajectory.slack import MOST_SLACK, lacking
 from skin2urdf.estimation.trajectory.state import MotionState
 from skin2urdf.estimation.trajectory.swaying import swaying
 from skin2urdf.estimation.trajectory.time_scale import of_the_other_clock
@@ -271,6 +271,11 @@ class MotionEstimate:
     def slack(self) -> float:
         """What encoders leave of a joint's position from place to place, its learnt size [rad]."""
         return float(self.problem.priors.unseen[-1]) if "slack" in self.causes else 0.0
+
+    @property
+    def slack_is_none(self) -> bool:
+        """Whether joints would have to be off by more than any slack: something else is wrong."""
+        return self.slack >= MOST_SLACK
 
     @cached_property
     def widest_slack(self) -> tuple[F64, ...]:

@@ -52,6 +52,10 @@ _WIDE = 1e-2
 _SIZES = np.geomspace(1e-7, 3e-2, 111)
 """Sizes that are compared [rad]: from what no encoder tells to two degrees, by 12 %."""
 
+MOST_SLACK = float(_SIZES[-1])
+"""Size of slack that is none [rad]: the likeliest one may be larger still, and no gear has so much
+play."""
+
 _NOTHING = np.zeros(0, dtype=np.int64)
 UNKNOWN = np.geomspace(1.0, 8.0, 7)
 """Variances of noise that SUs share over those of its draws that are compared, where draws show how

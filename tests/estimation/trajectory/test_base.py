@@ -103,6 +103,27 @@ def test_a_base_that_gives_way_by_less_than_encoders_round_off_is_followed() -> 
     assert found(1 / 250_000) == ("base",)
 
 
+def test_uneven_gears_on_a_base_that_gives_way_are_followed_as_well() -> None:
+    """What the base does says more at first; what it leaves is no slack, nor rounding."""
+    at = np.random.default_rng(1).uniform(-1.5, 1.5, (_PLACES, 2))
+    q = stays(at, _STAY, _MOVE)
+    read, _ = readings_on_a_stand(TREE, TRUTH, BODIES, q, 1 / 30_000)
+    read = read + 7e-3 * np.random.default_rng(2).standard_normal(read.shape)
+    ahead = 8e-4 * (np.sin(q + 0.3) + 0.5 * np.sin(2 * q + 2.0))
+    priors = motion_priors(Priors(), gravity=0.0, front=(np.zeros(2), np.zeros(2)))
+    log = sampled_trajectory(q - ahead, read)
+    found = estimate_along([log], TREE, TRUTH, priors, np.zeros(3))
+    assert found.causes == ("base", "harmonics")
+    assert found.misfit < 1.0
+    # A constant of it is the joint's zero, and a slope along its range is its neighbours' turn.
+    (seen,) = found.problem.deflections(found.fitted.state)
+    kept = found.problem.logs[0].kept
+    about = np.column_stack([np.ones(len(kept)), q[kept]])
+    bends = np.hstack([seen, ahead[kept]])
+    bends -= about @ np.linalg.lstsq(about, bends, rcond=None)[0]
+    assert np.corrcoef(bends.T)[[0, 1], [2, 3]].min() > 0.9
+
+
 def test_how_a_base_stands_is_chosen_or_stated_to_be_open() -> None:
     """Nothing shows its turn about gravity, nor how it leans all the time."""
     found, _ = _on_a_stand(1 / 30_000)

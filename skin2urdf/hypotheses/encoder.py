@@ -107,7 +107,8 @@ class Encoders:
 
     def finish(self, last: Attempt, clock: Clock) -> Attempt:
         """The errors as the fit says, once it is known which encoders are wrong."""
-        return timed_by_the_moves(sized_by_the_fit(last, clock))
+        sized = sized_by_the_fit(last, clock)
+        return timed_by_the_moves(without_doubtful_scales(sized, clock))
 
 
 def _turned_otherwise(
@@ -246,6 +247,42 @@ def sized_by_the_fit(last: Attempt, clock: Clock) -> Attempt:
     )
 
 
+def without_doubtful_scales(last: Attempt, clock: Clock) -> Attempt:
+    """An attempt without scales that are not certain: what is not said is not taken off.
+
+    Another scale of a slide is another size of the robot, wherever all else leaves that open.
+
+    Args:
+        last: an attempt with the errors known, as large as they are.
+        clock: runs the stages.
+    """
+    while True:
+        found, features, logs = last.solution.found, last.solution.features, last.solution.logs
+        known = [each.error for each in suspicions(found, features)]
+        doubtful = [
+            error
+            for error in errors_of(last.amendments)
+            if error.kind == "scale"
+            and not _stands_out(error, _deviation(error, known, features), logs)
+        ]
+        if not doubtful:
+            return last
+        error = min(doubtful, key=lambda e: abs(e.size - 1) / _deviation(e, known, features))
+        features = corrected_features(features, replace(error, size=1 / error.size))
+        found = estimate_once(logs, found.tree, features, found.state, clock, search=False)
+        rest = tuple(
+            a for a in last.amendments if not (isinstance(a, Corrected) and a.error is error)
+        )
+        solution = replace(last.solution, found=found, features=features)
+        last = replace(last, amendments=rest, solution=solution)
+
+
+def _deviation(error: EncoderError, known: Sequence[EncoderError], features: Features) -> float:
+    """How well the readings tell an error; inf where they do not."""
+    same = [k.deviation for k in known if are_alike(k, error, features)]
+    return min(same, default=np.inf)
+
+
 def _with_a_size(error: EncoderError, logs: Logs) -> EncoderError | None:
     """What of an error the fit may size; None for joints that are hit: they leap, and leap back.
 
@@ -284,8 +321,7 @@ def _faults(errors: Sequence[EncoderError], last: Solution) -> tuple[Fault, ...]
     for error in together(errors, last.features):
         if error.kind == "offset" and any(of_one_turn(error, e, last.features) for e in turned):
             continue
-        same = [k for k in known if are_alike(k, error, last.features)]
-        deviation = min((k.deviation for k in same), default=np.inf)
+        deviation = _deviation(error, known, last.features)
         if _stands_out(error, deviation, last.logs):
             turns = not prismatic.get(error.dof, False)
             out.append(_fault(replace(error, deviation=deviation), turns))

@@ -43,7 +43,7 @@ from skin2urdf.faults import Fault
 from skin2urdf.hypotheses.arising import narrowed, turning_between
 from skin2urdf.hypotheses.changes import turns_within
 from skin2urdf.hypotheses.corrected import Corrected, errors_of, with_another
-from skin2urdf.hypotheses.encoder import sharpened, sized_by_the_fit
+from skin2urdf.hypotheses.encoder import sharpened, sized_by_the_fit, without_doubtful_scales
 from skin2urdf.hypotheses.records import Attempt
 from skin2urdf.hypotheses.sense import TURNED, felt_at_rest
 from skin2urdf.hypotheses.suspicions import suspicions
@@ -233,6 +233,30 @@ def test_a_log_that_counts_the_other_way_does_so_about_zero() -> None:
     whole = Corrected(EncoderError("sign", "panda_joint4", -1.0, 0))
     now = Attempt((whole,), solved_panda(), solved_panda().logs)
     assert sized_by_the_fit(now, Clock()).amendments == (whole,)
+
+
+def test_a_scale_that_is_not_certain_is_not_taken_off() -> None:
+    """Nothing is said of it, and with it the robot would be of another size."""
+    solution, joint, clock = solved_panda(), "panda_joint4", Clock()
+    known = [s.error for s in suspicions(solution.found, solution.features)]
+    (deviation,) = (e.deviation for e in known if (e.kind, e.dof) == ("scale", joint))
+
+    def kept(size: float) -> Attempt:
+        """Of two scales, of which one makes up for what is wrong with the features before."""
+        doubtful = EncoderError("scale", joint, 1 + 3 * deviation)
+        certain = EncoderError("scale", "panda_joint2", size)
+        features = corrected_features(solution.features, doubtful)
+        state = solution.found.state
+        found = estimate_once(solution.logs, solution.found.tree, features, state, clock)
+        both = replace(solution, found=found, features=features)
+        last = Attempt((Corrected(doubtful), Corrected(certain)), both, solution.logs)
+        return without_doubtful_scales(last, clock)
+
+    after = kept(1.02)
+    assert [e.dof for e in errors_of(after.amendments)] == ["panda_joint2"]
+    np.testing.assert_allclose(after.solution.features.q, solution.features.q, rtol=1e-12)
+    assert after.solution.found.misfit == pytest.approx(solution.found.misfit, rel=1e-6)
+    assert kept(1.0 + 1e-9).amendments == ()
 
 
 def test_an_error_that_the_features_contradict_needs_no_attempt() -> None:

@@ -45,6 +45,10 @@ _ROUGH_RATE, _RATE_BIAS = 0.02, 0.1
 _TURN, _OFFSET, _LAG = 0.05, 1.0, 0.05
 """Standard deviations of directions from gravity [rad], of offsets [m], and of clocks [s], as a
 constant and as what they drift in half a log."""
+_WARMTH = 0.05
+"""The same of what a bias drifts in half a log, in proportion to time and to its square [m/s^2],
+5 mg: that of sensors that warm up. Where joints stay for a while, functions of their positions
+would foretell a drift."""
 
 _REMEMBERED = 16
 """Chains whose motion is kept for the next SU: as many as a branch has segments, of a MB
@@ -405,7 +409,7 @@ def _regression(
     """Columns (n, 3, N), what they have to explain (3, N), and the columns' priors (n,)."""
     n, M = len(motion.columns), sensor_matrix(sensor[3:])
     g = R.T @ motion.gravity[:, use]
-    A = np.zeros((n + 14, 3, g.shape[1]))
+    A = np.zeros((n + 20, 3, g.shape[1]))
     if n:
         np.matmul(M @ R.T, motion.columns[..., use], out=A[:n])
     by_tilt, by_bias, by_shape = A[n : n + 3], A[n + 3 : n + 6], A[n + 6 : n + 12]
@@ -414,6 +418,8 @@ def _regression(
     fill_shape_columns(by_shape, g)
     A[n + 12] = samples.change[use, su].T
     A[n + 13] = A[n + 12] * samples.time[use]
-    prior = np.array([*motion.prior, *[_TURN] * 3, *PRIOR, _LAG, _LAG])
+    A[range(n + 14, n + 17), range(3)] = samples.time[use]
+    A[range(n + 17, n + 20), range(3)] = samples.time[use] ** 2
+    prior = np.array([*motion.prior, *[_TURN] * 3, *PRIOR, _LAG, _LAG, *[_WARMTH] * 6])
     y = samples.readings[use, su].T - sensor[:3, None] - M @ g
     return A, y, prior

@@ -30,7 +30,7 @@ def with_sus_elsewhere(draft: Draft, samples: Along) -> Draft:
         if not alike:
             continue
         now = draft.judged(samples, u)
-        best, most = draft, 0.0
+        best, most = draft, -np.inf
         for j in alike:
             su_joint = draft.su_joint.copy()
             su_joint[u] = j
@@ -44,7 +44,10 @@ def with_sus_elsewhere(draft: Draft, samples: Along) -> Draft:
             # Of what it explains by chance it loses as much elsewhere.
             chance = float(np.sqrt(2 * (np.minimum(gains, 0.0) ** 2).sum()))
             gain = float(gains.sum())
-            if gain > max(most, CERTAIN, CONSISTENT * chance):
+            # Joints that do not show for certain that they carry it are left out.
+            inwards = set(draft.path(j)) < set(draft.path(at))
+            least = -CERTAIN if inwards else max(CERTAIN, CONSISTENT * chance)
+            if gain > least and gain > most:
                 best, most = moved, gain
         draft = best
     return draft

@@ -5,7 +5,8 @@ as those of the others do. An SU on a vertical joint that moves slowly feels nex
 motion: a fit may end at any lag, with another place for each, and half a period of a pattern off it
 is on the other side of the joint. So an SU's clock that stands out is tried among the others: it
 stays there unless that leaves more by what a clock of its own costs, the choice of one out of all
-that could be. How far clocks spread is learnt, and is as wide as they are where each has its own.
+that could be. How far clocks spread is learnt, and is as wide as they are where each has its own;
+few clocks tell little of it (Student 1908).
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from scipy.special import stdtrit
 
 from skin2urdf.arrays import F64, Bool
 from skin2urdf.estimation.solve.spread import BEYOND_NOISE, DETERMINED, ENOUGH, spread
@@ -25,8 +27,12 @@ from skin2urdf.estimation.trajectory.state import MotionState
 _STANDS_OUT = 2.0
 """Standard deviations from which a clock is tried among the others: one in twenty by chance, which
 costs a fit. What decides is chi-squared."""
-_OTHERS = 3
-"""Other SUs that tell where clocks are, at least: of two nobody knows which stands out."""
+_OTHERS = 2
+"""Other SUs that tell where clocks are, at least: of a single one nobody knows how far clocks
+spread."""
+_BOTH_SIDES = 0.9772
+"""Share of a normal distribution that is not beyond two standard deviations on one side: as much of
+Student's is within, whose width says how little few others tell of how far clocks spread."""
 _PASSES = 3
 """Times that clocks are looked at again: some that stand out make the others look spread."""
 
@@ -52,7 +58,9 @@ def clocks_of_others(clock: F64, variance: F64, mended: F64, given: F64) -> Cloc
             continue
         least = BEYOND_NOISE**2 * float(np.median(variance[g, told[g, :, c], c]))
         usual = float(np.median(total[g, others, c]))
-        size2 = max(spread(total[g, others, c] - usual, variance[g, others, c]) ** 2, least)
+        wide = float(stdtrit(others.sum() - 1, _BOTH_SIDES)) / _STANDS_OUT
+        apart = spread(total[g, others, c] - usual, variance[g, others, c])
+        size2 = max((wide * apart) ** 2, least)
         # Its own samples may have led to where a pattern looks right half a period off.
         out = abs(total[g, u, c] - usual) > _STANDS_OUT * np.sqrt(size2 + variance[g, u, c])
         vague = others.sum() >= ENOUGH and variance[g, u, c] > max(least, size2)

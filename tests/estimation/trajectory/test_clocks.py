@@ -59,21 +59,35 @@ def test_stamps_that_were_set_right_count_with_what_they_were_off_by() -> None:
     assert expected.mean[0, 3, 0] == pytest.approx(0.4)
 
 
-def test_two_others_are_too_few_to_tell() -> None:
+def test_two_others_are_too_few_to_tell_of_a_clock_that_hardly_shows() -> None:
     few = clocks(np.zeros(3), np.array([1e-4, 1e-4, 0.1]))
     expected = clocks_of_others(*few, np.zeros((1, 3, 2)), GIVEN)
     np.testing.assert_array_equal(expected.deviation[0], np.tile(GIVEN, (3, 1)))
 
 
-@pytest.mark.parametrize("n", [4, 10])
+def test_few_others_tell_little_of_how_far_clocks_spread() -> None:
+    """Of a single one nothing; of two that are 6 ms apart that 0.1 s stands out, and 20 ms do not."""
+
+    def off(*lags: float) -> bool:
+        n = len(lags)
+        told = clocks(np.array(lags), np.full(n, 1e-5)), np.zeros((1, n, 2))
+        expected = clocks_of_others(*told[0], told[1], GIVEN)
+        return bool(expected.deviation[0, -1, 0] < GIVEN[0])
+
+    assert not off(0.0, 0.25)
+    assert off(-0.003, 0.003, 0.1)
+    assert not off(-0.003, 0.003, 0.02)
+
+
+@pytest.mark.parametrize("n", [3, 4, 10])
 def test_a_clock_that_stands_out_is_tried_among_the_others(n: int) -> None:
     """However well its own samples tell it: half a period of a pattern off looks right as well."""
     rng = np.random.default_rng(0)
     lags = 1e-4 * rng.standard_normal(n)
-    lags[3] = 0.25
+    lags[-1] = 0.25
     expected = clocks_of_others(*clocks(lags, np.full(n, 1e-4)), np.zeros((1, n, 2)), GIVEN)
-    assert abs(expected.mean[0, 3, 0]) < 1e-3
-    assert expected.deviation[0, 3, 0] < 2e-3
+    assert abs(expected.mean[0, -1, 0]) < 1e-3
+    assert expected.deviation[0, -1, 0] < 2e-3
 
 
 def found(late: float, begin: float, noise: float) -> MotionEstimate:

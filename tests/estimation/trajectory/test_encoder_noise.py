@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from calibrated import calibration
 from random_robots import Joint, robot_of
 from simulated import held_against
 from synthetic import (
@@ -22,6 +23,7 @@ from skin2urdf import calibrate
 from skin2urdf.arrays import F64
 from skin2urdf.calibration.settings import CalibrationSettings
 from skin2urdf.estimation.problem.cost import Priors
+from skin2urdf.estimation.trajectory.ahead import step_along
 from skin2urdf.estimation.trajectory.encoder_noise import hidden_lengths, without_shortening
 from skin2urdf.estimation.trajectory.estimate import motion_priors
 from skin2urdf.estimation.trajectory.fit import fit, held
@@ -63,6 +65,27 @@ def test_noise_in_which_motion_is_lost_is_left_alone(tmp_path: Path) -> None:
     beyond = along.problem.tree.su_joint >= 0
     # One along the only axis that turns an SU moves nothing.
     assert (sum(abs(own[beyond, :3]).max(axis=1) for _, own in hidden) > 0).all()
+
+
+def test_a_step_is_short_along_what_nothing_shows() -> None:
+    """A hundredth of what noise makes of a gradient would turn an SU on the base by 25 rad."""
+    found = calibration()
+    assert found.along is not None
+    fitted = found.along.fitted
+    told = np.array([verdict == "determined" for verdict in found.observability.su_verdict])
+    size = np.sqrt(np.einsum("uii->ui", fitted.equations.su))
+    gradient = np.zeros_like(size)
+    gradient[:, :6] = 1e-3 * np.random.default_rng(0).standard_normal((len(size), 6)) * size[:, :6]
+    none = np.zeros(len(fitted.equations.joint))
+    far, near, nearer = (
+        np.abs(step_along(fitted, none, gradient, within=within).steps[1][:, :6])
+        for within in (np.inf, 0.035, 0.0035)
+    )
+    assert far[~told].max() > 1.0
+    assert near[~told].max() < 0.035
+    # What is known better than that takes the same step.
+    assert near[told].max() < 1e-4
+    np.testing.assert_allclose(near[told], nearer[told], atol=0.02 * near[told].max())
 
 
 @pytest.mark.parametrize(("excite", "bits"), [("none", 12), ("series", 11)])

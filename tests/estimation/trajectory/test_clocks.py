@@ -66,7 +66,7 @@ def test_two_others_are_too_few_to_tell_of_a_clock_that_hardly_shows() -> None:
 
 
 def test_few_others_tell_little_of_how_far_clocks_spread() -> None:
-    """Of a single one nothing; of two that are 6 ms apart that 0.1 s stands out, and 20 ms do not."""
+    """Of a single one nothing; of two 6 ms apart that 0.1 s stands out, and that 20 ms do not."""
 
     def off(*lags: float) -> bool:
         n = len(lags)

@@ -206,6 +206,11 @@ class Attempt:
         return slack.gain_beyond(rounding) > _DOUBTED
 
     @property
+    def may_drift(self) -> bool:
+        """Whether sensors have biases that are not known."""
+        return self.problem.priors.sensors.bias > 0
+
+    @property
     def gives_way(self) -> bool:
         """Whether it has joints, links or a base that yield."""
         return bool(set(BENDS) & set(self.causes))

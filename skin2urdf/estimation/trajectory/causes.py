@@ -122,6 +122,12 @@ def _of_any_cause(rigid: Attempt, without: Collection[str]) -> tuple[Attempt, li
     by_bends = rigid.gains[likeliest[0]] if likeliest else 0.0
     best = _with_few_sizes(rigid, by_bends, without)
     attempts = [best]
+    if TILTS in best.causes and DRIFT not in without and rigid.may_drift:
+        # A base may tilt in so many ways that it follows what sensors do as well.
+        drifts = rigid.adding(DRIFT)
+        attempts.append(drifts)
+        if drifts.misfit <= min(EXPLAINED, best.misfit):
+            best = drifts
     if best.lacks:
         other, more = _with_physics(rigid, without)
         attempts += more
@@ -170,7 +176,7 @@ def _with_physics(rigid: Attempt, without: Collection[str]) -> tuple[Attempt, li
     bends explains what it leaves.
     """
     left = [cause for cause in (DRIFT, *BENDS) if cause not in without]
-    if DRIFT in left and rigid.problem.priors.sensors.bias == 0:
+    if DRIFT in left and not rigid.may_drift:
         left.remove(DRIFT)
     best, tried = rigid, list[Attempt]()
     while left and best.needs_a_cause:

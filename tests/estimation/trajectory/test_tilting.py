@@ -6,11 +6,19 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from synthetic import RATE, motion_state, random_state, sampled_trajectory, serial_tree, stays
+from synthetic import (
+    RATE,
+    motion_state,
+    random_state,
+    readings_along,
+    sampled_trajectory,
+    serial_tree,
+    stays,
+)
 
 from skin2urdf.arrays import F64
 from skin2urdf.estimation.problem.cost import Priors
-from skin2urdf.estimation.trajectory.estimate import motion_priors
+from skin2urdf.estimation.trajectory.estimate import estimate_along, motion_priors
 from skin2urdf.estimation.trajectory.fit import fit, held
 from skin2urdf.estimation.trajectory.problem import MotionProblem
 from skin2urdf.estimation.trajectory.rocking import of_accelerations
@@ -121,3 +129,19 @@ def test_what_it_accelerates_by_is_a_part_of_the_error_only_where_it_tilts() -> 
     assert all(np.abs(joint).max() + np.abs(su).max() > 0 for joint, su in parts)
     for _, su in parts[2:]:
         np.testing.assert_array_equal(su[0], 0.0)
+
+
+def test_what_drifting_sensors_do_is_no_tilt() -> None:
+    """Tilts follow it as well, by many more numbers, and leave little more than noise."""
+    rng = np.random.default_rng(3)
+    truth = replace(random_state(rng, _TREE, 1, 0.3), up=_UP[None])
+    q = stays(rng.uniform(-1, 1, (20, 1)), int(RATE), int(RATE))
+    warmth = 1 - np.exp(-np.arange(len(q)) / RATE / 60)
+    readings = readings_along(_TREE, truth, q)
+    readings += 0.06 * rng.uniform(-1, 1, (2, 3)) * warmth[:, None, None]
+    readings += 0.03 * rng.standard_normal(readings.shape)
+    log = sampled_trajectory(q, readings, still_below=0.02)
+    priors = motion_priors(Priors(), gravity=0.0, front=(np.zeros(2), np.zeros(2)))
+    found = estimate_along([log], _TREE, truth, priors, np.zeros(2))
+    assert found.causes == ("drift",)
+    assert found.misfit < found.tried["tilts"] < 2.0

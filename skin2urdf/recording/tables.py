@@ -33,8 +33,11 @@ ROWS = 4096
 # Cells that are in memory at a time, and a line of a file: many a row of the widest tables.
 MOST_CELLS = 1 << 22
 LONGEST_LINE = 1 << 22
+# Characters of a cell that may be a number; an array of cells has room for the longest in each.
+LONGEST_NUMBER = 256
 # What a row group of a Parquet file may unpack to [byte]; writers aim at 128 MiB.
 LARGEST_GROUP = 1 << 30
+_NO_NUMBER = "too long"
 REMEDY = (
     "the first line names the columns with their units: `time [s]`, a joint as `elbow [rad]` "
     "([deg], [m], [mm]), its torque as `elbow [Nm]`, an SU as `hand.x [m/s^2]`, "
@@ -152,6 +155,8 @@ class Table:
         """Cells as numbers; what is none is NaN and counted."""
         if not rows:
             return np.zeros((0, 1))
+        if max(len(cell) for row in rows for cell in row) > LONGEST_NUMBER:
+            rows = [[c if len(c) <= LONGEST_NUMBER else _NO_NUMBER for c in row] for row in rows]
         text = np.array(rows, dtype=np.str_)
         if delimiter == ";":
             text = np.char.replace(text, ",", ".")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tracemalloc
 from pathlib import Path
 
 import numpy as np
@@ -157,6 +158,22 @@ def test_endless_lines_are_refused(tmp_path: Path) -> None:
     with pytest.raises(UnreadableInputError) as caught:
         read(path)
     assert caught.value.why == "long line"
+
+
+def test_a_long_cell_takes_no_more_room_than_it_has(tmp_path: Path) -> None:
+    """An array of text has room for its longest one in every cell."""
+    path = table(tmp_path / "log.csv", HEADER, [TIME, ANGLE, *FORCE.T])
+    with path.open("a") as stream:
+        stream.write(f"9,0,{'0.' + '1' * 100_000},0,0\n")
+    tracemalloc.start()
+    try:
+        recording = read(path)
+        most = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert most < 64 << 20
+    assert [note.number for note in of_reading(recording.notes, "bad cells")] == [1]
+    assert len(recording.joints[0].time) == len(recording.sus[0].time) + 1 == COUNT + 1
 
 
 @settings(max_examples=25, deadline=None, suppress_health_check=list(HealthCheck))

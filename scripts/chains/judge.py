@@ -18,7 +18,8 @@ from skin2urdf.estimation.problem.state import N_JOINT, N_PLACEMENT, N_SU, State
 from skin2urdf.estimation.solve.estimate import Estimate, estimate
 from skin2urdf.estimation.solve.gauss_newton import gauss_newton
 from skin2urdf.estimation.start.order import ordered
-from skin2urdf.estimation.uncertainty.observability import UNKNOWN, observability
+from skin2urdf.estimation.uncertainty.covariance import UNKNOWN
+from skin2urdf.estimation.uncertainty.observability import observability
 from skin2urdf.geometry.se3 import inverse, placement
 from skin2urdf.geometry.so3 import frame_with_z
 from skin2urdf.signals.information import Information

@@ -22,7 +22,7 @@ from skin2urdf.estimation.uncertainty.outliers import (
     poses_unlike_the_rest,
     sus_unlike_the_rest,
 )
-from skin2urdf.estimation.uncertainty.physics import physics_found
+from skin2urdf.estimation.uncertainty.physics import IMPOSSIBLE_SLACK, physics_found
 from skin2urdf.estimation.uncertainty.plausible import are_plausible
 from skin2urdf.faults import Fault
 from skin2urdf.geometry.se3 import inverse
@@ -186,7 +186,7 @@ class Calibration(Record):
         What no recording can tell must not spoil it, such as where branches that meet in one joint
         sit along its axis.
         """
-        if not self.misfit <= self.largest_misfit or self._needs_impossible_slack:
+        if not self.misfit <= self.largest_misfit or self.needs_impossible_slack:
             return "bad"
         if self.misfit > GOOD_FIT and self._placed and "determined" not in self._placed:
             return "bad"
@@ -251,6 +251,8 @@ class Calibration(Record):
     @property
     def physics(self) -> tuple[str, str] | None:
         """What was found that a rigid robot has not, and what to do about it; None if nothing."""
+        if self.needs_impossible_slack:
+            return IMPOSSIBLE_SLACK
         return None if self.along is None else physics_found(self.along.causes)
 
     @property
@@ -296,7 +298,7 @@ class Calibration(Record):
         return bool(2 * plausible.sum() < len(plausible))
 
     @property
-    def _needs_impossible_slack(self) -> bool:
+    def needs_impossible_slack(self) -> bool:
         """Whether all samples are explained by joints that are further off than any encoder."""
         return self.along is not None and self.along.slack_is_none
 

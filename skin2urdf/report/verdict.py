@@ -11,7 +11,11 @@ import numpy as np
 from skin2urdf.calibration.result import GOOD_FIT, Calibration
 from skin2urdf.estimation.uncertainty.narrow import narrow_priors
 from skin2urdf.estimation.uncertainty.observability import Verdict
-from skin2urdf.estimation.uncertainty.physics import STAND_STILL, base_moves
+from skin2urdf.estimation.uncertainty.physics import (
+    IMPOSSIBLE_SLACK,
+    STAND_STILL,
+    base_moves,
+)
 from skin2urdf.recording.naming import shortened
 from skin2urdf.report.limbs import OpenLimb
 from skin2urdf.report.tables import count, number
@@ -21,12 +25,14 @@ _NAMED = 3
 
 
 DoubtKind = Literal[
-    "faults", "SUs unplaced", "SUs unexplained", "SUs of two places", "soft base", "moving base",
-    "SUs misfit", "poses misfit", "prediction", "errors come back", "not arrived", "sensors",
-    "no such sensors", "weak joints", "open limbs", "joints open", "SUs open",
+    "faults", "SUs unplaced", "SUs unexplained", "impossible slack", "SUs of two places",
+    "soft base", "moving base", "SUs misfit", "poses misfit", "prediction", "errors come back",
+    "not arrived", "sensors", "no such sensors", "weak joints", "open limbs", "joints open",
+    "SUs open",
 ]  # fmt: skip
 """What speaks against a result: things found wrong, SUs whose readings fit no place, or not the one
-that they have, or another one as well, a base that gives way, or moves by itself, SUs and poses
+that they have, joints further off their encoders than any gear allows, SUs that fit another place
+as well, a base that gives way, or moves by itself, SUs and poses
 that fit worse than the rest, poses that are predicted worse than stated, what is left of the
 readings and comes back with the motion, a fit that ended before it arrived, sensors that are worse
 than the options say, or than any, axes that are known weakly, limbs whose places are open, and what
@@ -131,6 +137,8 @@ def _doubts(calibration: Calibration) -> list[Doubt]:
             "an SU hangs on a wrong joint, or its clock, its axes or its name are wrong"
         )
         found.append(Doubt("SUs unexplained", words, unexplained))
+    if calibration.needs_impossible_slack:
+        found.append(Doubt("impossible slack", "{} ({})".format(*IMPOSSIBLE_SLACK)))
     two = calibration.of_two_places
     if two:
         sus, joints = (list(dict.fromkeys(names)) for names in zip(*two, strict=True))
@@ -155,7 +163,10 @@ def _doubts(calibration: Calibration) -> list[Doubt]:
     odd = [name for name in dict.fromkeys((*odd, *calibration.feel_more)) if name not in known]
     if odd:
         fit = "fits" if len(odd) == 1 else "fit"
-        words = f"{shortened(odd, _NAMED)} {fit} far worse than the other SUs"
+        words = (
+            f"{shortened(odd, _NAMED)} {fit} far worse than the other SUs (see how firmly "
+            "sensors and base are fixed)"
+        )
         found.append(Doubt("SUs misfit", words, tuple(odd)))
     poses = calibration.unlike_poses.odd
     if poses.any():

@@ -143,7 +143,11 @@ class Draft(Record):
         )
 
     def brought(self, at: int, children: Sequence[int]) -> tuple[Draft, int, list[int]]:
-        """With branches on a segment (-1: the RS), wherever they began before.
+        """With branches on a segment, wherever they began before.
+
+        Args:
+            at: the joint that moves the segment; -1 for the RS.
+            children: the branches' first joints.
 
         Returns:
             The draft, and what the segment and the branches' first joints are in it.

@@ -19,7 +19,8 @@ from skin2urdf.structure.draft import CERTAIN, CONSISTENT, Draft, gained, is_pus
 def with_sus_elsewhere(draft: Draft, samples: Along) -> Draft:
     """The draft with SUs where they are predicted best, of all segments that gravity finds alike.
 
-    A joint keeps an SU beyond it: one that moves none would not be in the tree.
+    A joint keeps an SU beyond it: one that moves none would not be in the tree. Further out an SU
+    comes where that is certain, and further in unless it is certain that it is carried.
 
     Args:
         draft: a tree with all its joints.
@@ -44,7 +45,7 @@ def with_sus_elsewhere(draft: Draft, samples: Along) -> Draft:
             # Of what it explains by chance it loses as much elsewhere.
             chance = float(np.sqrt(2 * (np.minimum(gains, 0.0) ** 2).sum()))
             gain = float(gains.sum())
-            # Joints that do not show for certain that they carry it are left out.
+            # Each joint more has numbers that explain something by chance, as drifts of biases.
             inwards = set(draft.path(j)) < set(draft.path(at))
             least = -CERTAIN if inwards else max(CERTAIN, CONSISTENT * chance)
             if gain > least and gain > most:

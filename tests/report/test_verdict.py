@@ -17,10 +17,15 @@ from skin2urdf.arrays import F64
 from skin2urdf.calibration.refusal import check_fit
 from skin2urdf.calibration.result import Calibration
 from skin2urdf.errors import BadFitError
+from skin2urdf.estimation.trajectory.estimate import MotionEstimate
 from skin2urdf.estimation.trajectory.fit import held
 from skin2urdf.estimation.trajectory.slack import MOST_SLACK
 from skin2urdf.estimation.uncertainty.goodness import Share
-from skin2urdf.estimation.uncertainty.physics import physics_found, why_unexplained
+from skin2urdf.estimation.uncertainty.physics import (
+    IMPOSSIBLE_SLACK,
+    physics_found,
+    why_unexplained,
+)
 from skin2urdf.faults import Fault
 from skin2urdf.notes import Note
 from skin2urdf.output import not_to_be_saved
@@ -311,7 +316,9 @@ def test_a_bad_result_that_is_not_written_names_the_physics_that_was_found(tmp_p
     assert all_weak.along is not None
 
     def refused(causes: tuple[str, ...]) -> BadFitError:
-        along = replace(all_weak.along, misfit=7.0, causes=causes)
+        assert all_weak.along is not None
+        along = slackened(all_weak.along, 1e-4) if "slack" in causes else all_weak.along
+        along = replace(along, misfit=7.0, causes=causes)
         return not_to_be_saved(replace(all_weak, along=along), tmp_path / "robot.urdf")
 
     plain, yields, loose = map(refused, ((), ("elastic",), ("elastic", "slack")))
@@ -349,19 +356,30 @@ def test_an_su_that_feels_more_than_noise_makes_it_fair() -> None:
     assert "SUs misfit" not in dict(against(told))
 
 
-def test_joints_that_would_be_off_by_more_than_any_gear_allows_make_it_bad() -> None:
+def slackened(along: MotionEstimate, size: float) -> MotionEstimate:
+    """The same with slack of some size [rad]."""
+    loose = copy(along.problem)
+    loose.priors = replace(loose.priors, unseen=np.array([size]))
+    return replace(along, problem=loose, causes=("slack",))
+
+
+def test_joints_that_would_be_off_by_more_than_any_gear_allows_make_it_bad(tmp_path: Path) -> None:
     """A tree that lacks a joint is explained by joints that stand elsewhere in every place."""
     along = calibration().along
     assert along is not None
 
     def with_slack(size: float) -> Calibration:
-        loose = copy(along.problem)
-        loose.priors = replace(loose.priors, unseen=np.array([size]))
-        changed = replace(along, problem=loose, causes=("slack",))
-        return replace(calibration(), along=changed)
+        return replace(calibration(), along=slackened(along, size))
 
-    assert with_slack(0.02).quality == "good"
-    assert with_slack(MOST_SLACK).quality == "bad"
+    some, impossible = with_slack(0.02), with_slack(MOST_SLACK)
+    assert some.quality == "good"
+    assert "impossible slack" not in dict(against(some))
+    assert impossible.quality == "bad"
+    assert ("impossible slack", ()) in against(impossible)
+    refused = not_to_be_saved(impossible, tmp_path / "robot.urdf")
+    what, remedy = IMPOSSIBLE_SLACK
+    assert what in str(refused)
+    assert remedy in refused.remedy
 
 
 def test_a_bad_result_names_the_few_sus_that_are_not_explained(tmp_path: Path) -> None:

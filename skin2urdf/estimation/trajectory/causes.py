@@ -84,8 +84,10 @@ def explained(
     if best.gives_way and not only_known:
         # Of gears that are uneven as well, slack of the size of rounding would take the rest.
         others = [gain for cause, gain in best.gains.items() if cause not in best.causes]
-        even, best = best, _with_few_sizes(best, max(others, default=0.0), without)
-        attempts += [best] if best is not even else []
+        uneven = _with_few_sizes(best, max(others, default=0.0), without)
+        if uneven is not best:
+            best = uneven
+            attempts.append(best)
     curved = best if best is rigid else best.curved_where_likeliest()
     if curved is not best:
         best = curved

@@ -28,6 +28,7 @@ from skin2urdf.estimation.trajectory.shaken import EVERY
 from skin2urdf.estimation.trajectory.shaken_loads import ShakenLoads, shaken_loads
 from skin2urdf.estimation.trajectory.state import MotionState
 from skin2urdf.estimation.trajectory.unseen import Unseen
+from skin2urdf.estimation.uncertainty.covariance import UNKNOWN
 from skin2urdf.signals.trajectory import Trajectory
 from skin2urdf.structure.records import KinematicTree
 
@@ -37,9 +38,6 @@ _MOST = 2.0
 """Squared residuals of an SU over what they were, from which a step took off more than was there.
 Noise of variance C beside motion of S shortens by C / (S + C) and leaves S C / (S + C), where the
 right lengths leave C: (S + C) / S as much, twice where motion is as large as the noise."""
-_WITHIN = 0.035
-"""Deviation [m and rad] within which joints and SUs are placed when a step begins: that beyond
-which a direction counts as not observable. Of such a one noise takes nothing off."""
 _STEPS = 4
 """Steps at most, each from where the one before has led; the last is shorter than noise."""
 
@@ -106,7 +104,7 @@ def _taken_off(
         through: what it does through loads, which is taken to be the same.
     """
     left, found = _left(fitted, fitted), fitted
-    step = step_along(fitted, *whole_of([*parts, *through]), within=_WITHIN)
+    step = step_along(fitted, *whole_of([*parts, *through]), within=UNKNOWN)
     for _ in range(_STEPS):
         found = held(problem, problem.layout.moved(found.state, *step.steps))
         if not (_left(found, fitted) <= _MOST * left).all():
@@ -115,7 +113,7 @@ def _taken_off(
             break
         # So far away it is another step that takes off what noise does there.
         parts = _shortening(problem, found, found.state)
-        step = step_ahead(found, whole_of([*parts, *through]), within=_WITHIN)
+        step = step_ahead(found, whole_of([*parts, *through]), within=UNKNOWN)
     return found, (*parts, *through)
 
 

@@ -9,6 +9,9 @@ import numpy as np
 from skin2urdf.arrays import F64, Int, Record
 from skin2urdf.estimation.problem.state import N_SU
 
+UNKNOWN = 0.035
+"""Standard deviation [m or rad] beyond which a direction is not observable: 35 mm, 2 deg."""
+
 
 @dataclass(frozen=True, eq=False)
 class ArrowCovariance(Record):

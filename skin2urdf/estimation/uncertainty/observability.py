@@ -2,7 +2,7 @@
 
 Everything follows from the rank and the inverse of the weighted Jacobian at the estimate, never
 from a list of cases. A direction counts as not observable where the data alone would leave it
-uncertain by more than :data:`UNKNOWN`.
+uncertain by more than :data:`~skin2urdf.estimation.uncertainty.covariance.UNKNOWN`.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from skin2urdf.estimation.solve.spread import learnt_hidden
 from skin2urdf.estimation.trajectory.information import MotionInformation
 from skin2urdf.estimation.trajectory.uncertainty import disturbed
 from skin2urdf.estimation.uncertainty.bounds import Align, expected_errors
-from skin2urdf.estimation.uncertainty.covariance import ArrowCovariance
+from skin2urdf.estimation.uncertainty.covariance import UNKNOWN, ArrowCovariance
 from skin2urdf.estimation.uncertainty.open_directions import ALIKE, open_directions
 from skin2urdf.estimation.uncertainty.shared_errors import with_shared_errors
 from skin2urdf.model.records import OpenDirection
@@ -31,8 +31,6 @@ Verdict = Literal["determined", "weak", "not observable"]
 
 ARM = 0.1
 """Length [m] by which the angular part of a direction is multiplied where directions are given."""
-UNKNOWN = 0.035
-"""Standard deviation [m or rad] beyond which a direction is not observable: 35 mm, 2 deg."""
 WEAK = 0.005
 """Standard deviation [m or rad] beyond which a direction is weak: 5 mm, 0.3 deg."""
 _LIMITED = 0.5

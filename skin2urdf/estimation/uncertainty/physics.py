@@ -7,6 +7,13 @@ from math import degrees
 
 STAND_STILL = "record while it stands still, or fix it"
 """What to do about a base that moves."""
+IMPOSSIBLE_SLACK = (
+    "joints off their encoders by two degrees, other in every place, which no gear allows: the "
+    "tree lacks a joint, or positions are commands",
+    "put an SU on every segment, move one joint at a time now and then, see that positions are "
+    "measured ones",
+)
+"""What it means where slack explains the readings that is none, and what to do about it."""
 _PHYSICS = {
     "elastic": (
         "joints that yield under load",

@@ -67,7 +67,7 @@ class Note:
         detail: which way it holds.
         instead: of an order of joints, the other one.
         size: how large it is: how many times worse, an error [1 or m/s^2], a span [rad or m], an
-            angle [rad]; NaN where nothing is measured.
+            angle [rad], by how much SUs may be elsewhere [m]; NaN where nothing is measured.
         numbers: of poses in the order of the logs, or of logs, from 0.
         of: how many there are of what is numbered.
     """

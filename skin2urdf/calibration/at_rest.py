@@ -10,6 +10,7 @@ from skin2urdf.calibration.clock import Clock
 from skin2urdf.calibration.rounds import Logs, Solution, Structure
 from skin2urdf.calibration.samples import fit_samples
 from skin2urdf.errors import StructureError
+from skin2urdf.estimation.problem.reordered import elsewhere
 from skin2urdf.estimation.solve.estimate import estimate
 from skin2urdf.estimation.start.from_rests import state_of
 from skin2urdf.estimation.trajectory.attempt import CERTAIN
@@ -81,16 +82,17 @@ def _decided(solutions: Sequence[Solution], clock: Clock) -> Solution:
         return solutions[0]
     best, along = fitted[0]
     for other, there in fitted[1:]:
-        if _is_likelier(along, there):
+        if is_likelier(along, there):
             best, along = other, there
     tree = best.found.tree
     before = of_kind(tree.notes, "other order")
     notes = [note for note in tree.notes if note not in before]
-    notes += [
-        doubt(tree, other.found.tree)
-        for other, there in fitted
-        if other is not best and not _is_likelier(there, along)
-    ]
+    robot = tree, along.state
+    for other, there in fitted:
+        if other is not best and not is_likelier(there, along):
+            instead = other.found.tree, there.state
+            size = elsewhere(robot, instead, tree.joint_names, along.positions)
+            notes.append(replace(doubt(tree, other.found.tree), size=size))
     tree = replace(tree, notes=tuple(notes))
     return replace(best, found=replace(best.found, tree=tree))
 
@@ -100,7 +102,7 @@ def _fit_along(solution: Solution, clock: Clock) -> MotionEstimate | None:
     return clock.run("all samples", lambda tell: fit_samples(solution, tell, look_further=False))
 
 
-def _is_likelier(one: MotionEstimate, other: MotionEstimate) -> bool:
+def is_likelier(one: MotionEstimate, other: MotionEstimate, certain: float = CERTAIN) -> bool:
     """Whether another fit is the likelier one for certain.
 
     A gyroscope that contradicts one tree and no other knows which joints turn it. Readings have to
@@ -111,7 +113,7 @@ def _is_likelier(one: MotionEstimate, other: MotionEstimate) -> bool:
     )
     if denied != denied_there:
         return denied_there < denied
-    return gained(one, other) > CERTAIN and gained(other, one) < -CERTAIN
+    return gained(one, other) > certain and gained(other, one) < -certain
 
 
 def _not_denied(trees: Sequence[MotionTree], logs: Logs) -> list[MotionTree]:

@@ -28,7 +28,7 @@ from skin2urdf.faults import Fault
 from skin2urdf.geometry.se3 import inverse
 from skin2urdf.model.records import KinematicModel, OpenDirection
 from skin2urdf.model.several_axes import turned_about_several_axes
-from skin2urdf.notes import Noted, of_kind
+from skin2urdf.notes import Note, Noted, of_kind
 from skin2urdf.signals.records import Features, JointClock, SuClock
 from skin2urdf.structure.activity import Activity
 
@@ -174,8 +174,9 @@ class Calibration(Record):
         It is good only if poses are predicted as well as stated, errors do not come back where the
         robot does the same, the fit of all samples has arrived, nothing is wrong with an SU, a pose
         or an encoder, no sensor would need an error that none has, every SU with readings has a
-        place, and one alone, no joint is weak, half of the joints are determined, and the base
-        stands still, since lengths along the first axis may else be off by more than is stated.
+        place, and one alone, and joints one order, no joint is weak, half of the joints are
+        determined, and the base stands still, since lengths along the first axis may else be off by
+        more than is stated.
 
         It is bad where the readings are not explained, or by more slack than joints have, or only
         in part while no SU that a recording could place is determined, or where most of these are
@@ -202,7 +203,7 @@ class Calibration(Record):
         known &= not self.mostly_open
         sound = not self.faults and not self.base_gives_way and not self.without_a_place
         sound &= not (self.turn_of_base or self.tilt_of_base)
-        sound &= not self.of_two_places
+        sound &= not (self.of_two_places or self.open_orders)
         sound &= not self.implausible
         return "good" if explained and alike and known and sound else "fair"
 
@@ -221,6 +222,18 @@ class Calibration(Record):
         told = of_kind(self.notes, "vertical axis")
         doubtful = [n for n in told if n.detail == "active" or n.size > NEAREST]
         return tuple((su, note.joints[0]) for note in doubtful for su in note.sus)
+
+    @property
+    def open_orders(self) -> tuple[Note, ...]:
+        """Orders of joints that the log does not tell from those taken, where SUs show which it is.
+
+        Where both carry SUs alike to twice what is stated of one at most, no order matters.
+        """
+        seen = self.observability
+        variances = np.einsum("uii->ui", seen.su_covariance)[:, :3].sum(axis=1)
+        known = [verdict == "determined" for verdict in seen.su_verdict]
+        alike = 2 * float(np.sqrt(variances[known].max(initial=0.0)))
+        return tuple(n for n in of_kind(self.notes, "other order") if not n.size <= alike)
 
     @property
     def unexplained(self) -> tuple[str, ...]:

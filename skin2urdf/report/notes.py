@@ -10,6 +10,7 @@ import numpy as np
 
 from skin2urdf.estimation.uncertainty.physics import STAND_STILL, base_moves, felt_at_rest
 from skin2urdf.notes import Note, Noted, ReadingNote
+from skin2urdf.report.tables import number
 
 _LISTED = 6
 """Poses that are listed at most."""
@@ -158,10 +159,13 @@ def _of_an_order(note: Note) -> str:
                 f"motion{doubt}"
             )
         case "other order":
+            where = ""
+            if np.isfinite(note.size):
+                where = f" (SUs would be elsewhere by {number(1e3 * note.size)} mm rms)"
             return (
                 f"the log does not tell the order {' > '.join(note.joints)} from "
-                f"{' > '.join(note.instead)}: record quicker moves of these joints, or put an SU "
-                "on every segment"
+                f"{' > '.join(note.instead)}{where}: move each of these joints at several "
+                "positions of the others, and quickly, or put an SU on every segment"
             )
         case "sense unknown":
             return (

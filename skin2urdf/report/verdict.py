@@ -16,6 +16,7 @@ from skin2urdf.estimation.uncertainty.physics import (
     STAND_STILL,
     base_moves,
 )
+from skin2urdf.notes import Note
 from skin2urdf.recording.naming import shortened
 from skin2urdf.report.limbs import OpenLimb
 from skin2urdf.report.tables import count, number
@@ -26,17 +27,17 @@ _NAMED = 3
 
 DoubtKind = Literal[
     "faults", "SUs unplaced", "SUs unexplained", "impossible slack", "SUs of two places",
-    "soft base", "moving base", "SUs misfit", "poses misfit", "prediction", "errors come back",
-    "not arrived", "sensors", "no such sensors", "weak joints", "open limbs", "joints open",
-    "SUs open",
+    "orders open", "soft base", "moving base", "SUs misfit", "poses misfit", "prediction",
+    "errors come back", "not arrived", "sensors", "no such sensors", "weak joints", "open limbs",
+    "joints open", "SUs open",
 ]  # fmt: skip
 """What speaks against a result: things found wrong, SUs whose readings fit no place, or not the one
 that they have, joints further off their encoders than any gear allows, SUs that fit another place
-as well, a base that gives way, or moves by itself, SUs and poses
-that fit worse than the rest, poses that are predicted worse than stated, what is left of the
-readings and comes back with the motion, a fit that ended before it arrived, sensors that are worse
-than the options say, or than any, axes that are known weakly, limbs whose places are open, and what
-of the joints and SUs the log does not determine."""
+as well, joints that may follow each other in another order, a base that gives way, or moves by
+itself, SUs and poses that fit worse than the rest, poses that are predicted worse than stated, what
+is left of the readings and comes back with the motion, a fit that ended before it arrived, sensors
+that are worse than the options say, or than any, axes that are known weakly, limbs whose places are
+open, and what of the joints and SUs the log does not determine."""
 
 
 @dataclass(frozen=True)
@@ -47,8 +48,8 @@ class Doubt:
         kind: what sort of doubt.
         words: the same for the user.
         names: the joints, SUs, or subjects of faults that it is about.
-        number: of poses; or how many times worse than stated; or an angle [rad]; NaN where names
-            say all.
+        number: of poses; or how many times worse than stated; or an angle [rad]; or by how much SUs
+            are elsewhere [m]; NaN where names say all.
     """
 
     kind: DoubtKind
@@ -147,6 +148,16 @@ def _doubts(calibration: Calibration) -> list[Doubt]:
             f"the base or on {' and '.join(joints)}, which is vertical"
         )
         found.append(Doubt("SUs of two places", words, tuple(sus)))
+    if orders := calibration.open_orders:
+        pairs = {name: None for note in orders for name in _exchanged(note)}
+        sizes = [note.size for note in orders if np.isfinite(note.size)]
+        there = f" by {number(max(sizes) * _MM)} mm (rms)" if sizes else ""
+        words = (
+            f"the log does not tell in which order {shortened(list(pairs), _NAMED)} follow each "
+            f"other: where several of them have moved, SUs may be elsewhere{there} (move each of "
+            "them at several positions of the others, or put an SU on every segment)"
+        )
+        found.append(Doubt("orders open", words, tuple(pairs), number=max(sizes, default=np.nan)))
     if calibration.base_gives_way:
         words = (
             "the base gives way: lengths along the first axis may be off by more than is stated "
@@ -215,6 +226,13 @@ def _doubts(calibration: Calibration) -> list[Doubt]:
         words = f"the axis of {shortened(weak, _NAMED)} is known weakly"
         found.append(Doubt("weak joints", words, tuple(weak)))
     return found
+
+
+def _exchanged(note: Note) -> list[str]:
+    """Joints that are at another place in the other order."""
+    if len(note.joints) != len(note.instead):
+        return sorted(set(note.joints) ^ set(note.instead))
+    return [a for a, b in zip(note.joints, note.instead, strict=True) if a != b]
 
 
 def _apart(limbs: Sequence[OpenLimb]) -> list[Doubt]:

@@ -14,7 +14,7 @@ predicts the others.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -73,6 +73,11 @@ class ChainJoint:
     kind: JointType
     axis: tuple[float, float, float]
 
+    def turned_to(self, axis: F64) -> ChainJoint:
+        """The same about another axis (3,)."""
+        x, y, z = (float(part) for part in axis)
+        return replace(self, axis=(x, y, z))
+
     @property
     def is_upright(self) -> bool:
         """Whether it turns gravity next to nothing: it slides, or is vertical or nearly so."""
@@ -128,6 +133,16 @@ class Along(Record):
     def _moved(self) -> dict[object, _ChainMotion]:
         """How the last chains moved: SUs share those of their segments."""
         return {}
+
+    def stays(self, joint: int, while_moves: int) -> float:
+        """Where a joint is while another one moves, in the mean [rad or m].
+
+        Args:
+            joint: the joint.
+            while_moves: the other one.
+        """
+        weights = self.qd[:, while_moves] ** 2
+        return float(weights @ self.q[:, joint] / max(weights.sum(), 1e-300))
 
     def moved_by(self, chain: tuple[ChainJoint, ...], up: F64) -> _ChainMotion:
         """How a chain moves what it carries; made once for SUs that follow each other."""

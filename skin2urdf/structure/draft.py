@@ -1,9 +1,9 @@
 """A tree in the making, and what accelerations add to what gravity shows of it.
 
-Gravity never shows joints whose axis is vertical, nor sliding ones, nor in which order joints with
-parallel axes follow each other where no SU sits in between. Where such a joint is put in, the
-accelerations of the moves fit or do not: every place is tried, and what is beyond it is decided for
-every branch and SU by itself.
+Gravity never shows joints whose axis is vertical, nor sliding ones. It does not show in which order
+joints follow each other where no SU sits in between either, if their axes are parallel, or if each
+moved at one position of the other only. Where a joint is put in, the accelerations of the moves fit
+or do not: every place is tried, and what is beyond it is decided for every branch and SU by itself.
 """
 
 from __future__ import annotations
@@ -14,7 +14,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from skin2urdf.arrays import F64, Int, Record
-from skin2urdf.structure.accelerations import PARALLEL, Along, ChainJoint, Judged
+from skin2urdf.geometry.so3 import rotation_exp
+from skin2urdf.structure.accelerations import Along, ChainJoint, Judged
 from skin2urdf.structure.records import JointType
 
 CERTAIN = 10.0
@@ -190,17 +191,30 @@ class Draft(Record):
         joints = list(self.joints)
         for j, joint in enumerate(joints):
             if not set(children).isdisjoint(self.path(j)):
-                axis = R @ joint.axis
-                joints[j] = replace(joint, axis=(float(axis[0]), float(axis[1]), float(axis[2])))
+                joints[j] = joint.turned_to(R @ joint.axis)
         turned = self.R.copy()
         turned[list(sus)] = R @ turned[list(sus)]
         return replace(self, joints=tuple(joints), R=turned)
 
-    def swapped(self, joint: int) -> Draft:
-        """With a joint and the one before it in the other order."""
-        joints, before = list(self.joints), self.parent[joint]
-        joints[before], joints[joint] = joints[joint], joints[before]
-        return replace(self, joints=tuple(joints))
+    def swapped(self, joint: int, samples: Along) -> Draft:
+        """With a joint and the one before it in the other order.
+
+        Where each of the two moved while the other stayed in one place only, both orders move all
+        that lies beyond alike, about axes that are turned by where the other one stayed.
+        """
+        before = self.parent[joint]
+        outer, inner = self.joints[joint], self.joints[before]
+        # With a before b, a at c while b turns, and b at d while a does: Rot(a, x) Rot(b, y) is
+        # Rot(b', y) Rot(a', x) R0 along both ways.
+        c, d = samples.stays(inner.dof, outer.dof), samples.stays(outer.dof, inner.dof)
+        first = rotation_exp(c * np.array(inner.axis)) @ outer.axis
+        back = rotation_exp(-d * first)
+        children = [k for k, p in enumerate(self.parent) if p == joint]
+        R0 = back @ rotation_exp(d * np.array(outer.axis))
+        beyond = self.turned(children, self.beyond(joint), R0)
+        joints = list(beyond.joints)
+        joints[before], joints[joint] = outer.turned_to(first), inner.turned_to(back @ inner.axis)
+        return replace(beyond, joints=tuple(joints))
 
 
 @dataclass(frozen=True, eq=False)
@@ -246,7 +260,10 @@ def with_unseen_joints(
 
 
 def in_best_order(draft: Draft, samples: Along) -> tuple[Draft, tuple[Draft, ...]]:
-    """The draft with neighbours that gravity does not order in the order that moves show.
+    """The draft with neighbours without an SU in between in the order that moves show.
+
+    Gravity orders no joints with parallel axes, nor two of which each moved while the other stayed
+    in one place only.
 
     Returns:
         The draft, and others that the log does not tell from it.
@@ -254,8 +271,8 @@ def in_best_order(draft: Draft, samples: Along) -> tuple[Draft, tuple[Draft, ...
     for _ in range(len(draft.joints)):
         others: list[Draft] = []
         better: Draft | None = None
-        for joint in _alike(draft):
-            swapped = draft.swapped(joint)
+        for joint in _bare(draft):
+            swapped = draft.swapped(joint, samples)
             sus = draft.beyond(joint)
             gain = sum(
                 gained(draft.judged(samples, u), swapped.judged(samples, u)).sum() for u in sus
@@ -316,15 +333,12 @@ def _likelier_as_slides(draft: Draft, samples: Along) -> Iterator[tuple[int, _Mo
             yield joint.dof, moved
 
 
-def _alike(draft: Draft) -> Iterator[int]:
-    """Joints whose axis is parallel to the one before, with nothing else in between."""
+def _bare(draft: Draft) -> Iterator[int]:
+    """Joints that turn behind one that turns, with nothing else in between."""
     for j, before in enumerate(draft.parent):
         if before < 0 or before in draft.su_joint or draft.parent.count(before) > 1:
             continue
-        a, b = draft.joints[before], draft.joints[j]
-        if "prismatic" in (a.kind, b.kind):
-            continue
-        if abs(np.array(a.axis) @ np.array(b.axis)) > PARALLEL:
+        if "prismatic" not in (draft.joints[before].kind, draft.joints[j].kind):
             yield j
 
 

@@ -103,6 +103,23 @@ def test_a_base_that_gives_way_makes_a_good_fit_fair() -> None:
     assert against(found) == [("soft base", ()), missing()]
 
 
+def test_joints_in_an_untold_order_make_a_good_fit_fair() -> None:
+    first, second, *_ = names = calibration().model.tree.joint_names
+    told = Note("other order", joints=names[:2], instead=(second, first), size=0.02)
+    found = replace(calibration(), notes=(told,))
+    assert found.quality == "fair"
+    assert against(found) == [("orders open", (first, second)), missing()]
+    assert is_to_repair(found)
+
+
+def test_an_order_that_moves_no_su_elsewhere_does_not_matter() -> None:
+    first, second, *_ = names = calibration().model.tree.joint_names
+    alike = Note("other order", joints=names[:2], instead=(second, first), size=1e-6)
+    found = replace(calibration(), notes=(alike,))
+    assert found.quality == "good"
+    assert not is_to_repair(found)
+
+
 def test_a_base_that_moves_by_itself_makes_a_good_fit_fair() -> None:
     found = replace(calibration(), notes=(Note("base moves", size=0.01),))
     assert found.quality == "fair"

@@ -115,6 +115,11 @@ class MotionEstimate:
         """Placements, gravity's directions, bias and shape."""
         return self.fitted.state.placements
 
+    @property
+    def positions(self) -> F64:
+        """(N, D) positions of the joints where samples are compared, in all logs [rad or m]."""
+        return np.concatenate([log.q[log.kept] for log in self.problem.logs])
+
     @cached_property
     def information(self) -> MotionInformation:
         """What the fit is worth: a quarter of the work, for those who ask."""

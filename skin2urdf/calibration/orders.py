@@ -1,0 +1,117 @@
+"""In which order joints follow each other that no SU sits between.
+
+Where each of two such joints moved while the other stayed in one place, as in a log that moves one
+joint after the other, both orders explain the readings: SUs are elsewhere only where both have
+moved. Which one was taken is chance, and the URDF may be wrong by decimetres.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import replace
+
+import numpy as np
+
+from skin2urdf.calibration.at_rest import is_likelier
+from skin2urdf.calibration.clock import Clock
+from skin2urdf.calibration.rounds import Solution
+from skin2urdf.calibration.samples import fit_samples
+from skin2urdf.calibration.taken_apart import with_sus_apart
+from skin2urdf.estimation.problem.reordered import apart, bare_neighbours, elsewhere, reordered
+from skin2urdf.estimation.problem.state import State
+from skin2urdf.estimation.solve.estimate import estimate
+from skin2urdf.estimation.trajectory.attempt import CERTAIN
+from skin2urdf.estimation.trajectory.estimate import MotionEstimate
+from skin2urdf.notes import Note
+from skin2urdf.structure.from_motion import doubt
+from skin2urdf.structure.records import KinematicTree
+
+_ALIKE = 0.02
+"""How differently two orders may carry SUs along a log that may not tell them apart, rms [rad, m]:
+gravity that turns by so much more is some ten times what gears and sensors make of it."""
+_HARMLESS = 1e-4
+"""By how much SUs may be elsewhere for the order of joints not to matter, rms [m]: those that slide
+or turn along one direction may as well follow each other the other way round."""
+_COMPARED = 400
+"""Positions, at most, that two orders are compared at."""
+
+
+def in_told_order(
+    solution: Solution, along: MotionEstimate | None, clock: Clock, *, of_patterns: bool
+) -> tuple[Solution, MotionEstimate | None]:
+    """The robot with joints in the order that all samples find likeliest, and notes on the others.
+
+    Args:
+        solution: the robot.
+        along: what all samples say of it; None where features alone count.
+        clock: runs the stages.
+        of_patterns: whether the logs have patterns around poses.
+    """
+    if along is None or along.problem.priors.blueprint is not None or not _that_may_be(along):
+        return solution, along
+    best, rigid = solution, _rigid(solution, clock)
+    tried: list[Note] = []
+    notes: list[Note] = []
+    while rigid is not None:
+        notes, before = [], best
+        for other_tree, other_state in _that_may_be(rigid):
+            other = _solved(best, other_tree, other_state, clock)
+            there = _rigid(other, clock)
+            if there is None:
+                continue
+            doubtful = doubt(rigid.problem.tree, other_tree)
+            tried.append(doubtful)
+            # What no rigid robot explains tells orders apart by chance.
+            certain = CERTAIN * max(1.0, rigid.misfit, there.misfit)
+            if is_likelier(rigid, there, certain):
+                best, rigid = other, there
+                break
+            if not is_likelier(there, rigid, certain):
+                robot, names = (rigid.problem.tree, rigid.state), rigid.problem.tree.joint_names
+                size = elsewhere(robot, (other_tree, other_state), names, rigid.positions)
+                notes += [replace(doubtful, size=size)] * (size > _HARMLESS)
+        if best is before:
+            break
+    if best is solution:
+        return _noted(solution, notes, tried), along
+    fitted = clock.run("all samples", lambda tell: fit_samples(best, tell))
+    if fitted is None:
+        return solution, along
+    return with_sus_apart(_noted(best, notes, tried), fitted, clock, of_patterns=of_patterns)
+
+
+def _that_may_be(along: MotionEstimate) -> list[tuple[KinematicTree, State]]:
+    """A fitted robot with neighbours in the other order, where SUs move nearly as in the logs."""
+    tree, q = along.problem.tree, along.positions
+    weights = np.concatenate([log.qd[log.kept] for log in along.problem.logs]) ** 2
+    compared = q[:: max(1, len(q) // _COMPARED)]
+    others = [reordered(tree, along.state, j, q, weights) for j in bare_neighbours(tree)]
+    return [
+        other
+        for other in others
+        if max(apart((tree, along.state), other, tree.joint_names, compared)) < _ALIKE
+    ]
+
+
+def _solved(solution: Solution, tree: KinematicTree, state: State, clock: Clock) -> Solution:
+    """The solution of the same features with another tree, from where it is known to be."""
+    settings = solution.logs.settings.estimation
+    found = clock.run(
+        "estimation",
+        lambda tell: estimate(solution.features, tree, settings, state, search=False, tell=tell),
+    )
+    return replace(solution, found=found)
+
+
+def _rigid(solution: Solution, clock: Clock) -> MotionEstimate | None:
+    """All samples, with nothing but a rigid robot."""
+    return clock.run("all samples", lambda tell: fit_samples(solution, tell, look_further=False))
+
+
+def _noted(solution: Solution, notes: list[Note], tried: Collection[Note] = ()) -> Solution:
+    """A solution with notes on the orders of its joints, without those on what was tried."""
+    tree = solution.found.tree
+    known = {(note.joints, note.instead) for note in tried}
+    kept = [n for n in tree.notes if n.kind != "other order" or (n.joints, n.instead) not in known]
+    tree = replace(tree, notes=(*kept, *notes))
+    return replace(solution, found=replace(solution.found, tree=tree))

@@ -1,0 +1,129 @@
+"""A robot with two neighbouring joints in the other order, such that its SUs move as they did.
+
+Where no SU sits between two joints and each moved while the other stayed in one place, both orders
+carry all SUs along the same ways: about the same axes, which are elsewhere while the robot is where
+it never was. With ``E`` the motion of a joint along its z axis, ``a`` before ``b``, a at c while b
+moves, and b at d while a does::
+
+    A E(a) B E(b) C  =  A' E(b) B' E(a) C',    A' = A E(c) B,  B' = (E(c) B E(d))^-1,  C' = B E(d) C
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from skin2urdf.arrays import F64
+from skin2urdf.estimation.problem.state import State
+from skin2urdf.geometry.se3 import inverse, screw
+from skin2urdf.geometry.so3 import rotation_log
+from skin2urdf.structure.records import KinematicTree
+
+_DRAWN = 400
+"""Positions that are drawn from the joints' ranges."""
+
+
+def bare_neighbours(tree: KinematicTree) -> list[int]:
+    """Joints that follow another one with no SU and no branch in between."""
+    alone = [
+        before >= 0 and before not in tree.su_joint and (tree.parent == before).sum() == 1
+        for before in tree.parent
+    ]
+    return np.flatnonzero(alone).tolist()
+
+
+def reordered(
+    tree: KinematicTree, state: State, joint: int, q: F64, weights: F64
+) -> tuple[KinematicTree, State]:
+    """A robot with a joint before the one that it follows.
+
+    Args:
+        tree: D joints.
+        state: their placements.
+        joint: one of :func:`bare_neighbours`.
+        q: (N, D) positions [rad or m].
+        weights: (N, D) how much each tells where other joints are while this one moves.
+    """
+    a, b = int(tree.parent[joint]), joint
+    # How far a is while b moves, and b while a does.
+    c, d = (
+        float(weights[:, moving] @ q[:, staying] / max(weights[:, moving].sum(), 1e-300))
+        for moving, staying in ((b, a), (a, b))
+    )
+    A, B = state.T_parent_joint[a], state.T_parent_joint[b]
+    E_c, E_d = _moved(tree, a, np.array(c)), _moved(tree, b, np.array(d))
+    T_parent_joint, T_joint_su = state.T_parent_joint.copy(), state.T_joint_su.copy()
+    T_parent_joint[a], T_parent_joint[b] = A @ E_c @ B, inverse(E_c @ B @ E_d)
+    T_parent_joint[tree.parent == b] = B @ E_d @ T_parent_joint[tree.parent == b]
+    T_joint_su[tree.su_joint == b] = B @ E_d @ T_joint_su[tree.su_joint == b]
+    names, types = list(tree.joint_names), list(tree.joint_types)
+    names[a], names[b], types[a], types[b] = names[b], names[a], types[b], types[a]
+    other = replace(tree, joint_names=tuple(names), joint_types=tuple(types))
+    return other, replace(state, T_parent_joint=T_parent_joint, T_joint_su=T_joint_su)
+
+
+def apart(
+    one: tuple[KinematicTree, State],
+    other: tuple[KinematicTree, State],
+    joint_names: Sequence[str],
+    q: F64,
+) -> tuple[float, float]:
+    """How differently two robots carry the SUs that both have.
+
+    Args:
+        one: a robot, and
+        other: another one with the same joints.
+        joint_names: D joints.
+        q: (N, D) their positions; displacements are those from the first.
+
+    Returns:
+        By how much SUs are displaced [m] and turned [rad] otherwise, rms over positions and SUs.
+    """
+    displaced = []
+    names = [name for name in one[0].su_names if name in other[0].su_names]
+    for tree, state in (one, other):
+        columns = [joint_names.index(name) for name in tree.joint_names]
+        T = _su_poses(tree, state, q[:, columns])[:, [tree.su_names.index(name) for name in names]]
+        displaced.append(inverse(T[:1]) @ T)
+    T_one, T_other = displaced
+    shift = T_one[..., :3, 3] - T_other[..., :3, 3]
+    turn = rotation_log(np.swapaxes(T_one[..., :3, :3], -1, -2) @ T_other[..., :3, :3])
+    return _rms(shift), _rms(turn)
+
+
+def elsewhere(
+    one: tuple[KinematicTree, State],
+    other: tuple[KinematicTree, State],
+    joint_names: Sequence[str],
+    q: F64,
+) -> float:
+    """By how much SUs are elsewhere over all positions within the ranges of some, rms [m].
+
+    Args:
+        one: a robot, and
+        other: another one that carries SUs alike along these positions.
+        joint_names: D joints.
+        q: (N, D) their positions [rad or m].
+    """
+    share = np.random.default_rng(0).uniform(size=(_DRAWN, q.shape[1]))
+    within = q.min(axis=0) + share * np.ptp(q, axis=0)
+    return apart(one, other, joint_names, np.vstack([q[:1], within]))[0]
+
+
+def _rms(vectors: F64) -> float:
+    return float(np.sqrt((vectors**2).sum(axis=-1).mean()))
+
+
+def _su_poses(tree: KinematicTree, state: State, q: F64) -> F64:
+    """(N, U, 4, 4) SU poses in the base frame at joint positions q (N, D)."""
+    T = np.tile(np.eye(4), (tree.n_joints + 1, len(q), 1, 1))  # index -1 is the base
+    for j, parent in enumerate(tree.parent):
+        T[j] = T[parent] @ state.T_parent_joint[j] @ _moved(tree, j, q[:, j])
+    return np.swapaxes(T[tree.su_joint], 0, 1) @ state.T_joint_su
+
+
+def _moved(tree: KinematicTree, joint: int, q: F64) -> F64:
+    """(..., 4, 4) the motion of a joint by q (...)."""
+    return screw("z", 0.0, q) if tree.prismatic[joint] else screw("z", q, 0.0)

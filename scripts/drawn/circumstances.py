@@ -182,6 +182,7 @@ _SIZES: Mapping[str, Callable[[np.random.Generator, float], Defect]] = MappingPr
     "warm-up": lambda rng, _: real.WarmUp(_between(rng, 5e-4, 5e-3)),
     "walk": lambda rng, _: real.BiasWalk(_between(rng, 1e-4, 1e-3)),
     "nonlinearity": lambda rng, _: real.Nonlinearity(_between(rng, 5e-4, 5e-3)),
+    "digits": lambda rng, _: real.CoarseDigits(_between(rng, 4e-3, 32e-3)),
     "vibration": lambda rng, rate: real.Vibration(
         _between(rng, 0.1, 0.5), min(float(rng.uniform(15.0, 60.0)), 0.4 * rate)),
     "clock": lambda rng, _: real.SuClock(

@@ -205,5 +205,6 @@ def _renamed(sampled: Sampled, columns: Int) -> Sampled:
         valid=sampled.valid[:, columns],
         computed=sampled.computed[:, columns],
         period=sampled.period[columns],
+        digits=sampled.digits[columns],
         turning=sampled.turning and sampled.turning.of(columns),
     )

@@ -264,6 +264,7 @@ def _doubled(sampled: Sampled, u: int, log: int, at: Moment) -> Sampled:
         valid=valid,
         computed=np.concatenate([sampled.computed, sampled.computed[:, u : u + 1]], axis=1),
         period=np.append(sampled.period, sampled.period[u]),
+        digits=np.vstack([sampled.digits, sampled.digits[u]]),
         turning=turning,
     )
 
@@ -301,6 +302,7 @@ def _as_one(sampled: Sampled, u: int, v: int, others: Int) -> Sampled:
         valid=valid[:, others],
         computed=sampled.computed[:, others],
         period=sampled.period[others],
+        digits=sampled.digits[others],
         turning=turning,
     )
 

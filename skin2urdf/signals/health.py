@@ -7,13 +7,14 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.ndimage import median_filter
-from scipy.special import erf, erfc
+from scipy.special import erf
 
 from skin2urdf.arrays import F64, Bool, Int
 from skin2urdf.faults import Fault
 from skin2urdf.geometry.units import GRAVITY
 from skin2urdf.recording.credibility import digit_of
 from skin2urdf.recording.records import SuStream
+from skin2urdf.signals.digits import noise_in_digits
 from skin2urdf.threads import each
 
 _PLAUSIBLE = (0.6, 1.4)
@@ -105,7 +106,7 @@ def checked(
     """
 
     def resting(su: SuStream) -> tuple[Bool, float, float, float]:
-        still = _within(su.time, rests)
+        still = is_within(su.time, rests)
         values = su.specific_force
         found = (
             still,
@@ -168,7 +169,7 @@ def unusable(name: str, readings: F64, still: Bool, valid: Bool, gravity: float)
     return None
 
 
-def _within(time: F64, rests: Sequence[tuple[float, float]]) -> Bool:
+def is_within(time: F64, rests: Sequence[tuple[float, float]]) -> Bool:
     """(M,) True for times inside one of the intervals."""
     inside = np.zeros(len(time), dtype=bool)
     for begin, end in rests:
@@ -244,10 +245,7 @@ def _thawed(su: SuStream, still: Bool, chance: float) -> tuple[Bool, list[Fault]
 def _stays_within_a_digit(changes: Bool, stretch: int) -> float:
     """Probability that a reading in the middle of its digits is followed by the same.
 
-    Of two readings ``x`` digits apart a share of ``min(|x|, 1)`` differs, wherever between two
-    digits they lie. Of normal noise of ``s`` digits x has the standard deviation ``d = sqrt(2) s``,
-    and the mean of that is ``d sqrt(2 / pi) (1 - exp(-1 / (2 d^2))) + erfc(1 / (sqrt(2) d))``; so
-    the share that differs tells the noise. Both readings stay within half a digit in three axes.
+    The share that differs tells the noise. Both readings stay within half a digit in three axes.
 
     Args:
         changes: (M, 3) True where samples at rest are not what the one before was.
@@ -257,10 +255,7 @@ def _stays_within_a_digit(changes: Bool, stretch: int) -> float:
     if not n:
         return 0.0
     shares = changes[: n * stretch].reshape(n, stretch, 3).mean(axis=1)
-    apart = np.geomspace(1e-3, 10.0, 200)
-    differ = apart * np.sqrt(2 / np.pi) * (1 - np.exp(-0.5 / apart**2))
-    differ += erfc(1 / (np.sqrt(2) * apart))
-    noise = np.interp(np.quantile(shares, _QUIETEST), differ, apart) / np.sqrt(2)
+    noise = noise_in_digits(np.quantile(shares, _QUIETEST))
     return float(erf(0.5 / (np.sqrt(2) * noise)) ** 6)
 
 
@@ -283,7 +278,7 @@ def _losses(su: SuStream, pauses: Sequence[tuple[float, float]]) -> list[Fault]:
     """The fault of losing samples again and again, but for pauses of the whole recording."""
     steps = np.diff(su.time)
     middle = su.time[:-1] + steps / 2
-    within = np.flatnonzero(~_within(middle, pauses))
+    within = np.flatnonzero(~is_within(middle, pauses))
     steps = steps[within]
     if len(steps) < 8:
         return []

@@ -20,8 +20,9 @@ from skin2urdf.recording.records import Recording, SuStream
 from skin2urdf.recording.shelf import STREAMS_IN_MEMORY, put_away, room_for_streams
 from skin2urdf.signals.band import quietness, suitable_cutoffs
 from skin2urdf.signals.clocks import su_clocks
+from skin2urdf.signals.digits import alike, left_by_averages
 from skin2urdf.signals.filters import sample, spread
-from skin2urdf.signals.health import WEIGHTLESS, checked, unusable
+from skin2urdf.signals.health import WEIGHTLESS, checked, is_within, unusable
 from skin2urdf.signals.mending import computed
 from skin2urdf.signals.motion import Motion, joint_motion, travel
 from skin2urdf.signals.poses import (
@@ -67,6 +68,7 @@ class Sampled:
         notes: what was found and mended; what the reader says is in words.
         computed: (N, U) where they were missing, and were computed from the rest of the window.
         period: (U,) time between two readings of an SU [s]; 0 for those that have none.
+        digits: (U, 2) size of an SU's digits, and what averages leave of them, rms [m/s^2].
         faults: what is wrong with the SUs' streams.
         clocks: SUs whose clock runs differently from the joints'; their samples are set right.
         turning: what gyroscopes read; None where no SU has one.
@@ -82,6 +84,7 @@ class Sampled:
     notes: tuple[Noted, ...]
     computed: Bool
     period: F64
+    digits: F64
     faults: tuple[Fault, ...] = ()
     clocks: tuple[SuClock, ...] = ()
     turning: Turning | None = None
@@ -142,6 +145,7 @@ def sample_recording(
     readings = room_for_streams(grid.size, len(su_names))
     valid = np.zeros((grid.size, len(su_names)), dtype=bool)
     period, quiet = np.zeros(len(su_names)), np.full(len(su_names), np.nan)
+    digits = np.zeros((len(su_names), 2))
     notes: list[Noted] = [*recording.notes, *held]
     faults: list[Fault] = []
     still = np.zeros(grid.size, dtype=bool)
@@ -157,10 +161,12 @@ def sample_recording(
         readings[:, u], ok = sample(stream.time, stream.specific_force, grid)
         period[u] = np.median(np.diff(stream.time)) if len(stream.time) > 1 else 0.0
         valid[:, u] = ok & motion.valid & ~spread(stream.time, found.clipped, grid)
+        digits[u] = left_by_averages(stream.specific_force, is_within(stream.time, spans))
         stream.put_away()
         factor = _unit(readings[still & valid[:, u], u])
         if factor != 1.0:
             readings[:, u] *= factor
+            digits[u] *= factor
         fault = unusable(name, readings[:, u], still, valid[:, u], GRAVITY)
         if fault is not None:
             valid[:, u] = False
@@ -188,7 +194,8 @@ def sample_recording(
         notes.append(Note("felt at rest", size=at_rest.change))
     return Sampled(
         motion, rests, neighbourhoods, readings, valid | filled, band.patterns, band.along,
-        tuple(notes), filled, frozen(period), tuple(faults), tuple(clocks.values()), turning,
+        tuple(notes), filled, frozen(period), frozen(alike(digits)), tuple(faults),
+        tuple(clocks.values()), turning,
     )  # fmt: skip
 
 

@@ -15,6 +15,7 @@ import numpy as np
 
 from skin2urdf.arrays import F64, Bool, Int, Record
 from skin2urdf.recording.shelf import Shelf, room_for_streams
+from skin2urdf.signals.digits import rounding
 from skin2urdf.signals.filters import (
     Spline,
     eroded,
@@ -62,6 +63,8 @@ class Trajectory(Record):
         noise: (D,) variance of what encoders' noise makes of an acceleration, low-passed twice,
             while a joint moves [rad^2/s^4, or m]; None where positions are exact.
         leaps: what sampling leaves open where motion leaps; None where it does not.
+        digits: (U, 2) size of an SU's digits, and what averages leave of them, rms [m/s^2]; (0, 2)
+            where they leave nothing.
         publisher: (D,) number of the publisher whose messages hold each joint, as in
             :class:`~skin2urdf.signals.motion.Motion`; (0,) where all have one.
         positions: (N, D) joint positions as they were before the low-pass; (0, 0) where they are
@@ -100,6 +103,7 @@ class Trajectory(Record):
     turning: Bool | None = None
     noise: F64 | None = None
     leaps: Leaps | None = None
+    digits: F64 = field(default_factory=lambda: np.zeros((0, 2)))
     publisher: Int = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
     positions: F64 = field(default_factory=lambda: np.zeros((0, 0)))
     beyond: F64 | None = None
@@ -237,6 +241,13 @@ class Trajectory(Record):
             return self.q
         return filtered(self.positions, low_pass(self.motion_cutoff, self.rate))
 
+    @cached_property
+    def rounded(self) -> F64:
+        """(K, U) variance by which readings are off alike for a while, by digits [m^2/s^4]."""
+        if not self.digits.any():
+            return np.zeros(self.valid.shape)
+        return rounding(self.readings[self.kept], self.digits, self.independence)
+
     @property
     def every(self) -> int:
         """Grid samples from one of those that hold all to the next."""
@@ -371,6 +382,7 @@ def trajectory(
         leaps=Leaps.of(
             motion, (sampled.readings[:, u] for u in sus), sampled.period[sus], taps, kept
         ),
+        digits=sampled.digits[sus],
         publisher=motion.publisher,
         positions=positions,
         resolution=motion.resolution,
@@ -438,6 +450,7 @@ def in_order(log: Trajectory, dofs: Int, sus: Int) -> Trajectory:
         readings=log.readings[:, sus],
         beyond=None if log.beyond is None else log.beyond[:, sus],
         valid=log.valid[:, sus],
+        digits=log.digits[sus] if len(log.digits) else log.digits,
         rates=None if log.rates is None else log.rates[:, sus],
         turning=None if log.turning is None else log.turning[:, sus],
     )

@@ -9,11 +9,13 @@ import pytest
 
 from skin2urdf.arrays import F64
 from skin2urdf.errors import UsageError
+from skin2urdf.geometry.units import GRAVITY
 from skin2urdf.recording.records import JointStream, SuStream
 from skin2urdf.simulation import Simulation, SimulationSettings, load_robot, simulate
 from skin2urdf.simulation.defects import (
     BiasWalk,
     Bursts,
+    CoarseDigits,
     Defect,
     Held,
     HeldPositions,
@@ -152,6 +154,14 @@ def test_positions_are_held_until_they_are_read_again() -> None:
     (held,) = HeldPositions(3).publish((JointStream("j", position / 100.0, position),), RNG)
     np.testing.assert_array_equal(held.position[:8], [0, 0, 0, 3, 3, 3, 6, 6])
     np.testing.assert_array_equal(held.time, position / 100.0)
+
+
+def test_digits_are_the_nearest() -> None:
+    sound = stream()
+    rounded = CoarseDigits(16e-3).send(sound, RNG).specific_force
+    digit = 16e-3 * GRAVITY
+    np.testing.assert_allclose(rounded / digit, np.round(rounded / digit), atol=1e-9)
+    assert np.abs(rounded - sound.specific_force).max() <= digit / 2
 
 
 def test_spikes_strike_their_share() -> None:

@@ -383,8 +383,8 @@ def _noise(
     """Noise of each sample and weights.
 
     It is what residuals of the SU show at rest and in motion, what encoders leave around a rest
-    beside what the most of it shows, and what its sampling leaves open where a joint on its way
-    leaps.
+    beside what the most of it shows, what its sampling leaves open where a joint on its way leaps,
+    and by what its digits are off alike for a while.
     """
     noise, weights = [], []
     arms = levers(problem.tree, state.placements)
@@ -405,6 +405,7 @@ def _noise(
                 sd[still] = np.hypot(sd[still], np.sqrt(around[sus][:, ~moves]).T)
         if log.leaps is not None:
             sd = np.hypot(sd, np.sqrt(log.leaps.variance(arms)))
+        sd = np.hypot(sd, np.sqrt(log.rounded))
         size = np.where(p.measured, np.sqrt(square / 3) / sd, 0.0)
         share = _HUBER / np.maximum(size, _HUBER)
         w = np.where(p.measured, log.independence * share, 0.0) / sd**2

@@ -15,7 +15,7 @@ from skin2urdf.simulation.defects.messages import (
     SuClock,
     UnsteadyClock,
 )
-from skin2urdf.simulation.defects.readings import BiasWalk, Nonlinearity, WarmUp
+from skin2urdf.simulation.defects.readings import BiasWalk, CoarseDigits, Nonlinearity, WarmUp
 from skin2urdf.simulation.defects.records import Defect
 from skin2urdf.simulation.defects.structure import LinkFlex, YieldingBase
 from skin2urdf.simulation.defects.vibration import Vibration
@@ -25,6 +25,7 @@ __all__ = [
     "Backlash",
     "BiasWalk",
     "Bursts",
+    "CoarseDigits",
     "Defect",
     "ElasticGears",
     "GearHarmonics",

@@ -1,13 +1,14 @@
-"""What a sensor adds to the truth: biases that wander, and a scale that is not straight."""
+"""What a sensor makes of the truth: biases that wander, a bent scale, and digits."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from skin2urdf.arrays import F64
 from skin2urdf.geometry.units import GRAVITY
+from skin2urdf.recording.records import SuStream
 from skin2urdf.simulation.defects.records import Defect, Felt
 
 
@@ -65,3 +66,19 @@ class Nonlinearity(Defect):
         sign = rng.choice([-1.0, 1.0], 3)
         full = self.full_scale * GRAVITY
         return np.asarray(felt.force + sign * self.size * felt.force**2 / full)
+
+
+@dataclass(frozen=True)
+class CoarseDigits(Defect):
+    """Sensors of few bits, as many cells of skins have.
+
+    Attributes:
+        size: of a digit [g].
+    """
+
+    size: float = 16e-3
+
+    def send(self, stream: SuStream, rng: np.random.Generator) -> SuStream:
+        """Each reading, noise included, at the nearest digit."""
+        digit = self.size * GRAVITY
+        return replace(stream, specific_force=np.round(stream.specific_force / digit) * digit)

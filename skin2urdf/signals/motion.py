@@ -21,6 +21,9 @@ SMOOTH = GRID_RATE / 5
 """Cutoff of the low-pass that positions go through before they are differentiated [Hz]."""
 _FEWEST = 8
 """Samples that a curve goes through, at least."""
+_SLOWEST = 2.0
+"""Time between two positions beyond which they tell of no move in between [s]: hours of such a
+stream would be a grid of millions of samples. A move takes a second or two."""
 STILL = 1e-3
 """Travel [rad or m] that is none: it turns gravity by less than 0.01 m/s^2."""
 _CREEP = 6.0
@@ -100,6 +103,12 @@ def travel(motion: Motion) -> F64:
     return np.ptp(q, axis=0) if len(q) else np.zeros(q.shape[1])
 
 
+def _tells_of_moves(joint: JointStream) -> bool:
+    """Whether positions are many, and follow each other closely enough to show moves."""
+    time = joint.time
+    return time.size >= _FEWEST and bool(np.median(np.diff(time)) <= _SLOWEST)
+
+
 def joint_motion(recording: Recording, dof_names: Sequence[str] | None = None) -> Motion:
     """Sample all joint streams of a recording on one grid and differentiate them.
 
@@ -112,11 +121,12 @@ def joint_motion(recording: Recording, dof_names: Sequence[str] | None = None) -
         InsufficientDataError: no joint stream has enough samples, or they do not overlap.
     """
     names = tuple(dof_names) if dof_names is not None else tuple(j.name for j in recording.joints)
-    found = {j.name: unwrapped(j) for j in recording.joints if j.time.size >= _FEWEST}
+    found = {j.name: unwrapped(j) for j in recording.joints if _tells_of_moves(j)}
     streams = {name: stream for name, (stream, _) in found.items()}
     if not streams:
         raise InsufficientDataError(
-            f"{recording.source}: no joint has more than a few position samples",
+            f"{recording.source}: no joint has more than a few position samples, or one in "
+            f"{_SLOWEST:g} s",
             "record the joint states at 50 Hz or more while the robot moves",
             lacks="samples",
         )

@@ -184,3 +184,11 @@ def test_streams_that_do_not_overlap_are_an_error_in_words() -> None:
         joint_motion(Recording(streams, ()))
     assert caught.value.lacks == "overlap"
     assert caught.value.remedy
+
+
+def test_positions_that_are_hours_apart_tell_of_no_moves() -> None:
+    """They would be a grid of millions of samples, of which none is known."""
+    time = np.arange(12) * 4000.0
+    stream = JointStream("a", time, np.sin(time))
+    with pytest.raises(InsufficientDataError):
+        joint_motion(Recording((stream,), (), source="slow"))

@@ -50,6 +50,7 @@ def in_told_order(
     if along is None or along.problem.priors.blueprint is not None or not _that_may_be(along):
         return solution, along
     best, rigid = solution, _rigid(solution, clock)
+    seen = {along.problem.tree.joint_names}
     tried: list[Note] = []
     notes: list[Note] = []
     while rigid is not None:
@@ -63,8 +64,9 @@ def in_told_order(
             tried.append(doubtful)
             # What no rigid robot explains tells orders apart by chance.
             certain = CERTAIN * max(1.0, rigid.misfit, there.misfit)
-            if is_likelier(rigid, there, certain):
+            if other_tree.joint_names not in seen and is_likelier(rigid, there, certain):
                 best, rigid = other, there
+                seen.add(other_tree.joint_names)
                 break
             if not is_likelier(there, rigid, certain):
                 robot, names = (rigid.problem.tree, rigid.state), rigid.problem.tree.joint_names

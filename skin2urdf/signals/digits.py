@@ -76,11 +76,11 @@ def alike(digits: F64) -> F64:
     Args:
         digits: (U, 2) as :func:`left_by_averages` has them.
     """
-    out = np.array(digits)
-    for digit in np.unique(digits[digits[:, 1] > 0, 0]):
-        of_them = digits[:, 0] == digit
-        out[of_them, 1] = np.maximum(out[of_them, 1], np.median(out[of_them, 1]))
-    return out
+    size, left = digits.T
+    # Rounding of floats makes equal digits nearly equal.
+    same = np.isclose(size[:, None], size, rtol=1e-3, atol=0.0)
+    usual = [float(np.median(left[each])) if each.any() else 0.0 for each in same]
+    return np.stack([size, np.maximum(left, usual)], axis=1)
 
 
 def rounding(readings: F64, digits: F64, independence: float) -> F64:
@@ -99,6 +99,7 @@ def rounding(readings: F64, digits: F64, independence: float) -> F64:
     for u in np.flatnonzero(digits[:, 1] > 0):
         digit, left = digits[u]
         x = readings[:, u]
+        # Errors of motion over many digits, which meets each of them otherwise, average out.
         again = _come_back(x, digit) / np.maximum(np.ptp(x, axis=0) / digit, 1.0)
         together = np.maximum(_stay_within(x, digit), again) * independence
         # Once it is in what residuals show.

@@ -79,5 +79,5 @@ def test_what_comes_back_to_few_digits_is_off_alike_each_time() -> None:
 
 
 def test_sensors_of_one_kind_are_as_quiet() -> None:
-    one_kind = np.array([[0.04, 0.01], [0.04, 0.008], [0.04, 0.001], [0.02, 0.001]])
+    one_kind = np.array([[0.04, 0.01], [0.04 + 1e-9, 0.008], [0.04, 0.001], [0.02, 0.001]])
     assert alike(one_kind)[:, 1].tolist() == [0.01, 0.008, 0.008, 0.001]

@@ -111,9 +111,17 @@ def _rigid(solution: Solution, clock: Clock) -> MotionEstimate | None:
 
 
 def _noted(solution: Solution, notes: list[Note], tried: Collection[Note] = ()) -> Solution:
-    """A solution with notes on the orders of its joints, without those on what was tried."""
+    """A solution with notes on the orders of its joints.
+
+    Those on what was tried, and on another order than the one that was taken, go.
+    """
     tree = solution.found.tree
-    known = {(note.joints, note.instead) for note in tried}
-    kept = [n for n in tree.notes if n.kind != "other order" or (n.joints, n.instead) not in known]
-    tree = replace(tree, notes=(*kept, *notes))
+    known, chains = {(note.joints, note.instead) for note in tried}, tree.chains().values()
+    before = [
+        note
+        for note in tree.notes
+        if note.kind != "other order"
+        or ((note.joints, note.instead) not in known and list(note.joints) in chains)
+    ]
+    tree = replace(tree, notes=(*before, *notes))
     return replace(solution, found=replace(solution.found, tree=tree))

@@ -151,13 +151,15 @@ def _doubts(calibration: Calibration) -> list[Doubt]:
     if orders := calibration.open_orders:
         pairs = {name: None for note in orders for name in _exchanged(note)}
         sizes = [note.size for note in orders if np.isfinite(note.size)]
-        there = f" by {number(max(sizes) * _MM)} mm (rms)" if sizes else ""
+        # Any of them may be wrong, and all at a time.
+        size = float(np.linalg.norm(sizes)) if sizes else np.nan
+        there = f" by {number(size * _MM)} mm (rms)" if sizes else ""
         words = (
             f"the log does not tell in which order {shortened(list(pairs), _NAMED)} follow each "
             f"other: where several of them have moved, SUs may be elsewhere{there} (move each of "
             "them at several positions of the others, or put an SU on every segment)"
         )
-        found.append(Doubt("orders open", words, tuple(pairs), number=max(sizes, default=np.nan)))
+        found.append(Doubt("orders open", words, tuple(pairs), number=size))
     if calibration.base_gives_way:
         words = (
             "the base gives way: lengths along the first axis may be off by more than is stated "

@@ -109,6 +109,7 @@ def test_joints_in_an_untold_order_make_a_good_fit_fair() -> None:
     found = replace(calibration(), notes=(told,))
     assert found.quality == "fair"
     assert against(found) == [("orders open", (first, second)), missing()]
+    assert findings(found).doubts[0].number == pytest.approx(0.02)
     assert is_to_repair(found)
 
 

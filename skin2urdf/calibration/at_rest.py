@@ -76,7 +76,7 @@ def _decided(solutions: Sequence[Solution], clock: Clock) -> Solution:
 
     Where they can not be fitted, the first one is as good as any.
     """
-    fits = [(each, _fit_along(each, clock)) for each in solutions]
+    fits = [(each, fit_rigid(each, clock)) for each in solutions]
     fitted = [(each, along) for each, along in fits if along is not None]
     if not fitted:
         return solutions[0]
@@ -97,7 +97,7 @@ def _decided(solutions: Sequence[Solution], clock: Clock) -> Solution:
     return replace(best, found=replace(best.found, tree=tree))
 
 
-def _fit_along(solution: Solution, clock: Clock) -> MotionEstimate | None:
+def fit_rigid(solution: Solution, clock: Clock) -> MotionEstimate | None:
     """All samples, with nothing but a rigid robot."""
     return clock.run("all samples", lambda tell: fit_samples(solution, tell, look_further=False))
 

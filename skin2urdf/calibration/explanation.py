@@ -24,6 +24,7 @@ from skin2urdf.calibration.by_physics import (
 from skin2urdf.calibration.clock import Clock
 from skin2urdf.calibration.moments import stands_out
 from skin2urdf.calibration.orders import in_told_order
+from skin2urdf.calibration.places import in_told_place
 from skin2urdf.calibration.refusal import check_hope
 from skin2urdf.calibration.result import BAD_FIT, BAD_MISFIT, GOOD_FIT, HOPELESS_FIT
 from skin2urdf.calibration.rounds import Solution
@@ -52,11 +53,12 @@ def explain_readings(begun: Beginning, clock: Clock) -> tuple[Solution, MotionEs
         StructureError: the SUs' activity contradicts every kinematic tree.
     """
     solution, along = _explained(begun, clock)
-    return in_told_order(solution, along, clock, of_patterns=begun.of_patterns)
+    placed = in_told_place(solution, along, clock, of_patterns=begun.of_patterns)
+    return in_told_order(*placed, clock, of_patterns=begun.of_patterns)
 
 
 def _explained(begun: Beginning, clock: Clock) -> tuple[Solution, MotionEstimate | None]:
-    """The same with joints in the order that was found first."""
+    """The same with joints in the order, and SUs in the places, that were found first."""
     first = begun.first
     unexplained = first is not None and first.found.cost_per_dof > GOOD_FIT
     looked = _look(first, clock) if begun.of_patterns and unexplained else None

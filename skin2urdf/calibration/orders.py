@@ -12,7 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from skin2urdf.calibration.at_rest import is_likelier
+from skin2urdf.calibration.at_rest import fit_rigid, is_likelier
 from skin2urdf.calibration.clock import Clock
 from skin2urdf.calibration.rounds import Solution
 from skin2urdf.calibration.samples import fit_samples
@@ -49,15 +49,15 @@ def in_told_order(
     """
     if along is None or along.problem.priors.blueprint is not None or not _that_may_be(along):
         return solution, along
-    best, rigid = solution, _rigid(solution, clock)
+    best, rigid = solution, fit_rigid(solution, clock)
     seen = {along.problem.tree.joint_names}
     tried: list[Note] = []
     notes: list[Note] = []
     while rigid is not None:
         notes, before = [], best
         for other_tree, other_state in _that_may_be(rigid):
-            other = _solved(best, other_tree, other_state, clock)
-            there = _rigid(other, clock)
+            other = solved_anew(best, other_tree, other_state, clock)
+            there = fit_rigid(other, clock)
             if there is None:
                 continue
             doubtful = doubt(rigid.problem.tree, other_tree)
@@ -95,7 +95,7 @@ def _that_may_be(along: MotionEstimate) -> list[tuple[KinematicTree, State]]:
     ]
 
 
-def _solved(solution: Solution, tree: KinematicTree, state: State, clock: Clock) -> Solution:
+def solved_anew(solution: Solution, tree: KinematicTree, state: State, clock: Clock) -> Solution:
     """The solution of the same features with another tree, from where it is known to be."""
     settings = solution.logs.settings.estimation
     found = clock.run(
@@ -103,11 +103,6 @@ def _solved(solution: Solution, tree: KinematicTree, state: State, clock: Clock)
         lambda tell: estimate(solution.features, tree, settings, state, search=False, tell=tell),
     )
     return replace(solution, found=found)
-
-
-def _rigid(solution: Solution, clock: Clock) -> MotionEstimate | None:
-    """All samples, with nothing but a rigid robot."""
-    return clock.run("all samples", lambda tell: fit_samples(solution, tell, look_further=False))
 
 
 def _noted(solution: Solution, notes: list[Note], tried: Collection[Note] = ()) -> Solution:

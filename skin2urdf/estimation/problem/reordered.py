@@ -1,4 +1,4 @@
-"""A robot with two neighbouring joints in the other order, such that its SUs move as they did.
+"""A robot with joints in another order, or an SU elsewhere, nearly where they were.
 
 Where no SU sits between two joints and each moved while the other stayed in one place, both orders
 carry all SUs along the same ways: about the same axes, which are elsewhere while the robot is where
@@ -64,6 +64,25 @@ def reordered(
     return other, replace(state, T_parent_joint=T_parent_joint, T_joint_su=T_joint_su)
 
 
+def hung_on(
+    tree: KinematicTree, state: State, su: int, joint: int, q: F64
+) -> tuple[KinematicTree, State]:
+    """A robot with an SU on another joint, where it is at some positions.
+
+    Args:
+        tree: D joints.
+        state: their placements.
+        su: which SU.
+        joint: that carries it then; -1 for the base.
+        q: (D,) positions [rad or m].
+    """
+    T = _joint_poses(tree, state, q[None])[:, 0]
+    T_joint_su, su_joint = state.T_joint_su.copy(), tree.su_joint.copy()
+    T_joint_su[su] = inverse(T[joint]) @ T[su_joint[su]] @ T_joint_su[su]
+    su_joint[su] = joint
+    return replace(tree, su_joint=su_joint), replace(state, T_joint_su=T_joint_su)
+
+
 def apart(
     one: tuple[KinematicTree, State],
     other: tuple[KinematicTree, State],
@@ -118,10 +137,16 @@ def _rms(vectors: F64) -> float:
 
 def _su_poses(tree: KinematicTree, state: State, q: F64) -> F64:
     """(N, U, 4, 4) SU poses in the base frame at joint positions q (N, D)."""
+    T = _joint_poses(tree, state, q)
+    return np.swapaxes(T[tree.su_joint], 0, 1) @ state.T_joint_su
+
+
+def _joint_poses(tree: KinematicTree, state: State, q: F64) -> F64:
+    """(D + 1, N, 4, 4) joints' poses in the base frame at positions q (N, D); the base's last."""
     T = np.tile(np.eye(4), (tree.n_joints + 1, len(q), 1, 1))  # index -1 is the base
     for j, parent in enumerate(tree.parent):
         T[j] = T[parent] @ state.T_parent_joint[j] @ _moved(tree, j, q[:, j])
-    return np.swapaxes(T[tree.su_joint], 0, 1) @ state.T_joint_su
+    return T
 
 
 def _moved(tree: KinematicTree, joint: int, q: F64) -> F64:

@@ -53,8 +53,18 @@ def explain_readings(begun: Beginning, clock: Clock) -> tuple[Solution, MotionEs
         StructureError: the SUs' activity contradicts every kinematic tree.
     """
     solution, along = _explained(begun, clock)
-    placed = in_told_place(solution, along, clock, of_patterns=begun.of_patterns)
-    return in_told_order(*placed, clock, of_patterns=begun.of_patterns)
+    if along is None:
+        return solution, along
+    # What a first look at the structure says of a single SU, or of joints without any, is little.
+    for told in (in_told_place, in_told_order):
+        other = told(solution, along, clock)
+        if other.found.tree.is_like(solution.found.tree):
+            solution = other
+            continue
+        fitted = clock.run("all samples", partial(fit_samples, other))
+        if fitted is not None and fitted.misfit <= max(along.misfit, GOOD_FIT):
+            solution, along = with_sus_apart(other, fitted, clock, of_patterns=begun.of_patterns)
+    return solution, along
 
 
 def _explained(begun: Beginning, clock: Clock) -> tuple[Solution, MotionEstimate | None]:

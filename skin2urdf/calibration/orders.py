@@ -15,15 +15,14 @@ import numpy as np
 from skin2urdf.calibration.at_rest import fit_rigid, is_likelier
 from skin2urdf.calibration.clock import Clock
 from skin2urdf.calibration.rounds import Solution
-from skin2urdf.calibration.samples import fit_samples
-from skin2urdf.calibration.taken_apart import with_sus_apart
-from skin2urdf.estimation.problem.reordered import apart, bare_neighbours, elsewhere, reordered
+from skin2urdf.estimation.problem.reordered import apart, elsewhere, reordered
 from skin2urdf.estimation.problem.state import State
 from skin2urdf.estimation.solve.estimate import estimate
 from skin2urdf.estimation.trajectory.attempt import CERTAIN
 from skin2urdf.estimation.trajectory.estimate import MotionEstimate
 from skin2urdf.notes import Note
 from skin2urdf.structure.from_motion import doubt
+from skin2urdf.structure.ordering import bare_neighbours
 from skin2urdf.structure.records import KinematicTree
 
 _ALIKE = 0.02
@@ -36,19 +35,16 @@ _COMPARED = 400
 """Positions, at most, that two orders are compared at."""
 
 
-def in_told_order(
-    solution: Solution, along: MotionEstimate | None, clock: Clock, *, of_patterns: bool
-) -> tuple[Solution, MotionEstimate | None]:
+def in_told_order(solution: Solution, along: MotionEstimate, clock: Clock) -> Solution:
     """The robot with joints in the order that all samples find likeliest, and notes on the others.
 
     Args:
         solution: the robot.
-        along: what all samples say of it; None where features alone count.
+        along: what all samples say of it.
         clock: runs the stages.
-        of_patterns: whether the logs have patterns around poses.
     """
-    if along is None or along.problem.priors.blueprint is not None or not _that_may_be(along):
-        return solution, along
+    if not _that_may_be(along):
+        return solution
     best, rigid = solution, fit_rigid(solution, clock)
     seen = {along.problem.tree.joint_names}
     tried: list[Note] = []
@@ -74,12 +70,7 @@ def in_told_order(
                 notes += [replace(doubtful, size=size)] * (size > _HARMLESS)
         if best is before:
             break
-    if best is solution:
-        return _noted(solution, notes, tried), along
-    fitted = clock.run("all samples", lambda tell: fit_samples(best, tell))
-    if fitted is None:
-        return solution, along
-    return with_sus_apart(_noted(best, notes, tried), fitted, clock, of_patterns=of_patterns)
+    return _noted(best, notes, tried)
 
 
 def _that_may_be(along: MotionEstimate) -> list[tuple[KinematicTree, State]]:
@@ -87,7 +78,10 @@ def _that_may_be(along: MotionEstimate) -> list[tuple[KinematicTree, State]]:
     tree, q = along.problem.tree, along.positions
     weights = np.concatenate([log.qd[log.kept] for log in along.problem.logs]) ** 2
     compared = q[:: max(1, len(q) // _COMPARED)]
-    others = [reordered(tree, along.state, j, q, weights) for j in bare_neighbours(tree)]
+    others = [
+        reordered(tree, along.state, j, q, weights)
+        for j in bare_neighbours(tree.parent, tree.su_joint)
+    ]
     return [
         other
         for other in others
@@ -105,7 +99,7 @@ def solved_anew(solution: Solution, tree: KinematicTree, state: State, clock: Cl
     return replace(solution, found=found)
 
 
-def _noted(solution: Solution, notes: list[Note], tried: Collection[Note] = ()) -> Solution:
+def _noted(solution: Solution, notes: list[Note], tried: Collection[Note]) -> Solution:
     """A solution with notes on the orders of its joints.
 
     Those on what was tried, and on another order than the one that was taken, go.

@@ -16,27 +16,20 @@ from skin2urdf.calibration.clock import Clock
 from skin2urdf.calibration.orders import solved_anew
 from skin2urdf.calibration.result import GOOD_FIT
 from skin2urdf.calibration.rounds import Solution
-from skin2urdf.calibration.samples import fit_samples
-from skin2urdf.calibration.taken_apart import with_sus_apart
 from skin2urdf.estimation.problem.reordered import hung_on
 from skin2urdf.estimation.trajectory.attempt import CERTAIN
 from skin2urdf.estimation.trajectory.estimate import MotionEstimate
 from skin2urdf.estimation.trajectory.misfit import MOST_OF_IT
 
 
-def in_told_place(
-    solution: Solution, along: MotionEstimate | None, clock: Clock, *, of_patterns: bool
-) -> tuple[Solution, MotionEstimate | None]:
+def in_told_place(solution: Solution, along: MotionEstimate, clock: Clock) -> Solution:
     """The robot with SUs where all samples find them, of those that fit far worse than most.
 
     Args:
         solution: the robot.
-        along: what all samples say of it; None where features alone count.
+        along: what all samples say of it.
         clock: runs the stages.
-        of_patterns: whether the logs have patterns around poses.
     """
-    if along is None or along.problem.priors.blueprint is not None:
-        return solution, along
     found, rigid = solution, None
     for u in _that_fit_worse(solution, along):
         rigid = rigid or fit_rigid(found, clock)
@@ -55,12 +48,7 @@ def in_told_place(
             if left < MOST_OF_IT * now and is_likelier(rigid, there, certain):
                 found, rigid = other, there
                 break
-    if found is solution:
-        return solution, along
-    fitted = clock.run("all samples", lambda tell: fit_samples(found, tell))
-    if fitted is None or fitted.misfit > along.misfit:
-        return solution, along
-    return with_sus_apart(found, fitted, clock, of_patterns=of_patterns)
+    return found
 
 
 def _that_fit_worse(solution: Solution, along: MotionEstimate) -> Iterator[int]:

@@ -56,8 +56,8 @@ def left_by_averages(samples: F64, still: Bool) -> tuple[float, float]:
         samples: (M, 3) in the order of their times.
         still: (M,) where the robot rests.
     """
-    digit = digit_of(np.diff(samples, axis=0))
-    at_rest = np.diff(samples, axis=0)[still[1:] & still[:-1]]
+    steps = np.diff(samples, axis=0)
+    digit, at_rest = digit_of(steps), steps[still[1:] & still[:-1]]
     if not (digit and len(at_rest)):
         return 0.0, 0.0
     noise = noise_in_digits((at_rest != 0).mean())

@@ -16,6 +16,7 @@ import numpy as np
 from skin2urdf.arrays import F64, Int, Record
 from skin2urdf.geometry.so3 import rotation_exp
 from skin2urdf.structure.accelerations import Along, ChainJoint, Judged
+from skin2urdf.structure.ordering import bare_neighbours
 from skin2urdf.structure.records import JointType
 
 CERTAIN = 10.0
@@ -335,10 +336,8 @@ def _likelier_as_slides(draft: Draft, samples: Along) -> Iterator[tuple[int, _Mo
 
 def _bare(draft: Draft) -> Iterator[int]:
     """Joints that turn behind one that turns, with nothing else in between."""
-    for j, before in enumerate(draft.parent):
-        if before < 0 or before in draft.su_joint or draft.parent.count(before) > 1:
-            continue
-        if "prismatic" not in (draft.joints[before].kind, draft.joints[j].kind):
+    for j in bare_neighbours(draft.parent, draft.su_joint):
+        if "prismatic" not in (draft.joints[draft.parent[j]].kind, draft.joints[j].kind):
             yield j
 
 

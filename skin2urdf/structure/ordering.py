@@ -76,3 +76,15 @@ def places_of(names: Sequence[str], listed: Sequence[str]) -> Int:
     if missing:
         raise ValueError(f"not listed: {', '.join(missing)}")
     return np.array([place[name] for name in names], dtype=np.int64)
+
+
+def bare_neighbours(parent: Sequence[int] | Int, su_joint: Int) -> list[int]:
+    """Joints that follow another one with no SU and no branch in between.
+
+    Args:
+        parent: (D,) the joint before each joint, -1 for the base.
+        su_joint: (U,) the joint that carries each SU.
+    """
+    before = list(map(int, parent))
+    bare = set(before) - {-1} - set(map(int, su_joint))
+    return [j for j, p in enumerate(before) if p in bare and before.count(p) == 1]

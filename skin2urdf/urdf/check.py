@@ -10,7 +10,7 @@ import numpy as np
 
 from skin2urdf.arrays import F64
 from skin2urdf.errors import Skin2UrdfError
-from skin2urdf.geometry.se3 import screw
+from skin2urdf.model.poses import su_poses
 from skin2urdf.model.records import KinematicModel
 from skin2urdf.urdf.names import BASE_LINK, urdf_names
 
@@ -45,7 +45,7 @@ def check_urdf(text: str, model: KinematicModel, rng: np.random.Generator | None
     """
     rng = rng or np.random.default_rng(0)
     q = rng.uniform(-1.0, 1.0, (_CONFIGURATIONS, model.tree.n_joints))
-    expected = [su_poses(model, row) for row in q]
+    expected = su_poses(model, q)
     for reader in (_by_pinocchio, _by_yourdfpy):
         name = reader.__name__.removeprefix("_by_")
         try:
@@ -54,19 +54,9 @@ def check_urdf(text: str, model: KinematicModel, rng: np.random.Generator | None
             raise
         except Exception as error:
             raise InconsistentUrdfError(f"{name} can not load it ({error})") from error
-        error_size = float(np.max(np.abs(np.array(read) - np.array(expected)), initial=0.0))
+        error_size = float(np.max(np.abs(np.array(read) - expected), initial=0.0))
         if not error_size <= TOLERANCE:
             raise InconsistentUrdfError(f"{name} has SUs {error_size:.1e} away from the model's")
-
-
-def su_poses(model: KinematicModel, q: F64) -> F64:
-    """(U, 4, 4) SU poses in the base frame at joint positions q (D,), by plain products."""
-    tree = model.tree
-    T_base_joint = np.tile(np.eye(4), (tree.n_joints + 1, 1, 1))  # index -1 is the base
-    for j, parent in enumerate(tree.parent):
-        motion = screw("z", 0.0, q[j]) if tree.prismatic[j] else screw("z", q[j], 0.0)
-        T_base_joint[j] = T_base_joint[parent] @ model.T_parent_joint[j] @ motion
-    return np.asarray(T_base_joint[tree.su_joint] @ model.T_joint_su)
 
 
 def _by_pinocchio(text: str, model: KinematicModel, q: F64) -> list[list[Any]]:

@@ -27,8 +27,8 @@ from skin2urdf.export.mjcf import to_mjcf
 from skin2urdf.export.source import Source, load_source, rotation_of_rpy
 from skin2urdf.export.xacro import to_xacro
 from skin2urdf.geometry.se3 import inverse
+from skin2urdf.model.poses import su_poses
 from skin2urdf.simulation import load_robot
-from skin2urdf.urdf.check import su_poses
 
 NUMBERS = ["x", "y", "z", "roll", "pitch", "yaw"]
 

@@ -12,6 +12,7 @@ import pytest
 from calibrated import calibration
 
 from skin2urdf.geometry import se3
+from skin2urdf.model.poses import su_poses
 from skin2urdf.model.records import KinematicModel
 from skin2urdf.output import save
 from skin2urdf.report import findings
@@ -19,7 +20,6 @@ from skin2urdf.report.limbs import OpenLimb, open_limbs
 from skin2urdf.report.summary import as_text
 from skin2urdf.report.words import Unknown
 from skin2urdf.structure.records import KinematicTree
-from skin2urdf.urdf.check import su_poses
 from skin2urdf.urdf.directions import load_open
 
 

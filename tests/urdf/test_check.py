@@ -8,8 +8,9 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
+from skin2urdf.model.poses import su_poses
 from skin2urdf.model.records import KinematicModel
-from skin2urdf.urdf.check import InconsistentUrdfError, check_urdf, su_poses
+from skin2urdf.urdf.check import InconsistentUrdfError, check_urdf
 from skin2urdf.urdf.emit import emit
 
 Make = Callable[..., KinematicModel]
@@ -34,7 +35,7 @@ def test_a_robot_without_joints_passes(random_robot: Make) -> None:
 def test_its_kinematics_are_those_of_the_records(
     random_robot: Make, su_poses: Callable[[KinematicModel, np.ndarray], np.ndarray]
 ) -> None:
-    from skin2urdf.urdf.check import su_poses as checked
+    from skin2urdf.model.poses import su_poses as checked
 
     rng = np.random.default_rng(1)
     model = random_robot(rng)

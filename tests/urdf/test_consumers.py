@@ -16,8 +16,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from skin2urdf.model.poses import su_poses
 from skin2urdf.model.records import KinematicModel
-from skin2urdf.urdf.check import su_poses
 from skin2urdf.urdf.emit import emit
 from skin2urdf.urdf.limits import wide_limits
 from skin2urdf.urdf.records import Remarks

@@ -17,21 +17,13 @@ import numpy as np
 
 from skin2urdf.arrays import F64
 from skin2urdf.estimation.problem.state import State
-from skin2urdf.geometry.se3 import inverse, screw
+from skin2urdf.geometry.se3 import inverse
 from skin2urdf.geometry.so3 import rotation_log
+from skin2urdf.model.poses import joint_poses, joint_transform, su_poses
 from skin2urdf.structure.records import KinematicTree
 
 _DRAWN = 400
 """Positions that are drawn from the joints' ranges."""
-
-
-def bare_neighbours(tree: KinematicTree) -> list[int]:
-    """Joints that follow another one with no SU and no branch in between."""
-    alone = [
-        before >= 0 and before not in tree.su_joint and (tree.parent == before).sum() == 1
-        for before in tree.parent
-    ]
-    return np.flatnonzero(alone).tolist()
 
 
 def reordered(
@@ -42,7 +34,7 @@ def reordered(
     Args:
         tree: D joints.
         state: their placements.
-        joint: one of :func:`bare_neighbours`.
+        joint: one of :func:`~skin2urdf.structure.ordering.bare_neighbours`.
         q: (N, D) positions [rad or m].
         weights: (N, D) how much each tells where other joints are while this one moves.
     """
@@ -53,7 +45,7 @@ def reordered(
         for moving, staying in ((b, a), (a, b))
     )
     A, B = state.T_parent_joint[a], state.T_parent_joint[b]
-    E_c, E_d = _moved(tree, a, np.array(c)), _moved(tree, b, np.array(d))
+    E_c, E_d = joint_transform(tree, a, np.array(c)), joint_transform(tree, b, np.array(d))
     T_parent_joint, T_joint_su = state.T_parent_joint.copy(), state.T_joint_su.copy()
     T_parent_joint[a], T_parent_joint[b] = A @ E_c @ B, inverse(E_c @ B @ E_d)
     T_parent_joint[tree.parent == b] = B @ E_d @ T_parent_joint[tree.parent == b]
@@ -76,7 +68,7 @@ def hung_on(
         joint: that carries it then; -1 for the base.
         q: (D,) positions [rad or m].
     """
-    T = _joint_poses(tree, state, q[None])[:, 0]
+    T = joint_poses(state.model(tree), q)
     T_joint_su, su_joint = state.T_joint_su.copy(), tree.su_joint.copy()
     T_joint_su[su] = inverse(T[joint]) @ T[su_joint[su]] @ T_joint_su[su]
     su_joint[su] = joint
@@ -104,7 +96,8 @@ def apart(
     names = [name for name in one[0].su_names if name in other[0].su_names]
     for tree, state in (one, other):
         columns = [joint_names.index(name) for name in tree.joint_names]
-        T = _su_poses(tree, state, q[:, columns])[:, [tree.su_names.index(name) for name in names]]
+        T = su_poses(state.model(tree), q[:, columns])
+        T = T[:, [tree.su_names.index(name) for name in names]]
         displaced.append(inverse(T[:1]) @ T)
     T_one, T_other = displaced
     shift = T_one[..., :3, 3] - T_other[..., :3, 3]
@@ -133,22 +126,3 @@ def elsewhere(
 
 def _rms(vectors: F64) -> float:
     return float(np.sqrt((vectors**2).sum(axis=-1).mean()))
-
-
-def _su_poses(tree: KinematicTree, state: State, q: F64) -> F64:
-    """(N, U, 4, 4) SU poses in the base frame at joint positions q (N, D)."""
-    T = _joint_poses(tree, state, q)
-    return np.swapaxes(T[tree.su_joint], 0, 1) @ state.T_joint_su
-
-
-def _joint_poses(tree: KinematicTree, state: State, q: F64) -> F64:
-    """(D + 1, N, 4, 4) joints' poses in the base frame at positions q (N, D); the base's last."""
-    T = np.tile(np.eye(4), (tree.n_joints + 1, len(q), 1, 1))  # index -1 is the base
-    for j, parent in enumerate(tree.parent):
-        T[j] = T[parent] @ state.T_parent_joint[j] @ _moved(tree, j, q[:, j])
-    return T
-
-
-def _moved(tree: KinematicTree, joint: int, q: F64) -> F64:
-    """(..., 4, 4) the motion of a joint by q (...)."""
-    return screw("z", 0.0, q) if tree.prismatic[joint] else screw("z", q, 0.0)

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from skin2urdf.arrays import F64
-from skin2urdf.estimation.problem.reordered import apart, bare_neighbours, elsewhere, reordered
+from skin2urdf.estimation.problem.reordered import apart, elsewhere, reordered
 from skin2urdf.estimation.problem.state import State
 from skin2urdf.geometry.se3 import exp
+from skin2urdf.structure.ordering import bare_neighbours
 from skin2urdf.structure.records import JointType, KinematicTree
 
 
@@ -46,7 +47,7 @@ def test_the_other_order_carries_sus_alike_where_joints_moved_in_turn(
 ) -> None:
     tree, state = robot(kinds, seed)
     q, qd = along_an_l(30)
-    assert bare_neighbours(tree) == [2]
+    assert bare_neighbours(tree.parent, tree.su_joint) == [2]
     other = reordered(tree, state, 2, q, qd**2)
     assert other[0].joint_names == ("a", "c", "b", "d")
     assert other[0].joint_types == ("revolute", *kinds[::-1], "revolute")

@@ -91,7 +91,9 @@ def _decided(solutions: Sequence[Solution], clock: Clock) -> Solution:
     for other, there in fitted:
         if other is not best and not is_likelier(there, along):
             instead = other.found.tree, there.state
-            size = elsewhere(robot, instead, tree.joint_names, along.positions)
+            # Either may lack a joint that no SU shows for certain.
+            positions = {**there.positions_of_joints, **along.positions_of_joints}
+            size = elsewhere(robot, instead, positions)
             notes.append(replace(doubt(tree, other.found.tree), size=size))
     tree = replace(tree, notes=tuple(notes))
     return replace(best, found=replace(best.found, tree=tree))

@@ -65,8 +65,8 @@ def in_told_order(solution: Solution, along: MotionEstimate, clock: Clock) -> So
                 seen.add(other_tree.joint_names)
                 break
             if not is_likelier(there, rigid, certain):
-                robot, names = (rigid.problem.tree, rigid.state), rigid.problem.tree.joint_names
-                size = elsewhere(robot, (other_tree, other_state), names, rigid.positions)
+                robot = rigid.problem.tree, rigid.state
+                size = elsewhere(robot, (other_tree, other_state), rigid.positions_of_joints)
                 notes += [replace(doubtful, size=size)] * (size > _HARMLESS)
         if best is before:
             break
@@ -77,16 +77,14 @@ def _that_may_be(along: MotionEstimate) -> list[tuple[KinematicTree, State]]:
     """A fitted robot with neighbours in the other order, where SUs move nearly as in the logs."""
     tree, q = along.problem.tree, along.positions
     weights = np.concatenate([log.qd[log.kept] for log in along.problem.logs]) ** 2
-    compared = q[:: max(1, len(q) // _COMPARED)]
+    few = slice(None, None, max(1, len(q) // _COMPARED))
+    compared = {name: own[few] for name, own in along.positions_of_joints.items()}
     others = [
         reordered(tree, along.state, j, q, weights)
         for j in bare_neighbours(tree.parent, tree.su_joint)
     ]
-    return [
-        other
-        for other in others
-        if max(apart((tree, along.state), other, tree.joint_names, compared)) < _ALIKE
-    ]
+    robot = tree, along.state
+    return [other for other in others if max(apart(robot, other, compared)) < _ALIKE]
 
 
 def solved_anew(solution: Solution, tree: KinematicTree, state: State, clock: Clock) -> Solution:

@@ -1,8 +1,8 @@
 """An estimate moved along its open directions to where it fits the truth best.
 
 Branches that a log does not connect may sit anywhere along those directions. One amplitude for each
-is fitted together with the transform that aligns the limb; what remains counts. Finite motions are
-followed exactly, so that a branch may be half a turn about a vertical axis away.
+is fitted together with the transforms of all limbs that it moves; what remains counts. Finite
+motions are followed exactly, so that a branch may be half a turn about a vertical axis away.
 """
 
 from __future__ import annotations
@@ -98,7 +98,7 @@ def closest(
     groups: Sequence[str],
     anchors: Bool,
 ) -> Robot:
-    """The robot moved along open directions, group by group of SUs, to where it fits best.
+    """The robot moved along open directions to where it fits best.
 
     Args:
         robot: the estimate.
@@ -108,32 +108,64 @@ def closest(
         anchors: (U,) the SUs to fit by.
     """
     moved = moved_by(robot, directions, sight.names)
-    for group in dict.fromkeys(groups):
-        here = np.array([each == group for each in groups])
+    for together in _moved_together(moved & anchors, groups):
+        here = np.array([each in together for each in groups])
         mine = (moved & here & anchors).any(axis=1)
-        if mine.any():
-            # What anchors hardly tell from motions of the base may move others by metres.
-            on = here & (anchors | moved[mine].any(axis=0))
-            some = [each for each, is_mine in zip(directions, mine, strict=True) if is_mine]
-            robot = _fitted(robot, some, sight.of(on))
+        # What anchors hardly tell from motions of the base may move others by metres.
+        on = here & (anchors | moved[mine].any(axis=0))
+        some = [each for each, is_mine in zip(directions, mine, strict=True) if is_mine]
+        limb = [together.index(each) for each, is_on in zip(groups, on, strict=True) if is_on]
+        robot = _fitted(robot, some, _Limbs(sight.of(on), np.array(limb)))
     return robot
 
 
-def _fitted(robot: Robot, directions: Sequence[OpenDirection], sight: Sight) -> Robot:
+def _moved_together(moved: Bool, groups: Sequence[str]) -> list[list[str]]:
+    """Names of groups that open directions move, those that one of these moves in one list.
+
+    Args:
+        moved: (K, U) the SUs that each direction moves.
+        groups: U names.
+    """
+    found: list[list[str]] = []
+    for sus in moved:
+        mine = list(dict.fromkeys(each for each, on in zip(groups, sus, strict=True) if on))
+        apart = [each for each in found if set(each).isdisjoint(mine)]
+        joined = [name for each in found if each not in apart for name in each]
+        found = [*apart, list(dict.fromkeys([*joined, *mine]))] if mine else found
+    return found
+
+
+@dataclass(frozen=True, eq=False)
+class _Limbs:
+    """SUs of G limbs, each of which is laid onto the truth by a transform of its own.
+
+    Attributes:
+        sight: the SUs that limbs are aligned by, and their true poses.
+        limb: (U,) number of each SU's limb.
+    """
+
+    sight: Sight
+    limb: Int
+
+    def __len__(self) -> int:
+        return int(self.limb.max()) + 1
+
+
+def _fitted(robot: Robot, directions: Sequence[OpenDirection], limbs: _Limbs) -> Robot:
     """The robot moved along open directions to where its SUs fit best.
 
     Args:
         robot: the estimate.
-        directions: those that move SUs of one limb.
-        sight: the SUs that the limb is aligned by, and their true poses.
+        directions: those that move SUs of these limbs.
+        limbs: the SUs.
     """
-    best, least = _descended(robot, directions, sight)
+    best, least = _descended(robot, directions, limbs)
     for direction in directions:
         if len(direction.joints) > 1 or direction.sus or not _turns(direction):
             continue  # only a branch that turns as a whole may be far away
         starts = [_moved(best, [direction], [angle]) for angle in (_TURN, -_TURN)]
         for start in starts:
-            other, cost = _descended(start, directions, sight)
+            other, cost = _descended(start, directions, limbs)
             if cost < least:
                 best, least = other, cost
     return best
@@ -147,23 +179,29 @@ def _turns(direction: OpenDirection) -> bool:
 
 
 def _descended(
-    robot: Robot, directions: Sequence[OpenDirection], sight: Sight
+    robot: Robot, directions: Sequence[OpenDirection], limbs: _Limbs
 ) -> tuple[Robot, float]:
-    """The best of where Gauss-Newton leads from the limb's first transforms; see :func:`_from`."""
+    """The best of where Gauss-Newton leads from the limbs' first transforms; see :func:`_from`."""
+    sight = limbs.sight
     P = np.stack([projector(rows) for rows in sight.free])
-    still = ~moved_by(robot, directions, sight.names).any(axis=0)
-    still = still if still.any() else ~still
+    moves = moved_by(robot, directions, sight.names).any(axis=0)
     T, _ = _motions(robot, directions, sight)
-    begun = starts(T[:, still], sight.T_true_su[:, still], P[still])
-    found = [_from(X, robot, directions, sight, P) for X in begun]
+    begun = []
+    for g in range(len(limbs)):
+        mine = limbs.limb == g
+        still = mine & ~moves if (mine & ~moves).any() else mine
+        begun.append(starts(T[:, still], sight.T_true_su[:, still], P[still]))
+    most = max(map(len, begun))
+    ways = [np.stack([own[min(way, len(own) - 1)] for own in begun]) for way in range(most)]
+    found = [_from(X, robot, directions, limbs, P) for X in ways]
     return min(found, key=lambda each: each[1])
 
 
 @dataclass(frozen=True, eq=False)
 class _Seen:
-    """A robot X (4, 4) from the truth's base, with motions as :func:`_motions` and displacements.
+    """A robot X (G, 4, 4) from the truth's base, with motions as :func:`_motions`, and D.
 
-    The latter, D (U, 4, 4), are those along SUs' free directions that fit best.
+    The latter, D (U, 4, 4), are displacements along SUs' free directions that fit best.
     """
 
     X: F64
@@ -174,35 +212,38 @@ class _Seen:
 
 
 def _from(
-    X: F64, robot: Robot, directions: Sequence[OpenDirection], sight: Sight, P: F64
+    X: F64, robot: Robot, directions: Sequence[OpenDirection], limbs: _Limbs, P: F64
 ) -> tuple[Robot, float]:
-    """Gauss-Newton over the limb's transform and the amplitudes, SUs displaced where they may be.
+    """Gauss-Newton over limbs' transforms and the amplitudes, SUs displaced where they may be.
 
     Returns:
         The best robot and its sum of squares.
     """
+    sight, limb, n_base = limbs.sight, limbs.limb, 6 * len(limbs)
 
     def seen(X: F64, robot: Robot) -> _Seen:
         T, along = _motions(robot, directions, sight)
-        return _Seen(X, robot, T, along, displace(X @ T, sight.T_true_su, P))
+        return _Seen(X, robot, T, along, displace(X[limb] @ T, sight.T_true_su, P))
 
     def left(here: _Seen) -> F64:
-        return np.asarray(se3.log(inverse(here.X @ here.T @ here.D) @ sight.T_true_su) * _SCALE)
+        T = here.X[limb] @ here.T @ here.D
+        return np.asarray(se3.log(inverse(T) @ sight.T_true_su) * _SCALE)
 
     def linear(here: _Seen, _: F64) -> tuple[F64, Callable[[F64], _Seen]]:
         back = inverse(here.D)
-        A = np.concatenate(
-            [se3.adjoint(inverse(here.T @ here.D)), se3.adjoint(back) @ here.along], axis=-1
-        )
+        of_base = np.zeros((*here.T.shape[:2], 6, n_base))
+        for u, g in enumerate(limb):
+            of_base[:, u, :, 6 * g : 6 * g + 6] = se3.adjoint(inverse(here.T[:, u] @ here.D[u]))
+        A = np.concatenate([of_base, se3.adjoint(back) @ here.along], axis=-1)
         A = _SCALE[:, None] * A
-        A = (A - P @ A.mean(axis=0)).reshape(-1, 6 + len(directions))
-        kept = _kept(A)
+        A = (A - P @ A.mean(axis=0)).reshape(-1, n_base + len(directions))
+        kept = _kept(A, n_base)
 
         def moved(some: F64) -> _Seen:
             step = np.zeros(A.shape[1])
             step[kept] = some
-            robot = _moved(here.robot, directions, step[6:].tolist())
-            return seen(here.X @ se3.exp(step[:6]), robot)
+            robot = _moved(here.robot, directions, step[n_base:].tolist())
+            return seen(here.X @ se3.exp(step[:n_base].reshape(-1, 6)), robot)
 
         return A[:, kept], moved
 
@@ -226,12 +267,12 @@ def _motions(robot: Robot, directions: Sequence[OpenDirection], sight: Sight) ->
     return T, along
 
 
-def _kept(A: F64) -> Int:
-    """Columns of (n, 6 + K) to fit: the base's, and what open directions add to them."""
-    base, rest = A[:, :6], A[:, 6:]
+def _kept(A: F64, n_base: int) -> Int:
+    """Columns of (n, n_base + K) to fit: the bases', and what open directions add to them."""
+    base, rest = A[:, :n_base], A[:, n_base:]
     left = rest - base @ np.linalg.lstsq(base, rest, rcond=1e-10)[0]
     news = np.linalg.norm(left, axis=0) > NEWS * np.linalg.norm(rest, axis=0)
-    return np.concatenate([np.arange(6), 6 + np.flatnonzero(news)])
+    return np.concatenate([np.arange(n_base), n_base + np.flatnonzero(news)])
 
 
 def _moved(robot: Robot, directions: Sequence[OpenDirection], amplitudes: Sequence[float]) -> Robot:

@@ -189,6 +189,31 @@ def test_what_anchors_hardly_tell_from_the_base_moves_no_other_su_by_metres(
     assert c.position.rms == pytest.approx(reference.position.rms, rel=0.5)
 
 
+def test_what_moves_two_limbs_is_fitted_to_both_at_once(
+    tmp_path: Path, random_robot: Robots
+) -> None:
+    """One limb's SUs hardly tell the direction: alone they would lead it far from the other's."""
+    rng = np.random.default_rng(0)
+    robot = random_robot(rng, (-1, 0, 1, -1, 3), (0, 1, 1, 2, 2, 3, 4, 4), ())
+    joints = {
+        "joint_1": rng.standard_normal(6),
+        "joint_2": rng.standard_normal(6),
+        "joint_4": 0.02 * rng.standard_normal(6),
+    }
+    direction = OpenDirection(joints, {})
+    T = robot.T_parent_joint.copy()
+    for name, xi in joints.items():
+        j = robot.tree.joint_names.index(name)
+        T[j] = T[j] @ exp(0.05 * xi)
+    noise = exp(1e-3 * rng.standard_normal((robot.tree.n_sus, 6)))
+    wrong = replace(robot, T_joint_su=robot.T_joint_su @ noise)
+    reference = held(tmp_path, wrong, robot)
+    estimate = replace(wrong, T_parent_joint=T)
+    assert held(tmp_path, estimate, robot).position.rms > 10 * reference.position.rms
+    c = held(tmp_path, estimate, robot, [direction])
+    assert c.position.rms == pytest.approx(reference.position.rms, rel=0.1)
+
+
 def test_directions_of_another_robot_are_refused(tmp_path: Path, fork: KinematicModel) -> None:
     with pytest.raises(UsageError, match="'elsewhere'"):
         held(tmp_path, fork, fork, [OpenDirection({"elsewhere": ALONG}, {})])

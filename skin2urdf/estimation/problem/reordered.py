@@ -10,7 +10,7 @@ moves, and b at d while a does::
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -78,16 +78,15 @@ def hung_on(
 def apart(
     one: tuple[KinematicTree, State],
     other: tuple[KinematicTree, State],
-    joint_names: Sequence[str],
-    q: F64,
+    positions: Mapping[str, F64],
 ) -> tuple[float, float]:
     """How differently two robots carry the SUs that both have.
 
     Args:
         one: a robot, and
-        other: another one with the same joints.
-        joint_names: D joints.
-        q: (N, D) their positions; displacements are those from the first.
+        other: another one.
+        positions: (N,) of each joint that either has, by name; displacements are those from the
+            first.
 
     Returns:
         By how much SUs are displaced [m] and turned [rad] otherwise, rms over positions and SUs.
@@ -95,8 +94,8 @@ def apart(
     displaced = []
     names = [name for name in one[0].su_names if name in other[0].su_names]
     for tree, state in (one, other):
-        columns = [joint_names.index(name) for name in tree.joint_names]
-        T = su_poses(state.model(tree), q[:, columns])
+        q = np.stack([positions[name] for name in tree.joint_names], axis=1)
+        T = su_poses(state.model(tree), q)
         T = T[:, [tree.su_names.index(name) for name in names]]
         displaced.append(inverse(T[:1]) @ T)
     T_one, T_other = displaced
@@ -108,20 +107,21 @@ def apart(
 def elsewhere(
     one: tuple[KinematicTree, State],
     other: tuple[KinematicTree, State],
-    joint_names: Sequence[str],
-    q: F64,
+    positions: Mapping[str, F64],
 ) -> float:
     """By how much SUs are elsewhere over all positions within the ranges of some, rms [m].
 
     Args:
         one: a robot, and
         other: another one that carries SUs alike along these positions.
-        joint_names: D joints.
-        q: (N, D) their positions [rad or m].
+        positions: of each joint that either has, by name [rad or m].
     """
-    share = np.random.default_rng(0).uniform(size=(_DRAWN, q.shape[1]))
-    within = q.min(axis=0) + share * np.ptp(q, axis=0)
-    return apart(one, other, joint_names, np.vstack([q[:1], within]))[0]
+    rng = np.random.default_rng(0)
+    drawn = {
+        name: np.append(q[0], rng.uniform(q.min(), q.max(), _DRAWN))
+        for name, q in positions.items()
+    }
+    return apart(one, other, drawn)[0]
 
 
 def _rms(vectors: F64) -> float:

@@ -120,6 +120,11 @@ class MotionEstimate:
         """(N, D) positions of the joints where samples are compared, in all logs [rad or m]."""
         return np.concatenate([log.q[log.kept] for log in self.problem.logs])
 
+    @property
+    def positions_of_joints(self) -> dict[str, F64]:
+        """The same by the names of joints, each (N,)."""
+        return dict(zip(self.problem.tree.joint_names, self.positions.T, strict=True))
+
     @cached_property
     def information(self) -> MotionInformation:
         """What the fit is worth: a quarter of the work, for those who ask."""

@@ -33,6 +33,9 @@ _MOST = 1 << 24
 """Values of all motions of a log at most, since memory goes with them: 128 MB."""
 _STEPS = 5
 """Times at most that readings are taken later: a shift to first order is off by 5 %."""
+_NEARER = 0.5
+"""Share of the last change that the next one has at most where what is followed is a clock, which
+leaves a tenth or less. Where stamps contradict each other, changes go on and on."""
 _SETTLED = 1e-5
 """Change of how late readings are that is none [s]: 10 um at a metre per second."""
 _SETTINGS = 3
@@ -137,6 +140,7 @@ def _followed(
         late: that lateness, per log (N,) [s].
         steps: per log, times at which the clock steps [s].
     """
+    last = np.inf
     for _ in range(_STEPS):
         more = wandering(problem.logs, steps)
         if more is None:
@@ -152,8 +156,10 @@ def _followed(
         late = tuple(a + b for a, b in zip(late, changes, strict=True))
         problem = problem.again(logs=list(map(Trajectory.read_later, logs, late)))
         fitted = fit(problem, replace(found, unseen=found.unseen[: -len(x)]), near=True)
-        if max(np.abs(change).max() for change in changes) < _SETTLED:
+        change = max(np.abs(each).max() for each in changes)
+        if change < _SETTLED or change > _NEARER * last:
             break
+        last = change
     return problem, fitted, late
 
 

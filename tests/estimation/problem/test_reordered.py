@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -38,6 +40,11 @@ def along_an_l(n: int) -> tuple[F64, F64]:
     return q, qd
 
 
+def by_joint(tree: KinematicTree, q: F64) -> dict[str, F64]:
+    """Positions (N, D) by the names of joints."""
+    return dict(zip(tree.joint_names, q.T, strict=True))
+
+
 @pytest.mark.parametrize("seed", [1, 2])
 @pytest.mark.parametrize(
     "kinds", [("revolute", "revolute"), ("prismatic", "revolute"), ("revolute", "prismatic")]
@@ -51,19 +58,33 @@ def test_the_other_order_carries_sus_alike_where_joints_moved_in_turn(
     other = reordered(tree, state, 2, q, qd**2)
     assert other[0].joint_names == ("a", "c", "b", "d")
     assert other[0].joint_types == ("revolute", *kinds[::-1], "revolute")
-    assert max(apart((tree, state), other, tree.joint_names, q)) < 1e-12
-    assert elsewhere((tree, state), other, tree.joint_names, q) > 0.01
+    assert max(apart((tree, state), other, by_joint(tree, q))) < 1e-12
+    assert elsewhere((tree, state), other, by_joint(tree, q)) > 0.01
 
 
 def test_two_that_slide_may_follow_each_other_either_way() -> None:
     tree, state = robot(("prismatic", "prismatic"), 3)
     q, qd = along_an_l(30)
     other = reordered(tree, state, 2, q, qd**2)
-    assert elsewhere((tree, state), other, tree.joint_names, q) < 1e-12
+    assert elsewhere((tree, state), other, by_joint(tree, q)) < 1e-12
 
 
 def test_the_other_order_is_another_robot_where_joints_moved_together() -> None:
     tree, state = robot(("revolute", "revolute"), 4)
     q = np.random.default_rng(4).uniform(-1.0, 1.0, (50, 4))
     other = reordered(tree, state, 2, q, np.ones_like(q))
-    assert apart((tree, state), other, tree.joint_names, q)[1] > 0.1
+    assert apart((tree, state), other, by_joint(tree, q))[1] > 0.1
+
+
+def test_a_joint_that_one_robot_lacks_moves_the_sus_of_the_other_alone() -> None:
+    tree, state = robot(("revolute", "revolute"), 5)
+    without = KinematicTree(
+        ("a", "b", "c"), np.arange(-1, 2), tree.joint_types[:3], tree.su_names, np.array([0, 2, 2])
+    )
+    fewer = replace(state, T_parent_joint=state.T_parent_joint[:3])
+    q = by_joint(tree, np.random.default_rng(5).uniform(-1.0, 1.0, (50, 4)))
+    assert elsewhere((tree, state), (without, fewer), q) > 0.01
+    still = {**q, "d": np.zeros(1)}
+    T = state.T_joint_su.copy()
+    T[2] = state.T_parent_joint[3] @ T[2]
+    assert elsewhere((without, replace(fewer, T_joint_su=T)), (tree, state), still) < 1e-12

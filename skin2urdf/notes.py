@@ -99,6 +99,7 @@ ReadingKind = Literal[
     "spikes",
     "too few",
     "held values",
+    "sent on change",
     "renamed",
     "no stamps",
     "contradicting stamps",

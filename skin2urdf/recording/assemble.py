@@ -21,6 +21,7 @@ from skin2urdf.recording.holding import held_notes, measurements
 from skin2urdf.recording.naming import shortened, su_names, writable
 from skin2urdf.recording.records import JointStream, Recording, SuStream
 from skin2urdf.recording.shelf import Shelf, put_away
+from skin2urdf.recording.silence import silence_notes, silences, through
 from skin2urdf.recording.streams import Samples
 from skin2urdf.recording.timing import Chosen, SampleTimes, Stamped, sample_times_of
 from skin2urdf.threads import each
@@ -91,6 +92,7 @@ def timed_joints(
     found: dict[str, list[TimedStream]] = {}
     notes: list[ReadingNote] = []
     repeating: dict[str, float] = {}
+    on_change: list[str] = []
     for (topic, names), samples in gathered.items():
         credible = np.abs(samples.values) < LARGEST_VALUE
         if not credible.all():
@@ -106,6 +108,8 @@ def timed_joints(
         if held.times > 1.0:
             repeating.update(dict.fromkeys(names, held.times))
             samples = samples.at(held.kept)
+        samples, silent = _through_silence(samples)
+        on_change += names if silent else []
         (whole,) = _timed([Source("", topic, samples)])
         for name, values, effort in zip(
             names, whole.values.T, _efforts_of(whole, len(names)), strict=True
@@ -117,7 +121,7 @@ def timed_joints(
                 found.setdefault(name, []).append(stream)
     names_found = sorted(found)
     called, renamed = writable(names_found, "joint")
-    notes += [*held_notes(repeating, "position"), *renamed]
+    notes += [*held_notes(repeating, "position"), *silence_notes(on_change), *renamed]
     chosen = []
     for name, streams in zip(called, (found[name] for name in names_found), strict=True):
         best = max(streams, key=lambda stream: stream.time.size)
@@ -130,6 +134,20 @@ def timed_joints(
             )
             notes.append(ReadingNote("several topics", words, (name, *others)))
     return sorted(chosen, key=lambda stream: stream.name), notes
+
+
+def _through_silence(samples: Samples) -> tuple[Samples, bool]:
+    """Positions that go on where none is sent as none changes, and whether they do anywhere."""
+    clock = samples.stamp if (samples.stamp > 0).any() else samples.log_time
+    since = (clock - clock[:1]) / 1e9
+    gaps = silences(since, samples.values)
+    if not len(gaps):
+        return samples, False
+    times, number = through(since, gaps)
+    later = np.rint((times - since[number]) * 1e9).astype(np.int64)
+    held = samples.at(number)
+    stamp = np.where(held.stamp > 0, held.stamp + later, held.stamp)
+    return held._replace(stamp=stamp, log_time=held.log_time + later), True
 
 
 def timed_sus(

@@ -18,6 +18,7 @@ from skin2urdf.recording.inventory import LogInventory, Tally
 from skin2urdf.recording.log_files import LogFiles
 from skin2urdf.recording.messages import ACCELERATION_TAIL, JOINT_STATE, role_of
 from skin2urdf.recording.naming import shortened
+from skin2urdf.recording.positions import without_glitches
 from skin2urdf.recording.progress import Share
 from skin2urdf.recording.records import Recording
 from skin2urdf.recording.segments import on_one_clock
@@ -68,7 +69,9 @@ def read(
     if not joints or not sus:
         raise _missing(source, log, notes, "joints" if not joints else "SUs")
     notes.extend(timing_notes([*joints, *sus]))
-    return recorded(joints, sus, shelf, source=str(path), digest=log.digest, notes=notes)
+    return without_glitches(
+        recorded(joints, sus, shelf, source=str(path), digest=log.digest, notes=notes)
+    )
 
 
 def inventory(path: str | Path) -> LogInventory:

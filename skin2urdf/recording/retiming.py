@@ -8,14 +8,17 @@ import numpy as np
 
 from skin2urdf.arrays import F64, Int
 from skin2urdf.recording.holding import joints_as_measured
+from skin2urdf.recording.positions import without_glitches
 from skin2urdf.recording.records import Recording
+from skin2urdf.recording.silence import joints_through_silence
 from skin2urdf.recording.timing import NS_PER_S, sample_times
 
 
 def retimed(recording: Recording) -> Recording:
     """A recording whose times are taken as stamps, and made regular where the signal says so.
 
-    Positions that were sent several times count once.
+    Positions that were sent several times count once, those that are sent on change go on where
+    nothing is sent, and glitches are left out.
 
     Args:
         recording: streams whose times are stamps, noisy as a driver's.
@@ -23,7 +26,7 @@ def retimed(recording: Recording) -> Recording:
     Returns:
         The recording as it would be read back from a file.
     """
-    recording = joints_as_measured(recording)
+    recording = joints_through_silence(joints_as_measured(recording))
     sus = []
     for su in recording.sus:
         if not len(su.time):
@@ -40,8 +43,8 @@ def retimed(recording: Recording) -> Recording:
             regular = j if len(kept) == len(j.time) else j.at(kept)
             # Of times that were made from stamps before, the stamps' noise is known from then.
             joints[j.name] = replace(regular, time=time, stamp_noise=max(noise, j.stamp_noise))
-    return replace(
-        recording, joints=tuple(joints[j.name] for j in recording.joints), sus=tuple(sus)
+    return without_glitches(
+        replace(recording, joints=tuple(joints[j.name] for j in recording.joints), sus=tuple(sus))
     )
 
 

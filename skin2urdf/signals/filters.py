@@ -15,6 +15,7 @@ from scipy.ndimage import convolve1d, map_coordinates, minimum_filter1d, spline_
 
 from skin2urdf.arrays import F64, Bool, Int
 from skin2urdf.recording.shelf import STREAMS_IN_MEMORY, Shelf, put_away, room_for_streams
+from skin2urdf.recording.silence import SHORTEST_GAP, SILENT
 from skin2urdf.threads import do_each
 
 # Central differences of eighth order: at a tenth of the sampling rate still exact to 1e-5.
@@ -90,7 +91,7 @@ def sample(time: F64, values: F64, grid: Grid) -> tuple[F64, Bool]:
         out, reach = _sample_regular(time, values, grid, factor, typical)
     else:
         out, reach = _sample_irregular(time, values, grid, factor, typical)
-    gap = steps > max(4.5 * typical, 0.03)
+    gap = steps > max(SILENT * typical, SHORTEST_GAP)
     bad = np.zeros(grid.size, dtype=bool)
     t = grid.time
     for a, b in zip(time[:-1][gap], time[1:][gap], strict=True):

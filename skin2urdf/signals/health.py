@@ -30,6 +30,8 @@ _PILED, _NEIGHBOURS = 6.0, 3
 """Samples at the extreme over those at each of the next values, from which it is cut off."""
 _BEYOND = 30
 """Samples that should lie beyond the extreme, from which it is no chance that none does."""
+_SURELY = 3.0
+"""Standard deviations by which the density of readings is bent more sharply than noise bends it."""
 _PLATEAU = 6
 """Samples in a row at an extreme from which their sides tell whether it was cut off."""
 _DIGIT = 2.5e-3
@@ -369,7 +371,14 @@ def clipping(raw: F64, still: Bool) -> Bool:
     moving, noise = values[~quiet], rest_noise(raw, still)
     if len(moving) < _MOVING:
         return np.zeros(len(raw), dtype=bool)
-    ends = [abs(end) for column in values.T for end in _ends(column, quiet, noise)]
+    may_be = [
+        column for column in values.T
+        if any(map(_stays_at_an_extreme, (column, column[~quiet])))
+    ]  # fmt: skip
+    if not may_be:
+        return np.zeros(len(raw), dtype=bool)  # whatever the digit is, which takes longer to find
+    noise = 1 / max(1 / noise, *map(_sharpness, moving.T)) if noise else 0.0
+    ends = [abs(end) for column in may_be for end in _ends(column, quiet, noise)]
     # One range for all axes: what another reads beyond is inside of it, but for what a driver
     # corrects of each axis, and for spikes.
     size = np.abs(values).max(axis=1)
@@ -394,8 +403,6 @@ def _ends(column: F64, quiet: Bool, noise: float) -> list[float]:
             digit.
         noise: standard deviation of the sensor's noise.
     """
-    if not any(map(_stays_at_an_extreme, (column, column[~quiet]))):
-        return []  # whatever the digit is, which takes longer to find
     still = quiet & (noise <= _digit(column))
     moving = column[~still]
     low, high = moving.min(), moving.max()
@@ -412,7 +419,8 @@ def _ends(column: F64, quiet: Bool, noise: float) -> list[float]:
         piled = _piled(at, values[inward], counts[inward], noise)
         if (long and _steep(column, begin, stop)) or piled:
             ends.append(float(extreme))
-    return ends
+    # Zero lies in every range: what stays between two values beyond it shakes between them.
+    return [] if len(ends) == 2 and low * high > 0 else ends
 
 
 def _stays_at_an_extreme(column: F64) -> bool:
@@ -448,6 +456,23 @@ def _piled(at: Bool, values: F64, counts: Int, noise: float) -> bool:
         return False
     further = counts[0] ** 2 / counts[1] * np.exp(-(((values[1] - values[0]) / noise) ** 2))
     return bool(further > _BEYOND)
+
+
+def _sharpness(column: F64) -> float:
+    """One over the noise [s^2/m] that the readings (M,) of an axis have at most, by their density.
+
+    Of Gaussian noise, alone or beside any motion, (log f)'' is nowhere below ``-1 / noise^2``. What
+    shakes, as motors and fans do, looks like noise from sample to sample, but stays within edges.
+    """
+    values, counts = np.unique(column, return_counts=True)
+    if len(values) < 3:
+        return 0.0
+    logs, few, step = np.log(counts), 1 / counts, np.diff(values)
+    doubt = _SURELY * np.sqrt(few[:-2] + 4 * few[1:-1] + few[2:])
+    bends = 2 * logs[1:-1] - logs[:-2] - logs[2:] - doubt
+    digit = step.min()
+    in_a_row = np.maximum(step[1:], step[:-1]) < 1.5 * digit
+    return float(np.sqrt(bends[in_a_row].max(initial=0.0)) / digit)
 
 
 def _longest(at: Bool) -> tuple[int, int]:

@@ -6,10 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
+from skin2urdf.recording.positions import TURN
 from skin2urdf.recording.records import JointStream
-
-TURN = 2 * np.pi
-"""A turn [rad]."""
 
 _FASTEST = 30.0
 """Speed that no joint reaches in a log with rests and patterns [rad/s]."""

@@ -204,6 +204,19 @@ def test_a_coarse_noisy_sensor_is_clipped_where_its_noise_ends_too_early(
     np.testing.assert_array_equal(found, (np.abs(whole) > end * (1 - 2.5e-3)).any(axis=1))
 
 
+@settings(max_examples=15, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.floats(2.5, 20.0), st.floats(0.1, 0.5))
+def test_what_shakes_within_edges_is_not_cut_off(seed: int, digits: float, noise: float) -> None:
+    """A motor's vibration is a wave of one amplitude, which coarse digits show some times each."""
+    rng, digit = np.random.default_rng(seed), 0.01
+    time = np.arange(12000) / 50
+    shaking = digits * digit * np.sin(2 * np.pi * (rng.uniform(5, 20) * time + rng.uniform()))
+    wave = shaking[:, None] * rng.uniform(0.3, 1.0, 3) + [-4.2, 7.6, -4.1]
+    wave += rng.normal(scale=noise * digit, size=wave.shape)
+    still = time % 4 < 1
+    assert not clipping(np.round(wave / digit) * digit, still).any()
+
+
 def test_one_peak_that_is_cut_off_is_clipped_and_a_flat_one_is_not() -> None:
     moving = np.zeros(4000, dtype=bool)
     time = np.arange(4000) / 500

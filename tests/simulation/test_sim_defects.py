@@ -17,6 +17,7 @@ from skin2urdf.simulation.defects import (
     Bursts,
     CoarseDigits,
     Defect,
+    Glitches,
     Held,
     HeldPositions,
     LocalGravity,
@@ -24,6 +25,7 @@ from skin2urdf.simulation.defects import (
     LowPass,
     Nonlinearity,
     OnArrival,
+    OnChange,
     OwnRates,
     SecondPublisher,
     Spikes,
@@ -154,6 +156,29 @@ def test_positions_are_held_until_they_are_read_again() -> None:
     (held,) = HeldPositions(3).publish((JointStream("j", position / 100.0, position),), RNG)
     np.testing.assert_array_equal(held.position[:8], [0, 0, 0, 3, 3, 3, 6, 6])
     np.testing.assert_array_equal(held.time, position / 100.0)
+
+
+def test_what_is_sent_on_change_is_silent_at_rest_but_for_a_timer() -> None:
+    time = np.arange(1000) / 100.0
+    moving = JointStream("j", time, np.clip(time - 4.0, 0.0, 2.0))
+    still = JointStream("k", time, np.full(1000, 0.3))
+    sent = OnChange(1.0).publish((moving, still), RNG)
+    for joint, whole in zip(sent, (moving, still), strict=True):
+        at = np.rint(100 * joint.time).astype(int)
+        np.testing.assert_array_equal(joint.position, whole.position[at])
+        assert np.isin(np.arange(401, 601), at).all()
+        assert np.diff(joint.time).max() == pytest.approx(1.0)
+        assert len(at) < 220
+
+
+def test_glitches_are_single_positions() -> None:
+    time = np.arange(20_000) / 100.0
+    sound = JointStream("j", time, np.sin(time))
+    (struck,) = Glitches(1e-3).publish((sound,), np.random.default_rng(0))
+    wrong = struck.position != sound.position
+    assert 8 <= wrong.sum() <= 36
+    assert (struck.position[wrong] == 0).mean() > 0.2
+    assert np.abs(struck.position).max() <= np.abs(sound.position).max()
 
 
 def test_digits_are_the_nearest() -> None:

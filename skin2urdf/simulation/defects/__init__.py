@@ -4,10 +4,12 @@ from skin2urdf.simulation.defects.front_end import LowPass
 from skin2urdf.simulation.defects.gears import Backlash, ElasticGears, GearHarmonics
 from skin2urdf.simulation.defects.messages import (
     Bursts,
+    Glitches,
     Held,
     HeldPositions,
     Lost,
     OnArrival,
+    OnChange,
     OwnRates,
     SecondPublisher,
     Spikes,
@@ -29,6 +31,7 @@ __all__ = [
     "Defect",
     "ElasticGears",
     "GearHarmonics",
+    "Glitches",
     "Held",
     "HeldPositions",
     "LinkFlex",
@@ -37,6 +40,7 @@ __all__ = [
     "LowPass",
     "Nonlinearity",
     "OnArrival",
+    "OnChange",
     "OwnRates",
     "SecondPublisher",
     "Spikes",

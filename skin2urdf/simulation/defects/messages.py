@@ -94,6 +94,51 @@ class HeldPositions(Defect):
 
 
 @dataclass(frozen=True)
+class OnChange(Defect):
+    """A publisher that sends its joints where one of them has changed, and seldom else.
+
+    Attributes:
+        every: time after which it sends them all the same [s].
+    """
+
+    every: float = 1.0
+
+    def publish(
+        self, joints: tuple[JointStream, ...], rng: np.random.Generator
+    ) -> tuple[JointStream, ...]:
+        """Messages in which a position differs from the one before, and those of a timer."""
+        positions = np.stack([joint.position for joint in joints])
+        sent = np.append(True, (np.diff(positions, axis=1) != 0).any(axis=0))
+        time = joints[0].time
+        sent[np.searchsorted(time, np.arange(float(time[0]), float(time[-1]), self.every))] = True
+        return tuple(joint.at(sent) for joint in joints)
+
+
+@dataclass(frozen=True)
+class Glitches(Defect):
+    """Single positions that were read wrongly: as zero, or as what the encoder holds otherwise.
+
+    Attributes:
+        share: part of the positions of each joint.
+    """
+
+    share: float = 1e-3
+
+    def publish(
+        self, joints: tuple[JointStream, ...], rng: np.random.Generator
+    ) -> tuple[JointStream, ...]:
+        """Some positions of each joint replaced, by zero or by any within its range."""
+        out = []
+        for joint in joints:
+            position = np.array(joint.position)
+            struck = np.flatnonzero(rng.random(len(position)) < self.share)
+            anywhere = rng.uniform(position.min(), position.max(), len(struck))
+            position[struck] = np.where(rng.random(len(struck)) < 0.5, 0.0, anywhere)
+            out.append(replace(joint, position=position))
+        return tuple(out)
+
+
+@dataclass(frozen=True)
 class Spikes(Defect):
     """Single readings that are far off.
 

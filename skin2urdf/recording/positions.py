@@ -1,0 +1,59 @@
+"""Positions without glitches: an encoder that was read wrongly once, a zero that was filled in."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from skin2urdf.arrays import F64, Bool
+from skin2urdf.notes import ReadingNote
+from skin2urdf.recording.credibility import spikes
+from skin2urdf.recording.naming import shortened
+from skin2urdf.recording.records import Recording
+
+TURN = 2 * np.pi
+"""A turn [rad]."""
+
+
+def without_glitches(recording: Recording) -> Recording:
+    """A recording without single positions that are far from all around them.
+
+    Args:
+        recording: streams at the times that were decided for them.
+
+    Returns:
+        The recording, with a note on joints that had any.
+    """
+    found = {joint.name: glitches(joint.position) for joint in recording.joints}
+    wrong = {name: int(np.count_nonzero(alone)) for name, alone in found.items() if alone.any()}
+    if not wrong:
+        return recording
+    words = (
+        f"{sum(wrong.values())} single positions of {shortened(list(wrong))} depart far from all "
+        "around them; left out"
+    )
+    return replace(
+        recording,
+        joints=tuple(
+            joint.at(~found[joint.name]) if joint.name in wrong else joint
+            for joint in recording.joints
+        ),
+        notes=(*recording.notes, ReadingNote("spikes", words, tuple(wrong), sum(wrong.values()))),
+    )
+
+
+def glitches(position: F64) -> Bool:
+    """(N,) True for single positions (N,) far from those around them, turns of a joint aside.
+
+    Args:
+        position: of one joint, in the order of the times [rad or m].
+    """
+    alone = spikes(position[:, None])
+    if not alone.any():
+        return alone
+    # At the seam of a turn noise leads from one end to the other and back.
+    nearest = np.array(position)
+    at = np.flatnonzero(alone)
+    nearest[at] += TURN * np.rint((position[at - 1] - position[at]) / TURN)
+    return alone & spikes(nearest[:, None])

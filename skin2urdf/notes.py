@@ -100,6 +100,7 @@ ReadingKind = Literal[
     "too few",
     "held values",
     "sent on change",
+    "copied readings",
     "renamed",
     "no stamps",
     "contradicting stamps",

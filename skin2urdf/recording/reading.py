@@ -13,6 +13,7 @@ from skin2urdf.recording.assemble import (
     timed_sus,
     timing_notes,
 )
+from skin2urdf.recording.copies import without_copies
 from skin2urdf.recording.inputs import RECORD_REMEDY
 from skin2urdf.recording.inventory import LogInventory, Tally
 from skin2urdf.recording.log_files import LogFiles
@@ -69,9 +70,8 @@ def read(
     if not joints or not sus:
         raise _missing(source, log, notes, "joints" if not joints else "SUs")
     notes.extend(timing_notes([*joints, *sus]))
-    return without_glitches(
-        recorded(joints, sus, shelf, source=str(path), digest=log.digest, notes=notes)
-    )
+    whole = recorded(joints, sus, shelf, source=str(path), digest=log.digest, notes=notes)
+    return without_copies(without_glitches(whole))
 
 
 def inventory(path: str | Path) -> LogInventory:

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from skin2urdf.arrays import F64, Int
+from skin2urdf.recording.copies import without_copies
 from skin2urdf.recording.holding import joints_as_measured
 from skin2urdf.recording.positions import without_glitches
 from skin2urdf.recording.records import Recording
@@ -18,7 +19,7 @@ def retimed(recording: Recording) -> Recording:
     """A recording whose times are taken as stamps, and made regular where the signal says so.
 
     Positions that were sent several times count once, those that are sent on change go on where
-    nothing is sent, and glitches are left out.
+    nothing is sent; glitches, and copies of SUs, are left out.
 
     Args:
         recording: streams whose times are stamps, noisy as a driver's.
@@ -43,9 +44,10 @@ def retimed(recording: Recording) -> Recording:
             regular = j if len(kept) == len(j.time) else j.at(kept)
             # Of times that were made from stamps before, the stamps' noise is known from then.
             joints[j.name] = replace(regular, time=time, stamp_noise=max(noise, j.stamp_noise))
-    return without_glitches(
-        replace(recording, joints=tuple(joints[j.name] for j in recording.joints), sus=tuple(sus))
+    timed = replace(
+        recording, joints=tuple(joints[j.name] for j in recording.joints), sus=tuple(sus)
     )
+    return without_copies(without_glitches(timed))
 
 
 def _times(stamps: F64, signal: F64) -> tuple[F64, Int, float]:

@@ -10,7 +10,7 @@ from scipy.ndimage import median_filter
 from scipy.special import erf
 
 from skin2urdf.arrays import F64, Bool, Int
-from skin2urdf.faults import Fault
+from skin2urdf.faults import Detail, Fault
 from skin2urdf.geometry.units import GRAVITY
 from skin2urdf.recording.credibility import digit_of
 from skin2urdf.recording.records import SuStream
@@ -73,6 +73,12 @@ Zeros in place of readings all lead away from gravity (14 for 200 of them)."""
 _AROUND = 11
 """Samples around one whose median says where it should be: the period of a vibration of 20 Hz in a
 stream of 200 Hz, and more than twice the few that are lost together."""
+_FEW, _GONE = 0.01, 0.4
+"""Share of the readings at rest that count for none, and change of what two axes read of gravity,
+in g, from which the third can not have stayed as it was: biases make up to a third."""
+_IN_G = 3.0
+"""Size of readings at rest that are in g, at most: a dead axis may add a false g or two."""
+_AXES: tuple[Detail, ...] = ("x axis", "y axis", "z axis")
 _LEAST_NOISE = 1e-3
 """Noise [m/s^2] that no accelerometer's falls below: what is less is not held against others."""
 
@@ -127,6 +133,10 @@ def checked(
         su = sus[u]
         others = np.delete(at_rest, u)
         chance = float(np.median(others)) if len(others) else 0.0
+        if (axis := _constant_axis(su.specific_force, still[u])) is not None:
+            none = np.zeros(len(su.time), dtype=bool)
+            faults = [Fault("frozen", su.name, axis)]
+            return Checked(su.at(none), none[:0], tuple(faults))
         kept, faults = _thawed(su, still[u], chance)
         whole = su
         if not kept.all():
@@ -242,6 +252,26 @@ def _thawed(su: SuStream, still: Bool, chance: float) -> tuple[Bool, list[Fault]
     first, last = min(a for a, _ in stretches), max(b for _, b in stretches)
     long = sum(b - a for a, b in stretches)
     return kept, [Fault("frozen", su.name, begin=first, end=last, size=long, unit="s")]
+
+
+def _constant_axis(readings: F64, still: Bool) -> Detail | None:
+    """The axis that has one value throughout, although gravity turns into it and out of it.
+
+    An axis that a joint turns about, or that stays along gravity, may have one value of a quiet
+    sensor with coarse digits, but then the others read as much of gravity in every rest.
+
+    Args:
+        readings: (M, 3) samples.
+        still: (M,) True while the robot rests.
+    """
+    constant = (readings == readings[:1]).all(axis=0)
+    if not constant.any() or constant.all() or not still.any():
+        return None
+    size = np.linalg.norm(readings[still][:, ~constant], axis=1)
+    least, most = np.quantile(size, [_FEW, 1 - _FEW])
+    whole = float(np.median(np.linalg.norm(readings[still], axis=1)))
+    one_g = GRAVITY if whole > _IN_G else 1.0
+    return _AXES[int(np.argmax(constant))] if most - least > _GONE * one_g else None
 
 
 def _stays_within_a_digit(changes: Bool, stretch: int) -> float:

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 
 from skin2urdf.recording.records import SuStream
 from skin2urdf.signals.health import checked, clipping, rest_noise
@@ -35,6 +36,33 @@ def test_a_constant_stream_among_noisy_ones_is_frozen() -> None:
     constant = np.full((5000, 3), 5.7)  # gravity may be in it
     assert kinds(stream(constant), stream(noise()), stream(noise(seed=1))) == [["frozen"], [], []]
     assert kinds(stream(0 * constant), stream(noise()), stream(noise(seed=1)))[0] == ["dead"]
+
+
+def turning(about: np.ndarray) -> np.ndarray:
+    """(5000, 3) gravity in a frame that turns about one direction from rest to rest."""
+    angle = np.repeat(np.linspace(0.0, 5.0, 20), 250)
+    return Rotation.from_rotvec(angle[:, None] * about).apply([3.0, 5.0, 7.9])
+
+
+@pytest.mark.parametrize(("digit", "value"), [(0.0, 0.0), (1e-3, 9.1), (0.2, 0.0), (0.04, -4.0)])
+def test_an_axis_of_one_value_costs_an_su(digit: float, value: float) -> None:
+    samples = turning(np.array([0.6, 0.8, 0.0])) + noise()
+    samples = np.round(samples / digit) * digit if digit else samples
+    sound = samples.copy()
+    samples[:, 2] = value
+    rests = [(0.0, 20.0)]
+    (broken, other) = checked([stream(samples, "a"), stream(sound, "b")], rests, (0.0, 20.0))
+    assert [(fault.kind, fault.detail) for fault in broken.faults] == [("frozen", "z axis")]
+    assert not len(broken.stream.time)
+    assert not other.faults
+
+
+def test_the_axis_that_a_joint_turns_about_may_have_one_value() -> None:
+    digit = 0.2
+    samples = turning(np.array([0.0, 0.0, 1.0])) + np.array([0.8, -0.9, 0.1]) + noise()
+    coarse = np.round(samples / digit) * digit
+    assert len(np.unique(coarse[:, 2])) == 1
+    assert not any(map(len, kinds(stream(coarse, "a"), stream(coarse, "b"))))
 
 
 def test_values_that_every_sensor_repeats_are_no_fault() -> None:

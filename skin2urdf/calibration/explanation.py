@@ -24,7 +24,7 @@ from skin2urdf.calibration.by_physics import (
 from skin2urdf.calibration.clock import Clock
 from skin2urdf.calibration.moments import stands_out
 from skin2urdf.calibration.orders import in_told_order
-from skin2urdf.calibration.places import in_told_place
+from skin2urdf.calibration.places import in_told_place, is_told
 from skin2urdf.calibration.refusal import check_hope
 from skin2urdf.calibration.result import BAD_FIT, BAD_MISFIT, GOOD_FIT, HOPELESS_FIT
 from skin2urdf.calibration.rounds import Solution
@@ -56,15 +56,24 @@ def explain_readings(begun: Beginning, clock: Clock) -> tuple[Solution, MotionEs
     if along is None:
         return solution, along
     # What a first look at the structure says of a single SU, or of joints without any, is little.
-    for told in (in_told_place, in_told_order):
-        other = told(solution, along, clock)
-        if other.found.tree.is_like(solution.found.tree):
-            solution = other
-            continue
-        fitted = clock.run("all samples", partial(fit_samples, other))
-        if fitted is not None and fitted.misfit <= max(along.misfit, GOOD_FIT):
-            solution, along = with_sus_apart(other, fitted, clock, of_patterns=begun.of_patterns)
-    return solution, along
+    placed = in_told_place(solution, along, clock)
+    if (fitted := _of_another_tree(solution, along, placed, clock)) and is_told(along, fitted):
+        solution, along = with_sus_apart(placed, fitted, clock, of_patterns=begun.of_patterns)
+    ordered = in_told_order(solution, along, clock)
+    if fitted := _of_another_tree(solution, along, ordered, clock):
+        return with_sus_apart(ordered, fitted, clock, of_patterns=begun.of_patterns)
+    # The same tree, with notes on what the log does not tell of it.
+    return (ordered if ordered.found.tree.is_like(solution.found.tree) else solution), along
+
+
+def _of_another_tree(
+    solution: Solution, along: MotionEstimate, other: Solution, clock: Clock
+) -> MotionEstimate | None:
+    """The fit of all samples with another tree; None of the same one, or where it leaves more."""
+    if other.found.tree.is_like(solution.found.tree):
+        return None
+    fitted = clock.run("all samples", partial(fit_samples, other))
+    return fitted if fitted and fitted.misfit <= max(along.misfit, GOOD_FIT) else None
 
 
 def _explained(begun: Beginning, clock: Clock) -> tuple[Solution, MotionEstimate | None]:

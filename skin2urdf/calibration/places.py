@@ -7,62 +7,108 @@ the others, it is tried a joint nearer to the base, and one farther.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from functools import partial
 
 import numpy as np
 
+from skin2urdf.arrays import F64, Bool
 from skin2urdf.calibration.at_rest import fit_rigid, is_likelier
 from skin2urdf.calibration.clock import Clock
 from skin2urdf.calibration.orders import solved_anew
 from skin2urdf.calibration.result import GOOD_FIT
 from skin2urdf.calibration.rounds import Solution
-from skin2urdf.estimation.problem.reordered import hung_on
-from skin2urdf.estimation.trajectory.attempt import CERTAIN
+from skin2urdf.estimation.problem.reordered import branched, hung_on
+from skin2urdf.estimation.problem.state import State
 from skin2urdf.estimation.trajectory.estimate import MotionEstimate
 from skin2urdf.estimation.trajectory.misfit import MOST_OF_IT
+from skin2urdf.model.poses import joint_poses
+from skin2urdf.structure.records import KinematicTree
+
+_VERTICAL = np.deg2rad(3.0)
+"""Angle between an axis and gravity in which sensors' errors hide that it turns any."""
 
 
 def in_told_place(solution: Solution, along: MotionEstimate, clock: Clock) -> Solution:
-    """The robot with SUs where all samples find them, of those that fit far worse than most.
+    """The robot with SUs where all samples find them, and branches behind the joints they find.
 
     Args:
         solution: the robot.
         along: what all samples say of it.
         clock: runs the stages.
+
+    Returns:
+        What a rigid robot finds likeliest: whether it is has to be seen with all that robots have.
     """
+    worse = _that_fit_worse(solution, along)
+    # What a rigid robot leaves, and other causes explain, may be a wrong tree's.
+    ways: list[Callable[[MotionEstimate], Iterator[tuple[KinematicTree, State]]]]
+    ways = [partial(_with_su_nearby, u=u) for u in worse]
+    if worse or along.causes:
+        ways.append(_with_branch_elsewhere)
     found, rigid = solution, None
-    for u in _that_fit_worse(solution, along):
-        rigid = rigid or fit_rigid(found, clock)
-        if rigid is None:
-            break
-        for joint in _nearby(rigid, u):
-            tree, state = hung_on(
-                rigid.problem.tree, rigid.state, u, joint, rigid.positions.mean(axis=0)
-            )
+    for way in ways:
+        for tree, state in way(rigid or along):
+            rigid = rigid or fit_rigid(found, clock)
             other = solved_anew(found, tree, state, clock)
             there = fit_rigid(other, clock)
-            if there is None:
-                continue
-            left, now = (each.misfit_of_sus[u] - 1 for each in (there, rigid))
-            certain = CERTAIN * max(1.0, rigid.misfit, there.misfit)
-            if left < MOST_OF_IT * now and is_likelier(rigid, there, certain):
+            if rigid is not None and there is not None and is_likelier(rigid, there):
                 found, rigid = other, there
-                break
     return found
 
 
-def _that_fit_worse(solution: Solution, along: MotionEstimate) -> Iterator[int]:
+def is_told(along: MotionEstimate, other: MotionEstimate) -> bool:
+    """Whether SUs are elsewhere for certain, and no more than half is left of those that fit worse.
+
+    Args:
+        along: the fit of all samples before, and
+        other: with some elsewhere.
+    """
+    worse = along.misfit_of_sus > GOOD_FIT
+    left, before = (
+        float((each.misfit_of_sus[worse] - 1).max(initial=0.0)) for each in (other, along)
+    )
+    return left <= MOST_OF_IT * before and is_likelier(along, other)
+
+
+def _that_fit_worse(solution: Solution, along: MotionEstimate) -> list[int]:
     """SUs without a fault of which more than noise is left, where most leave no more."""
     names, tree = along.problem.tree.su_names, solution.found.tree
     worse = np.flatnonzero(along.misfit_of_sus > GOOD_FIT).tolist()
     faulty = {fault.subject for fault in solution.faults}
-    if 2 * len(worse) <= len(names) and names == tree.su_names:
-        yield from (u for u in worse if names[u] not in faulty)
+    if 2 * len(worse) > len(names) or names != tree.su_names:
+        return []
+    return [u for u in worse if names[u] not in faulty]
 
 
-def _nearby(along: MotionEstimate, u: int) -> list[int]:
-    """The joint before that of an SU, -1 for the base, and those behind it."""
-    tree = along.problem.tree
+def _with_su_nearby(along: MotionEstimate, u: int) -> Iterator[tuple[KinematicTree, State]]:
+    """Robots with an SU on the joint before its own, the base before the first, or one behind."""
+    tree, q = along.problem.tree, along.positions.mean(axis=0)
     joint = int(tree.su_joint[u])
     before = [int(tree.parent[joint])] if joint >= 0 else []
-    return [*np.flatnonzero(tree.parent == joint).tolist(), *before]
+    for other in (*np.flatnonzero(tree.parent == joint).tolist(), *before):
+        yield hung_on(tree, along.state, u, other, q)
+
+
+def _with_branch_elsewhere(along: MotionEstimate) -> Iterator[tuple[KinematicTree, State]]:
+    """Robots with a branch behind more, or fewer, of the joints that gravity does not show.
+
+    Slides and vertical joints turn gravity in no SU: that they carry a branch shows in
+    accelerations alone, and of slow motion in little.
+    """
+    tree, q = along.problem.tree, along.positions.mean(axis=0)
+    hidden = set(np.flatnonzero(_hidden(along, q)).tolist())
+    for joint in range(tree.n_joints):
+        here = int(tree.parent[joint])
+        for parent in range(-1, tree.n_joints):
+            chain = tree.chain(parent)
+            others = set(chain) ^ set(tree.chain(here))
+            if parent != here and joint not in chain and others <= hidden:
+                yield branched(tree, along.state, joint, parent, q)
+
+
+def _hidden(along: MotionEstimate, q: F64) -> Bool:
+    """(D,) joints that do not turn gravity: those that slide, and vertical ones."""
+    axes = joint_poses(along.state.model(along.problem.tree), q)[:-1, :3, 2]
+    vertical = np.abs(axes @ along.state.up[0]) > np.cos(_VERTICAL)
+    return np.asarray(along.problem.tree.prismatic | vertical)

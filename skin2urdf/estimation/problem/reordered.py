@@ -75,6 +75,36 @@ def hung_on(
     return replace(tree, su_joint=su_joint), replace(state, T_joint_su=T_joint_su)
 
 
+def branched(
+    tree: KinematicTree, state: State, joint: int, parent: int, q: F64
+) -> tuple[KinematicTree, State]:
+    """A robot with a joint, and all beyond it, on another joint, where it is at some positions.
+
+    Args:
+        tree: D joints.
+        state: their placements.
+        joint: that goes.
+        parent: that carries it then, none beyond it; -1 for the base.
+        q: (D,) positions [rad or m].
+    """
+    T = joint_poses(state.model(tree), q)
+    T_parent_joint, parents = state.T_parent_joint.copy(), tree.parent.copy()
+    T_parent_joint[joint] = inverse(T[parent]) @ T[tree.parent[joint]] @ T_parent_joint[joint]
+    parents[joint] = parent
+    order: list[int] = []
+    while len(order) < tree.n_joints:
+        order += [j for j in range(tree.n_joints) if j not in order and parents[j] in (*order, -1)]
+    place = np.append(np.argsort(order), -1)
+    other = replace(
+        tree,
+        joint_names=tuple(tree.joint_names[j] for j in order),
+        joint_types=tuple(tree.joint_types[j] for j in order),
+        parent=place[parents[order]],
+        su_joint=place[tree.su_joint],
+    )
+    return other, replace(state, T_parent_joint=T_parent_joint[order])
+
+
 def apart(
     one: tuple[KinematicTree, State],
     other: tuple[KinematicTree, State],

@@ -29,17 +29,16 @@ def without_glitches(recording: Recording) -> Recording:
     wrong = {name: int(np.count_nonzero(alone)) for name, alone in found.items() if alone.any()}
     if not wrong:
         return recording
-    words = (
-        f"{sum(wrong.values())} single positions of {shortened(list(wrong))} depart far from all "
-        "around them; left out"
-    )
+    n, names = sum(wrong.values()), shortened(list(wrong))
+    what = f"1 position of {names} departs" if n == 1 else f"{n} single positions of {names} depart"
+    words = f"{what} far from all around {'it' if n == 1 else 'them'}; left out"
     return replace(
         recording,
         joints=tuple(
             joint.at(~found[joint.name]) if joint.name in wrong else joint
             for joint in recording.joints
         ),
-        notes=(*recording.notes, ReadingNote("spikes", words, tuple(wrong), sum(wrong.values()))),
+        notes=(*recording.notes, ReadingNote("spikes", words, tuple(wrong), n)),
     )
 
 

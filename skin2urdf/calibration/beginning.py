@@ -88,7 +88,10 @@ def begin(
     """
     begun = _on_time(recordings, settings, clock)
     of_slides = with_gravity_of_slides(begun.first, clock)
-    return begun if of_slides is None else _on_time(recordings, of_slides, clock)
+    if of_slides is None:
+        return begun
+    # Clocks do not go by how large gravity is.
+    return _begun(recordings, begun.publishers, of_slides, clock)
 
 
 def _on_time(

@@ -1,8 +1,10 @@
-"""On which joint an SU sits whose readings the rest of the robot does not explain.
+"""On which joint an SU sits, or a branch begins, that the rest of the robot does not explain.
 
 What a first look at the structure says of a single SU rests on little where its joint hardly moves
-it, or sensor and gears are poor. All samples say more: where they leave far more of an SU than of
-the others, it is tried a joint nearer to the base, and one farther.
+it, or sensor and gears are poor, and so does which branches stand on a slide or a vertical joint,
+which turn no gravity. All samples say more: where they leave far more of an SU than of the others,
+it is tried a joint nearer to the base, and one farther; and where no rigid robot explains them,
+branches are tried behind more of those joints, and fewer.
 """
 
 from __future__ import annotations
@@ -20,6 +22,7 @@ from skin2urdf.calibration.result import GOOD_FIT
 from skin2urdf.calibration.rounds import Solution
 from skin2urdf.estimation.problem.reordered import branched, hung_on
 from skin2urdf.estimation.problem.state import State
+from skin2urdf.estimation.trajectory.attempt import CERTAIN
 from skin2urdf.estimation.trajectory.estimate import MotionEstimate
 from skin2urdf.estimation.trajectory.misfit import MOST_OF_IT
 from skin2urdf.model.poses import joint_poses
@@ -40,10 +43,12 @@ def in_told_place(solution: Solution, along: MotionEstimate, clock: Clock) -> So
     Returns:
         What a rigid robot finds likeliest: whether it is has to be seen with all that robots have.
     """
+    if along.problem.tree.su_names != solution.found.tree.su_names:
+        return solution
     worse = _that_fit_worse(solution, along)
-    # What a rigid robot leaves, and other causes explain, may be a wrong tree's.
     ways: list[Callable[[MotionEstimate], Iterator[tuple[KinematicTree, State]]]]
     ways = [partial(_with_su_nearby, u=u) for u in worse]
+    # What a rigid robot leaves, and other causes explain, may be a wrong tree's.
     if worse or along.causes:
         ways.append(_with_branch_elsewhere)
     found, rigid = solution, None
@@ -52,7 +57,7 @@ def in_told_place(solution: Solution, along: MotionEstimate, clock: Clock) -> So
             rigid = rigid or fit_rigid(found, clock)
             other = solved_anew(found, tree, state, clock)
             there = fit_rigid(other, clock)
-            if rigid is not None and there is not None and is_likelier(rigid, there):
+            if rigid is not None and there is not None and _is_certain(rigid, there):
                 found, rigid = other, there
     return found
 
@@ -68,17 +73,20 @@ def is_told(along: MotionEstimate, other: MotionEstimate) -> bool:
     left, before = (
         float((each.misfit_of_sus[worse] - 1).max(initial=0.0)) for each in (other, along)
     )
-    return left <= MOST_OF_IT * before and is_likelier(along, other)
+    return left <= MOST_OF_IT * before and _is_certain(along, other)
+
+
+def _is_certain(one: MotionEstimate, other: MotionEstimate) -> bool:
+    """Whether another fit is likelier, by more where either leaves more than noise."""
+    return is_likelier(one, other, CERTAIN * max(1.0, one.misfit, other.misfit))
 
 
 def _that_fit_worse(solution: Solution, along: MotionEstimate) -> list[int]:
     """SUs without a fault of which more than noise is left, where most leave no more."""
-    names, tree = along.problem.tree.su_names, solution.found.tree
+    names = along.problem.tree.su_names
     worse = np.flatnonzero(along.misfit_of_sus > GOOD_FIT).tolist()
     faulty = {fault.subject for fault in solution.faults}
-    if 2 * len(worse) > len(names) or names != tree.su_names:
-        return []
-    return [u for u in worse if names[u] not in faulty]
+    return [u for u in worse if names[u] not in faulty] if 2 * len(worse) <= len(names) else []
 
 
 def _with_su_nearby(along: MotionEstimate, u: int) -> Iterator[tuple[KinematicTree, State]]:

@@ -44,7 +44,7 @@ def silences(time: F64, positions: F64) -> Int:
         positions: (N, D) of all joints that they hold [rad or m], NaN where one is missing.
 
     Returns:
-        None where joints are not sent on change.
+        No numbers where joints are not sent on change.
     """
     none = np.zeros(0, dtype=np.int64)
     if len(time) < 2 * _FEWEST:

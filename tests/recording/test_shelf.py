@@ -70,8 +70,8 @@ def test_a_log_reads_alike(ros_log: Any, monkeypatch: pytest.MonkeyPatch) -> Non
     for k in range(300):
         at = 10**18 + k * 10**7
         ros_log.joints(at, {"j": 0.01 * k})
-        for frame in ("a", "b"):
-            ros_log.imu(at, (np.sin(0.1 * k), 0.0, 9.8), frame, f"/{frame}")
+        for late, frame in enumerate("ab"):
+            ros_log.imu(at, (np.sin(0.1 * k - late), 0.0, 9.8), frame, f"/{frame}")
     path = ros_log.close()
     whole = read(path)
     monkeypatch.setattr(shelf, "ORDINARY", 0)

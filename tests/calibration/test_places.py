@@ -52,7 +52,7 @@ def test_a_branch_beside_a_slide_is_hung_behind_it(
 ) -> None:
     """Gravity turns alike in all of the arm whether it stands on the rail or beside it."""
     settings = SimulationSettings(
-        n_poses=6, seed=2, excite="none", minutes=0.6, joint_rate=100.0, imu_rate=100.0
+        n_poses=6, seed=2, excite="none", minutes=0.4, joint_rate=50.0, imu_rate=50.0
     )
     made = simulate(robot_of(ON_A_RAIL, tmp_path, SkinLayout(1, 0)), settings)
     right: list[MotionTree] = []

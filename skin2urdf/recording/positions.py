@@ -5,12 +5,13 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 
 from skin2urdf.arrays import F64, Bool
 from skin2urdf.notes import ReadingNote
 from skin2urdf.recording.credibility import spikes
 from skin2urdf.recording.naming import shortened
-from skin2urdf.recording.records import Recording
+from skin2urdf.recording.records import JointStream, Recording
 
 TURN = 2 * np.pi
 """A turn [rad]."""
@@ -18,6 +19,9 @@ TURN = 2 * np.pi
 
 def without_glitches(recording: Recording) -> Recording:
     """A recording without single positions that are far from all around them.
+
+    Joints that came in one message go on sharing their times: what those around it say stands in
+    place of a glitch.
 
     Args:
         recording: streams at the times that were decided for them.
@@ -31,15 +35,27 @@ def without_glitches(recording: Recording) -> Recording:
         return recording
     n, names = sum(wrong.values()), shortened(list(wrong))
     what = f"1 position of {names} departs" if n == 1 else f"{n} single positions of {names} depart"
-    words = f"{what} far from all around {'it' if n == 1 else 'them'}; left out"
+    words = f"{what} far from all around {'it' if n == 1 else 'them'}, which count instead"
     return replace(
         recording,
         joints=tuple(
-            joint.at(~found[joint.name]) if joint.name in wrong else joint
+            replace(joint, position=_bridged(joint, found[joint.name]))
+            if joint.name in wrong
+            else joint
             for joint in recording.joints
         ),
         notes=(*recording.notes, ReadingNote("spikes", words, tuple(wrong), n)),
     )
+
+
+def _bridged(joint: JointStream, wrong: Bool) -> F64:
+    """Positions (N,) with a smooth line through the others where some (N,) are wrong."""
+    time, sound = joint.time[~wrong], joint.position[~wrong]
+    between = CubicSpline(time, np.unwrap(sound))(joint.time[wrong])
+    before = sound[np.searchsorted(time, joint.time[wrong]) - 1]
+    position = np.array(joint.position)
+    position[wrong] = between - TURN * np.rint((between - before) / TURN)
+    return position
 
 
 def glitches(position: F64) -> Bool:

@@ -25,6 +25,9 @@ SHORTEST_GAP = 0.03
 _UNCHANGED = 0.05
 # Gaps at whose ends joints are alike: fewer may be one motion that came back to where it began.
 _FEWEST = 5
+# Time between two samples over the usual one, from which a publisher that is silent at rest was so
+# in slow motion as well: stamps that scatter make less of it.
+_SHORT = 1.8
 # Samples that silence may last in all: a day at 100 Hz. Stamps that scatter by years show none.
 _MOST = 1 << 23
 # Change behind a gap over the usual one from sample to sample: no more, but for rounding.
@@ -58,11 +61,13 @@ def silences(time: F64, positions: F64) -> Int:
     changes = np.stack([np.abs(np.diff(_whole(column))) for column in positions.T])
     if np.mean((changes[:, ~silent] == 0).all(axis=0)) > _UNCHANGED:
         return none
+    stays = np.ones(len(steps), dtype=bool)
     for change in changes:
         moves = change[~silent & (change > 0)]
-        if (change[silent] > _ROUNDED * (np.median(moves) if moves.size else 0.0)).any():
-            return none
-    return np.flatnonzero(silent)
+        stays &= change <= _ROUNDED * (np.median(moves) if moves.size else 0.0)
+    if not stays[silent].all():
+        return none
+    return np.flatnonzero(stays & (steps > _SHORT * np.median(steps)))
 
 
 def _whole(positions: F64) -> F64:
@@ -80,8 +85,13 @@ def through(time: F64, gaps: Int) -> tuple[F64, Int]:
         time: (N,) when messages were sent [s].
         gaps: (K,) numbers of the samples behind which there is silence.
     """
-    usual = float(np.median(np.diff(time)))
-    more = [np.arange(time[k] + usual, time[k + 1] - usual / 2, usual) for k in gaps]
+    steps = np.diff(time)
+    # The mean of those that lack none, as stamps that scatter shift their median.
+    usual = float(steps[steps < 1.5 * np.median(steps)].mean())
+    more = [
+        np.linspace(time[k], time[k + 1], max(1, round(steps[k] / usual)), endpoint=False)[1:]
+        for k in gaps
+    ]
     number = [
         np.arange(len(time)),
         *(np.full(len(each), k) for k, each in zip(gaps, more, strict=True)),

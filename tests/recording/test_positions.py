@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from skin2urdf.notes import of_reading
-from skin2urdf.recording.positions import glitches
+from skin2urdf.recording.positions import glitches, without_glitches
 from skin2urdf.recording.reading import read
+from skin2urdf.recording.records import JointStream, Recording
 
 
 @pytest.mark.parametrize("rate", [20.0, 125.0, 500.0])
@@ -55,4 +56,19 @@ def test_a_log_tells_of_glitches(ros_log: Any) -> None:
     recording = read(ros_log.close())
     (note,) = of_reading(recording.notes, "spikes")
     assert (note.sources, note.number) == (("j",), 2)
-    assert [joint.time.size for joint in recording.joints] == [1498, 1500]
+    for joint, sense in zip(recording.joints, (1, -1), strict=True):
+        assert joint.time is recording.joints[0].time
+        np.testing.assert_allclose(
+            joint.position, sense * (0.8 + 0.3 * np.sin(np.arange(1500) / 100.0)), atol=1e-8
+        )
+
+
+def test_a_glitch_at_the_seam_of_a_turn_is_bridged() -> None:
+    time = np.arange(2000) / 50.0
+    turned = (0.4 * time + np.pi) % (2 * np.pi) - np.pi
+    wrong = turned.copy()
+    first = int(np.argmin(np.diff(turned)))
+    wrong[[first - 3, first + 20, 1900]] = 0.3
+    joint = JointStream("j", time, wrong)
+    (mended,) = without_glitches(Recording((joint,), ())).joints
+    np.testing.assert_allclose(np.unwrap(mended.position), np.unwrap(turned), atol=1e-9)

@@ -50,7 +50,7 @@ def without_copies(recording: Recording) -> Recording:
             "copied readings",
             f"{shortened(names)} {'sends' if len(names) == 1 else 'send'} the same readings as "
             f"{of} and {'is' if len(names) == 1 else 'are'} left out: a topic that is relayed, or "
-            "a sensor under two names",
+            "a sensor under two names; record only one of them",
             (of, *names),
         )
         for of, names in copies.items()

@@ -35,7 +35,10 @@ def without_glitches(recording: Recording) -> Recording:
         return recording
     n, names = sum(wrong.values()), shortened(list(wrong))
     what = f"1 position of {names} departs" if n == 1 else f"{n} single positions of {names} depart"
-    words = f"{what} far from all around {'it' if n == 1 else 'them'}, which count instead"
+    words = (
+        f"{what} far from all around {'it' if n == 1 else 'them'}, which count instead; check "
+        "encoders, their cables and what drivers fill in"
+    )
     return replace(
         recording,
         joints=tuple(

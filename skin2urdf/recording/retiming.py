@@ -19,7 +19,7 @@ def retimed(recording: Recording) -> Recording:
     """A recording whose times are taken as stamps, and made regular where the signal says so.
 
     Positions that were sent several times count once, those that are sent on change go on where
-    nothing is sent; glitches, and copies of SUs, are left out.
+    nothing is sent; glitches are bridged, and copies of SUs left out.
 
     Args:
         recording: streams whose times are stamps, noisy as a driver's.

@@ -137,6 +137,6 @@ def silence_notes(names: Sequence[str]) -> list[ReadingNote]:
     """
     words = (
         f"{shortened(names)} {'is' if len(names) == 1 else 'are'} sent on change only: where "
-        "nothing was sent, they were taken to stay"
+        "nothing was sent, they were taken to stay; publish at a steady rate"
     )
     return [ReadingNote("sent on change", words, tuple(names))] if names else []

@@ -15,7 +15,7 @@ from skin2urdf.recording.records import Recording, SuStream
 
 
 def sensor(name: str, seed: int, digit: float = 0.0) -> SuStream:
-    """Ten minutes at 100 Hz on a robot that moves now and then."""
+    """A minute at 100 Hz on a robot that moves now and then."""
     time = np.arange(6000) / 100.0
     moved = np.where(time % 8 < 3, np.sin(3 * time), 0.0)[:, None] * [2.0, 1.0, 3.0]
     noise = np.random.default_rng(seed).normal(scale=0.01, size=(6000, 3))

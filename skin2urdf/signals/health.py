@@ -407,7 +407,7 @@ def clipping(raw: F64, still: Bool) -> Bool:
     ]  # fmt: skip
     if not may_be:
         return np.zeros(len(raw), dtype=bool)  # whatever the digit is, which takes longer to find
-    noise = 1 / max(1 / noise, *map(_sharpness, moving.T)) if noise else 0.0
+    noise = 1 / max(1 / noise, *map(_sharpness, values.T)) if noise else 0.0
     ends = [abs(end) for column in may_be for end in _ends(column, quiet, noise)]
     # One range for all axes: what another reads beyond is inside of it, but for what a driver
     # corrects of each axis, and for spikes.
@@ -435,22 +435,28 @@ def _ends(column: F64, quiet: Bool, noise: float) -> list[float]:
     """
     still = quiet & (noise <= _digit(column))
     moving = column[~still]
-    low, high = moving.min(), moving.max()
-    if high - low < _LEAST_NOISE:
+    values, counts = np.unique(moving, return_counts=True)
+    if not len(values) or values[-1] - values[0] < _LEAST_NOISE:
         return []
-    ends = []
-    for extreme, inward in ((low, slice(None)), (high, slice(None, None, -1))):
-        at = moving == extreme
+
+    def is_end(inward: slice, own: float) -> bool:
+        at = moving == values[inward][0]
         if not _is_held(at):
-            continue
-        values, counts = np.unique(moving, return_counts=True)
-        begin, stop = _longest((column == extreme) & ~still)
+            return False
+        begin, stop = _longest((column == values[inward][0]) & ~still)
         long = len(values) > _VARIED and stop - begin >= _PLATEAU
-        piled = _piled(at, values[inward], counts[inward], noise)
-        if (long and _steep(column, begin, stop)) or piled:
-            ends.append(float(extreme))
-    # Zero lies in every range: what stays between two values beyond it shakes between them.
-    return [] if len(ends) == 2 and low * high > 0 else ends
+        piled = _piled(at, values[inward], counts[inward], noise, own)
+        return (long and _steep(column, begin, stop)) or piled
+
+    up, down = slice(None), slice(None, None, -1)
+    if values[0] <= 0 <= values[-1]:
+        return [float(values[inward][0]) for inward in (up, down) if is_end(inward, 0.0)]
+    # Zero lies in every range: where an axis stays beyond it, its end next to zero is no range's,
+    # and shows how the signal itself ends, as what shakes between two values does.
+    near, far = (up, down) if values[0] > 0 else (down, up)
+    own = _beyond(values[near], counts[near], noise)
+    shakes = is_end(near, 0.0) or not is_end(far, own)
+    return [] if shakes else [float(values[far][0])]
 
 
 def _stays_at_an_extreme(column: F64) -> bool:
@@ -463,7 +469,7 @@ def _is_held(at: Bool) -> bool:
     return bool(at.sum() >= min(_PLATEAU, _AGAIN))
 
 
-def _piled(at: Bool, values: F64, counts: Int, noise: float) -> bool:
+def _piled(at: Bool, values: F64, counts: Int, noise: float, own: float) -> bool:
     """Whether an extreme holds what should have spread beyond it.
 
     The peaks of a smooth motion lie within the last digit 2.4 times as often as within the one
@@ -477,15 +483,27 @@ def _piled(at: Bool, values: F64, counts: Int, noise: float) -> bool:
         values: (K,) all values that occur, from the extreme on [m/s^2].
         counts: (K,) how many samples each holds.
         noise: standard deviation of the sensor's noise [m/s^2].
+        own: how many there should be beyond where the signal itself ends as sharply.
     """
     if len(values) < 2 or (at[1:] > at[:-1]).sum() < _AGAIN:
         return False
     if len(values) > _VARIED and counts[0] > _PILED * counts[1 : 1 + _NEIGHBOURS].max():
         return True
-    if counts[0] < _BEYOND or not noise:
-        return False
-    further = counts[0] ** 2 / counts[1] * np.exp(-(((values[1] - values[0]) / noise) ** 2))
-    return bool(further > _BEYOND)
+    return counts[0] >= _BEYOND and _beyond(values, counts, noise) > _BEYOND + own
+
+
+def _beyond(values: F64, counts: Int, noise: float) -> float:
+    """How many samples at least Gaussian noise would have put one step beyond an extreme.
+
+    Args:
+        values: (K,) all values that occur, from the extreme on [m/s^2].
+        counts: (K,) how many samples each holds.
+        noise: standard deviation of the noise; 0 where it is not known [m/s^2].
+    """
+    if not noise:
+        return 0.0
+    step = (values[1] - values[0]) / noise
+    return float(counts[0] ** 2 / counts[1] * np.exp(-(step**2)))
 
 
 def _sharpness(column: F64) -> float:

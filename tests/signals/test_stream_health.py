@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
@@ -234,6 +234,9 @@ def test_a_coarse_noisy_sensor_is_clipped_where_its_noise_ends_too_early(
 
 @settings(max_examples=15, deadline=None)
 @given(st.integers(0, 2**32 - 1), st.floats(2.5, 20.0), st.floats(0.1, 0.5))
+@example(666, 3.0, 0.1015625)
+@example(2049427296, 3.876, 0.1402)
+@example(949177654, 14.03247, 0.121315)
 def test_what_shakes_within_edges_is_not_cut_off(seed: int, digits: float, noise: float) -> None:
     """A motor's vibration is a wave of one amplitude, which coarse digits show some times each."""
     rng, digit = np.random.default_rng(seed), 0.01

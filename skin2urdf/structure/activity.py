@@ -94,8 +94,9 @@ class Activity(Record):
         alike = beyond.min(axis=0, initial=np.inf) > _ALIKE
         known = np.isfinite(self.static) & (largest >= self.static_doubt) & alike
         dynamic = np.nan_to_num(self.dynamic, nan=0.0)
-        strongest = np.where(known, relative, np.maximum(static, dynamic))
-        told = np.isfinite(self.dynamic) | (np.isfinite(self.static) & (known | (static >= 1.0)))
+        certain = static / np.maximum(self.static_doubt, 1.0)
+        strongest = np.where(known, relative, np.maximum(certain, dynamic))
+        told = np.isfinite(self.dynamic) | (np.isfinite(self.static) & (known | (certain >= 1.0)))
         felt = np.where(told, np.log(np.maximum(strongest, 1e-3)), 0.0)
         if self.turned is None:
             return felt
@@ -244,7 +245,7 @@ def _static(moves: StaticMoves, n_dofs: int, threshold: float) -> tuple[F64, F64
         ratio = np.divide(certain @ felt, known, out=np.zeros_like(known), where=known > 0)
         static[:, d] = np.where(heard.any(axis=0), ratio * scale, np.nan)
         share = float(certain @ others) / max(float(certain @ largest), 1e-12)
-        doubt[d] = min(1.0, _SMALLEST_STATIC + 3 * share * float(scale.max(initial=0.0)))
+        doubt[d] = _SMALLEST_STATIC + 3 * share * float(scale.max(initial=0.0))
     return static, doubt
 
 

@@ -90,10 +90,11 @@ def still(features: Features) -> Features:
     return replace(features, coefficients=coefficients)
 
 
-def with_moves(features: Features, dof: int, changes: list[float], doubt: float = 1.0) -> Features:
+def with_moves(features: Features, dof: int, changes: list[float], doubt: float = 0.142) -> Features:
     """Features with one static move of a DoF, which changes the reading of each SU so much.
 
-    Other joints moved along a little, which can have changed readings by ``doubt`` [m/s^2].
+    Other joints moved along, which can have changed readings by ``doubt`` [m/s^2]: by a little less
+    than what makes the threshold of the paper doubtful.
     """
     change = np.array(changes)[None, :, None] * np.array([0.0, 0.6, 0.8])
     moves = StaticMoves(np.array([dof]), np.array([0.8]), change, np.array([doubt]))
@@ -133,6 +134,17 @@ def test_sag_of_other_joints_is_not_taken_for_activity(quiet: Features) -> None:
     g = 9.81
     seen = activity(with_moves(quiet, 2, [0.06 * g, 0.07 * g, 0.7 * g]))
     np.testing.assert_array_equal(seen.matrix[:, 2], [False, False, True])
+
+
+def test_what_other_joints_can_have_changed_more_does_not_outweigh_patterns() -> None:
+    """Joint 1 is upright; in its only move the last joint turned the last SU by far more."""
+    rng = np.random.default_rng(0)
+    tree = serial_tree(3)
+    plain = random_features(rng, tree, random_state(rng, tree), 4, noise=0.02, shuffle=False)
+    seen = activity(with_moves(plain, 0, [0.0, 0.0, 2.5], doubt=3.0))
+    np.testing.assert_array_equal(seen.matrix, activity(plain).matrix)
+    # Without patterns such a move says nothing.
+    assert not activity(with_moves(still(plain), 0, [0.0, 0.0, 2.5], doubt=3.0)).matrix.any()
 
 
 def test_an_su_without_a_reading_of_a_move_is_undecided_by_it(quiet: Features) -> None:

@@ -13,6 +13,7 @@ FaultKind = Literal[
     "saturated",
     "intermittent",
     "noisy",
+    "unattached",
     "loose",
     "bias step",
     "swapped",
@@ -25,14 +26,15 @@ FaultKind = Literal[
 ]
 """Of SUs: no readings at all or zeros; one value repeated; readings cut off at the end of the
 range; samples missing again and again; far noisier than the others, or values among
-its readings that no motion made; another placement from some time on, or another bias; two names
-exchanged between logs; negated or left-handed; a unit that is no m/s^2.
+its readings that no motion made; motion of its own while all joints rest; another placement from
+some time on, or another bias; two names exchanged between logs; negated or left-handed; a unit that
+is no m/s^2.
 Of joints: an encoder that counts the other way; by another factor; from another zero from some
 time on; a joint that something touched."""
 
 
 _TO_REPAIR: tuple[FaultKind, ...] = (
-    "dead", "frozen", "loose", "swapped", "wrong unit",
+    "dead", "frozen", "unattached", "loose", "swapped", "wrong unit",
     "encoder sign", "encoder scale", "encoder jump",
 )  # fmt: skip
 

@@ -119,6 +119,8 @@ def _best(sums: _Sums, u: int, free: Bool, count: Int, order: Int) -> Slip | Non
     order = order[count[order] > 0]
     k, n = int(free[:N_PLACEMENT].sum()), len(order)
     cuts = [(i, skip) for i in range(_FEWEST, n - _FEWEST + 1) for skip in (0, 1)]
+    if not cuts:
+        return None
     first, skip = np.array(cuts, dtype=np.int64).reshape(-1, 2).T
     second = first + skip
     counted = _before(count[order])

@@ -85,6 +85,12 @@ def _of_a_stream(fault: Fault) -> Words:
         case "noisy":
             what = f"has {fault.size:.0f} times the noise of the other SUs and counts accordingly"
             return Words(f"{su} {what} less", "check its fixing, its supply and its filter")
+        case "unattached":
+            what = "moves as often while all joints rest as while they move, and no other SU does;"
+            return Words(
+                f"{su} {what} it is left out",
+                "see whether it is on this robot, and fixed to it; else name the SUs that are",
+            )
         case "wrong unit":
             what = f"reads {fault.size:.2g} g at rest and is left out"
             check = "check its unit and its scale, and whether its driver takes gravity off"

@@ -15,6 +15,7 @@ from skin2urdf.geometry.units import GRAVITY
 from skin2urdf.recording.credibility import digit_of
 from skin2urdf.recording.records import SuStream
 from skin2urdf.signals.digits import noise_in_digits
+from skin2urdf.signals.unattached import unattached
 from skin2urdf.threads import each
 
 _PLAUSIBLE = (0.6, 1.4)
@@ -103,6 +104,8 @@ def checked(
     rests: Sequence[tuple[float, float]],
     span: tuple[float, float],
     pauses: Sequence[tuple[float, float]] = (),
+    *,
+    still: bool = True,
 ) -> list[Checked]:
     """Look through all streams of a log.
 
@@ -111,6 +114,7 @@ def checked(
         rests: begin and end of the times at which the robot rests [s].
         span: begin and end of the joints' streams [s].
         pauses: begin and end of the times at which no joints were recorded either [s].
+        still: False where the robot moves slowly at these times, and never rests.
     """
 
     def resting(su: SuStream) -> tuple[Bool, float, float, float]:
@@ -126,18 +130,23 @@ def checked(
         return found
 
     of_all = list(each(resting, sus, len(sus)))
-    still = [found[0] for found in of_all]
+    quiet = [found[0] for found in of_all]
     at_rest, noise, digit = (np.array([found[i] for found in of_all]) for i in (1, 2, 3))
+    by_themselves = unattached(sus, rests if still else (), noise, digit)
+
+    def nothing_of(su: SuStream, fault: Fault) -> Checked:
+        none = np.zeros(len(su.time), dtype=bool)
+        return Checked(su.at(none), none[:0], (fault,))
 
     def look(u: int) -> Checked:
         su = sus[u]
         others = np.delete(at_rest, u)
         chance = float(np.median(others)) if len(others) else 0.0
-        if (axis := _constant_axis(su.specific_force, still[u])) is not None:
-            none = np.zeros(len(su.time), dtype=bool)
-            faults = [Fault("frozen", su.name, axis)]
-            return Checked(su.at(none), none[:0], tuple(faults))
-        kept, faults = _thawed(su, still[u], chance)
+        if (axis := _constant_axis(su.specific_force, quiet[u])) is not None:
+            return nothing_of(su, Fault("frozen", su.name, axis))
+        if by_themselves[u]:
+            return nothing_of(su, Fault("unattached", su.name))
+        kept, faults = _thawed(su, quiet[u], chance)
         whole = su
         if not kept.all():
             whole = su.at(kept)
@@ -151,7 +160,7 @@ def checked(
             # While the robot moves nothing tells them from readings, and their mean is not zero.
             kept, whole = np.zeros_like(kept), su.at(np.zeros_like(kept))
             faults = [f for f in faults if f.kind != "noisy"] + impulses
-        clipped = clipping(whole.specific_force, still[u][kept])
+        clipped = clipping(whole.specific_force, quiet[u][kept])
         if share := float(clipped.mean()) if len(clipped) else 0.0:
             faults = [*faults, Fault("saturated", su.name, size=share)]
         su.put_away()

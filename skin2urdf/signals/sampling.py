@@ -141,7 +141,9 @@ def sample_recording(
     measured, held = as_measured(list(each(_without_spikes, recording.sus, n_sus)))
     clocks = {clock.su: clock for clock in su_clocks(measured, motion)}
     sus = [_on_time(su, clocks.get(su.name)) for su in measured]
-    streams = {c.stream.name: c for c in checked(sus, spans, span, _pauses(motion))}
+    streams = {
+        c.stream.name: c for c in checked(sus, spans, span, _pauses(motion), still=rests[0].still)
+    }
     readings = room_for_streams(grid.size, len(su_names))
     valid = np.zeros((grid.size, len(su_names)), dtype=bool)
     period, quiet = np.zeros(len(su_names)), np.full(len(su_names), np.nan)

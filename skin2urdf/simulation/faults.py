@@ -137,6 +137,21 @@ def noisy(sound: Sound, rng: np.random.Generator) -> Faulty:
     return _with(sound, new, "noisy", f"{sd:.2f} m/s^2")
 
 
+def unattached(sound: Sound, rng: np.random.Generator) -> Faulty:
+    """An SU of a moving segment that something else turns by 0.2 to 1 rad about two axes."""
+    from scipy.spatial.transform import Rotation
+
+    su = _one_of(sound, rng, moving=True)
+    size, hertz, phase = rng.uniform([[0.2], [0.1], [0.0]], [[1.0], [0.6], [2 * np.pi]], (3, 2))
+    angle = size * np.sin(2 * np.pi * hertz * su.time[:, None] + phase)
+    turn = Rotation.random(random_state=rng) * Rotation.from_euler("zx", angle)
+    noise = max(sound.settings.sensor_grade.noise_rms, 1e-4) * GRAVITY
+    felt = turn.apply([0.0, 0.0, GRAVITY], inverse=True)
+    felt += noise * rng.standard_normal(felt.shape)
+    words = f"turns by {size.max():.2f} rad"
+    return _with(sound, replace(su, specific_force=felt), "unattached", words)
+
+
 def loose(sound: Sound, rng: np.random.Generator) -> Faulty:
     """An SU on a moving segment that slips by 3 to 20 mm and 1 to 5 deg at some time."""
     su = _one_of(sound, rng, moving=True)
@@ -210,8 +225,8 @@ FAULTS: Mapping[str, Injection] = MappingProxyType(
     {
         function.__name__: function
         for function in (
-            dead, silent, frozen, stuck, saturated, dropouts, gaps, noisy, loose, stepped, swapped,
-            renamed, mirrored,
+            dead, silent, frozen, stuck, saturated, dropouts, gaps, noisy, unattached, loose,
+            stepped, swapped, renamed, mirrored,
         )
     }
 )  # fmt: skip

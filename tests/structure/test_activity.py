@@ -90,7 +90,9 @@ def still(features: Features) -> Features:
     return replace(features, coefficients=coefficients)
 
 
-def with_moves(features: Features, dof: int, changes: list[float], doubt: float = 0.142) -> Features:
+def with_moves(
+    features: Features, dof: int, changes: list[float], doubt: float = 0.142
+) -> Features:
     """Features with one static move of a DoF, which changes the reading of each SU so much.
 
     Other joints moved along, which can have changed readings by ``doubt`` [m/s^2]: by a little less

@@ -144,8 +144,6 @@ def checked(
         chance = float(np.median(others)) if len(others) else 0.0
         if (axis := _constant_axis(su.specific_force, quiet[u])) is not None:
             return nothing_of(su, Fault("frozen", su.name, axis))
-        if by_themselves[u]:
-            return nothing_of(su, Fault("unattached", su.name))
         kept, faults = _thawed(su, quiet[u], chance)
         whole = su
         if not kept.all():
@@ -160,6 +158,8 @@ def checked(
             # While the robot moves nothing tells them from readings, and their mean is not zero.
             kept, whole = np.zeros_like(kept), su.at(np.zeros_like(kept))
             faults = [f for f in faults if f.kind != "noisy"] + impulses
+        elif by_themselves[u]:
+            return nothing_of(su, Fault("unattached", su.name))
         clipped = clipping(whole.specific_force, quiet[u][kept])
         if share := float(clipped.mean()) if len(clipped) else 0.0:
             faults = [*faults, Fault("saturated", su.name, size=share)]

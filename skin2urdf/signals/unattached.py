@@ -17,22 +17,22 @@ from skin2urdf.geometry.units import GRAVITY
 from skin2urdf.recording.records import SuStream
 
 _SHORTEST = 0.3
-"""Length [s] of a rest from which its halves tell whether an SU changes in it."""
+"""Length [s] of a rest or a move from which its halves tell whether an SU changes in it."""
 _CHANCE = 6.0
 """Standard deviations of noise that no difference of two means exceeds by chance."""
 _OWN = 3e-3 * GRAVITY
 """Change [m/s^2] that a sensor may show by itself within seconds: ten times its usual flicker."""
-_OF_MOTION = 0.2
-"""Part of an SU's own usual change while joints move up to which it rests: links ring after a stop,
-and give way to a hand."""
+_LARGE, _OF_MOTION = 0.9, 0.2
+"""Quantile of an SU's changes while joints move that few of them need make, and the part of it up
+to which the SU rests: links ring after a stop, and give way to a hand."""
 _COMMON = 3.0
 """Change of an SU over that of the others in the same rest, up to which it is the base that moves,
-of which no SU feels more than all do, but for what its arm adds."""
+which all SUs feel, some more and some less by their arms."""
 _FEWEST = 5
 """Rests in which an SU changes, from which it is no hit."""
 _AS_OFTEN = 0.5
-"""How often an SU changes in rests over how often it does in stretches as long while joints move,
-from which it has nothing to do with these."""
+"""How often an SU changes in rests over how often it does in moves, in the same time, from which it
+has nothing to do with these."""
 
 
 def unattached(
@@ -46,27 +46,39 @@ def unattached(
         noise: (U,) standard deviations of their noise [m/s^2].
         digit: (U,) their digits, 0 where they have none [m/s^2].
     """
-    still = np.array([rest for rest in rests if rest[1] - rest[0] >= _SHORTEST]).reshape(-1, 2)
-    if len(still) < _FEWEST or len(sus) < 2:
+    still = _long([(begin, end) for begin, end in rests])
+    moving = _long([(a, b) for (_, a), (b, _) in pairwise(rests)])
+    if min(len(still), len(moving)) < _FEWEST or len(sus) < 2:
         return np.zeros(len(sus), dtype=bool)
-    length = float(np.median(np.diff(still, axis=1)))
-    moving = [
-        (begin, begin + length)
-        for (_, a), (b, _) in pairwise(rests)
-        for begin in np.arange(a, b - length, length)
-    ]
+    # What moves by itself changes by more in a longer time.
+    length = min(float(np.median(np.diff(spans))) for spans in (still, moving))
+    still, moving = _parts(still, length), _parts(moving, length)
     at_rest, chance = _changes(sus, still, noise)
-    in_motion, _ = _changes(sus, np.array(moving).reshape(-1, 2), noise)
-    usual = np.array(
-        [np.median(c[np.isfinite(c)]) if np.isfinite(c).any() else 0 for c in in_motion]
-    )
-    least = np.maximum(_OWN + digit, _OF_MOTION * usual)[:, None]
-    others = np.array([_median(np.delete(at_rest, u, axis=0)) for u in range(len(sus))])
+    in_motion, _ = _changes(sus, moving, noise)
+    least = np.maximum(_OWN + digit, _OF_MOTION * _quantile(in_motion.T, _LARGE))[:, None]
+    # Of what counts only where an SU changes by more than these, it is none itself.
+    others = _quantile(at_rest, 0.5, without=1)
     stirred = (at_rest > np.maximum(least, _CHANCE * chance)) & (at_rest > _COMMON * others)
     moved = in_motion > least
     often = stirred.sum(axis=1) / np.maximum(np.isfinite(at_rest).sum(axis=1), 1)
     as_often = moved.sum(axis=1) / np.maximum(np.isfinite(in_motion).sum(axis=1), 1)
     return np.asarray((stirred.sum(axis=1) >= _FEWEST) & (often > _AS_OFTEN * as_often))
+
+
+def _long(spans: Sequence[tuple[float, float]]) -> F64:
+    """(R, 2) begin and end of those spans that are long enough [s]."""
+    chosen = [span for span in spans if span[1] - span[0] >= _SHORTEST]
+    return np.array(chosen, dtype=np.float64).reshape(-1, 2)
+
+
+def _parts(spans: F64, length: float) -> F64:
+    """(P, 2) spans (R, 2), those that are longer in parts of some length [s]."""
+    parts = [
+        (begin, min(begin + length, end))
+        for begin, end in spans.tolist()
+        for begin in np.arange(begin, max(end - length, begin) + 1e-9, length).tolist()
+    ]
+    return np.array(parts)
 
 
 def _changes(sus: Sequence[SuStream], spans: F64, noise: F64) -> tuple[F64, F64]:
@@ -97,11 +109,15 @@ def _changes(sus: Sequence[SuStream], spans: F64, noise: F64) -> tuple[F64, F64]
     return change, chance
 
 
-def _median(changes: F64) -> F64:
-    """(R,) median of the known ones of each column of (U, R); 0 where none is."""
-    known = np.isfinite(changes)
-    filled = np.where(known, changes, np.inf)
-    order = np.sort(filled, axis=0)
-    middle = np.maximum(known.sum(axis=0) - 1, 0) // 2
-    out = np.take_along_axis(order, middle[None], axis=0)[0]
+def _quantile(changes: F64, share: float, without: int = 0) -> F64:
+    """(R,) quantile of the known ones of each column of (U, R); 0 where none is.
+
+    Args:
+        changes: NaN where not known.
+        share: which quantile.
+        without: how many, the largest ones of each column, are left out.
+    """
+    order = np.sort(np.where(np.isfinite(changes), changes, np.inf), axis=0)
+    last = np.maximum(np.isfinite(changes).sum(axis=0) - 1 - without, 0)
+    out = np.take_along_axis(order, (share * last).astype(np.int64)[None], axis=0)[0]
     return np.asarray(np.where(np.isfinite(out), out, 0.0))

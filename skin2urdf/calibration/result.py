@@ -332,6 +332,17 @@ class Calibration(Record):
         return sus_unlike_the_rest(self.goodness.by_block)
 
     @property
+    def not_of_this_model(self) -> tuple[str, ...]:
+        """SUs without a fault that fit so badly, where others do not, that no result may be as bad.
+
+        What is wrong with them, or with their place in the tree, is not known.
+        """
+        unlike, names = self.unlike_sus, self.model.tree.su_names
+        known = {fault.subject for fault in self.faults if fault.to_repair}
+        bad = unlike.odd & (np.nan_to_num(unlike.times) > BAD_FIT)
+        return tuple(n for n, ill in zip(names, bad, strict=True) if ill and n not in known)
+
+    @property
     def unlike_poses(self) -> Unlike:
         """How the poses fit, compared with each other."""
         return poses_unlike_the_rest(self.goodness.by_block, self.goodness.patterned)

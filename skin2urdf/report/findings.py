@@ -128,7 +128,8 @@ def is_to_repair(calibration: Calibration) -> bool:
     of_use = found.positions_open and 2 * sum(turned) >= all_sus
     missing = calibration.mostly_open and not of_use
     faulty = any(fault.to_repair for fault in calibration.faults)
-    return missing or faulty or bool(calibration.implausible or calibration.open_orders)
+    wrong = calibration.implausible or calibration.not_of_this_model
+    return missing or faulty or bool(wrong or calibration.open_orders)
 
 
 def _no_place(rows: F64) -> bool:

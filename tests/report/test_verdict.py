@@ -50,11 +50,13 @@ def missing() -> tuple[str, tuple[str, ...]]:
     return "SUs open", tuple(name for name, verdict in names if verdict != "determined")
 
 
-def with_misfit(pose: int | slice = slice(None), su: int | slice = slice(None)) -> Calibration:
-    """The calibration with some blocks a thousand times worse."""
+def with_misfit(
+    pose: int | slice = slice(None), su: int | slice = slice(None), times: float = 1e3
+) -> Calibration:
+    """The calibration with some blocks so many times worse."""
     blocks = calibration().goodness.by_block
     factors = np.ones(blocks.chi2.shape)
-    factors[pose, su] = 1e3
+    factors[pose, su] = times
     worse = Share(blocks.chi2 * factors, blocks.dof)
     return replace(calibration(), goodness=replace(calibration().goodness, by_block=worse))
 
@@ -178,6 +180,15 @@ def test_an_su_unlike_the_rest_makes_it_fair() -> None:
     assert against(found) == [("SUs misfit", (name,)), missing()]
     told = replace(found, faults=(Fault("loose", name),))
     assert against(told) == [("faults", (name,)), missing()]
+
+
+def test_an_su_that_no_result_may_fit_as_badly_as_is_to_be_set_right() -> None:
+    assert is_to_repair(with_misfit(su=4))
+    assert with_misfit(su=4).not_of_this_model == (calibration().model.tree.su_names[4],)
+    badly = with_misfit(su=4, times=20.0)
+    assert badly.unlike_sus.odd[4]
+    assert not is_to_repair(badly)
+    assert not is_to_repair(calibration())
 
 
 def test_a_pose_unlike_the_rest_makes_it_fair() -> None:

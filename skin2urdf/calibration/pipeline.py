@@ -64,7 +64,7 @@ def calibrate(
     """
     settings = settings or CalibrationSettings()
     clock = Clock(progress)
-    recordings = clock.run("reading", lambda tell: recordings_of(logs, tell))
+    recordings = clock.run("reading", lambda tell: recordings_of(logs, tell, settings.without))
     # Clocks, samples on grids, their features, the tree that these show, and a first estimate.
     begun = begin(recordings, settings, clock)
     by_the_paper = settings.method == "paper"
@@ -187,14 +187,23 @@ def _follow_the_paper(begun: Beginning, clock: Clock) -> tuple[Solution, None]:
 
 
 def recordings_of(
-    logs: str | Path | Recording | Sequence[str | Path | Recording], tell: Tell
+    logs: str | Path | Recording | Sequence[str | Path | Recording],
+    tell: Tell,
+    without: Sequence[str] = (),
 ) -> list[Recording]:
     """Read the logs that are not read yet; those made in memory are timed as files are.
 
+    Args:
+        logs: paths, or recordings.
+        tell: told the share of the work that is done.
+        without: names or topics of SUs that are left out, or patterns of these.
+
     Raises:
         UnreadableInputError: a log can not be read.
+        UsageError: what is to be left out is in no log.
         InsufficientDataError: none is given.
     """
+    from skin2urdf.recording.choosing import without_sus
     from skin2urdf.recording.reading import read
     from skin2urdf.recording.retiming import retimed
 
@@ -211,7 +220,7 @@ def recordings_of(
             out.append(joints_as_measured(log) if log.digest else retimed(log))
     if not out:
         raise InsufficientDataError("no log was given", "name at least one log", lacks="logs")
-    return out
+    return without_sus(out, without)
 
 
 def _endless(sampled: Sequence[Sampled], tree: KinematicTree, span: F64) -> Bool:

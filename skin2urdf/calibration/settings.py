@@ -31,6 +31,7 @@ class CalibrationSettings:
         static_threshold: change of a static reading that makes an SU active [m/s^2].
         relinearisations: how often, at most, the features are taken again with the estimate's
             prediction of what lies beyond first order.
+        without: names or topics of SUs that are left out, or patterns of these with ``*``.
     """
 
     method: Method = "default"
@@ -43,3 +44,4 @@ class CalibrationSettings:
     slowest_pole: float = 8e-3
     static_threshold: float = STATIC_THRESHOLD
     relinearisations: int = 6
+    without: tuple[str, ...] = ()

@@ -89,7 +89,8 @@ def _of_a_stream(fault: Fault) -> Words:
             what = "moves as often while all joints rest as while they move, and no other SU does;"
             return Words(
                 f"{su} {what} it is left out",
-                "see whether it is on this robot, and fixed to it; else name the SUs that are",
+                "see whether it is on this robot, fixed to it and on time; if it is of something "
+                f"else, leave it out (--without {su})",
             )
         case "wrong unit":
             what = f"reads {fault.size:.2g} g at rest and is left out"

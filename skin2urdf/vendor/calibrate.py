@@ -61,7 +61,7 @@ def calibrate_with_model(
     """
     settings, correction = settings or CalibrationSettings(), correction or Correction()
     clock = Clock(progress)
-    recordings = clock.run("reading", lambda tell: recordings_of(logs, tell))
+    recordings = clock.run("reading", lambda tell: recordings_of(logs, tell, settings.without))
     given = model if isinstance(model, ModelText) else read_model(model, _paths(recordings))
     description = describe(given)
     leaps = clock.run("leaps", lambda _: evident_errors(recordings))

@@ -174,7 +174,7 @@ def check(
     settings = settings or CalibrationSettings()
     clock = Clock(progress)
     skin = load_skin(urdf)
-    recordings = clock.run("reading", lambda tell: recordings_of(logs, tell))
+    recordings = clock.run("reading", lambda tell: recordings_of(logs, tell, settings.without))
     sampled = sample_logs(recordings, settings, clock)
     chassis = match(skin.description, sampled.sampled[0].motion.dof_names)
     usable = np.any([s.valid.any(axis=0) for s in sampled.sampled], axis=0)

@@ -69,6 +69,17 @@ def run(capsys: pytest.CaptureFixture[str]) -> Run:
     return call
 
 
+def test_an_su_is_left_out_by_name(files: Files, run: Run, tmp_path: Path) -> None:
+    words = ("calibrate", files.log, "-o", tmp_path / "robot.urdf", "--motion", "patterns")
+    status, out, _ = run(*words, "--without", "no_such_su")
+    assert (status, out, list(tmp_path.iterdir())) == (2, "", [])
+    names = list(json.loads(files.json.read_text())["sus"])
+    assert run(*words, "--without", names[-1], "--quiet")[0] == 0
+    document = json.loads((tmp_path / "robot.json").read_text())
+    assert list(document["sus"]) == names[:-1]
+    assert document["settings"]["without"] == [names[-1]]
+
+
 def test_calibrate_tells_the_verdict_first_and_the_files_last(files: Files) -> None:
     assert files.err == ""
     lines = files.out.splitlines()

@@ -123,6 +123,14 @@ def declare(command: Parser) -> None:
         "estimated, and taken to be 20 Hz or faster",
     )
     sensors.add_argument(
+        "--without",
+        action="append",
+        default=[],
+        metavar="SU",
+        help="leave out an SU by its name or topic, or all that a pattern as 'cam*' fits, such as "
+        "those that are not on the robot; may be given several times",
+    )
+    sensors.add_argument(
         "--no-gyro", action="store_true", help="leave out what gyroscopes say, where SUs have them"
     )
     sensors.add_argument(
@@ -325,6 +333,7 @@ def calibration_settings(options: argparse.Namespace) -> CalibrationSettings:
         gyro=not options.no_gyro,
         effort=not options.no_effort,
         bandwidth=options.bandwidth,
+        without=tuple(options.without),
     )
     return replace(settings, gravity_deviation=ANOMALY) if "gravity" in given else settings
 

@@ -22,7 +22,7 @@ def without_sus(recordings: Sequence[Recording], patterns: Sequence[str]) -> lis
         The logs, without those SUs that any pattern fits.
 
     Raises:
-        UsageError: a pattern fits no SU of any log.
+        UsageError: a pattern fits no SU of any log, or none is left.
     """
     found = [su for recording in recordings for su in recording.sus]
     for pattern in patterns:
@@ -35,6 +35,8 @@ def without_sus(recordings: Sequence[Recording], patterns: Sequence[str]) -> lis
     def is_kept(su: SuStream) -> bool:
         return not any(_fits(su, pattern) for pattern in patterns)
 
+    if patterns and not any(map(is_kept, found)):
+        raise UsageError("no SU is left of those in the logs", "leave out fewer of them")
     return [replace(each, sus=tuple(filter(is_kept, each.sus))) for each in recordings]
 
 

@@ -12,7 +12,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from skin2urdf.arrays import F64, Bool
+from skin2urdf.arrays import F64, Bool, Int
 from skin2urdf.geometry.units import GRAVITY
 from skin2urdf.recording.records import SuStream
 
@@ -46,13 +46,13 @@ def unattached(
         noise: (U,) standard deviations of their noise [m/s^2].
         digit: (U,) their digits, 0 where they have none [m/s^2].
     """
-    still = _long([(begin, end) for begin, end in rests])
+    still = _long(rests)
     moving = _long([(a, b) for (_, a), (b, _) in pairwise(rests)])
     if min(len(still), len(moving)) < _FEWEST or len(sus) < 2:
         return np.zeros(len(sus), dtype=bool)
     # What moves by itself changes by more in a longer time.
     length = min(float(np.median(np.diff(spans))) for spans in (still, moving))
-    still, moving = _parts(still, length), _parts(moving, length)
+    (still, rest), (moving, _) = _parts(still, length), _parts(moving, length)
     at_rest, chance = _changes(sus, still, noise)
     in_motion, _ = _changes(sus, moving, noise)
     least = np.maximum(_OWN + digit, _OF_MOTION * _quantile(in_motion.T, _LARGE))[:, None]
@@ -62,7 +62,8 @@ def unattached(
     moved = in_motion > least
     often = stirred.sum(axis=1) / np.maximum(np.isfinite(at_rest).sum(axis=1), 1)
     as_often = moved.sum(axis=1) / np.maximum(np.isfinite(in_motion).sum(axis=1), 1)
-    return np.asarray((stirred.sum(axis=1) >= _FEWEST) & (often > _AS_OFTEN * as_often))
+    in_rests = np.array([len(np.unique(rest[each])) for each in stirred])
+    return np.asarray((in_rests >= _FEWEST) & (often > _AS_OFTEN * as_often))
 
 
 def _long(spans: Sequence[tuple[float, float]]) -> F64:
@@ -71,14 +72,19 @@ def _long(spans: Sequence[tuple[float, float]]) -> F64:
     return np.array(chosen, dtype=np.float64).reshape(-1, 2)
 
 
-def _parts(spans: F64, length: float) -> F64:
-    """(P, 2) spans (R, 2), those that are longer in parts of some length [s]."""
+def _parts(spans: F64, length: float) -> tuple[F64, Int]:
+    """Spans (R, 2), those that are longer in parts of some length [s].
+
+    Returns:
+        (P, 2) begin and end of the parts [s], and (P,) number of the span that each is of.
+    """
     parts = [
-        (begin, min(begin + length, end))
-        for begin, end in spans.tolist()
-        for begin in np.arange(begin, max(end - length, begin) + 1e-9, length).tolist()
+        (begin, min(begin + length, end), r)
+        for r, (first, end) in enumerate(spans.tolist())
+        for begin in np.arange(first, max(end - length, first) + 1e-9, length).tolist()
     ]
-    return np.array(parts)
+    found = np.array(parts)
+    return found[:, :2], found[:, 2].astype(np.int64)
 
 
 def _changes(sus: Sequence[SuStream], spans: F64, noise: F64) -> tuple[F64, F64]:

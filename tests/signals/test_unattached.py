@@ -57,15 +57,44 @@ def test_a_base_that_moves_by_itself_moves_all_sus() -> None:
 
 
 def test_what_shakes_at_rest_by_little_is_on_the_robot() -> None:
-    """A link rings for long after each stop, and an SU on the base has ten times the noise."""
-    recording = simulation("panda", n_poses=6).recording
-    base, tip = recording.sus[0].name, recording.sus[-1].name
+    """A first link, which patterns move little, rings on; an SU on the base is far noisier."""
+    made = simulation("panda", n_poses=6)
+    recording, truth = made.recording, made.truth
+    base, link = (next(su.name for su in truth.sus if su.joint == j) for j in (-1, 0))
     rng = np.random.default_rng(2)
 
     def shaken(su: SuStream) -> SuStream:
-        size = {base: 0.15, tip: 0.01}.get(su.name, 0.0)
-        ringing = 0.1 * np.sin(2 * np.pi * 3.0 * su.time) * (su.name == tip)
+        size = {base: 0.15, link: 0.01}.get(su.name, 0.0)
+        ringing = 0.1 * np.sin(2 * np.pi * 3.0 * su.time) * (su.name == link)
         noise = size * rng.standard_normal(su.specific_force.shape)
         return replace(su, specific_force=su.specific_force + noise + ringing[:, None])
 
     assert unattached_in(changed_sus(recording, shaken)) == []
+
+
+def test_an_su_on_the_base_that_is_shaken_for_a_while_is_on_the_robot() -> None:
+    """Somebody takes hold of it for seconds, in one long rest before the robot begins."""
+    made = simulation("panda", n_poses=6)
+    base = next(su.name for su in made.truth.sus if su.joint < 0)
+
+    def idle(su: SuStream) -> SuStream:
+        step = float(np.median(np.diff(su.time)))
+        before = np.arange(su.time[0] - 30.0, su.time[0] - step / 2, step)
+        felt = np.tile(su.specific_force[:20].mean(axis=0), (len(before), 1))
+        noise = 0.005 * np.random.default_rng(1).standard_normal(felt.shape)
+        shaken = 2.0 * np.sin(2 * np.pi * 0.4 * before) * (before > before[-1] - 15.0)
+        felt += noise + shaken[:, None] * (su.name == base)
+        return replace(
+            su, time=np.r_[before, su.time], specific_force=np.r_[felt, su.specific_force]
+        )
+
+    log = changed_sus(made.recording, idle)
+    joints = tuple(
+        replace(
+            joint,
+            time=np.r_[np.arange(-30.0, -0.004, 0.008) + joint.time[0], joint.time],
+            position=np.r_[np.full(3750, joint.position[0]), joint.position],
+        )
+        for joint in log.joints
+    )
+    assert unattached_in(replace(log, joints=joints)) == []

@@ -63,3 +63,22 @@ def test_biases_that_drift_bend_no_sensors_of_a_planar_arm(tmp_path: Path) -> No
     assert np.abs(found.along.state.shape).max() < 0.02
     compared = held_against(found, made.truth.urdf, tmp_path)
     assert all(su.position is None or su.position.rms < 3e-3 for su in compared.sus)
+
+
+def test_a_scara_is_found_although_nothing_is_known_of_levers_and_clocks(tmp_path: Path) -> None:
+    """Where an SU sits on its axis nothing changes, so that no lag seems to change anything."""
+    arm = (
+        Joint("first", -1, "revolute", (0.0, 0.0, 0.1), rpy=(0.002, 0.001, 0.0)),
+        Joint("second", 0, "revolute", (0.3, 0.0, 0.1)),
+        Joint("slide", 1, "prismatic", (0.3, 0.0, 0.1)),
+        Joint("hand", 2, "revolute", (0.0, 0.0, 0.1)),
+    )
+    settings = SimulationSettings(
+        seed=8, upright=True, excite="none", minutes=1.0, imu_rate=100.0, joint_rate=125.0, lag=0.03
+    )
+    made = simulate(robot_of(arm, tmp_path, SkinLayout(1, 1)), settings)
+    found = calibrate(retimed(made.recording))
+    assert found.quality != "bad"
+    compared = held_against(found, made.truth.urdf, tmp_path)
+    assert compared.tree_equal
+    assert all(su.position is None or su.position.rms < 4e-3 for su in compared.sus)

@@ -178,8 +178,14 @@ def _near(
     """
     few = leading(problem)
     thin, problem = few is not None, few or problem
-    coarse, free = problem.coarse(unseen=far), (problem.free_joint, problem.free_su)
-    found = _descend(problem, start, coarse, _ROUGHLY, iterations, tell, far)[1]
+    free = problem.free_joint, problem.free_su
+    found: Fitted | None = None
+    # Of a placement at which nothing is felt to change, a lag seems to change nothing either.
+    for coarse in (problem.coarse(unseen=far, lags=False), problem.coarse(unseen=far)):
+        begin, predicted = (found.state, found.predicted) if found else (start, None)
+        found = _descend(
+            problem, begin, coarse, _ROUGHLY, iterations, tell, far, predicted=predicted
+        )[1]
     if thin:
         found = _descend(
             problem, found.state, free, _ROUGHLY, iterations, tell, far, predicted=found.predicted

@@ -103,13 +103,14 @@ class MotionProblem(Derivatives):
         priors = replace(self.priors, unseen=np.zeros(0))
         return MotionProblem(self.tree, self.logs, priors, self.layout.n_knots)
 
-    def coarse(self, *, unseen: bool = False) -> tuple[Bool, Bool]:
+    def coarse(self, *, unseen: bool = False, lags: bool = True) -> tuple[Bool, Bool]:
         """Coordinates (J,) and (U, n) to begin with: placements, biases and lags.
 
         From far away, a sensor's shape, droop and drift would rather explain what placements do.
 
         Args:
             unseen: whether what encoders do not see is to be found from the beginning as well.
+            lags: whether lags are.
         """
         layout, su = self.layout, np.zeros_like(self.free_su)
         joint = self.free_joint & (np.arange(layout.n_joint) < layout.gravity)
@@ -118,7 +119,7 @@ class MotionProblem(Derivatives):
             joint[layout.unseen] = self.free_joint[layout.unseen]
         su[:, : N_PLACEMENT + 3] = True
         for g in range(layout.n_logs):
-            su[:, layout.clock(g).start] = True
+            su[:, layout.clock(g).start] = lags
         if layout.gyros:
             su[:, layout.gyro.start + N_GYRO : layout.gyro.stop] = True
         return joint, su & self.free_su

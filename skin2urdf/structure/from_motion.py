@@ -196,8 +196,9 @@ def _grown_from(
     """
     moved = moved_joints(sampled)
     tree = None if known is None else _known(known, windows)
+    sought = moved if known else moved & windows.may_show
     while True:
-        turning = tuple(int(d) for d in np.flatnonzero(moved) if d not in sliding)
+        turning = tuple(int(d) for d in np.flatnonzero(sought) if d not in sliding)
         up = None if base is None else base.up
         growth = Growth(windows, turning, np.random.default_rng(seed), tree, up)
         growth.grow(tell)

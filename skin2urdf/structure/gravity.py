@@ -23,7 +23,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from skin2urdf.arrays import F64, Int, Record
+from skin2urdf.arrays import F64, Bool, Int, Record
 from skin2urdf.geometry.units import GRAVITY
 from skin2urdf.signals.encoder_noise import EncoderNoise
 from skin2urdf.signals.filters import (
@@ -40,7 +40,8 @@ from skin2urdf.structure.chain_fit import LEVER
 
 _STEADY = 0.02
 """Standard deviation [m/s^2] of gravity at rest that no average takes away: 2 mg, by which the
-bias of MEMS sensors wanders within minutes, and which 2 mrad of play in joints make."""
+bias of MEMS sensors wanders within minutes, and which 2 mrad of play in joints make. A joint that
+turns by less has no place that gravity shows."""
 _LAG = 0.03
 """Standard deviation [s] of what the SUs' clocks, buses and filters lag the joints'."""
 _WINDOW = 0.2
@@ -51,8 +52,9 @@ encoder rounds is differentiated no further than that."""
 _SMOOTH = 4.0
 """Low-pass [Hz] of readings and joints in moments whose accelerations are modelled: moves from pose
 to pose hold little beyond, and an encoder's rounding is differentiated no further than that."""
-_DIRECTION = 0.05
-"""Error of directions [rad] with which accelerations are modelled while a tree grows."""
+_DIRECTION = 0.01
+"""Error of directions [rad] with which accelerations are modelled while a tree grows: axes are
+fitted to half a degree. What is taken for noise hides joints whose axes lie close to each other."""
 _BLUR = 0.05
 """Standard deviation of such a low-pass in time [s]."""
 _MOST_MOMENTS = 240
@@ -107,6 +109,13 @@ class GravityWindows(Record):
     def weight(self) -> F64:
         """(W, U) inverse variances [s^4/m^2]; 0 where an SU was not heard."""
         return np.asarray(1.0 / self.sd**2)
+
+    @property
+    def may_show(self) -> Bool:
+        """(D,) True for joints that can turn gravity by more than no average takes away."""
+        if not len(self.q):
+            return np.zeros(len(self.dof_names), dtype=bool)
+        return np.asarray(np.ptp(self.q, axis=0) * GRAVITY > _STEADY)
 
     def some(self, which: Int) -> GravityWindows:
         """Only some of the windows."""

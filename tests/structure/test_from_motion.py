@@ -7,6 +7,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from joint_paths import JointPath
+from mujoco_robot import random_arm, record
 from random_robots import Joint, random_joints, robot_of
 
 from skin2urdf.errors import StructureError
@@ -212,3 +214,18 @@ def test_moves_that_a_servo_rings_after_are_no_patterns(seed: int) -> None:
     recording = retimed(simulate(load_robot("panda"), settings).recording)
     features = extract_features([sampled(recording)], [su.name for su in recording.sus])
     assert not activity(features).patterns_felt
+
+
+@pytest.mark.parametrize("seed", [2, 4])
+def test_joints_may_all_move_fast_and_never_rest(seed: int) -> None:
+    """What gravity does is small beside accelerations, and known as well as these are modelled."""
+    n = 6
+    path = JointPath([0.0] * n)
+    path.swing({d: 1.4 * (-1) ** d for d in range(n)}, seconds=60.0, hertz=0.35)
+    sus, joints = [f"skin_{k}" for k in range(n + 1)], [f"m{d}" for d in range(n)]
+    recording = record(random_arm(seed, n), path, sus, joints, np.random.default_rng(seed))
+    tree = trees_from_motion([sampled(recording)], [su.name for su in recording.sus])[0].tree
+    assert set(tree.su_names) == set(sus)
+    for su, joint in zip(tree.su_names, tree.su_joint, strict=True):
+        chain = [tree.joint_names[j] for j in tree.chain(int(joint))]
+        assert chain == joints[: sus.index(su)]

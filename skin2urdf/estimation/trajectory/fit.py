@@ -178,19 +178,18 @@ def _near(
     """
     few = leading(problem)
     thin, problem = few is not None, few or problem
-    free = problem.free_joint, problem.free_su
-    found: Fitted | None = None
-    # Of a placement at which nothing is felt to change, a lag seems to change nothing either.
-    for coarse in (problem.coarse(unseen=far, lags=False), problem.coarse(unseen=far)):
-        begin, predicted = (found.state, found.predicted) if found else (start, None)
-        found = _descend(
-            problem, begin, coarse, _ROUGHLY, iterations, tell, far, predicted=predicted
-        )[1]
-    if thin:
-        found = _descend(
-            problem, found.state, free, _ROUGHLY, iterations, tell, far, predicted=found.predicted
-        )[1]
-    return found
+
+    def descend(free: tuple[Bool, Bool], begin: Fitted | None) -> Fitted:
+        state, predicted = (start, None) if begin is None else (begin.state, begin.predicted)
+        return _descend(
+            problem, state, free, _ROUGHLY, iterations, tell, far, predicted=predicted
+        )[1]  # fmt: skip
+
+    # Where nothing is felt to change, as by an SU on the axis that turns it, no lag changes
+    # anything either: placements come first.
+    found = descend(problem.coarse(unseen=far, lags=False), None)
+    found = descend(problem.coarse(unseen=far), found)
+    return descend((problem.free_joint, problem.free_su), found) if thin else found
 
 
 @dataclass(frozen=True, eq=False)

@@ -200,7 +200,8 @@ def _grown_from(
     while True:
         turning = tuple(int(d) for d in np.flatnonzero(sought) if d not in sliding)
         up = None if base is None else base.up
-        growth = Growth(windows, turning, np.random.default_rng(seed), tree, up)
+        pushed = windows.pushed_by(sliding)
+        growth = Growth(pushed, turning, np.random.default_rng(seed), tree, up)
         growth.grow(tell)
         drafts = _drafted(growth, samples, moved, sliding)
         more = () if known else _that_slide(drafts[0], samples)

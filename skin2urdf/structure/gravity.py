@@ -19,7 +19,7 @@ with the segments' motion in the frame that x is given in. :func:`moments` are s
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -116,6 +116,18 @@ class GravityWindows(Record):
         if not len(self.q):
             return np.zeros(len(self.dof_names), dtype=bool)
         return np.asarray(np.ptp(self.q, axis=0) * GRAVITY > _STEADY)
+
+    def pushed_by(self, sliding: Sequence[int]) -> GravityWindows:
+        """The windows with what some joints (m) push by as noise, where accelerations are modelled.
+
+        Args:
+            sliding: joints that slide.
+        """
+        if self.moving is None or not sliding:
+            return self
+        push = np.abs(self.moving.qdd[:, list(sliding)]).sum(axis=1)
+        sd = np.hypot(self.moving.sd, push[:, None])
+        return replace(self, moving=replace(self.moving, sd=sd))
 
     def some(self, which: Int) -> GravityWindows:
         """Only some of the windows."""

@@ -229,3 +229,22 @@ def test_joints_may_all_move_fast_and_never_rest(seed: int) -> None:
     for su, joint in zip(tree.su_names, tree.su_joint, strict=True):
         chain = [tree.joint_names[j] for j in tree.chain(int(joint))]
         assert chain == joints[: sus.index(su)]
+
+
+@pytest.mark.parametrize("seed", [10, 14])
+def test_what_a_slide_pushes_by_leaves_no_su_without_a_place(seed: int, tmp_path: Path) -> None:
+    """It is felt beyond the slide, by SUs of which gravity has to show the joints."""
+    joints = random_joints(np.random.default_rng(seed), 6)
+    settings = SimulationSettings(
+        seed=seed, excite="series", minutes=0.7, imu_rate=250.0, joint_rate=125.0
+    )
+    layout = SkinLayout(sus_per_segment=1, sus_on_base=1)
+    made = simulate(robot_of(joints, tmp_path, layout), settings)
+    recording = retimed(made.recording)
+    sus = [su.name for su in recording.sus]
+    log = sample_recording(recording, [j.name for j in recording.joints], sus, must_rest=False)
+    tree = trees_from_motion([log], sus)[0].tree
+    assert set(tree.su_names) == set(sus)
+    slides = {joint.name for joint in joints if joint.kind == "prismatic"}
+    found = zip(tree.joint_names, tree.joint_types, strict=True)
+    assert {name for name, kind in found if kind == "prismatic"} == slides

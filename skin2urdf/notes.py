@@ -26,6 +26,7 @@ NoteKind = Literal[
     "implausible bias",
     "unit g",
     "unit deg/s",
+    "odd unit",
     "base moves",
     "felt at rest",
 ]
@@ -36,8 +37,8 @@ motion; a tree that a second look gave; an SU that sits where its readings fit; 
 positions of joints before SUs.
 Of the fit: an SU and poses that fit worse than the rest; SUs that may sit on a vertical axis;
 errors that no working sensor has.
-Of the streams: readings in g, rates in deg/s, both converted; what turns all SUs at rest, or
-changes what they feel there."""
+Of the streams: readings in g, rates in deg/s, both converted; a joint that goes farther and faster
+than any does in rad or m; what turns all SUs at rest, or changes what they feel there."""
 
 Detail = Literal[
     "",

@@ -16,7 +16,7 @@ from skin2urdf.calibration.at_rest import estimate_at_rest
 from skin2urdf.calibration.clock import Clock
 from skin2urdf.calibration.gravity_of_slides import with_gravity_of_slides
 from skin2urdf.calibration.late import late_publishers
-from skin2urdf.calibration.refusal import tell_of_moving_bases
+from skin2urdf.calibration.refusal import tell_what_streams_show
 from skin2urdf.calibration.rounds import (
     Logs,
     Solution,
@@ -132,7 +132,7 @@ def _begun(
     logs = sample_logs(corrected(on_time, [leap.error for leap in leaps]), settings, clock)
     features = take_features(logs, clock)
     first, of_patterns = None, True
-    with tell_of_moving_bases(logs.sampled):
+    with tell_what_streams_show(logs.sampled):
         structure = find_structure(logs, features, clock)
         if settings.method != "paper":
             first, of_patterns = _first_estimate(logs, features, structure, clock)

@@ -14,7 +14,7 @@ from skin2urdf.calibration.beginning import Beginning, begin
 from skin2urdf.calibration.clock import Clock, Progress, Tell
 from skin2urdf.calibration.explanation import explain_readings
 from skin2urdf.calibration.late import clocks_in_all, late_publishers, late_sus
-from skin2urdf.calibration.refusal import check_fit, tell_of_moving_bases
+from skin2urdf.calibration.refusal import check_fit, tell_what_streams_show
 from skin2urdf.calibration.result import Calibration, Source, SuSource
 from skin2urdf.calibration.rounds import Solution
 from skin2urdf.calibration.samples import with_samples
@@ -69,7 +69,7 @@ def calibrate(
     begun = begin(recordings, settings, clock)
     by_the_paper = settings.method == "paper"
     # Physics of real robots, or what is wrong, and what all samples say of either.
-    with tell_of_moving_bases(begun.logs.sampled):
+    with tell_what_streams_show(begun.logs.sampled):
         solution, along = (_follow_the_paper if by_the_paper else explain_readings)(begun, clock)
     # Of features, so that each pose can be predicted from the others, and of all samples, which
     # know of more than a rigid robot.
@@ -81,7 +81,7 @@ def calibrate(
     if along is not None:
         solution = replace(solution, found=with_samples(solution.found, along))
     if not by_the_paper:
-        with tell_of_moving_bases(sampled):
+        with tell_what_streams_show(sampled):
             check_fit(solution.found, along)
     information = clock.run("all samples", lambda _: along.information) if along else None
     seen = clock.run("observability", lambda _: observability(solution.found, information))

@@ -11,9 +11,11 @@ from skin2urdf.estimation.solve.estimate import Estimate
 from skin2urdf.estimation.trajectory.estimate import MotionEstimate
 from skin2urdf.estimation.uncertainty.health import why_bad
 from skin2urdf.estimation.uncertainty.physics import (
+    IN_UNITS,
     STAND_STILL,
     base_moves,
     felt_at_rest,
+    in_odd_units,
     why_unexplained,
 )
 from skin2urdf.notes import of_kind
@@ -44,8 +46,10 @@ def check_fit(found: Estimate, along: MotionEstimate | None) -> None:
 
 
 @contextmanager
-def tell_of_moving_bases(sampled: Sequence[Sampled]) -> Iterator[None]:
-    """Where no model explains the readings, say first that the base moves, if it does.
+def tell_what_streams_show(sampled: Sequence[Sampled]) -> Iterator[None]:
+    """Where no model explains the readings, say first what the streams show by themselves.
+
+    That is a base that moves, or joints whose positions are in another unit.
 
     Args:
         sampled: the logs.
@@ -53,20 +57,22 @@ def tell_of_moving_bases(sampled: Sequence[Sampled]) -> Iterator[None]:
     try:
         yield
     except (BadFitError, StructureError) as error:
-        if told := _of_the_base(sampled):
-            error.args = (f"{told}; {error}",)
-            error.remedy = STAND_STILL
+        if told := _told(sampled):
+            what, error.remedy = told
+            error.args = (f"{what}; {error}",)
         raise
 
 
-def _of_the_base(sampled: Sequence[Sampled]) -> str:
-    """What shows that the base moves by itself, in words; none where nothing does."""
+def _told(sampled: Sequence[Sampled]) -> tuple[str, str] | None:
+    """What is wrong with the streams and what to do about it, in words; None where nothing is."""
     notes = [note for s in sampled for note in s.notes]
     if turns := [note.size for note in of_kind(notes, "base moves")]:
-        return base_moves(max(turns))
+        return base_moves(max(turns)), STAND_STILL
     if changes := [note.size for note in of_kind(notes, "felt at rest")]:
-        return felt_at_rest(max(changes))
-    return ""
+        return felt_at_rest(max(changes)), STAND_STILL
+    if odd := sorted({joint for note in of_kind(notes, "odd unit") for joint in note.joints}):
+        return in_odd_units(odd), IN_UNITS
+    return None
 
 
 def _refuse_beyond(

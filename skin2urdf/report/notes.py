@@ -8,7 +8,13 @@ from typing import Any
 
 import numpy as np
 
-from skin2urdf.estimation.uncertainty.physics import STAND_STILL, base_moves, felt_at_rest
+from skin2urdf.estimation.uncertainty.physics import (
+    IN_UNITS,
+    STAND_STILL,
+    base_moves,
+    felt_at_rest,
+    in_odd_units,
+)
 from skin2urdf.notes import Note, Noted, ReadingNote
 from skin2urdf.report.tables import number
 
@@ -78,6 +84,8 @@ def _words(note: Note) -> str:
             return f"{sus} reports g instead of m/s^2; its readings were converted"
         case "unit deg/s":
             return f"the gyroscope of {sus} reports deg/s; its rates were converted"
+        case "odd unit":
+            return f"{in_odd_units(note.joints)} (a range of {note.size:.3g}); {IN_UNITS}"
         case "base moves":
             return f"{base_moves(note.size)}; {STAND_STILL}"
         case "felt at rest":

@@ -40,6 +40,10 @@ from skin2urdf.threads import each
 
 _POSED = 0.5
 """Share of the work that is done once poses are found and streams checked."""
+_FARTHEST, _FASTEST = 15.0, 20.0
+"""Range and speed, per second, of a joint in rad or m that are beyond all joints of arms and hands
+together: two turns and a half, at three turns a second. In degrees a quarter turn a second has
+both."""
 _G_UNITS = (0.5, 2.0)
 _FEWEST = 5
 """Grid samples of a rest that tell a change of gravity from noise."""
@@ -121,7 +125,7 @@ def sample_recording(
         InsufficientDataError: too few samples, or the robot never rests and has to.
     """
     motion = joint_motion(recording, dof_names)
-    _check_unit(motion, recording.source)
+    odd = _in_odd_units(motion, recording.source)
     rests = find_rests(motion)
     if not rests and not must_rest:
         rests = slowest_moments(motion)
@@ -148,7 +152,7 @@ def sample_recording(
     valid = np.zeros((grid.size, len(su_names)), dtype=bool)
     period, quiet = np.zeros(len(su_names)), np.full(len(su_names), np.nan)
     digits = np.zeros((len(su_names), 2))
-    notes: list[Noted] = [*recording.notes, *held]
+    notes: list[Noted] = [*recording.notes, *held, *odd]
     faults: list[Fault] = []
     still = np.zeros(grid.size, dtype=bool)
     for r in rests:
@@ -221,18 +225,23 @@ def _on_time(su: SuStream, clock: SuClock | None) -> SuStream:
     return su if clock is None else replace(su, time=clock.undone(su.time))
 
 
-def _check_unit(motion: Motion, source: str) -> None:
-    """Raise where most joints swing and spin as far as degrees would."""
-    moved = np.ptp(motion.q, axis=0)
-    fast = np.abs(motion.qd).max(axis=0)
-    moving = moved > 0
-    if moving.any() and np.median(moved[moving]) > 15 and np.median(fast[moving]) > 20:
+def _in_odd_units(motion: Motion, source: str) -> list[Note]:
+    """Joints that go farther and faster than any does in rad or m.
+
+    Raises:
+        InsufficientDataError: they are most of those that move.
+    """
+    span, speed = np.ptp(motion.q, axis=0), np.abs(motion.qd).max(axis=0)
+    odd = (span > _FARTHEST) & (speed > _FASTEST)
+    if 2 * odd.sum() > (span > 0).sum():
         raise InsufficientDataError(
-            f"{source}: joint positions span {np.median(moved[moving]):.0f} and move at up to "
-            f"{np.median(fast[moving]):.0f} per second: they look like degrees",
+            f"{source}: joint positions span {np.median(span[odd]):.0f} and move at up to "
+            f"{np.median(speed[odd]):.0f} per second: they look like degrees",
             "record the joint states in rad (REP 103)",
             lacks="radians",
         )
+    names = motion.dof_names
+    return [Note("odd unit", joints=(names[d],), size=float(span[d])) for d in np.flatnonzero(odd)]
 
 
 def _unit(static: F64) -> float:

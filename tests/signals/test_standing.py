@@ -11,7 +11,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from skin2urdf.arrays import F64, Bool
-from skin2urdf.calibration.refusal import tell_of_moving_bases
+from skin2urdf.calibration.refusal import tell_what_streams_show
 from skin2urdf.errors import BadFitError, Skin2UrdfError, StructureError, UsageError
 from skin2urdf.notes import Note, NoteKind, of_kind
 from skin2urdf.recording.records import JointStream, Recording, SuStream
@@ -136,18 +136,18 @@ def test_a_log_of_a_base_that_moves_says_so(by: float) -> None:
     assert bool(of_kind(sampled.notes, "base moves")) == (by > 0)
 
 
-@pytest.mark.parametrize("kind", ["base moves", "felt at rest"])
+@pytest.mark.parametrize("kind", ["base moves", "felt at rest", "odd unit"])
 @pytest.mark.parametrize("made", [StructureError, lambda *words: BadFitError(*words, 3.0)])
-def test_a_refusal_begins_with_the_base_that_moves(
+def test_a_refusal_begins_with_what_the_streams_show(
     made: Callable[[str, str], Skin2UrdfError], kind: NoteKind
 ) -> None:
     error = made("x", "y")
     still = cast(Any, SimpleNamespace(notes=()))
-    moved = cast(Any, SimpleNamespace(notes=(Note(kind, size=0.1),)))
-    with pytest.raises(Skin2UrdfError) as caught, tell_of_moving_bases([still]):
+    moved = cast(Any, SimpleNamespace(notes=(Note(kind, joints=("j",), size=0.1),)))
+    with pytest.raises(Skin2UrdfError) as caught, tell_what_streams_show([still]):
         raise error
     assert (str(caught.value), caught.value.remedy) == ("x", "y")
-    with pytest.raises(Skin2UrdfError) as caught, tell_of_moving_bases([still, moved]):
+    with pytest.raises(Skin2UrdfError) as caught, tell_what_streams_show([still, moved]):
         raise error
     assert str(caught.value) != "x"
     assert str(caught.value).endswith("x")
@@ -156,6 +156,6 @@ def test_a_refusal_begins_with_the_base_that_moves(
 
 def test_bad_usage_is_not_the_bases_fault() -> None:
     moved = cast(Any, SimpleNamespace(notes=(Note("base moves", size=0.1),)))
-    with pytest.raises(UsageError) as caught, tell_of_moving_bases([moved]):
+    with pytest.raises(UsageError) as caught, tell_what_streams_show([moved]):
         raise UsageError("x", "y")
     assert (str(caught.value), caught.value.remedy) == ("x", "y")

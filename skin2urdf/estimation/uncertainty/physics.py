@@ -7,6 +7,8 @@ from math import degrees
 
 STAND_STILL = "record while it stands still, or fix it"
 """What to do about a base that moves."""
+IN_UNITS = "record positions in rad and m (REP 103)"
+"""What to do about positions in other units."""
 IMPOSSIBLE_SLACK = (
     "joints off their encoders by two degrees, other in every place, which no gear allows: the "
     "tree lacks a joint, or positions are commands",
@@ -120,4 +122,16 @@ def felt_at_rest(change: float) -> str:
         f"while no joint moves, what the SUs feel changes by {change:.2g} m/s^2 from one half "
         "second to the next, in most of them at a time: the base drives or turns, or something "
         "shakes the robot"
+    )
+
+
+def in_odd_units(joints: Sequence[str]) -> str:
+    """What positions look like that go farther and faster than any in rad or m, in words.
+
+    Args:
+        joints: whose positions they are.
+    """
+    return (
+        f"{', '.join(joints)} goes farther and faster than any joint does in rad or m: the "
+        "positions look like degrees, millimetres or counts"
     )

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from skin2urdf.calibration.at_rest import estimate_at_rest
+from skin2urdf.calibration.at_rest import estimate_at_rest, is_likelier
 from skin2urdf.calibration.clock import Clock
 from skin2urdf.calibration.gravity_of_slides import with_gravity_of_slides
 from skin2urdf.calibration.late import late_publishers
@@ -129,6 +129,35 @@ def _begun(
     on_time = tuple(map(on_one_clock, recordings, publishers))
     # No joint leaps: what its track alone shows to be wrong is taken off before the first look.
     leaps = clock.run("leaps", lambda _: evident_errors(on_time))
+    begun = _without_leaps(on_time, publishers, leaps, settings, clock)
+    if not leaps or begun.of_patterns or settings.method == "paper":
+        return begun
+    # Where patterns tell, the search has the last word about leaps; else all samples have it.
+    try:
+        whole = _without_leaps(on_time, publishers, (), settings, clock)
+    except Skin2UrdfError:
+        return begun
+    return whole if _is_certainly_likelier(whole, begun, clock) else begun
+
+
+def _is_certainly_likelier(one: Beginning, other: Beginning, clock: Clock) -> bool:
+    """Whether all samples of the same SUs find one beginning likelier than another for certain."""
+    if one.first is None or other.first is None:
+        return False
+    if set(one.first.found.tree.su_names) != set(other.first.found.tree.su_names):
+        return False
+    looked, there = _look(other, clock), _look(one, clock)
+    return looked is not None and there is not None and is_likelier(looked, there)
+
+
+def _without_leaps(
+    on_time: Sequence[Recording],
+    publishers: tuple[tuple[JointClock, ...], ...],
+    leaps: Sequence[Corrected],
+    settings: CalibrationSettings,
+    clock: Clock,
+) -> Beginning:
+    """The beginning of logs with some leaps taken off."""
     logs = sample_logs(corrected(on_time, [leap.error for leap in leaps]), settings, clock)
     features = take_features(logs, clock)
     first, of_patterns = None, True
@@ -137,7 +166,7 @@ def _begun(
         if settings.method != "paper":
             first, of_patterns = _first_estimate(logs, features, structure, clock)
     return Beginning(
-        on_time, publishers, tuple(leaps), logs, features, structure, first, of_patterns
+        tuple(on_time), publishers, tuple(leaps), logs, features, structure, first, of_patterns
     )
 
 

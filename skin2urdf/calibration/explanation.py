@@ -8,6 +8,7 @@ is, and all samples have the last word about that as well.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -33,6 +34,7 @@ from skin2urdf.calibration.taken_apart import retold, with_sus_apart, with_sus_t
 from skin2urdf.errors import BadFitError, Skin2UrdfError, StructureError
 from skin2urdf.estimation.trajectory.estimate import MotionEstimate
 from skin2urdf.hypotheses.attempts import StandsOut
+from skin2urdf.hypotheses.encoder import named_leaps
 from skin2urdf.hypotheses.kinds import KINDS
 from skin2urdf.hypotheses.search import explain
 from skin2urdf.signals.sampling import Sampled
@@ -83,6 +85,8 @@ def _explained(begun: Beginning, clock: Clock) -> tuple[Solution, MotionEstimate
     looked = _look(first, clock) if begun.of_patterns and unexplained else None
     trusted = not begun.of_patterns or (looked is not None and is_explained_by_physics(looked))
     if first is not None and trusted:
+        first = _with_leaps(begun, first)
+        begun = replace(begun, first=first)
         return _fit_along(begun, first, looked, looked, frozenset(), clock)
     search = partial(
         explain,
@@ -114,6 +118,12 @@ def _explained(begun: Beginning, clock: Clock) -> tuple[Solution, MotionEstimate
         # Leaps are off these logs already, and certain.
         looked = _look(first, clock)
     return _fit_along(begun, solution, known, looked, rejected(looked), clock)
+
+
+def _with_leaps(begun: Beginning, solution: Solution) -> Solution:
+    """A solution of logs without leaps, with the encoders that leapt among its faults."""
+    errors = [leap.error for leap in begun.leaps]
+    return replace(solution, faults=(*solution.faults, *named_leaps(errors, solution)))
 
 
 def _look(first: Solution | None, clock: Clock) -> MotionEstimate | None:
@@ -194,7 +204,7 @@ def _of_moves(begun: Beginning, n_sus: int, clock: Clock) -> tuple[Solution, Mot
     where what patterns say leaves the readings unexplained, they may have been none.
     """
     try:
-        solution = estimate_at_rest(begun.logs, begun.structure, clock)
+        solution = _with_leaps(begun, estimate_at_rest(begun.logs, begun.structure, clock))
     except Skin2UrdfError:
         return None
     if solution.found.tree.n_sus < n_sus:

@@ -328,6 +328,23 @@ def _faults(errors: Sequence[EncoderError], last: Solution) -> tuple[Fault, ...]
     return tuple(out)
 
 
+def named_leaps(errors: Sequence[EncoderError], last: Solution) -> tuple[Fault, ...]:
+    """Leaps of joints of the tree that were taken off, with the sizes that tracks alone tell.
+
+    Args:
+        errors: the leaps.
+        last: the estimate of logs without them.
+    """
+    joints = last.found.tree
+    slides = dict(zip(joints.joint_names, joints.prismatic, strict=True))
+    felt = [error for error in errors if error.dof in slides]
+    return tuple(
+        _fault(replace(error, deviation=np.inf), not slides[error.dof])
+        for error in together(felt, last.features)
+        if _stands_out(error, np.inf, last.logs)
+    )
+
+
 def _stands_out(error: EncoderError, deviation: float, logs: Logs) -> bool:
     if error.kind == "sign":
         return True

@@ -56,6 +56,8 @@ def _leaps(joint: JointStream, log: int) -> list[EncoderError]:
     first = np.maximum(np.arange(len(step)) - _NEARBY, 0)
     last = np.minimum(np.arange(len(step)) + _NEARBY + 1, len(step))
     near = t[last] - t[first] < 2 * (2 * _NEARBY + 1) * usual
+    # Nor do the few samples before the first steps, at which a drive may as well set out.
+    near[:_NEARBY] = near[len(near) - _NEARBY :] = False
     at = np.flatnonzero((size > limit) & (period < 1.5 * usual) & near)
     if not 0 < len(at) <= _MOST:
         return []

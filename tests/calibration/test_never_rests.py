@@ -6,6 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pytest
 from joint_paths import JointPath
 from mujoco_robot import Arm, random_arm, record, truth_urdf
 from simulated import held_against
@@ -14,10 +15,12 @@ from skin2urdf.arrays import F64, Bool
 from skin2urdf.calibration.pipeline import calibrate
 from skin2urdf.calibration.result import Calibration
 from skin2urdf.estimation.uncertainty.observability import aligned_deviations
-from skin2urdf.recording.records import Recording
+from skin2urdf.hypotheses.corrected import Corrected
+from skin2urdf.recording.records import JointStream, Recording
 from skin2urdf.signals.clocks import su_clocks
 from skin2urdf.signals.motion import joint_motion
 from skin2urdf.signals.poses import find_rests
+from skin2urdf.signals.records import EncoderError
 from skin2urdf.urdf.records import Comparison
 
 SEED = 21
@@ -104,3 +107,38 @@ def test_patterns_that_begin_at_once_are_no_hits(tmp_path: Path) -> None:
     comparison = compared(arm, found, tmp_path)
     assert comparison.tree_equal
     assert [fault.kind for fault in found.faults] == []
+
+
+def moves(jump: float) -> Recording:
+    """An arm that goes from place to place, of which one encoder's zero jumps on its way."""
+    arm = random_arm(SEED, 3)
+    rng = np.random.default_rng(4)
+    path = JointPath([0.0] * 3).rest(1.0)
+    for _ in range(16):
+        path.move(rng.uniform(-1.2, 1.2, 3), 1.5).rest(0.7)
+    whole = record(arm, path, *names(arm), rng)
+
+    def jumped(joint: JointStream) -> JointStream:
+        later = joint.time > whole.duration / 2
+        moved = joint.name == "m1"
+        return replace(joint, position=joint.position + jump * later) if moved else joint
+
+    return replace(whole, joints=tuple(map(jumped, whole.joints)))
+
+
+def test_an_encoder_that_jumps_between_moves_is_named(tmp_path: Path) -> None:
+    found = calibrate(moves(0.05))
+    (fault,) = found.faults
+    assert (fault.kind, fault.subject) == ("encoder jump", "m1")
+    assert fault.size == pytest.approx(0.05, abs=2e-3)
+    comparison = compared(random_arm(SEED, 3), found, tmp_path)
+    assert comparison.tree_equal
+    assert comparison.position.rms < 2e-3
+
+
+def test_readings_have_the_last_word_about_a_leap(monkeypatch: pytest.MonkeyPatch) -> None:
+    leap = Corrected(EncoderError("offset", "m1", 0.05, 0, 20.0))
+    monkeypatch.setattr("skin2urdf.calibration.beginning.evident_errors", lambda _: (leap,))
+    found = calibrate(moves(0.0))
+    assert not found.faults
+    assert found.quality == "good"

@@ -334,6 +334,17 @@ def test_leaps_are_found_to_their_sample_and_size() -> None:
     assert not leaps(r, 0)
 
 
+@pytest.mark.parametrize("samples", [1, 3])
+@pytest.mark.parametrize("ends", [False, True])
+def test_what_a_track_sets_out_from_is_no_leap(samples: int, ends: bool) -> None:
+    """All of the log would be off by what three samples say."""
+    r = recording()
+    (track,) = (j for j in r.joints if j.name == JOINT)
+    x = track.position.copy()
+    x[slice(-samples, None) if ends else slice(samples)] += 0.1
+    assert not leaps(replace(r, joints=(replace(track, position=x),)), 0)
+
+
 def test_samples_sent_twice_and_pauses_are_no_leaps() -> None:
     r = recording()
     (joint,) = (j for j in r.joints if j.name == JOINT)

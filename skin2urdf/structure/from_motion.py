@@ -34,7 +34,7 @@ from skin2urdf.structure.draft import (
 )
 from skin2urdf.structure.elsewhere import with_sus_elsewhere
 from skin2urdf.structure.facing import facing_one_way
-from skin2urdf.structure.gravity import GravityWindows, gravity_windows, moments
+from skin2urdf.structure.gravity import LATE_OR_BENT, GravityWindows, gravity_windows, moments
 from skin2urdf.structure.growth import Growth, Known
 from skin2urdf.structure.records import KinematicTree
 from skin2urdf.structure.tilted import Tilted, tilts_of_base
@@ -154,19 +154,27 @@ def _of_both_kinds(
     samples = along(sampled, spans)
     grown: list[tuple[MotionTree, ...]] = []
     missing: StructureError | None = None
-    kinds = gravity_windows(sampled, su_names, spans), moments(sampled, su_names, spans)
-    for i, windows in enumerate(kinds):
+    of_moves = moments(sampled, su_names, spans)
+    heard = {name for u, name in enumerate(su_names) if np.isfinite(of_moves.sd[:, u]).any()}
+    kinds = [gravity_windows(sampled, su_names, spans), of_moves]
+    for i in range(len(kinds) + 1):
 
         def part(share: float, i: int = i) -> None:
-            tell((i + share) / len(kinds))
+            tell(min(1.0, (i + share) / len(kinds)))
 
+        if i == len(kinds):
+            if grown and heard <= set(grown[0][0].tree.su_names):
+                break
+            # An SU without a place may be off in time, or its axes be bent.
+            kinds.append(moments(sampled, su_names, spans, off=LATE_OR_BENT))
         try:
-            grown.append(_grown_from(windows, samples, sampled, base, known, seed, part))
+            grown.append(_grown_from(kinds[i], samples, sampled, base, known, seed, part))
         except StructureError as lack:
             missing = missing or lack
+        grown.sort(key=lambda trees: _unexplained(trees[0], samples, su_names, su_names))
     if not grown:
         raise missing or StructureError("there is no tree", "record more moves")
-    return sorted(grown, key=lambda trees: _unexplained(trees[0], samples, su_names, su_names))
+    return grown
 
 
 def _grown_from(

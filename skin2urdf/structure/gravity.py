@@ -55,6 +55,8 @@ to pose hold little beyond, and an encoder's rounding is differentiated no furth
 _DIRECTION = 0.01
 """Error of directions [rad] with which accelerations are modelled while a tree grows: axes are
 fitted to half a degree. What is taken for noise hides joints whose axes lie close to each other."""
+LATE_OR_BENT = 0.05
+"""Part of accelerations that an SU may be off by whose clock drifts or whose axes are bent."""
 _BLUR = 0.05
 """Standard deviation of such a low-pass in time [s]."""
 _MOST_MOMENTS = 240
@@ -197,6 +199,7 @@ def moments(
     spans: Sequence[Int] = (),
     *,
     most: int = _MOST_MOMENTS,
+    off: float = _DIRECTION,
 ) -> GravityWindows:
     """Samples spread evenly over all logs, with how the joints move there.
 
@@ -205,6 +208,7 @@ def moments(
         su_names: U SU names.
         spans: as for :func:`gravity_windows`.
         most: number of samples at most.
+        off: part of accelerations that their model may be off by [1].
     """
     total = sum(s.motion.grid.size for s in sampled)
     parts = []
@@ -220,7 +224,7 @@ def moments(
         speed = np.abs(qd).sum(axis=1)
         felt = LEVER * (np.abs(qdd).sum(axis=1) + speed**2)
         blurred = 0.5 * GRAVITY * (_BLUR * speed) ** 2
-        modelled = np.sqrt(_STEADY**2 + (_DIRECTION * felt) ** 2 + blurred**2)
+        modelled = np.sqrt(_STEADY**2 + (off * felt) ** 2 + blurred**2)
         turning = np.linalg.norm(change, axis=-1)
         rough = np.sqrt(_STEADY**2 + felt[:, None] ** 2 + (_LAG * turning) ** 2)
         sd = np.where(ok[at], rough, np.inf)

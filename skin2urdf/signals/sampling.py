@@ -236,8 +236,9 @@ def _in_odd_units(motion: Motion, source: str) -> list[Note]:
     if 2 * odd.sum() > (span > 0).sum():
         raise InsufficientDataError(
             f"{source}: joint positions span {np.median(span[odd]):.0f} and move at up to "
-            f"{np.median(speed[odd]):.0f} per second: they look like degrees",
-            "record the joint states in rad (REP 103)",
+            f"{np.median(speed[odd]):.0f} per second: they look like degrees "
+            "or millimetres",
+            "record the joint states in rad and m (REP 103)",
             lacks="radians",
         )
     names = motion.dof_names

@@ -137,16 +137,22 @@ def _begun(
         whole = _without_leaps(on_time, publishers, (), settings, clock)
     except Skin2UrdfError:
         return begun
-    return whole if _is_certainly_likelier(whole, begun, clock) else begun
+    return whole if _are_denied(begun, whole, clock) else begun
 
 
-def _is_certainly_likelier(one: Beginning, other: Beginning, clock: Clock) -> bool:
-    """Whether all samples of the same SUs find one beginning likelier than another for certain."""
-    if one.first is None or other.first is None:
+def _are_denied(begun: Beginning, whole: Beginning, clock: Clock) -> bool:
+    """Whether all samples find logs with their leaps likelier for certain than without.
+
+    Args:
+        begun: without.
+        whole: with them. Where it has other SUs, readings of the same ones can not be compared.
+        clock: runs the stages.
+    """
+    if begun.first is None or whole.first is None:
         return False
-    if set(one.first.found.tree.su_names) != set(other.first.found.tree.su_names):
+    if set(begun.first.found.tree.su_names) != set(whole.first.found.tree.su_names):
         return False
-    looked, there = _look(other, clock), _look(one, clock)
+    looked, there = _look(begun, clock), _look(whole, clock)
     return looked is not None and there is not None and is_likelier(looked, there)
 
 

@@ -85,7 +85,7 @@ def _explained(begun: Beginning, clock: Clock) -> tuple[Solution, MotionEstimate
     looked = _look(first, clock) if begun.of_patterns and unexplained else None
     trusted = not begun.of_patterns or (looked is not None and is_explained_by_physics(looked))
     if first is not None and trusted:
-        first = _with_leaps(begun, first)
+        first = _naming_leaps(begun, first)
         begun = replace(begun, first=first)
         return _fit_along(begun, first, looked, looked, frozenset(), clock)
     search = partial(
@@ -120,7 +120,7 @@ def _explained(begun: Beginning, clock: Clock) -> tuple[Solution, MotionEstimate
     return _fit_along(begun, solution, known, looked, rejected(looked), clock)
 
 
-def _with_leaps(begun: Beginning, solution: Solution) -> Solution:
+def _naming_leaps(begun: Beginning, solution: Solution) -> Solution:
     """A solution of logs without leaps, with the encoders that leapt among its faults."""
     errors = [leap.error for leap in begun.leaps]
     return replace(solution, faults=(*solution.faults, *named_leaps(errors, solution)))
@@ -204,7 +204,7 @@ def _of_moves(begun: Beginning, n_sus: int, clock: Clock) -> tuple[Solution, Mot
     where what patterns say leaves the readings unexplained, they may have been none.
     """
     try:
-        solution = _with_leaps(begun, estimate_at_rest(begun.logs, begun.structure, clock))
+        solution = _naming_leaps(begun, estimate_at_rest(begun.logs, begun.structure, clock))
     except Skin2UrdfError:
         return None
     if solution.found.tree.n_sus < n_sus:

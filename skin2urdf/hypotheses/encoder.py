@@ -307,42 +307,43 @@ def timed_by_the_moves(last: Attempt) -> Attempt:
 
 
 def _faults(errors: Sequence[EncoderError], last: Solution) -> tuple[Fault, ...]:
-    """The errors that stand out from their standard deviations, in words.
-
-    A leap whose size the readings do not show is certain all the same: no joint moves like that.
-    """
+    """The errors that stand out from their standard deviations."""
     if not errors:
         return ()
-    joints = last.found.tree
-    prismatic = dict(zip(joints.joint_names, joints.prismatic, strict=True))
     known = [s.error for s in suspicions(last.found, last.features)]
-    out = []
-    turned = [e for e in errors if e.kind == "sign"]
-    for error in together(errors, last.features):
-        if error.kind == "offset" and any(of_one_turn(error, e, last.features) for e in turned):
-            continue
-        deviation = _deviation(error, known, last.features)
-        if _stands_out(error, deviation, last.logs):
-            turns = not prismatic.get(error.dof, False)
-            out.append(_fault(replace(error, deviation=deviation), turns))
-    return tuple(out)
+    return _named(errors, last, lambda error: _deviation(error, known, last.features))
 
 
 def named_leaps(errors: Sequence[EncoderError], last: Solution) -> tuple[Fault, ...]:
     """Leaps of joints of the tree that were taken off, with the sizes that tracks alone tell.
 
     Args:
-        errors: the leaps.
+        errors: the leaps [rad or m].
         last: the estimate of logs without them.
     """
+    felt = [error for error in errors if error.dof in last.found.tree.joint_names]
+    return _named(felt, last, lambda _: np.inf)
+
+
+def _named(
+    errors: Sequence[EncoderError], last: Solution, deviation_of: Callable[[EncoderError], float]
+) -> tuple[Fault, ...]:
+    """The errors that stand out, those of one change as one.
+
+    A leap whose size the readings do not show is certain all the same: no joint moves like that.
+    """
     joints = last.found.tree
-    slides = dict(zip(joints.joint_names, joints.prismatic, strict=True))
-    felt = [error for error in errors if error.dof in slides]
-    return tuple(
-        _fault(replace(error, deviation=np.inf), not slides[error.dof])
-        for error in together(felt, last.features)
-        if _stands_out(error, np.inf, last.logs)
-    )
+    prismatic = dict(zip(joints.joint_names, joints.prismatic, strict=True))
+    out = []
+    turned = [e for e in errors if e.kind == "sign"]
+    for error in together(errors, last.features):
+        if error.kind == "offset" and any(of_one_turn(error, e, last.features) for e in turned):
+            continue
+        deviation = deviation_of(error)
+        if _stands_out(error, deviation, last.logs):
+            turns = not prismatic.get(error.dof, False)
+            out.append(_fault(replace(error, deviation=deviation), turns))
+    return tuple(out)
 
 
 def _stands_out(error: EncoderError, deviation: float, logs: Logs) -> bool:

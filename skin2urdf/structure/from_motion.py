@@ -34,7 +34,7 @@ from skin2urdf.structure.draft import (
 )
 from skin2urdf.structure.elsewhere import with_sus_elsewhere
 from skin2urdf.structure.facing import facing_one_way
-from skin2urdf.structure.gravity import LATE_OR_BENT, GravityWindows, gravity_windows, moments
+from skin2urdf.structure.gravity import OFF_IN_TIME, GravityWindows, gravity_windows, moments
 from skin2urdf.structure.growth import Growth, Known
 from skin2urdf.structure.records import KinematicTree
 from skin2urdf.structure.tilted import Tilted, tilts_of_base
@@ -153,27 +153,27 @@ def _of_both_kinds(
     spans = () if base is None else base.span
     samples = along(sampled, spans)
     grown: list[tuple[MotionTree, ...]] = []
-    missing: StructureError | None = None
-    of_moves = moments(sampled, su_names, spans)
-    heard = {name for u, name in enumerate(su_names) if np.isfinite(of_moves.sd[:, u]).any()}
-    kinds = [gravity_windows(sampled, su_names, spans), of_moves]
-    for i in range(len(kinds) + 1):
+    missing: list[StructureError] = []
 
-        def part(share: float, i: int = i) -> None:
-            tell(min(1.0, (i + share) / len(kinds)))
+    def grow(i: int, windows: GravityWindows) -> None:
+        def part(share: float) -> None:
+            tell(min(1.0, (i + share) / 2))
 
-        if i == len(kinds):
-            if grown and heard <= set(grown[0][0].tree.su_names):
-                break
-            # An SU without a place may be off in time, or its axes be bent.
-            kinds.append(moments(sampled, su_names, spans, off=LATE_OR_BENT))
         try:
-            grown.append(_grown_from(kinds[i], samples, sampled, base, known, seed, part))
+            grown.append(_grown_from(windows, samples, sampled, base, known, seed, part))
         except StructureError as lack:
-            missing = missing or lack
+            missing.append(lack)
         grown.sort(key=lambda trees: _unexplained(trees[0], samples, su_names, su_names))
+
+    of_moves = moments(sampled, su_names, spans)
+    grow(0, gravity_windows(sampled, su_names, spans))
+    grow(1, of_moves)
+    heard = {name for u, name in enumerate(su_names) if np.isfinite(of_moves.sd[:, u]).any()}
+    if not (grown and heard <= set(grown[0][0].tree.su_names)):
+        # An SU without a place may be off in time, or its axes be bent.
+        grow(2, moments(sampled, su_names, spans, off=OFF_IN_TIME))
     if not grown:
-        raise missing or StructureError("there is no tree", "record more moves")
+        raise missing[0]
     return grown
 
 

@@ -55,7 +55,7 @@ to pose hold little beyond, and an encoder's rounding is differentiated no furth
 _DIRECTION = 0.01
 """Error of directions [rad] with which accelerations are modelled while a tree grows: axes are
 fitted to half a degree. What is taken for noise hides joints whose axes lie close to each other."""
-LATE_OR_BENT = 0.05
+OFF_IN_TIME = 0.05
 """Part of accelerations that an SU may be off by whose clock drifts or whose axes are bent."""
 _BLUR = 0.05
 """Standard deviation of such a low-pass in time [s]."""
@@ -120,10 +120,12 @@ class GravityWindows(Record):
         return np.asarray(np.ptp(self.q, axis=0) * GRAVITY > _STEADY)
 
     def pushed_by(self, sliding: Sequence[int]) -> GravityWindows:
-        """The windows with what some joints (m) push by as noise, where accelerations are modelled.
+        """The windows with what some joints push by as noise, where accelerations are modelled.
+
+        In its own direction a slide pushes all beyond it by as much as it accelerates [m/s^2].
 
         Args:
-            sliding: joints that slide.
+            sliding: numbers of the joints that slide.
         """
         if self.moving is None or not sliding:
             return self

@@ -181,9 +181,10 @@ def _near(
 
     def descend(free: tuple[Bool, Bool], begin: Fitted | None) -> Fitted:
         state, predicted = (start, None) if begin is None else (begin.state, begin.predicted)
-        return _descend(
+        _, found = _descend(
             problem, state, free, _ROUGHLY, iterations, tell, far, predicted=predicted
-        )[1]  # fmt: skip
+        )
+        return found
 
     # Where nothing is felt to change, as by an SU on the axis that turns it, no lag changes
     # anything either: placements come first.

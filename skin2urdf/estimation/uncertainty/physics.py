@@ -132,6 +132,6 @@ def in_odd_units(joints: Sequence[str]) -> str:
         joints: whose positions they are.
     """
     return (
-        f"{', '.join(joints)} goes farther and faster than any joint does in rad or m: the "
-        "positions look like degrees, millimetres or counts"
+        f"{', '.join(joints)} {'go' if len(joints) > 1 else 'goes'} farther and faster than any "
+        "joint does in rad or m: the positions look like degrees, millimetres or counts"
     )

@@ -11,13 +11,13 @@ from skin2urdf.estimation.solve.estimate import Estimate
 from skin2urdf.estimation.trajectory.estimate import MotionEstimate
 from skin2urdf.estimation.uncertainty.health import why_bad
 from skin2urdf.estimation.uncertainty.physics import (
-    IN_UNITS,
     STAND_STILL,
     base_moves,
     felt_at_rest,
     in_odd_units,
     why_unexplained,
 )
+from skin2urdf.geometry.units import IN_UNITS
 from skin2urdf.notes import of_kind
 from skin2urdf.signals.sampling import Sampled
 

@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from skin2urdf.errors import UnreadableInputError
+from skin2urdf.errors import UnreadableInputError, UsageError
 from skin2urdf.notes import ReadingNote
 from skin2urdf.recording.blocks import Block, Channel
+from skin2urdf.recording.joint_states import in_radians
 from skin2urdf.recording.log_files import LogFiles
 from skin2urdf.recording.messages import role_of
+from skin2urdf.recording.naming import shortened
 from skin2urdf.recording.progress import Share
 from skin2urdf.recording.writing import Compression, mcap_writer
 
@@ -47,6 +50,7 @@ def convert(
     target: str | Path,
     *,
     compression: Compression = "zstd",
+    units: Sequence[tuple[str, float]] = (),
     progress: Callable[[Share], None] | None = None,
 ) -> Converted:
     """Write the joint states and accelerations of a log as a ROS 2 log in MCAP.
@@ -58,18 +62,24 @@ def convert(
         path: a log of any format.
         target: the file to write.
         compression: compression of its chunks.
+        units: names of joints, or patterns of these with ``*`` and ``?``, and what positions and
+            velocities of these are multiplied by to be rad or m, and those per second. The last
+            that fits a joint counts.
         progress: called now and then with the share that is done, up to 1.
 
     Raises:
         UnreadableInputError: the log can not be read, or holds no joint states or accelerations.
-        UsageError: the file can not be written.
+        UsageError: the file can not be written, or no joint has a name that is given a unit.
     """
     source = Path(path)
     log = LogFiles(source, _used, progress)
+    joint_units = _JointUnits(units)
     with mcap_writer(Path(target), compression) as writer:
         output = _Output(log, writer)
         waiting: list[Block] = []
         for block in log.blocks():
+            if units and role_of(block.ros_type) == "joints":
+                block = in_radians(block, joint_units.factor)
             waiting.append(block)
             if sum(b.start.size for b in waiting) >= SORTED:
                 output.write(waiting)
@@ -81,6 +91,7 @@ def convert(
                 "no topic of joint states or accelerations to convert",
                 "see what it holds with `skin2urdf info`",
             )
+        joint_units.check()
     notes = list(log.notes)
     left = sorted({c.topic for c in log.channels.known if not _used(c)})
     if left:
@@ -95,6 +106,32 @@ def convert(
 
 def _used(channel: Channel) -> bool:
     return role_of(channel.ros_type) != "ignored"
+
+
+class _JointUnits:
+    """Which joint is given in which unit, and which joints there were.
+
+    Args:
+        units: names or patterns of joints, and the factor to rad or m.
+    """
+
+    def __init__(self, units: Sequence[tuple[str, float]]) -> None:
+        self._units = units
+        self._met: set[str] = set()
+
+    def factor(self, name: str) -> float:
+        """What positions of a joint are multiplied by."""
+        self._met.add(name)
+        return next((f for pattern, f in reversed(self._units) if fnmatchcase(name, pattern)), 1.0)
+
+    def check(self) -> None:
+        """Refuse units of joints that the log has not."""
+        for pattern, _ in self._units:
+            if not any(fnmatchcase(name, pattern) for name in self._met):
+                raise UsageError(
+                    f"no joint of the log fits {pattern!r}",
+                    f"they are {shortened(sorted(self._met))}",
+                )
 
 
 class _Output:

@@ -54,6 +54,23 @@ def gather_rows(buffer: U8, offset: Int, count: int, dtype: DTypeLike) -> NDArra
     return rows.view(item).reshape(offset.size, count)
 
 
+def put_rows(buffer: U8, offset: Int, rows: NDArray[Any]) -> None:
+    """Write consecutive items over what stands at each offset.
+
+    Args:
+        buffer: contiguous bytes.
+        offset: (N,) positions [byte]; every row must lie within the buffer, and none overlap.
+        rows: (N, M) items.
+    """
+    if rows.size == 0:
+        return
+    size = rows.dtype.itemsize * rows.shape[1]
+    at_every_byte: NDArray[Any] = np.ndarray(
+        (buffer.size - size + 1,), np.dtype((np.void, size)), buffer, strides=(1,)
+    )
+    at_every_byte[offset] = np.ascontiguousarray(rows).view(np.dtype((np.void, size)))[:, 0]
+
+
 def distinct(buffer: U8, offset: Int, length: Int) -> tuple[Int, Int]:
     """Group byte strings by their content.
 

@@ -6,6 +6,8 @@ names have no fixed size, so they are stepped over one name at a time, all messa
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -20,7 +22,7 @@ from skin2urdf.recording.cdr import (
     stamped_payloads,
     text_at,
 )
-from skin2urdf.recording.gather import distinct, gather_rows, grouped
+from skin2urdf.recording.gather import distinct, gather_rows, grouped, put_rows
 
 # Humanoids with hands have a hundred joints; a message that names far more is damaged, or would
 # take hours to make sense of.
@@ -89,17 +91,45 @@ def joint_positions(block: Block) -> tuple[list[JointPositions], Passed]:
     return [_in_order(batches) for batches in found.values()], [p for p in passed if p[1].size]
 
 
+def in_radians(block: Block, factor: Callable[[str], float]) -> Block:
+    """JointState messages with positions and velocities in other units, all else as it was.
+
+    Args:
+        block: messages of sensor_msgs/msg/JointState.
+        factor: what those of a joint, given by its name, are multiplied by.
+
+    Returns:
+        The same messages in a buffer of their own. Damaged ones stay as they are.
+    """
+    block = replace(block, buffer=block.buffer.copy())
+    groups, passed = stamped_payloads(block)
+    for group in groups:
+        group, count, names_end = _whole_names(group, passed)
+        group, values = _whole_positions(group, count, names_end, passed)
+        text = group.body + FRAME_TEXT
+        _, layout = distinct(group.buffer, text, values.names_end - FRAME_TEXT)
+        for rows in grouped(layout):
+            factors = np.array([factor(name) for name in _names(group, int(rows[0]))])
+            for offset in (values.offset[rows], values.velocities[rows]):
+                at = group.body[rows[offset > 0]] + offset[offset > 0]
+                numbers = gather_rows(group.buffer, at, factors.size, f"{group.order}f8")
+                put_rows(group.buffer, at, (numbers * factors).astype(numbers.dtype))
+    return block
+
+
 class _Fields(NamedTuple):
     """Where names end and what was measured starts in (N,) JointState bodies.
 
     Attributes:
         names_end: offsets behind the last name.
         offset: of the positions.
+        velocities: of the velocities; 0 in messages without one for each joint.
         efforts: of the efforts; 0 in messages without one for each joint.
     """
 
     names_end: Int
     offset: Int
+    velocities: Int
     efforts: Int
 
 
@@ -145,34 +175,33 @@ def _whole_positions(
     whole = (positions == count) & (offset + 8 * count <= group.size) & ~empty
     passed.append(("no positions", group.row[empty]))
     passed.append((MALFORMED, group.row[~whole & ~empty]))
-    kept, count = group.at(whole), count[whole]
-    fields = names_end[whole], offset[whole], _effort_offsets(kept, count, offset[whole])
-    return kept, _Fields(*fields)
+    kept, count, offset = group.at(whole), count[whole], offset[whole]
+    velocities, behind = _sequence_behind(kept, count, offset + 8 * count)
+    efforts, _ = _sequence_behind(kept, count, behind)
+    return kept, _Fields(names_end[whole], offset, velocities, efforts)
 
 
-def _effort_offsets(group: Payloads, count: Int, positions: Int) -> Int:
-    """(N,) offsets of efforts behind velocities; 0 where there is not one for each joint.
+def _sequence_behind(group: Payloads, count: Int, end: Int) -> tuple[Int, Int]:
+    """Where a sequence of doubles starts that follows another.
 
     Args:
-        group: messages with a position for each joint.
+        group: messages.
         count: (N,) number of joints.
-        positions: (N,) offsets of these.
+        end: (N,) offsets where the one before ends.
+
+    Returns:
+        (N,) offsets of its numbers, 0 where there is not one for each joint, and (N,) where it
+        ends; beyond the message where it has neither one for each joint nor none.
     """
-    size = group.size
-    at = group.aligned(positions + 8 * count, 4)
-    there = at + 4 <= size
-    velocities = np.zeros(at.size, np.int64)
-    velocities[there] = group.at(there).uint32(at[there])
-    there &= (velocities == 0) | (velocities == count)
-    # Of no velocities only their number is there.
-    behind = np.where(velocities > 0, group.aligned(at + 4, 8) + 8 * velocities, at + 4)
-    at = group.aligned(behind, 4)
-    there &= at + 4 <= size
-    efforts = np.zeros(at.size, np.int64)
-    efforts[there] = group.at(there).uint32(at[there])
-    offset = group.aligned(at + 4, 8)
-    there &= (efforts == count) & (offset + 8 * count <= size)
-    return np.where(there, offset, 0)
+    at = group.aligned(end, 4)
+    there = at + 4 <= group.size
+    number = np.full(at.size, -1, np.int64)
+    number[there] = group.at(there).uint32(at[there])
+    # Of an empty sequence only the number is there.
+    offset = np.where(number > 0, group.aligned(at + 4, 8), at + 4)
+    behind = offset + 8 * number
+    known = (number == 0) | ((number == count) & (behind <= group.size))
+    return np.where(known & (number > 0), offset, 0), np.where(known, behind, group.size)
 
 
 def _efforts(group: Payloads, rows: Int, offset: Int, n_joints: int) -> F64 | None:

@@ -11,14 +11,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
 
-import numpy as np
-
 from skin2urdf.errors import Unreadable
-from skin2urdf.geometry.units import GRAVITY
+from skin2urdf.geometry.units import GRAVITY, JOINT_UNITS
 
 TIME_UNITS = {"s": 1e9, "ms": 1e6, "us": 1e3, "µs": 1e3, "μs": 1e3, "ns": 1.0}
 """Nanoseconds in each."""
-JOINT_UNITS = {"rad": 1.0, "deg": float(np.pi / 180), "°": float(np.pi / 180), "m": 1.0, "mm": 1e-3}
 EFFORT_UNITS = ("Nm", "N m", "N*m", "N")
 FORCE_UNITS = {
     **dict.fromkeys(("m/s^2", "m/s²", "m/s2", "m/s**2"), 1.0),

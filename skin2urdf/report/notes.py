@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 
 from skin2urdf.estimation.uncertainty.physics import (
-    IN_UNITS,
     STAND_STILL,
     base_moves,
     felt_at_rest,
     in_odd_units,
 )
+from skin2urdf.geometry.units import IN_UNITS
 from skin2urdf.notes import Note, Noted, ReadingNote
 from skin2urdf.report.tables import number
 

@@ -11,7 +11,7 @@ import numpy as np
 from skin2urdf.arrays import F64, Bool, frozen
 from skin2urdf.errors import InsufficientDataError
 from skin2urdf.faults import Fault
-from skin2urdf.geometry.units import GRAVITY
+from skin2urdf.geometry.units import GRAVITY, IN_UNITS
 from skin2urdf.notes import Note, Noted
 from skin2urdf.recording.credibility import spikes
 from skin2urdf.recording.holding import as_measured
@@ -238,7 +238,7 @@ def _in_odd_units(motion: Motion, source: str) -> list[Note]:
             f"{source}: joint positions span {np.median(span[odd]):.0f} and move at up to "
             f"{np.median(speed[odd]):.0f} per second: they look like degrees "
             "or millimetres",
-            "record the joint states in rad and m (REP 103)",
+            IN_UNITS,
             lacks="radians",
         )
     names = motion.dof_names

@@ -164,6 +164,42 @@ def test_what_is_converted_reads_alike_everywhere(kind: str, tmp_path: Path) -> 
     assert theirs[3].header.frame_id == "hand"
 
 
+DEGREES = ["--joint-unit", "deg", "--joint-unit", "elb*=2"]
+
+
+def check_scaled(target: Path) -> None:
+    """The log has the positions and velocities times the units, and all else as it was sent."""
+    with target.open("rb") as stream:
+        reader = make_reader(stream, decoder_factories=[DecoderFactory()])
+        states = [m for *_, m in reader.iter_decoded_messages(topics=["/joints"])]
+    expected = ANGLE * [np.pi / 180, 2.0]
+    np.testing.assert_allclose([m.position for m in states], expected, rtol=1e-12)
+    np.testing.assert_allclose([m.velocity for m in states], expected, rtol=1e-12)
+    assert {tuple(m.name) for m in states} == {tuple(JOINTS)}
+    (hand,) = [su for su in read(target).sus if su.name == "hand"]
+    np.testing.assert_allclose(hand.specific_force, FORCE[:, 0], rtol=1e-12)
+
+
+@pytest.mark.parametrize("kind", ["ros1 lz4", "sqlite3", "mcap file"])
+def test_positions_in_other_units_are_converted(kind: str, tmp_path: Path) -> None:
+    target = tmp_path / "converted.mcap"
+    assert main(["convert", str(written(kind, tmp_path)), str(target), *DEGREES]) == 0
+    check_scaled(target)
+
+
+def test_units_of_no_joint_are_refused(tmp_path: Path) -> None:
+    bag, target = ros1_bag(tmp_path / "log.bag"), tmp_path / "out.mcap"
+    assert main(["convert", str(bag), str(target), "--joint-unit", "nose=deg"]) == 2
+    assert [p.name for p in tmp_path.iterdir()] == ["log.bag"]
+
+
+@pytest.mark.parametrize("unit", ["furlong", "elbow=0", "elbow=nan"])
+def test_what_is_no_unit_is_bad_usage(unit: str) -> None:
+    with pytest.raises(SystemExit) as stopped:
+        main(["convert", "log.bag", "out.mcap", "--joint-unit", unit])
+    assert stopped.value.code == 2
+
+
 def test_conversions_that_can_not_be_are_refused(tmp_path: Path) -> None:
     bag = ros1_bag(tmp_path / "log.bag")
     assert main(["convert", str(bag), str(tmp_path / "out.db3")]) == 2
@@ -312,4 +348,10 @@ def test_payloads_in_xcdr2(make_log: Any) -> None:
     for topic, message, time in messages(ROS2.types, ros1=False):
         if topic != "/chatter":
             log.raw(topic, message.__msgtype__, xcdr2(topic, message), time)
-    check(read(log.close()))
+    path = log.close()
+    check(read(path))
+    target = path.with_name("converted.mcap")
+    assert main(["convert", str(path), str(target), *DEGREES]) == 0
+    found = {joint.name: joint.position for joint in read(target).joints}
+    np.testing.assert_allclose(found["shoulder"], np.deg2rad(ANGLE[:, 0]), rtol=1e-12)
+    np.testing.assert_allclose(found["elbow"], 2 * ANGLE[:, 1], rtol=1e-12)

@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import argparse
+import math
 
 from skin2urdf.cli.arguments import Parser, offer_json, print_json, refuse_to_overwrite, shown
 from skin2urdf.cli.terminal import progress_bar
 from skin2urdf.errors import UsageError
 from skin2urdf.files import check_target
+from skin2urdf.geometry.units import JOINT_UNITS
 
 HELP = "write what a calibration reads of a log as MCAP"
 EPILOG = """\
 example:
   skin2urdf convert old.bag log.mcap
   skin2urdf convert table.csv log.mcap
+  skin2urdf convert log.mcap radians.mcap --joint-unit deg --joint-unit 'lift=mm'
 
 LOG is an MCAP file, a rosbag2 database (.db3), a ROS 1 bag, a table (.csv, .parquet), any of the
 first two compressed as a whole (.zstd), or a folder with these. All other commands read them too;
@@ -26,6 +29,16 @@ def declare(command: Parser) -> None:
     command.add_argument("log", metavar="LOG", help="log of any format")
     command.add_argument("output", metavar="OUT", help="log to write (.mcap)")
     offer_json(command)
+    command.add_argument(
+        "--joint-unit",
+        action="append",
+        default=[],
+        type=_joint_unit,
+        metavar="[JOINT=]UNIT",
+        help="unit of positions in LOG, which are rad and m in OUT: deg, mm, rev (turns), or a "
+        "number of rad or m, such as that of a count; of all joints, or of those whose name "
+        "JOINT fits, a pattern as 'wrist*'. May be given several times; the last that fits counts",
+    )
     command.add_argument(
         "--compression",
         choices=("zstd", "lz4", "none"),
@@ -48,6 +61,7 @@ def run(options: argparse.Namespace) -> int:
             options.log,
             target,
             compression=options.compression,
+            units=options.joint_unit,
             progress=lambda share: bar("converting", share),
         )
     if options.json:
@@ -68,3 +82,18 @@ def run(options: argparse.Namespace) -> int:
             f"{shown(target)}"
         )
     return 0
+
+
+def _joint_unit(text: str) -> tuple[str, float]:
+    """A pattern of names and the size of its joints' unit [rad or m]."""
+    pattern, equals, unit = text.rpartition("=")
+    if unit in JOINT_UNITS:
+        return pattern if equals else "*", JOINT_UNITS[unit]
+    try:
+        size = float(unit)
+    except ValueError:
+        size = math.nan
+    if not (math.isfinite(size) and size != 0):
+        known = ", ".join(JOINT_UNITS)
+        raise argparse.ArgumentTypeError(f"{text!r}: a unit is {known} or a number other than 0")
+    return pattern if equals else "*", size

@@ -7,8 +7,6 @@ from math import degrees
 
 STAND_STILL = "record while it stands still, or fix it"
 """What to do about a base that moves."""
-IN_UNITS = "record positions in rad and m (REP 103)"
-"""What to do about positions in other units."""
 IMPOSSIBLE_SLACK = (
     "joints off their encoders by two degrees, other in every place, which no gear allows: the "
     "tree lacks a joint, or positions are commands",

@@ -49,6 +49,10 @@ class JointPath:
             piece[:, joint] += offset / 2 * (1 - np.cos(2 * np.pi * f * t)) * window
         return self._add(piece)
 
+    def follow(self, offsets: F64) -> JointPath:
+        """(n, D) offsets from here, one after the other at `FINE`; the last is where it stays."""
+        return self._add(self._here + offsets)
+
     def abrupt(self, joint: int, size: float, *, seconds: float, hertz: float) -> JointPath:
         """A sine of one joint that begins and ends at full speed."""
         t = np.arange(round(seconds * FINE)) / FINE

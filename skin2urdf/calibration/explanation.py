@@ -27,7 +27,13 @@ from skin2urdf.calibration.moments import stands_out
 from skin2urdf.calibration.orders import in_told_order
 from skin2urdf.calibration.places import in_told_place, is_told
 from skin2urdf.calibration.refusal import check_hope
-from skin2urdf.calibration.result import BAD_FIT, BAD_MISFIT, GOOD_FIT, HOPELESS_FIT
+from skin2urdf.calibration.result import (
+    BAD_FIT,
+    BAD_MISFIT,
+    GOOD_FIT,
+    HOPELESS_FIT,
+    unexplained_sus,
+)
 from skin2urdf.calibration.rounds import Solution
 from skin2urdf.calibration.samples import fit_samples, rejected
 from skin2urdf.calibration.taken_apart import retold, with_sus_apart, with_sus_together
@@ -82,6 +88,10 @@ def _explained(begun: Beginning, clock: Clock) -> tuple[Solution, MotionEstimate
     """The same with joints in the order, and SUs in the places, that were found first."""
     first = begun.first
     unexplained = first is not None and first.found.cost_per_dof > GOOD_FIT
+    if first is not None and unexplained and begun.of_patterns:
+        of_moves = _of_moves(begun, first.found.tree.n_sus, clock, instead_of=first)
+        if of_moves is not None:
+            return of_moves
     looked = _look(first, clock) if begun.of_patterns and unexplained else None
     trusted = not begun.of_patterns or (looked is not None and is_explained_by_physics(looked))
     if first is not None and trusted:
@@ -192,27 +202,49 @@ def _fit_along(
     solution, along = with_sus_apart(
         retold(solution, along), along, clock, of_patterns=begun.of_patterns
     )
-    if begun.of_patterns and (along.misfit > GOOD_FIT or along.slack_is_none):
+    if begun.of_patterns and _leaves_more(solution, along):
         return _of_moves(begun, solution.found.tree.n_sus, clock) or (solution, along)
     return solution, along
 
 
-def _of_moves(begun: Beginning, n_sus: int, clock: Clock) -> tuple[Solution, MotionEstimate] | None:
+def _of_moves(
+    begun: Beginning, n_sus: int, clock: Clock, instead_of: Solution | None = None
+) -> tuple[Solution, MotionEstimate] | None:
     """What rests and moves say, where that explains all samples of as many SUs.
 
-    Moves of single joints look like patterns, and may be too slow to show which SUs feel a joint:
-    where what patterns say leaves the readings unexplained, they may have been none.
+    Moves of single joints look like patterns, and may be too slow to show which SUs feel a joint,
+    and in gaits all joints swing as one: where what patterns say leaves the readings unexplained,
+    they may have been none.
+
+    Args:
+        begun: logs, structure and first estimate.
+        n_sus: SUs that there are at least.
+        clock: runs the stages.
+        instead_of: where it is given, only another tree than this counts, and one that explains
+            all samples with nothing but a rigid robot, which takes little time to see.
     """
+    if begun.logs.settings.motion != "all":
+        return None
     try:
         solution = _naming_leaps(begun, estimate_at_rest(begun.logs, begun.structure, clock))
     except Skin2UrdfError:
         return None
-    if solution.found.tree.n_sus < n_sus:
+    tree = solution.found.tree
+    if tree.n_sus < n_sus or (instead_of and tree.is_like(instead_of.found.tree)):
         return None
     # What explains all rests is no wrong tree, whatever a base does between them.
     most = np.inf if solution.found.cost_per_dof <= GOOD_FIT else BAD_MISFIT
+    most = GOOD_FIT if instead_of else most
     along = clock.run("all samples", lambda tell: fit_samples(solution, tell, most=most))
     if along is None:
         return None
+    if instead_of and not np.nan_to_num(along.misfit_of_sus).max() <= GOOD_FIT:
+        return None
     found = with_sus_apart(solution, along, clock, of_patterns=False)
-    return None if found[1].misfit > GOOD_FIT or found[1].slack_is_none else found
+    return None if _leaves_more(*found) else found
+
+
+def _leaves_more(solution: Solution, along: MotionEstimate) -> bool:
+    """Whether the tree does not explain all samples, or not what an SU without a fault feels."""
+    unexplained = along.misfit > GOOD_FIT or along.slack_is_none
+    return unexplained or bool(unexplained_sus(along, solution.faults))

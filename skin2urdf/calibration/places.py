@@ -63,17 +63,18 @@ def in_told_place(solution: Solution, along: MotionEstimate, clock: Clock) -> So
 
 
 def is_told(along: MotionEstimate, other: MotionEstimate) -> bool:
-    """Whether SUs are elsewhere for certain, and no more than half is left of those that fit worse.
+    """Whether SUs are elsewhere for certain, and at most half is left of one that fits worse.
+
+    Of another it may be as much as before: its own sensor may be what is wrong with it.
 
     Args:
         along: the fit of all samples before, and
         other: with some elsewhere.
     """
     worse = along.misfit_of_sus > GOOD_FIT
-    left, before = (
-        float((each.misfit_of_sus[worse] - 1).max(initial=0.0)) for each in (other, along)
-    )
-    return left <= MOST_OF_IT * before and _is_certain(along, other)
+    left, before = (each.misfit_of_sus[worse] - 1 for each in (other, along))
+    explained = not worse.any() or bool((left <= MOST_OF_IT * before).any())
+    return explained and _is_certain(along, other)
 
 
 def _is_certain(one: MotionEstimate, other: MotionEstimate) -> bool:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Literal
@@ -238,11 +238,7 @@ class Calibration(Record):
     @property
     def unexplained(self) -> tuple[str, ...]:
         """SUs without a fault that feel motion which their place in the tree does not explain."""
-        if self.along is None:
-            return ()
-        names = self.along.problem.tree.su_names
-        known = {fault.subject for fault in self.faults}
-        return tuple(n for u, n in enumerate(names) if self.along.unexplained[u] and n not in known)
+        return () if self.along is None else unexplained_sus(self.along, self.faults)
 
     @property
     def feel_more(self) -> tuple[str, ...]:
@@ -346,3 +342,15 @@ class Calibration(Record):
     def unlike_poses(self) -> Unlike:
         """How the poses fit, compared with each other."""
         return poses_unlike_the_rest(self.goodness.by_block, self.goodness.patterned)
+
+
+def unexplained_sus(along: MotionEstimate, faults: Sequence[Fault]) -> tuple[str, ...]:
+    """SUs without a fault that feel motion which their place in the tree does not explain.
+
+    Args:
+        along: the fit of all samples.
+        faults: what is known to be wrong.
+    """
+    known = {fault.subject for fault in faults}
+    names = np.array(along.problem.tree.su_names)[along.unexplained].tolist()
+    return tuple(name for name in names if name not in known)

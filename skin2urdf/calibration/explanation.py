@@ -43,6 +43,7 @@ from skin2urdf.hypotheses.attempts import StandsOut
 from skin2urdf.hypotheses.encoder import named_leaps
 from skin2urdf.hypotheses.kinds import KINDS
 from skin2urdf.hypotheses.search import explain
+from skin2urdf.signals.gaits import are_gaits
 from skin2urdf.signals.sampling import Sampled
 
 
@@ -88,7 +89,8 @@ def _explained(begun: Beginning, clock: Clock) -> tuple[Solution, MotionEstimate
     """The same with joints in the order, and SUs in the places, that were found first."""
     first = begun.first
     unexplained = first is not None and first.found.cost_per_dof > GOOD_FIT
-    if first is not None and unexplained and begun.of_patterns:
+    sampled = begun.logs.sampled
+    if first is not None and unexplained and begun.of_patterns and any(map(are_gaits, sampled)):
         of_moves = _of_moves(begun, first.found.tree.n_sus, clock, instead_of=first)
         if of_moves is not None:
             return of_moves
@@ -105,7 +107,7 @@ def _explained(begun: Beginning, clock: Clock) -> tuple[Solution, MotionEstimate
         (begun.logs, begun.structure, first),
         KINDS,
         clock,
-        stands_out=_what_stands_out(looked, begun.logs.sampled),
+        stands_out=_what_stands_out(looked, sampled),
     )
     try:
         solution = clock.run("what is wrong", search)
@@ -213,8 +215,8 @@ def _of_moves(
     """What rests and moves say, where that explains all samples of as many SUs.
 
     Moves of single joints look like patterns, and may be too slow to show which SUs feel a joint,
-    and in gaits all joints swing as one: where what patterns say leaves the readings unexplained,
-    they may have been none.
+    and gaits show it of no joint: where what patterns say leaves the readings unexplained, they may
+    have been none.
 
     Args:
         begun: logs, structure and first estimate.

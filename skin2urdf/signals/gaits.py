@@ -1,0 +1,54 @@
+"""Gaits: swings of several joints at once that are one swing, each joint's at a phase of its own.
+
+They leave a pose and come back to it as patterns do. But of joints that swing at one frequency,
+two swings a quarter of a period apart make all that any of them does, so that readings tell none of
+three joints from the others.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.signal import hilbert
+
+from skin2urdf.arrays import F64
+from skin2urdf.signals.motion import travel
+from skin2urdf.signals.sampling import Sampled
+
+_TAKES_PART = 0.1
+"""Share of the largest swing, each over how far its joint goes in all, from which a joint takes
+part in it: the drives of others give way by some hundredths."""
+_AS_ONE = 0.5
+"""Share of what joints have in common, at any phase, from which they swing as one: half."""
+
+
+def are_gaits(sampled: Sampled) -> bool:
+    """Whether in most swings around the poses of a log several joints swing as one."""
+    motion = sampled.motion
+    far = travel(motion)
+    gaits = swings = 0
+    for pose in sampled.neighbourhoods:
+        for begin, end in pose.windows if pose.left else ():
+            dq = motion.q[begin:end] - motion.q[begin]
+            moved = np.abs(dq).max(axis=0, initial=0.0)
+            if not (moved > motion.creep).any():
+                continue
+            share = np.divide(moved, far, out=np.zeros_like(far), where=far > 0)
+            taking_part = share >= _TAKES_PART * share.max()
+            swings += 1
+            gaits += taking_part.sum() > 1 and in_common(dq[:, taking_part]) > _AS_ONE
+    return 2 * gaits > swings
+
+
+def in_common(dq: F64) -> float:
+    """What joints' swings have in common at any phase: 0 where nothing, 1 where they are one.
+
+    The largest eigenvalue of their coherences is 1 where no two swing alike, and as many as they
+    are where all do.
+
+    Args:
+        dq: (n, m) positions of two joints or more [rad or m].
+    """
+    swing = np.asarray(hilbert(dq - dq.mean(axis=0), axis=0))
+    swing /= np.sqrt((np.abs(swing) ** 2).sum(axis=0))
+    largest = np.linalg.eigvalsh(swing.conj().T @ swing)[-1]
+    return float((largest - 1) / (dq.shape[1] - 1))

@@ -8,6 +8,7 @@ again with joints on one clock.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
@@ -34,6 +35,7 @@ from skin2urdf.estimation.trajectory.publishers import likelihood
 from skin2urdf.hypotheses.corrected import Corrected, evident_errors
 from skin2urdf.recording.records import Recording
 from skin2urdf.signals.encoders import corrected
+from skin2urdf.signals.gaits import are_gaits
 from skin2urdf.signals.motion import publishers_beyond_first
 from skin2urdf.signals.publishers import joint_clocks, on_one_clock, together
 from skin2urdf.signals.records import Features, JointClock
@@ -181,6 +183,8 @@ def _first_estimate(
 ) -> tuple[Solution | None, bool]:
     """What patterns say, or else rests and moves, and whether patterns do.
 
+    Gaits are no patterns, and tell only where rests and moves say too little.
+
     Returns:
         The estimate, None where patterns contradict every tree, and whether it is of patterns.
 
@@ -190,6 +194,9 @@ def _first_estimate(
     """
     if not structure.seen.patterns_felt:
         return estimate_at_rest(sampled, structure, clock), False
+    if sampled.settings.motion == "all" and are_gaits(sampled.sampled):
+        with suppress(Skin2UrdfError):
+            return estimate_at_rest(sampled, structure, clock), False
     try:
         return estimate_robot(sampled, features, structure, clock), True
     except InsufficientDataError as lack:

@@ -43,7 +43,6 @@ from skin2urdf.hypotheses.attempts import StandsOut
 from skin2urdf.hypotheses.encoder import named_leaps
 from skin2urdf.hypotheses.kinds import KINDS
 from skin2urdf.hypotheses.search import explain
-from skin2urdf.signals.gaits import are_gaits
 from skin2urdf.signals.sampling import Sampled
 
 
@@ -65,7 +64,7 @@ def explain_readings(begun: Beginning, clock: Clock) -> tuple[Solution, MotionEs
     if along is None:
         return solution, along
     # What a first look at the structure says of a single SU, or of joints without any, is little.
-    placed = in_told_place(solution, along, clock)
+    placed = in_told_place(solution, along, clock, of_patterns=begun.of_patterns)
     if (fitted := _of_another_tree(solution, along, placed, clock)) and is_told(along, fitted):
         solution, along = with_sus_apart(placed, fitted, clock, of_patterns=begun.of_patterns)
     ordered = in_told_order(solution, along, clock)
@@ -89,11 +88,6 @@ def _explained(begun: Beginning, clock: Clock) -> tuple[Solution, MotionEstimate
     """The same with joints in the order, and SUs in the places, that were found first."""
     first = begun.first
     unexplained = first is not None and first.found.cost_per_dof > GOOD_FIT
-    sampled = begun.logs.sampled
-    if first is not None and unexplained and begun.of_patterns and any(map(are_gaits, sampled)):
-        of_moves = _of_moves(begun, first.found.tree.n_sus, clock, instead_of=first)
-        if of_moves is not None:
-            return of_moves
     looked = _look(first, clock) if begun.of_patterns and unexplained else None
     trusted = not begun.of_patterns or (looked is not None and is_explained_by_physics(looked))
     if first is not None and trusted:
@@ -107,7 +101,7 @@ def _explained(begun: Beginning, clock: Clock) -> tuple[Solution, MotionEstimate
         (begun.logs, begun.structure, first),
         KINDS,
         clock,
-        stands_out=_what_stands_out(looked, sampled),
+        stands_out=_what_stands_out(looked, begun.logs.sampled),
     )
     try:
         solution = clock.run("what is wrong", search)
@@ -209,38 +203,22 @@ def _fit_along(
     return solution, along
 
 
-def _of_moves(
-    begun: Beginning, n_sus: int, clock: Clock, instead_of: Solution | None = None
-) -> tuple[Solution, MotionEstimate] | None:
+def _of_moves(begun: Beginning, n_sus: int, clock: Clock) -> tuple[Solution, MotionEstimate] | None:
     """What rests and moves say, where that explains all samples of as many SUs.
 
-    Moves of single joints look like patterns, and may be too slow to show which SUs feel a joint,
-    and gaits show it of no joint: where what patterns say leaves the readings unexplained, they may
-    have been none.
-
-    Args:
-        begun: logs, structure and first estimate.
-        n_sus: SUs that there are at least.
-        clock: runs the stages.
-        instead_of: where it is given, only another tree than this counts, and one that explains
-            all samples with nothing but a rigid robot, which takes little time to see.
+    Moves of single joints look like patterns, and may be too slow to show which SUs feel a joint:
+    where what patterns say leaves the readings unexplained, they may have been none.
     """
-    if begun.logs.settings.motion != "all":
-        return None
     try:
         solution = _naming_leaps(begun, estimate_at_rest(begun.logs, begun.structure, clock))
     except Skin2UrdfError:
         return None
-    tree = solution.found.tree
-    if tree.n_sus < n_sus or (instead_of and tree.is_like(instead_of.found.tree)):
+    if solution.found.tree.n_sus < n_sus:
         return None
     # What explains all rests is no wrong tree, whatever a base does between them.
     most = np.inf if solution.found.cost_per_dof <= GOOD_FIT else BAD_MISFIT
-    most = GOOD_FIT if instead_of else most
     along = clock.run("all samples", lambda tell: fit_samples(solution, tell, most=most))
     if along is None:
-        return None
-    if instead_of and not np.nan_to_num(along.misfit_of_sus).max() <= GOOD_FIT:
         return None
     found = with_sus_apart(solution, along, clock, of_patterns=False)
     return None if _leaves_more(*found) else found

@@ -32,13 +32,16 @@ _VERTICAL = np.deg2rad(3.0)
 """Angle between an axis and gravity in which sensors' errors hide that it turns any."""
 
 
-def in_told_place(solution: Solution, along: MotionEstimate, clock: Clock) -> Solution:
+def in_told_place(
+    solution: Solution, along: MotionEstimate, clock: Clock, *, of_patterns: bool
+) -> Solution:
     """The robot with SUs where all samples find them, and branches behind the joints they find.
 
     Args:
         solution: the robot.
         along: what all samples say of it.
         clock: runs the stages.
+        of_patterns: whether the robot rests on patterns, which show what a branch stands on.
 
     Returns:
         What a rigid robot finds likeliest: whether it is has to be seen with all that robots have.
@@ -48,9 +51,12 @@ def in_told_place(solution: Solution, along: MotionEstimate, clock: Clock) -> So
     worse = _that_fit_worse(solution, along)
     ways: list[Callable[[MotionEstimate], Iterator[tuple[KinematicTree, State]]]]
     ways = [partial(_with_su_nearby, u=u) for u in worse]
-    # What a rigid robot leaves, and other causes explain, may be a wrong tree's.
+    # What a rigid robot leaves, and other causes explain, may be a wrong tree's. And what a joint
+    # that gravity does not show makes of slow readings passes for their noise.
     if worse or along.causes:
         ways.append(_with_branch_elsewhere)
+    elif not of_patterns:
+        ways.append(partial(_with_branch_elsewhere, only_farther=True))
     found, rigid = solution, None
     for way in ways:
         for tree, state in way(rigid or along):
@@ -63,17 +69,20 @@ def in_told_place(solution: Solution, along: MotionEstimate, clock: Clock) -> So
 
 
 def is_told(along: MotionEstimate, other: MotionEstimate) -> bool:
-    """Whether SUs are elsewhere for certain, and at most half is left of one that fits worse.
+    """Whether SUs are elsewhere for certain.
 
-    Of another it may be as much as before: its own sensor may be what is wrong with it.
+    Where some of those fitted worse before, at most half of that is left of one of them: of another
+    it may be as much as before, as its own sensor may be what is wrong with it.
 
     Args:
         along: the fit of all samples before, and
         other: with some elsewhere.
     """
-    worse = along.misfit_of_sus > GOOD_FIT
-    left, before = (each.misfit_of_sus[worse] - 1 for each in (other, along))
-    explained = not worse.any() or bool((left <= MOST_OF_IT * before).any())
+    before, after = (each.problem.tree.chains() for each in (along, other))
+    moved = np.array([before[name] != after.get(name) for name in along.problem.tree.su_names])
+    worse = moved & (along.misfit_of_sus > GOOD_FIT)
+    were, are = (each.misfit_of_sus[worse] - 1 for each in (along, other))
+    explained = not worse.any() or bool((are <= MOST_OF_IT * were).any())
     return explained and _is_certain(along, other)
 
 
@@ -99,7 +108,9 @@ def _with_su_nearby(along: MotionEstimate, u: int) -> Iterator[tuple[KinematicTr
         yield hung_on(tree, along.state, u, other, q)
 
 
-def _with_branch_elsewhere(along: MotionEstimate) -> Iterator[tuple[KinematicTree, State]]:
+def _with_branch_elsewhere(
+    along: MotionEstimate, *, only_farther: bool = False
+) -> Iterator[tuple[KinematicTree, State]]:
     """Robots with a branch behind more, or fewer, of the joints that gravity does not show.
 
     Slides and vertical joints turn gravity in no SU: that they carry a branch shows in
@@ -112,6 +123,8 @@ def _with_branch_elsewhere(along: MotionEstimate) -> Iterator[tuple[KinematicTre
         for parent in range(-1, tree.n_joints):
             chain = tree.chain(parent)
             others = set(chain) ^ set(tree.chain(here))
+            if only_farther and not others <= set(chain):
+                continue
             if parent != here and joint not in chain and others <= hidden:
                 yield branched(tree, along.state, joint, parent, q)
 

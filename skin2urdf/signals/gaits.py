@@ -7,6 +7,8 @@ three joints from the others.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from scipy.signal import hilbert
 
@@ -21,13 +23,13 @@ _AS_ONE = 0.5
 """Share of what joints have in common, at any phase, from which they swing as one: half."""
 
 
-def are_gaits(sampled: Sampled) -> bool:
-    """Whether in most swings around the poses of a log several joints swing as one."""
-    motion = sampled.motion
-    far = travel(motion)
+def are_gaits(sampled: Sequence[Sampled]) -> bool:
+    """Whether in most swings around the poses of all logs several joints swing as one."""
     gaits = swings = 0
-    for pose in sampled.neighbourhoods:
-        for begin, end in pose.windows if pose.left else ():
+    for log in sampled:
+        motion = log.motion
+        far = travel(motion)
+        for begin, end in (w for pose in log.neighbourhoods if pose.left for w in pose.windows):
             dq = motion.q[begin:end] - motion.q[begin]
             moved = np.abs(dq).max(axis=0, initial=0.0)
             if not (moved > motion.creep).any():

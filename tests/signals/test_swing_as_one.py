@@ -30,4 +30,4 @@ def test_joints_of_several_frequencies_have_little_in_common() -> None:
 
 @pytest.mark.parametrize("excite", ["one", "all"])
 def test_patterns_are_no_gaits(excite: str) -> None:
-    assert not are_gaits(sampled_of(simulation("ur5", excite=excite).recording))
+    assert not are_gaits([sampled_of(simulation("ur5", excite=excite).recording)])

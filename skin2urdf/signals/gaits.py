@@ -37,20 +37,21 @@ def are_gaits(sampled: Sequence[Sampled]) -> bool:
             share = np.divide(moved, far, out=np.zeros_like(far), where=far > 0)
             taking_part = share >= _TAKES_PART * share.max()
             swings += 1
-            gaits += taking_part.sum() > 1 and in_common(dq[:, taking_part]) > _AS_ONE
+            swing = motion.qd[begin:end, taking_part]
+            gaits += taking_part.sum() > 1 and in_common(swing) > _AS_ONE
     return 2 * gaits > swings
 
 
-def in_common(dq: F64) -> float:
+def in_common(qd: F64) -> float:
     """What joints' swings have in common at any phase: 0 where nothing, 1 where they are one.
 
     The largest eigenvalue of their coherences is 1 where no two swing alike, and as many as they
-    are where all do.
+    are where all do. Speeds tell, as a slow drift that goes with the swings is hardly in them.
 
     Args:
-        dq: (n, m) positions of two joints or more [rad or m].
+        qd: (n, m) speeds of two joints or more [rad/s or m/s].
     """
-    swing = np.asarray(hilbert(dq - dq.mean(axis=0), axis=0))
+    swing = np.asarray(hilbert(qd - qd.mean(axis=0), axis=0))
     swing /= np.sqrt((np.abs(swing) ** 2).sum(axis=0))
     largest = np.linalg.eigvalsh(swing.conj().T @ swing)[-1]
-    return float((largest - 1) / (dq.shape[1] - 1))
+    return float((largest - 1) / (qd.shape[1] - 1))

@@ -26,13 +26,7 @@ def gather(buffer: U8, offset: Int, dtype: DTypeLike) -> NDArray[Any]:
     item = np.dtype(dtype)
     if offset.size == 0:
         return np.empty(0, item)
-    # A view with one item per byte lets NumPy copy unaligned items in one indexing. Indexing
-    # opaque items is a plain copy of memory and several times faster than copying fields.
-    opaque = np.dtype((np.void, item.itemsize))
-    at_every_byte: NDArray[Any] = np.ndarray(
-        (max(0, buffer.size - item.itemsize + 1),), opaque, buffer, strides=(1,)
-    )
-    return at_every_byte[offset].view(item)
+    return _at_every_byte(buffer, item.itemsize)[offset].view(item)
 
 
 def gather_rows(buffer: U8, offset: Int, count: int, dtype: DTypeLike) -> NDArray[Any]:
@@ -65,10 +59,18 @@ def put_rows(buffer: U8, offset: Int, rows: NDArray[Any]) -> None:
     if rows.size == 0:
         return
     size = rows.dtype.itemsize * rows.shape[1]
-    at_every_byte: NDArray[Any] = np.ndarray(
-        (buffer.size - size + 1,), np.dtype((np.void, size)), buffer, strides=(1,)
-    )
-    at_every_byte[offset] = np.ascontiguousarray(rows).view(np.dtype((np.void, size)))[:, 0]
+    opaque = np.ascontiguousarray(rows).view(np.dtype((np.void, size)))
+    _at_every_byte(buffer, size)[offset] = opaque[:, 0]
+
+
+def _at_every_byte(buffer: U8, size: int) -> NDArray[Any]:
+    """A view of opaque items of some bytes, one that begins at every byte.
+
+    It lets NumPy copy unaligned items in one indexing. Indexing opaque items is a plain copy of
+    memory and several times faster than copying fields.
+    """
+    opaque = np.dtype((np.void, size))
+    return np.ndarray((max(0, buffer.size - size + 1),), opaque, buffer, strides=(1,))
 
 
 def distinct(buffer: U8, offset: Int, length: Int) -> tuple[Int, Int]:

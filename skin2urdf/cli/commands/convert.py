@@ -21,7 +21,8 @@ example:
 LOG is an MCAP file, a rosbag2 database (.db3), a ROS 1 bag, a table (.csv, .parquet), any of the
 first two compressed as a whole (.zstd), or a folder with these. All other commands read them too;
 MCAP is read many times faster. Topics of joint states and accelerations are written, messages of
-ROS 2 byte for byte, those of ROS 1 as ROS 2 would have sent them."""
+ROS 2 byte for byte (but for joints that are given a unit), those of ROS 1 as ROS 2 would have sent
+them."""
 
 
 def declare(command: Parser) -> None:
@@ -87,10 +88,8 @@ def run(options: argparse.Namespace) -> int:
 def _joint_unit(text: str) -> tuple[str, float]:
     """A pattern of names and the size of its joints' unit [rad or m]."""
     pattern, equals, unit = text.rpartition("=")
-    if unit in JOINT_UNITS:
-        return pattern if equals else "*", JOINT_UNITS[unit]
     try:
-        size = float(unit)
+        size = JOINT_UNITS[unit] if unit in JOINT_UNITS else float(unit)
     except ValueError:
         size = math.nan
     if not (math.isfinite(size) and size != 0):

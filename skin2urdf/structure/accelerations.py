@@ -102,7 +102,8 @@ class Along(Record):
         valid: (N, U) where they are whole.
         log: (N,) which log, or which span of time in which gravity has one direction.
         time: (N,) time in its log, from -1 at its begin to 1 at its end.
-        stretch: (N,) which stretch of time, counted through all logs.
+        stretch: (N,) which stretch of time, rising: every second one through all logs first, so
+            that those that are predicted from the others lie together.
         rates: (N, U, 3) what gyroscopes read [rad/s]; None where no SU has one.
         turning: (N, U) where those are whole.
     """
@@ -203,9 +204,12 @@ def along(sampled: Sequence[Sampled], spans: Sequence[Int] = ()) -> Along:
                 stretch,
             )
         )
-    q, qd, qdd, y, yd, ok, log, time, stretch = (
-        np.concatenate([p[i] for p in parts]) for i in range(9)
+    counted = np.concatenate([p[8] for p in parts])
+    order = np.argsort(counted % 2, kind="stable")
+    q, qd, qdd, y, yd, ok, log, time = (
+        np.concatenate([p[i] for p in parts])[order] for i in range(8)
     )
+    stretch = (counted // 2 + counted % 2 * _first_half(stretches))[order]
     if all(t is None for t in turns):
         return Along(q, qd, qdd, y, yd, ok, log, time, stretch)
     shape = y.shape[1:]
@@ -215,10 +219,15 @@ def along(sampled: Sequence[Sampled], spans: Sequence[Int] = ()) -> Along:
                 np.zeros((len(p[0]), *shape[:n])) if t is None else t[i]
                 for p, t in zip(parts, turns, strict=True)
             ]
-        )
+        )[order]
         for i, n in ((0, 2), (1, 1))
     )
     return Along(q, qd, qdd, y, yd, ok, log, time, stretch, rates, turning > 0)
+
+
+def _first_half(stretches: int) -> int:
+    """How many of so many stretches are every second one, from the first on."""
+    return (stretches + 1) // 2
 
 
 def _turned(turning: Turning | None, valid: Bool, taps: F64, kept: Int) -> tuple[F64, Bool] | None:
@@ -282,9 +291,9 @@ def _held_out(
     """Fit columns to half of the stretches, predict the other half, and the other way round.
 
     Args:
-        A: (n, 3, N) columns.
+        A: (3, n, N) columns.
         y: (3, N) what they have to explain.
-        stretch: (N,) which of the B stretches of time, rising.
+        stretch: (N,) which of the B stretches of time, rising; the first half of them is one fold.
         n_stretches: B.
         ridge: (n, n) information on the coefficients before.
 
@@ -292,21 +301,19 @@ def _held_out(
         (B,) squared errors of prediction and (B,) measurements, and (n, n) and (n,) the normal
         equations of all stretches together.
     """
-    B, n = n_stretches, len(A)
-    AtA, Aty, yty = np.zeros((B, n, n)), np.zeros((B, n)), np.zeros(B)
-    edges = np.searchsorted(stretch, np.arange(B + 1))
-    for b in range(B):
-        part = A[..., edges[b] : edges[b + 1]].reshape(n, -1)
-        left = y[:, edges[b] : edges[b + 1]].ravel()
-        AtA[b], Aty[b], yty[b] = part @ part.T, part @ left, left @ left
-    loss = np.zeros(B)
-    for fold in (0, 1):
-        held = np.arange(B) % 2 == fold
-        x = np.linalg.solve(AtA[~held].sum(axis=0) + ridge, Aty[~held].sum(axis=0))
-        quadratic = np.einsum("i,bij,j->b", x, AtA[held], x)
-        loss[held] = yty[held] - 2 * Aty[held] @ x + quadratic
-    count = 3.0 * np.diff(edges)
-    return np.maximum(loss, 0.0), count, AtA.sum(axis=0) + ridge, Aty.sum(axis=0)
+    cut = int(np.searchsorted(stretch, _first_half(n_stretches)))
+    halves = [(A[..., half], y[:, half]) for half in (slice(None, cut), slice(cut, None))]
+    normal = [(columns @ columns.swapaxes(1, 2)).sum(axis=0) for columns, _ in halves]
+    right = [(columns @ values[..., None]).sum(axis=(0, 2)) for columns, values in halves]
+    left = []
+    for (columns, values), of_others, by_others in zip(
+        halves, reversed(normal), reversed(right), strict=True
+    ):
+        left.append(values - np.linalg.solve(of_others + ridge, by_others) @ columns)
+    square = (np.concatenate(left, axis=1) ** 2).sum(axis=0)
+    loss = np.bincount(stretch, weights=square, minlength=n_stretches)
+    count = 3.0 * np.bincount(stretch, minlength=n_stretches)
+    return loss, count, normal[0] + normal[1] + ridge, right[0] + right[1]
 
 
 def _turning(samples: Along, su: int, motion: _ChainMotion, R: F64) -> tuple[F64, F64, float]:
@@ -326,18 +333,18 @@ def _turning(samples: Along, su: int, motion: _ChainMotion, R: F64) -> tuple[F64
     N = w.shape[1]
     # The gyroscope's bias, its clock, and nine numbers for its axes and for directions that are
     # not known any better yet.
-    A = np.zeros((14, 3, N))
+    A = np.zeros((3, 14, N))
     A[range(3), range(3)] = 1.0
     for i in range(3):
-        A[3 + 3 * i : 6 + 3 * i, i] = w
-    A[12], A[13] = slope, slope * samples.time[use]
+        A[i, 3 + 3 * i : 6 + 3 * i] = w
+    A[:, 12], A[:, 13] = slope, slope * samples.time[use]
     prior = np.array([_RATE_BIAS] * 3 + [_TURN] * 9 + [_LAG] * 2)
     ridge = np.diag((_ROUGH_RATE / prior) ** 2)
     rows, left = samples.stretch[use], samples.rates[use, su].T - w
     loss, count, _, _ = _held_out(A, left, rows, B, ridge)
     # Free axes would hide a turn that a gyroscope does not read at all.
     few = [0, 1, 2, 12, 13]
-    plain, _, _, _ = _held_out(A[few], left, rows, B, ridge[np.ix_(few, few)])
+    plain, _, _, _ = _held_out(A[:, few], left, rows, B, ridge[np.ix_(few, few)])
     return loss, count, float(plain.sum())
 
 
@@ -348,7 +355,7 @@ class _ChainMotion(Record):
     At position zero that is the base frame.
 
     Attributes:
-        columns: (n, 3, N) what each number that the chain leaves open adds to the specific force:
+        columns: (3, n, N) what each number that the chain leaves open adds to the specific force:
             offsets [s^-2], pushes [m/s^2], and turns of axes [m/s^2 per rad].
         prior: (n,) standard deviations of these.
         gravity: (3, N) what rests feel of it [m/s^2].
@@ -407,8 +414,9 @@ def _motion_of(samples: Along, chain: Sequence[ChainJoint], up: F64) -> _ChainMo
             last = (at, about)
             at += 3
     open_ = [*columns, *slopes]
+    seen = applied(turn, np.concatenate(open_)) if open_ else np.zeros((0, 3, N))
     return _ChainMotion(
-        columns=applied(turn, np.concatenate(open_)) if open_ else np.zeros((0, 3, N)),
+        columns=np.ascontiguousarray(seen.swapaxes(0, 1)),
         prior=np.array([*priors, *[_TURN] * (2 * len(slopes))]),
         gravity=applied(turn, upward),
         omega=applied(turn, omega),
@@ -421,20 +429,21 @@ def _motion_of(samples: Along, chain: Sequence[ChainJoint], up: F64) -> _ChainMo
 def _regression(
     samples: Along, su: int, use: Bool, motion: _ChainMotion, R: F64, sensor: F64
 ) -> tuple[F64, F64, F64]:
-    """Columns (n, 3, N), what they have to explain (3, N), and the columns' priors (n,)."""
-    n, M = len(motion.columns), sensor_matrix(sensor[3:])
+    """Columns (3, n, N), what they have to explain (3, N), and the columns' priors (n,)."""
+    n, M = motion.columns.shape[1], sensor_matrix(sensor[3:])
     g = R.T @ motion.gravity[:, use]
-    A = np.zeros((n + 20, 3, g.shape[1]))
-    if n:
-        np.matmul(M @ R.T, motion.columns[..., use], out=A[:n])
-    by_tilt, by_bias, by_shape = A[n : n + 3], A[n + 3 : n + 6], A[n + 6 : n + 12]
-    np.matmul(M, cross(g, np.eye(3)[..., None]), out=by_tilt)
-    by_bias[range(3), range(3)] = 1.0
-    fill_shape_columns(by_shape, g)
-    A[n + 12] = samples.change[use, su].T
-    A[n + 13] = A[n + 12] * samples.time[use]
-    A[range(n + 14, n + 17), range(3)] = samples.time[use]
-    A[range(n + 17, n + 20), range(3)] = samples.time[use] ** 2
+    N = g.shape[1]
+    A = np.zeros((3, n + 20, N))
+    moved = motion.columns if len(use) == N else motion.columns[..., use]
+    np.matmul(M @ R.T, moved.reshape(3, -1), out=A.reshape(3, -1)[:, : n * N])
+    tilted = np.ascontiguousarray(cross(g, np.eye(3)[..., None]).swapaxes(0, 1))
+    A[:, n : n + 3] = (M @ tilted.reshape(3, -1)).reshape(3, 3, N)
+    A[range(3), range(n + 3, n + 6)] = 1.0
+    fill_shape_columns(A[:, n + 6 : n + 12].swapaxes(0, 1), g)
+    A[:, n + 12] = samples.change[use, su].T
+    A[:, n + 13] = A[:, n + 12] * samples.time[use]
+    A[range(3), range(n + 14, n + 17)] = samples.time[use]
+    A[range(3), range(n + 17, n + 20)] = samples.time[use] ** 2
     prior = np.array([*motion.prior, *[_TURN] * 3, *PRIOR, _LAG, _LAG, *[_WARMTH] * 6])
     y = samples.readings[use, su].T - sensor[:3, None] - M @ g
     return A, y, prior

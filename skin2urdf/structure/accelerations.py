@@ -311,8 +311,10 @@ def _held_out(
     ):
         left.append(values - np.linalg.solve(of_others + ridge, by_others) @ columns)
     square = (np.concatenate(left, axis=1) ** 2).sum(axis=0)
-    loss = np.bincount(stretch, weights=square, minlength=n_stretches)
-    count = 3.0 * np.bincount(stretch, minlength=n_stretches)
+    loss, count = (
+        np.asarray(np.bincount(stretch, each, n_stretches), dtype=np.float64)
+        for each in (square, np.full(len(stretch), 3.0))
+    )
     return loss, count, normal[0] + normal[1] + ridge, right[0] + right[1]
 
 

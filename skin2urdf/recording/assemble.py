@@ -152,7 +152,7 @@ def _through_silence(samples: Samples) -> tuple[Samples, bool]:
 
 def timed_sus(
     gathered: dict[tuple[str, str], Samples], shelf: Shelf
-) -> tuple[list[TimedStream], list[ReadingNote]]:
+) -> tuple[list[TimedStream], list[SuStream], list[ReadingNote]]:
     """Name the SUs and time their samples.
 
     Args:
@@ -161,10 +161,12 @@ def timed_sus(
         shelf: where the streams are kept.
 
     Returns:
-        One stream per SU, sorted by name, and notes for the user.
+        One stream per SU, sorted by name; SUs that sent messages, none of which holds a reading;
+        and notes for the user.
     """
     names, notes = writable(su_names(list(gathered)), "SU")
     few: list[str] = []
+    empty: list[SuStream] = []
     repeating: dict[str, float] = {}
 
     def together() -> Iterator[list[Source]]:
@@ -172,10 +174,15 @@ def timed_sus(
         waiting: list[Source] = []
         count = 0
         for name, (topic, frame) in zip(names, list(gathered), strict=True):
+            sent = gathered[topic, frame].stamp.size
             samples, found = _sound(name, topic, frame, gathered.pop((topic, frame)))
             notes.extend(found)
             if samples is not None and samples.stamp.size < 2:
-                few.append(f"SU {name} ({topic})")
+                # A single message may be anything, as one whose frame_id was damaged.
+                if sent > 1:
+                    empty.append(SuStream(name, np.zeros(0), np.zeros((0, 3)), topic))
+                else:
+                    few.append(f"SU {name} ({topic})")
             elif samples is not None:
                 held = measurements(samples.values, _span(samples))
                 if held.times > 1.0:
@@ -198,7 +205,7 @@ def timed_sus(
     if few:
         words = f"left out, with fewer than two usable samples: {shortened(few)}"
         notes.append(ReadingNote("too few", words, tuple(few)))
-    return sorted(streams, key=lambda stream: stream.name), notes
+    return sorted(streams, key=lambda stream: stream.name), empty, notes
 
 
 def _span(samples: Samples) -> float:
@@ -314,6 +321,7 @@ def _late_messages(streams: Sequence[TimedStream]) -> list[ReadingNote]:
 def recorded(
     joints: Sequence[TimedStream],
     sus: Sequence[TimedStream],
+    empty: Sequence[SuStream],
     shelf: Shelf,
     *,
     source: str,
@@ -325,6 +333,7 @@ def recorded(
     Args:
         joints: at least one joint, sorted by name.
         sus: at least one SU, sorted by name.
+        empty: SUs without a reading.
         shelf: where the times are kept.
         source: where the log came from.
         digest: SHA-256 of the log (hex).
@@ -361,12 +370,13 @@ def recorded(
                 array.flags.writeable = False
     clocks = f"the clock of {', '.join(sorted(moved))} is not the joints'; matched by log times"
     extra = [ReadingNote("other clock", clocks, tuple(sorted(moved)))] if moved else []
+    heard = [SuStream(s.name, seconds[id(s.time)], s.values, s.topic, s.beside) for s in sus]
     return Recording(
         joints=tuple(
             JointStream(s.name, seconds[id(s.time)], s.values, s.stamp_noise, s.beside)
             for s in joints
         ),
-        sus=tuple(SuStream(s.name, seconds[id(s.time)], s.values, s.topic, s.beside) for s in sus),
+        sus=tuple(sorted((*heard, *empty), key=lambda su: su.name)),
         start=start / 1e9,
         source=source,
         digest=digest,

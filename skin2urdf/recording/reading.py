@@ -65,12 +65,12 @@ def read(
     joints, joint_notes = timed_joints(dict(zip(positions, samples, strict=False)))
     forces = dict(zip(forces, samples[len(positions) :], strict=True))
     del samples
-    sus, su_notes = timed_sus(forces, shelf)
+    sus, empty, su_notes = timed_sus(forces, shelf)
     notes = [*log.notes, *_passed_notes(collector), *clock_notes, *joint_notes, *su_notes]
     if not joints or not sus:
         raise _missing(source, log, notes, "joints" if not joints else "SUs")
     notes.extend(timing_notes([*joints, *sus]))
-    whole = recorded(joints, sus, shelf, source=str(path), digest=log.digest, notes=notes)
+    whole = recorded(joints, sus, empty, shelf, source=str(path), digest=log.digest, notes=notes)
     return without_copies(without_glitches(whole))
 
 

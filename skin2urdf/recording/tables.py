@@ -66,6 +66,8 @@ class Table:
     position: int = 0
     _bad_cells: int = 0
     _bad_rows: int = 0
+    _heard: set[str] = field(default_factory=set)
+    _last: int = 0
 
     def blocks(self) -> Iterator[Block]:
         """Hand out the rows as messages.
@@ -87,6 +89,7 @@ class Table:
             raise UnreadableInputError(
                 str(self.file.path), "the table has no rows", REMEDY, "no rows"
             )
+        yield from self._unheard(columns)
         if self._bad_cells:
             words = f"{self._bad_cells} cells are no numbers; taken as empty"
             self.notes.append(ReadingNote("bad cells", words, number=self._bad_cells))
@@ -227,6 +230,7 @@ class Table:
         cells, stamp = cells[sound], np.rint(time[sound]).astype(np.int64)
         if not stamp.size:
             return
+        self._last = int(stamp[-1])
         stem = _topic(self.file.path)
         if columns.joints:
             names = [name for name, _, _ in columns.joints]
@@ -248,8 +252,16 @@ class Table:
             force = cells[:, list(places)] * np.array(factors)
             rows = np.flatnonzero(np.isfinite(force).all(axis=1))
             if rows.size:
+                self._heard.add(name)
                 payload = imu_payloads(stamp[rows], name, force[rows])
                 yield from self._block(f"/{stem}/{name}", IMU, stamp[rows], payload)
+
+    def _unheard(self, columns: Columns) -> Iterator[Block]:
+        """SUs without a single reading, as messages that hold none: that they are there is told."""
+        stem, stamp = _topic(self.file.path), np.array([self._last, self._last], dtype=np.int64)
+        for name in [name for name, _, _ in columns.sus if name not in self._heard]:
+            payload = imu_payloads(stamp, name, np.full((2, 3), np.nan))
+            yield from self._block(f"/{stem}/{name}", IMU, stamp, payload)
 
     def _block(self, topic: str, ros_type: str, stamp: Int, payload: U8) -> Iterator[Block]:
         number = self.channels.number(Channel(printable(topic), ros_type, "cdr"))

@@ -184,6 +184,18 @@ def test_positions_missing_or_not_finite_are_skipped_with_a_note(
     assert few.sources == ("dead", "/joint_states")
 
 
+def test_an_su_that_sends_nothing_but_nan_is_an_su_without_readings(ros_log: Any) -> None:
+    fill_joints(ros_log)
+    for k in range(40):
+        stamp = EPOCH + 10 * MS * k
+        ros_log.imu(stamp, [k, 0, 9.8], "works", "/works")
+        ros_log.imu(stamp, [np.nan, np.nan, np.nan], "broken", "/broken")
+    ros_log.imu(EPOCH, [1, 2, 3], "damaged name", "/works")
+    recording = read(ros_log.close())
+    assert [(su.topic, su.time.size) for su in recording.sus] == [("/broken", 0), ("/works", 40)]
+    assert recording.sus[0].specific_force.shape == (0, 3)
+
+
 def test_zero_stamps_mean_log_time(ros_log: Any) -> None:
     for k in range(50):
         ros_log.joints(EPOCH + 4 * MS * k, {"a": k})

@@ -87,6 +87,17 @@ def test_empty_cells_are_samples_that_were_not_taken(tmp_path: Path) -> None:
     }
 
 
+def test_an_su_without_a_single_number_is_there_without_readings(tmp_path: Path) -> None:
+    rows = [f"{0.01 * k},{0.1 * k},nan,nan,nan,0,0,{9 + 0.01 * k}" for k in range(30)]
+    head = "time [s],j [rad]," + ",".join(
+        f"{su}.{axis} [m/s^2]" for su in ("broken", "works") for axis in "xyz"
+    )
+    table = tmp_path / "log.csv"
+    table.write_text("\n".join([head, *rows]))
+    recording = read(table)
+    assert {su.name: su.time.size for su in recording.sus} == {"broken": 0, "works": 30}
+
+
 def test_a_folder_of_tables_is_one_log(tmp_path: Path) -> None:
     table(tmp_path / "joints.csv", "time [s],elbow [rad]", [TIME, ANGLE])
     table(tmp_path / "hand.tsv", "time [s]\tskin.x [g]\tskin.y [g]\tskin.z [g]",

@@ -11,6 +11,11 @@ and in the readings of sensors that report g."""
 MILLI_G = 1e-3 * GRAVITY
 """A thousandth of it [m/s^2]."""
 
+FORCE_UNITS = {
+    "m/s^2": 1.0, "g": GRAVITY, "mg": MILLI_G, "mm/s^2": 1e-3, "cm/s^2": 1e-2, "ft/s^2": 0.3048
+}  # fmt: skip
+"""Units of specific force [m/s^2]."""
+
 JOINT_UNITS = {
     "rad": 1.0, "deg": math.pi / 180, "°": math.pi / 180, "rev": 2 * math.pi, "m": 1.0, "mm": 1e-3
 }  # fmt: skip

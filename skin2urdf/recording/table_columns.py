@@ -12,15 +12,16 @@ from dataclasses import dataclass
 from types import MappingProxyType
 
 from skin2urdf.errors import Unreadable
-from skin2urdf.geometry.units import GRAVITY, JOINT_UNITS
+from skin2urdf.geometry.units import FORCE_UNITS, JOINT_UNITS
 
 TIME_UNITS = {"s": 1e9, "ms": 1e6, "us": 1e3, "µs": 1e3, "μs": 1e3, "ns": 1.0}
 """Nanoseconds in each."""
 EFFORT_UNITS = ("Nm", "N m", "N*m", "N")
-FORCE_UNITS = {
-    **dict.fromkeys(("m/s^2", "m/s²", "m/s2", "m/s**2"), 1.0),
-    "g": GRAVITY,
-    "mg": 1e-3 * GRAVITY,
+_SQUARES = "^2", "²", "2", "**2"
+_FORCE_UNITS = {
+    unit.removesuffix("^2") + square: factor
+    for unit, factor in FORCE_UNITS.items()
+    for square in (_SQUARES if unit.endswith("^2") else ("",))
 }
 _HEADER = re.compile(r"(?P<name>.*?)\s*[\[(](?P<unit>[^\[\]()]*)[\])]")
 _AXES = "xyz"
@@ -82,8 +83,8 @@ def columns_of(headers: Sequence[str]) -> Columns:
                 what = f"the column {header.strip()!r} lacks a unit: write `time [s]` or `[ns]`"
                 raise BadColumnsError("no unit", what)
             times.append((k, TIME_UNITS[unit]))
-        elif unit in FORCE_UNITS and stem and axis.lower() in _AXES and axis:
-            if axes.setdefault(stem, {}).setdefault(axis.lower(), (k, FORCE_UNITS[unit]))[0] != k:
+        elif unit in _FORCE_UNITS and stem and axis.lower() in _AXES and axis:
+            if axes.setdefault(stem, {}).setdefault(axis.lower(), (k, _FORCE_UNITS[unit]))[0] != k:
                 raise BadColumnsError("same column", f"two columns are called {header.strip()!r}")
         elif unit in JOINT_UNITS and name:
             if joints.setdefault(name, (k, JOINT_UNITS[unit]))[0] != k:

@@ -21,7 +21,7 @@ from skin2urdf.report.gyros import gyro_document
 from skin2urdf.report.notes import note_documents
 from skin2urdf.report.plain import to_plain, versions
 from skin2urdf.report.summary import all_notes, stiffness
-from skin2urdf.report.words import NO_POSITIONS, Unknown
+from skin2urdf.report.words import Unknown
 from skin2urdf.signals.records import Features
 from skin2urdf.structure.activity import Activity
 from skin2urdf.structure.records import KinematicTree
@@ -60,7 +60,7 @@ def as_document(calibration: Calibration) -> dict[str, Any]:
         "sus": {name: _su(calibration, found, u) for u, name in enumerate(tree.su_names)},
         "gravity_up": calibration.estimate.state.up,
         "observability": {
-            "positions_open": asdict(NO_POSITIONS) if found.positions_open else None,
+            "positions_open": asdict(found.positions_open) if found.positions_open else None,
             "between_branches": [
                 {"kind": kind, "joints": each.joints, "sus": each.sus, "words": asdict(unknown)}
                 for kind, each, unknown in _open(calibration, found)

@@ -14,7 +14,12 @@ from skin2urdf.estimation.uncertainty.placements import joint_placement_covarian
 from skin2urdf.report.branches import between_branches
 from skin2urdf.report.limbs import OpenLimb, open_limbs
 from skin2urdf.report.verdict import Doubt, doubts, verdict
-from skin2urdf.report.words import Unknown, unknowns
+from skin2urdf.report.words import (
+    NO_POSITIONS,
+    NO_POSITIONS_OF_PATTERNS,
+    Unknown,
+    unknowns,
+)
 
 _CONFIGURATIONS = 50
 
@@ -40,8 +45,8 @@ class Findings(Record):
         expected_orientation: the same of SU orientations [rad].
         worst_position: largest error to expect of an SU that is determined; NaN without any [m].
         worst_orientation: the same of SU orientations [rad].
-        positions_open: whether the log shows no position of any SU on any joint that turns it;
-            then that is told once, and not of every SU and branch.
+        positions_open: why no position shows of any SU on any joint that turns it, None where one
+            does; then that is told once, and not of every SU and branch.
         unknown: per SU what the log does not tell.
         between_branches: what the log does not tell of branches relative to each other.
         open_limbs: limbs of which it does not tell where they are relative to the largest one.
@@ -58,7 +63,7 @@ class Findings(Record):
     expected_orientation: float
     worst_position: float
     worst_orientation: float
-    positions_open: bool
+    positions_open: Unknown | None
     unknown: tuple[tuple[Unknown, ...], ...]
     between_branches: tuple[Unknown, ...]
     open_limbs: tuple[OpenLimb, ...]
@@ -83,13 +88,16 @@ def _findings(calibration: Calibration) -> Findings:
     nothing = np.array([len(rows) == 6 for rows in found.su_unobservable], dtype=bool)
     # The position of an SU on the RS is never seen.
     unseen = nothing | (tree.su_joint < 0) | np.array([_no_place(r) for r in found.su_unobservable])
-    positions_open = bool(unseen.all())
+    positions_open = None
+    if unseen.all():
+        of_patterns = calibration.settings.motion == "patterns"
+        positions_open = NO_POSITIONS_OF_PATTERNS if of_patterns else NO_POSITIONS
     covariance = joint_placement_covariance(
         calibration.estimate, found, calibration.T_canonical_joint
     )
     variance = np.einsum("dii->di", covariance).clip(min=0.0)
     # Where an axis on the RS passes is a free choice, where a prismatic one passes means nothing.
-    anywhere = (tree.parent < 0) | tree.prismatic | positions_open
+    anywhere = (tree.parent < 0) | tree.prismatic | bool(unseen.all())
     (position, orientation), worst = _expected(calibration)
     limbs = open_limbs(calibration)
     against = doubts(calibration, limbs)
@@ -122,10 +130,10 @@ def is_to_repair(calibration: Calibration) -> bool:
     """Whether something has to be set right before the result is of use: most SUs, or one."""
     found = findings(calibration)
     # A log of rests alone leaves all positions open, and nothing is wrong with it where it tells
-    # how most SUs are turned.
+    # how most SUs are turned; nor is it known to be one where its moves were not to count.
     turned = [not open_ for open_ in found.unknown]
     all_sus = len(turned) + len(calibration.without_a_place)
-    of_use = found.positions_open and 2 * sum(turned) >= all_sus
+    of_use = found.positions_open == NO_POSITIONS and 2 * sum(turned) >= all_sus
     missing = calibration.mostly_open and not of_use
     faulty = any(fault.to_repair for fault in calibration.faults)
     wrong = calibration.implausible or calibration.not_of_this_model

@@ -7,7 +7,6 @@ from pathlib import Path
 
 from skin2urdf.calibration.result import Calibration
 from skin2urdf.report.findings import Findings
-from skin2urdf.report.words import NO_POSITIONS
 from skin2urdf.urdf.records import NO_LIMITS, JointLimits, Remarks
 
 
@@ -27,7 +26,7 @@ def remarks(calibration: Calibration, found: Findings, limits: JointLimits) -> R
         "file; everything else about this robot is in the JSON beside it",
     ]
     if found.positions_open:
-        head.append(f"OPEN: {NO_POSITIONS.what}")
+        head.append(f"OPEN: {found.positions_open.what}")
     joints: dict[str, list[str]] = defaultdict(list)
     for limb in found.open_limbs:
         head.append(f"OPEN: {limb.words.what}")

@@ -19,7 +19,7 @@ from skin2urdf.report.gyros import gyro_notes
 from skin2urdf.report.notes import note_words
 from skin2urdf.report.stiffness import stiffness_words
 from skin2urdf.report.tables import bullets, number, span, table
-from skin2urdf.report.words import NO_POSITIONS, Unknown
+from skin2urdf.report.words import Unknown
 from skin2urdf.signals.records import Features
 from skin2urdf.structure.records import KinematicTree
 
@@ -195,9 +195,9 @@ def _not_known(names: Sequence[str], found: Findings) -> list[str]:
     """Everything the log does not tell, SUs of which it does not tell the same in one line."""
     lines = [str(limb.words) for limb in found.open_limbs]
     lines += _alike_together(names, found.unknown)
-    if not found.positions_open:
+    if found.positions_open is None:
         return lines + [str(unknown) for unknown in found.between_branches]
-    return [str(NO_POSITIONS), *lines]
+    return [str(found.positions_open), *lines]
 
 
 def _alike_together(names: Sequence[str], unknown: Sequence[Sequence[Unknown]]) -> list[str]:

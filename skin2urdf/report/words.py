@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -70,6 +70,13 @@ NO_POSITIONS = Unknown(
     "the log holds rests and slow motion, in which gravity alone is felt",
     "record moves of all joints at 0.5 rad/s or more, or patterns around the poses",
 )
+"""Where all samples count."""
+NO_POSITIONS_OF_PATTERNS = replace(
+    NO_POSITIONS,
+    why="the log holds no patterns, and without its other samples gravity at rest alone is left",
+    remedy="leave --motion patterns out, so that all samples count",
+)
+"""Where those around poses alone do."""
 
 
 def unknowns(

@@ -11,7 +11,7 @@ import numpy as np
 from skin2urdf.arrays import F64, Bool, frozen
 from skin2urdf.errors import InsufficientDataError
 from skin2urdf.faults import Fault
-from skin2urdf.geometry.units import GRAVITY, IN_UNITS
+from skin2urdf.geometry.units import FORCE_UNITS, GRAVITY, IN_UNITS
 from skin2urdf.notes import Note, Noted
 from skin2urdf.recording.credibility import spikes
 from skin2urdf.recording.holding import as_measured
@@ -45,6 +45,8 @@ _FARTHEST, _FASTEST = 15.0, 20.0
 together: two turns and a half, at three turns a second. In degrees a quarter turn a second has
 both."""
 _G_UNITS = (0.5, 2.0)
+_UNIT_IS_KNOWN = 0.1
+"""Part by which gravity in a unit may be off in every SU: biases of 0.1 g."""
 _FEWEST = 5
 """Grid samples of a rest that tell a change of gravity from noise."""
 _LEAST_MOVE = 0.09
@@ -291,13 +293,21 @@ def sampled_together(
 
 
 def _check_gravity(sampled: Sequence[Sampled]) -> None:
-    """Raise where no SU can be used and those that read anything read no gravity."""
-    if any(s.valid.any() for s in sampled):
-        return
+    """Raise where no SU can be used and those that read anything read no gravity, or far more."""
     odd = [fault for s in sampled for fault in s.faults if fault.kind == "wrong unit"]
-    weightless = sorted({fault.subject for fault in odd if fault.size < WEIGHTLESS})
-    if not weightless or len(weightless) < len({fault.subject for fault in odd}):
+    if not odd or any(s.valid.any() for s in sampled):
         return
+    weightless = sorted({fault.subject for fault in odd if fault.size < WEIGHTLESS})
+    all_odd = sorted({fault.subject for fault in odd})
+    if weightless != all_odd:
+        sizes = [fault.size for fault in odd if fault.size >= WEIGHTLESS]
+        raise InsufficientDataError(
+            f"the SUs read {np.median(sizes):.4g} times gravity at rest ({shortened(all_odd)}): "
+            f"their readings are not in m/s^2{_as_if_in(sizes)}",
+            "publish m/s^2, as sensor_msgs/Imu has it, or write a table whose headers name the "
+            "unit: see `skin2urdf guide formats`",
+            lacks="gravity",
+        )
     raise InsufficientDataError(
         f"the SUs feel no gravity at rest ({shortened(weightless)}): something takes it off their "
         "readings",
@@ -306,6 +316,16 @@ def _check_gravity(sampled: Sequence[Sampled]) -> None:
         "topic for that",
         lacks="gravity",
     )
+
+
+def _as_if_in(sizes: Sequence[float]) -> str:
+    """The units in which gravity is so many times as large, in words; nothing where in none."""
+    units = [
+        unit
+        for unit, factor in FORCE_UNITS.items()
+        if all(abs(size * factor - 1) < _UNIT_IS_KNOWN for size in sizes)
+    ]
+    return f", but look like {' or '.join(units)}" if units else ""
 
 
 def static_moves(sampled: Sequence[Sampled]) -> StaticMoves:

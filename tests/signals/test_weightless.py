@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import pytest
 from simulated import changed_sus, simulation
 
 from skin2urdf.errors import InsufficientDataError
+from skin2urdf.geometry.units import FORCE_UNITS
 from skin2urdf.recording.records import SuStream
 from skin2urdf.signals.sampling import sampled_together
 
@@ -22,6 +24,18 @@ def test_readings_without_gravity_are_refused_by_that_name() -> None:
     recording = simulation().recording
     with pytest.raises(InsufficientDataError) as lacking:
         sampled_together([changed_sus(recording, weightless)])
+    assert lacking.value.lacks == "gravity"
+
+
+@pytest.mark.parametrize("unit", ["mm/s^2", "cm/s^2", "ft/s^2"])
+def test_readings_in_another_unit_are_refused_by_its_name(unit: str) -> None:
+    factor = FORCE_UNITS[unit]
+    recording = changed_sus(
+        simulation().recording,
+        lambda su: replace(su, specific_force=su.specific_force / factor),
+    )
+    with pytest.raises(InsufficientDataError, match=re.escape(unit)) as lacking:
+        sampled_together([recording])
     assert lacking.value.lacks == "gravity"
 
 

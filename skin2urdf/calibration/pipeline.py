@@ -19,7 +19,7 @@ from skin2urdf.calibration.result import Calibration, Source, SuSource
 from skin2urdf.calibration.rounds import Solution
 from skin2urdf.calibration.samples import with_samples
 from skin2urdf.calibration.settings import CalibrationSettings
-from skin2urdf.errors import BadFitError, InsufficientDataError
+from skin2urdf.errors import BadFitError, InsufficientDataError, UsageError
 from skin2urdf.estimation.trajectory.estimate import MotionEstimate
 from skin2urdf.estimation.trajectory.vertical import notes_on_vertical_joints
 from skin2urdf.estimation.uncertainty.goodness import Goodness, goodness
@@ -200,7 +200,7 @@ def recordings_of(
 
     Raises:
         UnreadableInputError: a log can not be read.
-        UsageError: what is to be left out is in no log.
+        UsageError: what is to be left out is in no log, or a log is given twice.
         InsufficientDataError: none is given.
     """
     from skin2urdf.recording.choosing import without_sus
@@ -220,7 +220,22 @@ def recordings_of(
             out.append(joints_as_measured(log) if log.digest else retimed(log))
     if not out:
         raise InsufficientDataError("no log was given", "name at least one log", lacks="logs")
+    _check_that_none_is_another(out)
     return without_sus(out, without)
+
+
+def _check_that_none_is_another(recordings: Sequence[Recording]) -> None:
+    """Raise where a log is given twice: what is counted twice seems better known than it is."""
+    sources: dict[str, str] = {}
+    for recording in recordings:
+        if recording.digest in sources:
+            raise UsageError(
+                f"{recording.source} holds the same bytes as {sources[recording.digest]}",
+                "give each log once",
+                recording.source,
+            )
+        if recording.digest:
+            sources[recording.digest] = recording.source
 
 
 def _endless(sampled: Sequence[Sampled], tree: KinematicTree, span: F64) -> Bool:

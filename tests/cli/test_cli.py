@@ -80,6 +80,12 @@ def test_an_su_is_left_out_by_name(files: Files, run: Run, tmp_path: Path) -> No
     assert document["settings"]["without"] == [names[-1]]
 
 
+def test_a_log_that_is_given_twice_is_refused(files: Files, run: Run, tmp_path: Path) -> None:
+    copied = Path(shutil.copy(files.log, tmp_path / "copy.mcap"))
+    status, out, _ = run("calibrate", files.log, copied, "-o", tmp_path / "robot.urdf")
+    assert (status, out, list(tmp_path.iterdir())) == (2, "", [copied])
+
+
 def test_calibrate_tells_the_verdict_first_and_the_files_last(files: Files) -> None:
     assert files.err == ""
     lines = files.out.splitlines()

@@ -293,8 +293,8 @@ def timing_notes(streams: Sequence[TimedStream]) -> list[ReadingNote]:
     regular = sum(stream.chosen == "regular" for stream in streams)
     if regular:
         words = (
-            f"stamps of {regular} of {len(streams)} joints and SUs are noisy: their samples were "
-            "timed at the rate of the sensor"
+            f"stamps of {regular} of {len(streams)} joints and SUs scatter, as most do: their "
+            "samples were timed at the rate of the sensor, and nothing has to be mended"
         )
         notes.append(ReadingNote("noisy stamps", words, number=regular))
     return [*notes, *_late_messages(streams)]

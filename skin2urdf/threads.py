@@ -19,20 +19,21 @@ WORKERS = min(4, len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity"
 """Threads at most: as many as there are cores to use, and four, whose arrays are in memory at a
 time."""
 MANY = 100
-"""SUs from which work on them is shared among threads. A calibration of fewer takes seconds, and
-where there are many such, each has a core of its own."""
+"""SUs, or fits of chains, from which work on them is shared among threads. A calibration of fewer
+takes seconds, and where there are many such, each has a core of its own."""
 
 
-def each(work: Callable[[T], R], things: Iterable[T], n_sus: int) -> Iterator[R]:
+def each(work: Callable[[T], R], things: Iterable[T], count: int) -> Iterator[R]:
     """What work makes of each thing, in their order.
 
     Args:
         work: may run for several things at a time, and so writes to nothing that it reads or writes
             for another one.
         things: the things, of which few are asked for ahead.
-        n_sus: number of SUs that they are about; of few one thing is done after the other.
+        count: number of SUs, or fits, that they are about; of few one thing is done after the
+            other.
     """
-    if n_sus < MANY or WORKERS == 1:
+    if count < MANY or WORKERS == 1:
         yield from map(work, things)
         return
     with ThreadPoolExecutor(WORKERS) as pool:
@@ -45,6 +46,6 @@ def each(work: Callable[[T], R], things: Iterable[T], n_sus: int) -> Iterator[R]
             yield ahead.popleft().result()
 
 
-def do_each(work: Callable[[T], object], things: Iterable[T], n_sus: int) -> None:
+def do_each(work: Callable[[T], object], things: Iterable[T], count: int) -> None:
     """Work on each thing, as above, where nothing but what it writes to is wanted."""
-    deque(each(work, things, n_sus), maxlen=0)
+    deque(each(work, things, count), maxlen=0)

@@ -31,6 +31,7 @@ from skin2urdf.structure.chain_fit import (
     seen_beyond,
 )
 from skin2urdf.structure.gravity import GravityWindows
+from skin2urdf.threads import each
 
 _GRID = 200
 """Candidate axes of a joint, some 14 deg apart: no axis is further than 8 deg from one of them, and
@@ -448,11 +449,11 @@ class Growth:
         if modelled:
             width += 3 * length + 1 + max(len(self.segments[s].columns) for s in gravity)
         chunk = max(1, _CHUNK // (3 * len(at) * width))
-        chi2, found = [], []
-        for first in range(0, len(problems), chunk):
+
+        def fitted(first: int) -> GravityFits:
             some = problems[first : first + chunk]
             sus = np.array([u for u, _, _ in some])
-            fits = fit_gravity(
+            return fit_gravity(
                 np.array([self.windows.q[np.ix_(at, np.array(dofs))].T for _, _, dofs in some]),
                 np.array([gravity[s] for _, s, _ in some]),
                 np.ascontiguousarray(self.windows.reading[np.ix_(at, sus)].transpose(1, 2, 0)),
@@ -461,9 +462,9 @@ class Growth:
                 iterations,
                 self._carried(some, at) if modelled else None,
             )
-            chi2.append(fits.chi2)
-            found.append(fits.axes)
-        return np.concatenate(chi2), np.concatenate(found)
+
+        fits = list(each(fitted, range(0, len(problems), chunk), len(problems)))
+        return np.concatenate([f.chi2 for f in fits]), np.concatenate([f.axes for f in fits])
 
     def _carried(self, problems: Sequence[_Problem], at: Int) -> Carried | None:
         """How the known segments of some problems move in some of the windows."""

@@ -113,7 +113,7 @@ class RegionContent(NamedTuple):
     Attributes:
         messages: (N,) first byte of each message record, in the order of the file.
         header: (N,) their headers.
-        others: schemas, channels and whatever else lies in the chunks.
+        others: schemas, channels and whatever else lies in the chunks, in that order.
         notes: what was mended.
     """
 
@@ -206,6 +206,8 @@ def find_records(window: U8, buffer: U8, chunks: Sequence[Placed]) -> RegionCont
     if contradicted.any() or any(some.size for some in missed):
         messages = np.sort(np.concatenate([messages, *missed]))
         header = gather(buffer, messages, MESSAGE_HEADER)
+    # A channel is of a schema that stands before it.
+    others.sort(key=lambda record: record.start)
     return RegionContent(messages, header, tuple(others), tuple(dict.fromkeys(notes)))
 
 

@@ -7,8 +7,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from mcap.writer import CompressionType
 
 from skin2urdf.notes import of_reading
+from skin2urdf.recording import container
 from skin2urdf.recording.framing import BATCH, walk
 from skin2urdf.recording.reading import inventory, read
 
@@ -111,3 +113,24 @@ def test_a_hundred_topics_keep_their_messages(make_log: Any, indexed: bool) -> N
     for stream in recording.sus:
         assert (stream.specific_force[:, 1] == float(stream.name[3:])).all()
         assert stream.specific_force[-1, 0] == 23.0
+
+
+@pytest.mark.parametrize("compression", [CompressionType.NONE, CompressionType.ZSTD])
+@pytest.mark.parametrize("first", ["/skin/0", "/joint_states"])
+def test_definitions_stand_where_they_are_first_needed_and_the_file_ends_far_behind(
+    first: str, compression: CompressionType, make_log: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As rosbag2 writes them; the summary at the end has all of them, but comes too late."""
+    monkeypatch.setattr(container, "WINDOW", 1 << 14)
+    log = make_log(chunk_size=4096, compression=compression)
+    topics = [first, *sorted({"/joint_states", *(f"/skin/{k}" for k in range(4))} - {first})]
+    for k in range(400):
+        for topic in topics:
+            stamp = 1_700_000_000 * 10**9 + 10**7 * k
+            if topic == "/joint_states":
+                log.joints(stamp, {"elbow": 0.01 * k})
+            else:
+                log.imu(stamp, [0.1 * k, int(topic[-1]), 9.8], topic[-1], topic)
+    recording = read(log.close())
+    assert [joint.time.size for joint in recording.joints] == [400]
+    assert {su.topic: su.time.size for su in recording.sus} == {f"/skin/{k}": 400 for k in range(4)}

@@ -1,7 +1,9 @@
 """Whether a robot touches itself: coal on the shapes of its URDF, through Pinocchio.
 
 Bodies that one joint connects are not compared. Nor are pairs that touch in the neutral pose and in
-nearly all others: shapes of URDFs are coarse, and such a pair says nothing of the motion.
+nearly all others: shapes of URDFs are coarse, and such a pair says nothing of the motion. But a
+floor is given by somebody: all that moves keeps above it, and where a link can not, that is an
+error.
 """
 
 from __future__ import annotations
@@ -17,6 +19,7 @@ from typing import Any
 import numpy as np
 
 from skin2urdf.arrays import F64, Int
+from skin2urdf.errors import UsageError
 from skin2urdf.planning.trajectory import JointTrajectory
 
 MARGIN = 0.01
@@ -28,7 +31,7 @@ _POSES = 100
 _FINE_MESH = 5000
 """Triangles from which a mesh is replaced by its convex hull."""
 _NAMED = 4
-"""Pairs that are named in words, at most."""
+"""Pairs or links that are named in words, at most."""
 _LOOKS = 15
 """Instants of a piece that are looked at first, since one that touches is found at once."""
 _FLOOR = "the floor"
@@ -55,6 +58,8 @@ class CollisionChecker:
 
     Raises:
         ValueError, RuntimeError: shapes can not be read, as meshes that are not there.
+        UsageError: the floor is no number, nothing that moves has a shape to keep above it, or
+            what does is below it in the neutral pose and nearly everywhere.
     """
 
     def __init__(
@@ -209,6 +214,10 @@ class CollisionChecker:
         import coal
         import pinocchio as pin
 
+        if not np.isfinite(height):
+            raise UsageError(
+                f"--floor {height:g} is no height", "give it in the base frame [m]", "--floor"
+            )
         below = coal.Halfspace(np.array([0.0, 0.0, 1.0]), 0.0)
         at = pin.SE3(np.eye(3), np.array([0.0, 0.0, height]))
         self._geometry.addGeometryObject(pin.GeometryObject(_FLOOR, 0, 0, at, below))
@@ -217,18 +226,28 @@ class CollisionChecker:
         import pinocchio as pin
 
         objects = list(self._geometry.geometryObjects)
-        link = [str(self._model.frames[int(o.parentFrame)].name) for o in objects]
+        is_floor = [str(o.name) == _FLOOR for o in objects]
+        link = [
+            _FLOOR if floor else str(self._model.frames[int(o.parentFrame)].name)
+            for o, floor in zip(objects, is_floor, strict=True)
+        ]
         group = [self._moving_ancestor(int(o.parentJoint)) for o in objects]
         before = {g: self._moving_ancestor(int(self._model.parents[g])) if g else -1 for g in group}
         pairs = [
             (a, b)
             for a in range(len(objects))
             for b in range(a + 1, len(objects))
-            if group[b] not in (group[a], before[group[a]])
-            and before[group[b]] != group[a]
-            and before[group[a]] != group[b]
+            if group[a] != group[b]
+            # A joint on the base does not connect what it moves with the floor.
+            and (is_floor[a] or is_floor[b] or not _joined(group[a], group[b], before))
             and frozenset((link[a], link[b])) not in may_touch
         ]
+        if any(is_floor) and not any(is_floor[a] or is_floor[b] for a, b in pairs):
+            raise UsageError(
+                "nothing that moves has a shape that --floor could keep above it",
+                "give links that move <collision> shapes, or leave out --floor",
+                argument="--floor",
+            )
         self._geometry.removeAllCollisionPairs()
         for a, b in pairs:
             self._geometry.addCollisionPair(pin.CollisionPair(a, b))
@@ -240,6 +259,7 @@ class CollisionChecker:
         touches = np.array([self._touching(q) for q in poses], dtype=bool)
         often = touches[1:].mean(axis=0)
         always = touches[0] & (often >= _NEARLY_ALL)
+        self._check_floor([pair for pair, drop in zip(pairs, always, strict=True) if drop], link)
         self._geometry.removeAllCollisionPairs()
         for (a, b), drop in zip(pairs, always, strict=True):
             if not drop:
@@ -254,13 +274,24 @@ class CollisionChecker:
             )
         if always.any():
             named = [_both(link, pair) for pair, drop in zip(pairs, always, strict=True) if drop]
-            rest = len(named) - _NAMED
-            more = f" and {rest} more pairs" if rest > 0 else ""
             self.notes.append(
-                f"not kept apart, for they touch in the neutral pose and nearly everywhere: "
-                f"{', '.join(named[:_NAMED])}{more}"
+                "not kept apart, for they touch in the neutral pose and nearly everywhere: "
+                f"{_few(named, 'pairs')}"
             )
         return int(len(pairs) - always.sum())
+
+    def _check_floor(self, always: Sequence[tuple[int, int]], link: Sequence[str]) -> None:
+        """Refuse a floor that is part of pairs that always touch."""
+        pairs = ({link[a], link[b]} for a, b in always)
+        below = sorted({name for pair in pairs if _FLOOR in pair for name in pair - {_FLOOR}})
+        if below:
+            raise UsageError(
+                f"--floor is too high for {_few(below, 'links')}, which would be below it in the "
+                "neutral pose and nearly everywhere",
+                "give the height in the base frame [m] that the robot stays above, with 1 cm to "
+                "spare; it is negative for a floor below the base",
+                argument="--floor",
+            )
 
     def _ready(self) -> None:
         import pinocchio as pin
@@ -338,6 +369,17 @@ class _Columns:
         full[:, column] = q[:, position]
         position, column = self.turning
         full[:, column], full[:, column + 1] = np.cos(q[:, position]), np.sin(q[:, position])
+
+
+def _joined(a: int, b: int, before: Mapping[int, int]) -> bool:
+    """Whether one joint connects two groups of bodies, by the group before each of them."""
+    return before[a] == b or before[b] == a
+
+
+def _few(names: Sequence[str], what: str) -> str:
+    """Names in words, the first ones alone where there are many."""
+    rest = len(names) - _NAMED
+    return ", ".join(names[:_NAMED]) + (f" and {rest} more {what}" if rest > 0 else "")
 
 
 def _both(links: Sequence[str], pair: tuple[int, int]) -> str:

@@ -116,8 +116,10 @@ def robot_of_limits(told: Told) -> PlannedRobot:
     """A robot of which limits alone are known.
 
     Raises:
+        UsageError: a floor is given.
         PlanError: they contradict each other or leave no room.
     """
+    _check_no_floor(told)
     limits = complete(tuple(told.limits), told.limits)
     return PlannedRobot(limits, None, None, (_NO_MODEL,))
 
@@ -126,9 +128,10 @@ def robot_found_before(earlier: Earlier, told: Told) -> PlannedRobot:
     """A robot that was calibrated, without its model.
 
     Raises:
-        UsageError: a limit is given of a joint that it does not have.
+        UsageError: a limit is given of a joint that it does not have, or a floor is given.
         PlanError: limits contradict each other or leave no room.
     """
+    _check_no_floor(told)
     names = earlier.model.tree.joint_names
     check_names(told.limits, names, told.source)
     known = {n: merged(told.limits.get(n, Given()), earlier.limits[n]) for n in names}
@@ -148,7 +151,8 @@ def robot_of_model(
         earlier: a calibration of the robot, whose placements and SUs count.
 
     Raises:
-        UsageError: names fit nothing, ranges are not known, or shapes can not be read.
+        UsageError: names fit nothing, ranges are not known, shapes can not be read, or nothing
+            can be kept above the floor that is given.
         PlanError: limits contradict each other or leave no room.
     """
     check_names(told.limits, joints.joint_names, told.source)
@@ -178,8 +182,10 @@ def robot_of_model(
     notes: tuple[str, ...] = ()
     checker = None
     if not told.collisions:
+        _check_no_floor(told)
         notes = ("collisions are not looked at (--no-collisions)",)
     elif xml.find("link/collision") is None:
+        _check_no_floor(told)
         notes = ("the URDF has no <collision> shapes: the robot may touch itself",)
     else:
         try:
@@ -201,6 +207,16 @@ _NO_MODEL = (
     "and no accuracy can be told"
 )
 _NO_SHAPES = "nothing is known of what the robot may touch: give --model as well"
+
+
+def _check_no_floor(told: Told) -> None:
+    """Refuse a floor where no shapes are looked at, which nobody could keep above it."""
+    if told.floor is not None:
+        raise UsageError(
+            "--floor needs a model with <collision> shapes that are looked at",
+            "give one with --model and without --no-collisions, or leave out --floor",
+            argument="--floor",
+        )
 
 
 def _finite(value: float) -> float | None:

@@ -12,7 +12,7 @@ import pytest
 import yaml
 
 from skin2urdf.cli.main import main
-from skin2urdf.errors import PlanError, Skin2UrdfError, UnreadableInputError
+from skin2urdf.errors import PlanError, Skin2UrdfError, UnreadableInputError, UsageError
 from skin2urdf.model.records import KinematicModel
 from skin2urdf.model.specific_force import specific_forces
 from skin2urdf.planning.collisions import CollisionChecker
@@ -25,13 +25,14 @@ from skin2urdf.planning.information import (
     pattern_information,
     spread_out,
 )
-from skin2urdf.planning.limits import read_limits
+from skin2urdf.planning.limits import Given, read_limits
 from skin2urdf.planning.patterns import draw_tones, pattern
 from skin2urdf.planning.pieces import strain, transfer
 from skin2urdf.planning.plan import make_plan
 from skin2urdf.planning.poses import free_poses
 from skin2urdf.planning.records import Limits, Plan, PlanSettings
 from skin2urdf.planning.roadmap import Roadmap
+from skin2urdf.planning.robots import Told, robot_of_limits, robot_of_model
 from skin2urdf.planning.srdf import links_that_may_touch
 from skin2urdf.planning.trajectory import JointTrajectory
 from skin2urdf.simulation.mechanism import Mechanism, read_urdf
@@ -185,6 +186,37 @@ def test_a_floor_keeps_the_arm_above_it(arm: Path, mechanism: Mechanism, limits:
     )
     assert above.is_free(np.array([0.3, 0.0, 0.0]))
     assert not above.is_free(np.array([2.0, 0.0, 0.0]))
+
+
+def test_whatever_moves_stays_above_the_floor(
+    arm: Path, mechanism: Mechanism, limits: Limits, checker: CollisionChecker
+) -> None:
+    """The link behind the first joint too; the base may stand in the floor."""
+    xml = read_urdf(load_robot(arm))
+    ranges = limits.lower, limits.upper
+    above = CollisionChecker(xml, arm, mechanism.joint_names, {}, ranges, floor=0.2)
+    assert above.n_pairs == checker.n_pairs + 3
+    upright = np.array([1.9, -1.9, 0.0])
+    assert checker.is_free(upright)
+    assert not above.is_free(upright)
+    for floor in (100.0, np.inf, np.nan):
+        with pytest.raises(UsageError) as caught:
+            CollisionChecker(xml, arm, mechanism.joint_names, {}, ranges, floor=floor)
+        assert caught.value.argument == "--floor"
+
+
+@pytest.mark.parametrize("bare", [True, False])
+def test_a_floor_needs_shapes(arm: Path, mechanism: Mechanism, bare: bool) -> None:
+    xml = read_urdf(load_robot(arm))
+    for link in xml.iter("link") if bare else ():
+        for shape in link.findall("collision"):
+            link.remove(shape)
+    with pytest.raises(UsageError) as caught:
+        robot_of_model(arm, xml, mechanism, Told(floor=0.0, collisions=bare))
+    assert caught.value.argument == "--floor"
+    known = {"j0": Given(lower=-1.0, upper=1.0, velocity=1.0)}
+    with pytest.raises(UsageError):
+        robot_of_limits(Told(known, floor=0.0))
 
 
 def test_free_poses_are_free_even_where_hardly_any_is() -> None:
@@ -427,6 +459,8 @@ def test_the_command_line_refuses_in_words(
         [*model, "--sus", "no_such_*"],
         ["--after", str(tight)],
         ["--limits", str(tmp_path / "none.yaml")],
+        [*model, "--floor", "100"],
+        [*model, "--floor", "0", "--no-collisions"],
         [*model, "--csv", out],
         [*model, "--srdf", str(arm.with_name("none.srdf"))],
     ):

@@ -9,12 +9,18 @@ from pathlib import Path
 
 from skin2urdf.errors import UnreadableInputError, UsageError
 
+_STREAMS = tuple(map(Path, ("/proc", "/dev/fd")))
+"""Folders whose links are open files of a process; /dev/stdout leads there."""
+_MOST_LINKS = 40
+"""Links in a row that Linux follows."""
 
-def check_target(path: str | Path) -> Path:
+
+def check_target(path: str | Path, instead: str = "give the name of a file") -> Path:
     """Make sure that a file can be written at ``path``, before the work that fills it.
 
     Args:
         path: file to be written; it may exist already.
+        instead: what to do where ``path`` is a stream or a device and no file.
 
     Returns:
         The absolute path, symbolic links resolved.
@@ -24,6 +30,9 @@ def check_target(path: str | Path) -> Path:
             or another thing that is no regular file.
     """
     try:
+        # A redirected stream resolves to its file, which would lose its name while it is written.
+        if _leads_to_stream(Path(path).expanduser().absolute()):
+            raise UsageError(f"can not write {path}: it is a stream and no file", instead)
         target = Path(path).expanduser().resolve()
         with contextlib.suppress(FileNotFoundError, NotADirectoryError):
             target.stat()
@@ -43,13 +52,25 @@ def check_target(path: str | Path) -> Path:
             f"can not write {path}: it is a folder", "give the name of a file inside of it"
         )
     if target.exists() and not target.is_file():
-        raise UsageError(f"can not write {path}: it is not a regular file", "give another path")
+        raise UsageError(f"can not write {path}: it is not a regular file", instead)
     if not os.access(folder, os.W_OK | os.X_OK):
         raise UsageError(
             f"can not write {path}: no permission to write in {folder}",
             "give a path in a folder that is yours",
         )
     return target
+
+
+def _leads_to_stream(path: Path) -> bool:
+    """Whether a path, or what a link of its chain points to, is an open file of a process."""
+    for _ in range(_MOST_LINKS):
+        folder = path.parent.resolve()
+        if any(folder.is_relative_to(streams) for streams in _STREAMS):
+            return True
+        if not path.is_symlink():
+            break
+        path = folder / path.readlink()
+    return False
 
 
 def write_atomically(path: str | Path, text: str) -> None:

@@ -6,6 +6,8 @@ import errno
 import os
 import re
 import stat
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -86,3 +88,30 @@ def test_a_folder_without_permission_is_named(tmp_path: Path) -> None:
     tmp_path.chmod(0o500)
     with pytest.raises(UsageError, match=re.escape(str(tmp_path))):
         check_target(tmp_path / "robot.urdf")
+
+
+@pytest.mark.skipif(not Path("/dev/stdout").exists(), reason="no /dev/stdout here")
+def test_streams_are_no_files_wherever_they_lead(tmp_path: Path) -> None:
+    """Also those that were sent to a file, which keeps its place and its text."""
+    (tmp_path / "link").symlink_to("/dev/stdout")
+    words = [sys.executable, "-c", _TRY]
+    for target in ("/dev/stdout", "/dev/fd/1", "/proc/self/fd/1", str(tmp_path / "link")):
+        with (tmp_path / "out").open("w+") as out:
+            done = subprocess.run([*words, target], stdout=out, check=False)  # noqa: S603
+            assert (done.returncode, (tmp_path / "out").read_text()) == (2, "before")
+            assert os.fstat(out.fileno()).st_nlink == 1
+        piped = subprocess.run([*words, target], capture_output=True, check=False)  # noqa: S603
+        assert (piped.returncode, piped.stdout) == (2, b"before")
+
+
+_TRY = """
+import sys
+from skin2urdf.errors import UsageError
+from skin2urdf.files import write_atomically
+
+print("before", end="", flush=True)
+try:
+    write_atomically(sys.argv[1], "after")
+except UsageError as error:
+    sys.exit(error.exit_status)
+"""

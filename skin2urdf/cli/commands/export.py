@@ -52,7 +52,7 @@ def run(options: argparse.Namespace) -> int:
     if options.output:
         inputs = [options.urdf, Path(options.urdf).with_suffix(".json")]
         refuse_to_overwrite(inputs, options.output)
-        check_target(options.output)
+        check_target(options.output, "leave out -o, and the text is printed; or name a file")
     from skin2urdf.export.imu import to_imu
     from skin2urdf.export.kinematics import to_kinematics
     from skin2urdf.export.launch import to_launch

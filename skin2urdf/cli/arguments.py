@@ -43,6 +43,12 @@ class Parser(argparse.ArgumentParser):
     late_epilog: Callable[[], str] | None = None
     options: Collection[str] = ()
 
+    def __init__(self, *args: Any, **kwargs: Any) -> None:
+        super().__init__(*args, **kwargs)
+        # No option begins with a digit, so "-33.9,20" and "-1e3" are values of one; argparse
+        # itself takes nothing but plain numbers for values.
+        self._negative_number_matcher = re.compile(r"-\.?\d")
+
     def parse_known_args(  # type: ignore[override]
         self, args: Sequence[str] | None = None, namespace: Any = None
     ) -> tuple[Any, list[str]]:
@@ -91,6 +97,14 @@ def add_number(
     command.add_argument(
         option, type=kind, default=default, metavar="N" if kind is int else "X", help=text
     )
+
+
+def number_or_nan(text: str) -> float:
+    """A number, or NaN where a text is none, which no check of a range lets pass."""
+    try:
+        return float(text)
+    except ValueError:
+        return float("nan")
 
 
 def check_at_least(options: argparse.Namespace, name: str, least: float) -> None:

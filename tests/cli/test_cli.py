@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import io
 import json
 import re
@@ -448,6 +449,43 @@ def test_options_reach_the_settings() -> None:
     assert settings.gyro
     deaf = make_parser().parse_args(["calibrate", "l", "-o", "r", "--no-gyro"])
     assert not calibration_settings(deaf).gyro
+
+
+def test_a_value_may_begin_with_a_minus() -> None:
+    """Whatever it goes on with after a digit, as places in the south do."""
+
+    def parsed(*words: str) -> argparse.Namespace:
+        return make_parser().parse_args(words)
+
+    calibrate = "calibrate", "l", "-o", "r"
+    assert parsed(*calibrate, "--site", "-33.9,20").site == (-33.9, 20.0)
+    assert parsed(*calibrate, "--site", "48").site == (48.0, 0.0)
+    assert parsed(*calibrate, "--gravity", "-9.81e0").gravity == -9.81
+    assert parsed("plan", "-o", "p", "--base-rpy", "-1e1", "2", "-.5").base_rpy == [-10, 2, -0.5]
+
+
+@pytest.mark.parametrize(
+    ("words", "says", "not_says"),
+    [
+        (("--site", "95,3"), "95", "9000"),
+        (("--site", "abc"), "abc", "9000"),
+        (("--site", "-48,99999"), "99999", "48"),
+        (("--site", "48,high"), "high", "48"),
+        (("--bandwidth", "abc"), "abc", "_bandwidth"),
+        (("--bandwidth", "40:x"), "40:x", "_bandwidth"),
+        (("--correct", "all:abc"), "all:abc", "_correction"),
+    ],
+)
+def test_a_wrong_value_is_named_as_the_user_knows_it(
+    words: tuple[str, str], says: str, not_says: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as stopped:
+        main(["calibrate", "l", "-o", "r", *words])
+    assert stopped.value.code == 2
+    last = capsys.readouterr().err.splitlines()[-1]
+    assert words[0] in last
+    assert says in last
+    assert not_says not in last
 
 
 def test_simulated_sus_have_gyroscopes_where_they_are_asked_for(run: Run, tmp_path: Path) -> None:

@@ -13,6 +13,7 @@ from skin2urdf.cli.arguments import (
     Parser,
     add_number,
     check_at_least,
+    number_or_nan,
     offer_json,
     present,
     print_json,
@@ -148,8 +149,8 @@ def declare(command: Parser) -> None:
     lengths.add_argument(
         "--site",
         type=_site,
-        metavar="LAT,HEIGHT",
-        help="the same from latitude [deg] and height above the sea [m]",
+        metavar="LAT[,HEIGHT]",
+        help="the same from latitude [deg] (south is negative) and height above the sea [m] (0)",
     )
     command.add_argument(
         "--motion",
@@ -297,7 +298,8 @@ def _correction(text: str) -> Correction:
     if not sizes:
         return Correction("all")
     length, _, angle = sizes.partition(",")
-    found = Correction("all", 1e-3 * float(length), math.radians(float(angle or 0.1)))
+    angle_deg = number_or_nan(angle) if angle else 0.1
+    found = Correction("all", 1e-3 * number_or_nan(length), math.radians(angle_deg))
     if not (0 < found.length <= 0.1 and 0 < found.angle <= 0.2):
         raise argparse.ArgumentTypeError(f"{text!r}: up to 100 mm and 11 deg are deviations")
     return found
@@ -341,16 +343,18 @@ def calibration_settings(options: argparse.Namespace) -> CalibrationSettings:
 def _bandwidth(text: str) -> tuple[float, int]:
     """Cutoff [Hz] and order of a low-pass."""
     cutoff, _, order = text.partition(":")
-    found = float(cutoff), int(order or 1)
-    if not (1.0 <= found[0] < 1e5 and found[1] in (1, 2)):
+    found = number_or_nan(cutoff)
+    if not (1.0 <= found < 1e5 and order in ("", "1", "2")):
         raise argparse.ArgumentTypeError(f"{text!r} is no cutoff of 1 Hz or more, and order 1 or 2")
-    return found
+    return found, int(order or 1)
 
 
 def _site(text: str) -> tuple[float, float]:
     """Latitude [deg] and height [m]."""
     latitude, _, height = text.partition(",")
-    found = float(latitude), float(height or 0)
-    if not (abs(found[0]) <= 90 and -500 <= found[1] <= 9000):
-        raise argparse.ArgumentTypeError(f"{text!r} is no latitude [deg] and height [m]")
+    found = number_or_nan(latitude), number_or_nan(height) if height else 0.0
+    if not abs(found[0]) <= 90:
+        raise argparse.ArgumentTypeError(f"latitude {latitude!r} is not within -90 and 90 deg")
+    if not -500 <= found[1] <= 9000:
+        raise argparse.ArgumentTypeError(f"height {height!r} is not within -500 and 9000 m")
     return found

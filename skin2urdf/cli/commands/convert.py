@@ -5,7 +5,14 @@ from __future__ import annotations
 import argparse
 import math
 
-from skin2urdf.cli.arguments import Parser, offer_json, print_json, refuse_to_overwrite, shown
+from skin2urdf.cli.arguments import (
+    Parser,
+    number_or_nan,
+    offer_json,
+    print_json,
+    refuse_to_overwrite,
+    shown,
+)
 from skin2urdf.cli.terminal import progress_bar
 from skin2urdf.errors import UsageError
 from skin2urdf.files import check_target
@@ -88,10 +95,7 @@ def run(options: argparse.Namespace) -> int:
 def _joint_unit(text: str) -> tuple[str, float]:
     """A pattern of names and the size of its joints' unit [rad or m]."""
     pattern, equals, unit = text.rpartition("=")
-    try:
-        size = JOINT_UNITS[unit] if unit in JOINT_UNITS else float(unit)
-    except ValueError:
-        size = math.nan
+    size = JOINT_UNITS[unit] if unit in JOINT_UNITS else number_or_nan(unit)
     if not (math.isfinite(size) and size != 0):
         known = ", ".join(JOINT_UNITS)
         raise argparse.ArgumentTypeError(f"{text!r}: a unit is {known} or a number other than 0")

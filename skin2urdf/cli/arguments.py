@@ -119,15 +119,22 @@ def check_at_least(options: argparse.Namespace, name: str, least: float) -> None
 
 
 def refuse_to_overwrite(inputs: Sequence[str | Path], *outputs: str | Path) -> None:
-    """Stop before an output replaces what it is made from.
+    """Stop before an output replaces what it is made from, or another output.
 
     Raises:
-        UsageError: an output is one of the inputs.
+        UsageError: an output is one of the inputs, or the same file as another one.
     """
     taken = {Path(path).expanduser().resolve() for path in inputs}
+    written: set[Path] = set()
     for path in outputs:
-        if Path(path).expanduser().resolve() in taken:
+        target = Path(path).expanduser().resolve()
+        if target in taken:
             raise UsageError(f"{path} is an input and would be overwritten", "give another name")
+        if target in written:
+            raise UsageError(
+                f"two outputs would be the same file, {path}", "give each a name of its own"
+            )
+        written.add(target)
 
 
 def present(paths: Iterable[str | Path]) -> frozenset[Path]:

@@ -22,10 +22,11 @@ import pytest
 
 from skin2urdf import survey
 from skin2urdf.cli import terminal
+from skin2urdf.cli.arguments import refuse_to_overwrite
 from skin2urdf.cli.commands.calibrate import calibration_settings
 from skin2urdf.cli.main import INTERNAL_ERROR, main
 from skin2urdf.cli.parser import COMMANDS, make_parser
-from skin2urdf.errors import BadFitError, StructureError
+from skin2urdf.errors import BadFitError, StructureError, UsageError
 from skin2urdf.estimation.problem.cost import Priors
 from skin2urdf.files import write_atomically
 from skin2urdf.recording.reading import read
@@ -248,8 +249,9 @@ def test_simulate_moves_without_patterns(run: Run, tmp_path: Path) -> None:
         (["simulate", "panda"], 2, "--list"),
         (["simulate", "marvin", "-o", "{tmp}/a.mcap"], 2, "panda"),
         (["simulate", "panda", "-o", "{tmp}/none/a.mcap"], 2, "mkdir -p"),
-        (["simulate", "panda", "-o", "{tmp}/a", "--truth", "{tmp}/a"], 2, "truth"),
+        (["simulate", "panda", "-o", "{tmp}/a.mcap", "--truth", "{tmp}/a.mcap"], 2, "{tmp}/a.mcap"),
         (["simulate", "{truth}", "-o", "{truth}"], 2, "{truth}"),
+        (["check", "{log}", "{urdf}", "-o", "{tmp}/a", "--history", "{tmp}/a.json"], 2, "a.json"),
         (["simulate", "panda", "-o", "{tmp}/a.mcap", "--poses", "0"], 2, "n_poses"),
     ],
     ids=lambda value: " ".join(value[:1]) if isinstance(value, list) else str(value),
@@ -449,6 +451,17 @@ def test_options_reach_the_settings() -> None:
     assert settings.gyro
     deaf = make_parser().parse_args(["calibrate", "l", "-o", "r", "--no-gyro"])
     assert not calibration_settings(deaf).gyro
+
+
+def test_outputs_of_one_name_are_told_from_inputs(tmp_path: Path) -> None:
+    taken, free = tmp_path / "log.mcap", tmp_path / "robot.urdf"
+    refuse_to_overwrite([taken], free, free.with_suffix(".json"))
+    told = []
+    for outputs in ([taken], [free, tmp_path / "sub" / ".." / free.name]):
+        with pytest.raises(UsageError) as caught:
+            refuse_to_overwrite([taken], *outputs)
+        told.append(str(caught.value).replace(str(outputs[-1]), ""))
+    assert told[0] != told[1]
 
 
 def test_a_value_may_begin_with_a_minus() -> None:

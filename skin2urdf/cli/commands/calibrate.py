@@ -168,23 +168,17 @@ def run(options: argparse.Namespace) -> int:
         return _run_on_model(options, begin)
     if options.correct is not None:
         raise UsageError("--correct says what of a model to correct", "give it with --model")
-    targets = [options.output, Path(options.output).with_suffix(".json")]
-    refuse_to_overwrite(
-        [*options.logs, options.limits], *targets, *([options.report] if options.report else [])
-    )
     with progress_bar(options.quiet) as bar:
         bar("starting", 0.0)
         settings = calibration_settings(options)
         from skin2urdf.output import not_to_be_saved, output_paths, save
         from skin2urdf.urdf.limits import CHOICES, read_limits
 
-        outputs = [*output_paths(options.output), *([options.report] if options.report else [])]
+        outputs = [*output_paths(options.output), *_pages(options)]
+        refuse_to_overwrite([*options.logs, options.limits], *outputs)
         replaced = present(outputs)
         if options.limits not in CHOICES:
             read_limits(options.limits)
-        if options.report:
-            refuse_to_overwrite(targets, options.report)
-            _check_report(options.report)
         from skin2urdf.calibration.pipeline import calibrate
         from skin2urdf.report.document import as_document
         from skin2urdf.report.findings import is_to_repair
@@ -221,13 +215,15 @@ def run(options: argparse.Namespace) -> int:
     return _TO_REPAIR if is_to_repair(calibration) else 0
 
 
-def _check_report(path: str) -> None:
-    """Make sure that a page can be made and written, before the work that it shows."""
+def _pages(options: argparse.Namespace) -> list[Path]:
+    """Where a page goes, if one is asked for that can be made, before the work that it shows."""
+    if not options.report:
+        return []
     from skin2urdf.page.html import check_libraries
     from skin2urdf.page.writing import check_page
 
     check_libraries()
-    check_page(path)
+    return [check_page(options.report)]
 
 
 def _report(along: MotionEstimate | None, urdf: Path, path: str) -> Path:
@@ -255,16 +251,12 @@ def _run_on_model(options: argparse.Namespace, begin: float) -> int:
             "a robot with a model has its limits and shapes",
             "leave out --limits, --collision and --no-visuals",
         )
-    targets = [options.output, Path(options.output).with_suffix(".json")]
-    pages = [options.report] if options.report else []
-    refuse_to_overwrite([*options.logs, options.model], *targets, *pages)
-    if options.report:
-        refuse_to_overwrite(targets, options.report)
-        _check_report(options.report)
     settings = calibration_settings(options)
     from skin2urdf.output import output_paths, save_on_model
 
-    replaced = present([*output_paths(options.output), *pages])
+    outputs = [*output_paths(options.output), *_pages(options)]
+    refuse_to_overwrite([*options.logs, options.model], *outputs)
+    replaced = present(outputs)
     from skin2urdf.report.model_document import as_document
     from skin2urdf.report.on_model import as_text
     from skin2urdf.vendor.calibrate import calibrate_with_model

@@ -49,16 +49,13 @@ def run(options: argparse.Namespace) -> int:
     """Do it; the exit status."""
     begin = time.perf_counter()
     inputs = [options.log, options.urdf, Path(options.urdf).with_suffix(".json")]
-    outputs = [options.output, Path(options.output).with_suffix(".json")] if options.output else []
-    outputs += [options.history] if options.history else []
-    refuse_to_overwrite(inputs, *outputs)
     from skin2urdf.files import append_line, check_target
     from skin2urdf.output import output_paths, write_pair
 
     paths = output_paths(options.output) if options.output else ()
+    histories = [check_target(options.history)] if options.history else []
+    refuse_to_overwrite(inputs, *paths, *histories)
     replaced = present(paths)
-    if options.history:
-        check_target(options.history)
     from skin2urdf.report.check import as_document, as_text, history_line
     from skin2urdf.vendor.checking import check
     from skin2urdf.vendor.repairing import repaired

@@ -119,8 +119,6 @@ def run(options: argparse.Namespace) -> int:
         from skin2urdf.report.canvas import check_picture
 
         targets.append(check_picture(options.plot))
-    if len(set(targets)) < len(targets):
-        raise UsageError("two outputs would be the same file", "give each a name of its own")
     if not (options.model or options.limits or options.after):
         raise UsageError(
             "a plan needs a model, limits, or an earlier calibration",

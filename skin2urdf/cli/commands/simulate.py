@@ -116,8 +116,6 @@ def run(options: argparse.Namespace) -> int:
     settings = _simulation_settings(options)
     robot = load_robot(options.robot)
     targets = [check_target(path) for path in (options.output, options.truth) if path]
-    if len(set(targets)) < len(targets):
-        raise UsageError("the log and the truth would be the same file", "give two names")
     inputs = [robot.urdf, options.robot, *([options.plan] if options.plan else [])]
     refuse_to_overwrite(inputs, *targets)
     replaced = present(targets)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import re
 import shutil
@@ -16,6 +17,7 @@ from hypothesis import strategies as st
 
 from skin2urdf.cli import terminal
 from skin2urdf.cli.arguments import did_you_mean
+from skin2urdf.cli.commands.export import FORMATS
 from skin2urdf.cli.main import main
 from skin2urdf.cli.parser import COMMANDS
 from skin2urdf.report.summary import as_text
@@ -176,3 +178,15 @@ def test_the_manual_page_holds_the_help_of_every_command(
         assert first.replace("-", "\\-") in page.replace("\\&", "")
     for line in page.splitlines():
         assert not line.startswith((".", "'")) or re.match(r"\.(TH|SH|SS|B|I|nf|fi)\b", line)
+
+
+@pytest.mark.parametrize("words", [["export", "--help"], ["man"]])
+def test_each_format_of_an_export_has_a_line_of_its_own(
+    words: list[str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    with contextlib.suppress(SystemExit):
+        main(words)
+    lines = capsys.readouterr().out.splitlines()
+    for name in FORMATS:
+        assert sum(line.startswith(f"  {name}  ") for line in lines) == 1

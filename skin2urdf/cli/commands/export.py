@@ -23,11 +23,15 @@ example:
   skin2urdf export robot.urdf --to imu -o imu.yaml
   skin2urdf export robot.urdf --to mjcf -o robot.xml
 
-xacro       macros to include in a description: the SUs of each link
-launch      ROS 2 launch file with a static transform per SU, for robots whose frames others publish
-kinematics  one placement per joint, as the descriptions of UR, Franka and Flexiv robots read it
-imu         noise, errors, delays and places of the SUs, as kalibr writes them; needs the JSON
-mjcf        MuJoCo model with a site and an accelerometer per SU
+formats:
+  xacro       macros to include in a description: the SUs of each link
+  launch      ROS 2 launch file with a static transform per SU, for
+              robots whose frames others publish
+  kinematics  one placement per joint, as the descriptions of UR, Franka
+              and Flexiv robots read it
+  imu         noise, errors, delays and places of the SUs, as kalibr
+              writes them; needs the JSON
+  mjcf        MuJoCo model with a site and an accelerometer per SU
 
 SUs of which the log does not tell where they sit are left out and named. Without -o the text is
 printed."""

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from skin2urdf.errors import UsageError
+from skin2urdf.files import check_target
 
 
 class Filled(argparse.RawDescriptionHelpFormatter):
@@ -135,6 +136,21 @@ def refuse_to_overwrite(inputs: Sequence[str | Path], *outputs: str | Path) -> N
                 f"two outputs would be the same file, {path}", "give each a name of its own"
             )
         written.add(target)
+
+
+def check_log_target(path: str | Path) -> Path:
+    """Make sure that a log can be written at ``path``, before the work that fills it.
+
+    Returns:
+        The absolute path, symbolic links resolved.
+
+    Raises:
+        UsageError: the name does not end in .mcap, or nothing can be written there.
+    """
+    target = check_target(path)
+    if target.suffix != ".mcap":
+        raise UsageError(f"{path} does not end in .mcap", "give a name that does")
+    return target
 
 
 def present(paths: Iterable[str | Path]) -> frozenset[Path]:

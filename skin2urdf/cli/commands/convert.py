@@ -7,6 +7,7 @@ import math
 
 from skin2urdf.cli.arguments import (
     Parser,
+    check_log_target,
     number_or_nan,
     offer_json,
     print_json,
@@ -14,8 +15,6 @@ from skin2urdf.cli.arguments import (
     shown,
 )
 from skin2urdf.cli.terminal import progress_bar
-from skin2urdf.errors import UsageError
-from skin2urdf.files import check_target
 from skin2urdf.geometry.units import JOINT_UNITS
 
 HELP = "write what a calibration reads of a log as MCAP"
@@ -57,9 +56,7 @@ def declare(command: Parser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Do it; the exit status."""
-    target = check_target(options.output)
-    if target.suffix != ".mcap":
-        raise UsageError(f"{options.output} does not end in .mcap", "give a name that does")
+    target = check_log_target(options.output)
     refuse_to_overwrite([options.log], target)
     from skin2urdf.recording.converting import convert
     from skin2urdf.report.notes import note_words

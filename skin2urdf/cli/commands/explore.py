@@ -14,7 +14,6 @@ from skin2urdf.cli.arguments import (
     wrote,
 )
 from skin2urdf.cli.terminal import progress_bar, show
-from skin2urdf.files import check_target
 from skin2urdf.geometry.units import GRAVITY
 
 HELP = "show which SU moves with which joint"
@@ -43,7 +42,11 @@ def declare(command: Parser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Do it; the exit status."""
     check_at_least(options, "threshold", 1e-3)
-    plots = [check_target(options.plot)] if options.plot else []
+    plots = []
+    if options.plot:
+        from skin2urdf.report.canvas import check_picture
+
+        plots = [check_picture(options.plot)]
     replaced = present(plots)
     with progress_bar(options.quiet) as bar:
         bar("starting", 0.0)

@@ -5,7 +5,14 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING
 
-from skin2urdf.cli.arguments import Parser, add_number, present, refuse_to_overwrite, wrote
+from skin2urdf.cli.arguments import (
+    Parser,
+    add_number,
+    check_log_target,
+    present,
+    refuse_to_overwrite,
+    wrote,
+)
 from skin2urdf.cli.terminal import progress_bar
 from skin2urdf.errors import UsageError
 from skin2urdf.files import check_target, write_atomically
@@ -113,9 +120,10 @@ def run(options: argparse.Namespace) -> int:
             "a simulation needs a robot and a log to write",
             "skin2urdf simulate panda -o log.mcap (names: skin2urdf simulate --list)",
         )
+    targets = [check_log_target(options.output)]
+    targets += [check_target(options.truth)] if options.truth else []
     settings = _simulation_settings(options)
     robot = load_robot(options.robot)
-    targets = [check_target(path) for path in (options.output, options.truth) if path]
     inputs = [robot.urdf, options.robot, *([options.plan] if options.plan else [])]
     refuse_to_overwrite(inputs, *targets)
     replaced = present(targets)

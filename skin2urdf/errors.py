@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Literal
 
 Lack = Literal[
@@ -47,6 +47,51 @@ class UsageError(Skin2UrdfError):
     def __init__(self, what: str, remedy: str = "", argument: str = "") -> None:
         super().__init__(what, remedy)
         self.argument = argument
+
+
+class SettingError(UsageError):
+    """A field of a record of settings that is out of its range.
+
+    Attributes:
+        argument: the field's name; the command line names its option instead.
+        rule: what goes for it, as words that follow its name.
+    """
+
+    def __init__(self, argument: str, rule: str) -> None:
+        super().__init__(f"{argument} {rule}", "give another value, or leave it out", argument)
+        self.rule = rule
+
+
+def check_setting(argument: str, rule: str, holds: bool) -> None:
+    """Refuse settings of which a rule does not hold.
+
+    Args:
+        argument: the field's name.
+        rule: what goes for it, as words that follow its name.
+        holds: whether that is so.
+
+    Raises:
+        SettingError: it is not.
+    """
+    if not holds:
+        raise SettingError(argument, rule)
+
+
+def check_ranges(settings: object, ranges: Mapping[str, tuple[float, float]]) -> None:
+    """Refuse settings with a number out of its range.
+
+    Args:
+        settings: a record, of which a field that is None is not looked at.
+        ranges: smallest and largest values, by fields' names.
+
+    Raises:
+        SettingError: a field is out of its range, or NaN.
+    """
+    for argument, (least, most) in ranges.items():
+        value = getattr(settings, argument)
+        words = f"to {most:g}" if most < float("inf") else "or more"
+        holds = value is None or (least <= value <= most and value < float("inf"))
+        check_setting(argument, f"must be {least:g} {words}", holds)
 
 
 class UnreadableInputError(Skin2UrdfError):

@@ -5,13 +5,14 @@ from __future__ import annotations
 import argparse
 import re
 import textwrap
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from difflib import get_close_matches
 from importlib import metadata
 from pathlib import Path
 from typing import Any, NoReturn
 
-from skin2urdf.errors import UsageError
+from skin2urdf.errors import SettingError, UsageError
 from skin2urdf.files import check_target
 
 
@@ -117,6 +118,23 @@ def check_at_least(options: argparse.Namespace, name: str, least: float) -> None
     value = getattr(options, name)
     if not least <= value < float("inf"):
         raise UsageError(f"--{name} {value:g} is out of range", f"give {least:g} or more")
+
+
+@contextmanager
+def settings_of_options(**named: str) -> Iterator[None]:
+    """Where settings that are made of options are refused, name the option and not the field.
+
+    Args:
+        named: names of options by fields' names, where these differ by more than hyphens.
+
+    Raises:
+        UsageError: settings are refused inside.
+    """
+    try:
+        yield
+    except SettingError as error:
+        option = f"--{named.get(error.argument, error.argument).replace('_', '-')}"
+        raise UsageError(f"{option} {error.rule}", error.remedy, option) from error
 
 
 def refuse_to_overwrite(inputs: Sequence[str | Path], *outputs: str | Path) -> None:

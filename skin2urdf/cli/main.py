@@ -63,6 +63,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
         complain(f"error: {where}{error.strerror or error}")
         print("  -> check the paths, and that there is space where they lead", file=sys.stderr)
         return UsageError.exit_status
+    except MemoryError as error:
+        if options.debug:
+            raise
+        complain(f"error: the memory does not suffice: {error}".rstrip(": "))
+        print("  -> give less at once: shorter logs, smaller numbers", file=sys.stderr)
+        return Skin2UrdfError.exit_status
     except KeyboardInterrupt:
         print("interrupted; no file was left half-written", file=sys.stderr)
         return _INTERRUPTED

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from skin2urdf.arrays import F64, Bool, Record
-from skin2urdf.errors import UsageError
+from skin2urdf.errors import check_ranges, check_setting
 from skin2urdf.planning.trajectory import JointTrajectory
 
 PhaseKind = Literal["rest", "move", "structural", "pattern"]
@@ -77,15 +77,12 @@ class PlanSettings:
     half_range: tuple[float, float] = (2.62, 0.3)
 
     def __post_init__(self) -> None:
-        checks = {
-            "minutes must be positive": 0 < self.minutes < 1e4,
-            "the share of limits that is used must be above 0 and at most 1": 0 < self.share <= 1,
-            "accelerometers must reach beyond gravity": 10.0 < self.full_scale < 1e4,
-            "the seed must not be negative": self.seed >= 0,
-        }
-        for message, holds in checks.items():
-            if not holds:
-                raise UsageError(message, "change the option named")
+        check_ranges(
+            self, {"minutes": (1e-3, 24 * 60), "share": (1e-3, 1.0), "seed": (0, float("inf"))}
+        )
+        # In other units on the command line.
+        reaches = 10.0 < self.full_scale < 1e4
+        check_setting("full_scale", "must reach beyond gravity, as that of 2 g does", reaches)
 
 
 @dataclass(frozen=True)

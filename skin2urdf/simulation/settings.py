@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from math import inf
 from types import MappingProxyType
 from typing import Literal, TypeVar, get_args
 
-from skin2urdf.errors import UsageError
+from skin2urdf.errors import UsageError, check_ranges, check_setting
 from skin2urdf.planning.trajectory import JointTrajectory
 from skin2urdf.simulation.defects.records import Defect
 from skin2urdf.simulation.motion_settings import MotionSettings
@@ -18,6 +19,25 @@ Excitation = Literal["one", "all", "none", "series"]
 Fourier series of each DoF without a rest."""
 WITHOUT_PATTERNS: tuple[Excitation, ...] = ("none", "series")
 """Those that go on for a time instead of from pose to pose with a pattern around each."""
+_RANGES: Mapping[str, tuple[float, float]] = MappingProxyType(
+    {
+        "n_poses": (1, 10_000),
+        "minutes": (1e-3, 24 * 60),
+        "seed": (0, inf),
+        # Twice what the fastest accelerometers give; an hour of it fits no machine.
+        "imu_rate": (0.1, 5e4),
+        "joint_rate": (0.1, 5e4),
+        # Turns and a fraction of one, in double precision.
+        "encoder_bits": (0, 48),
+        "linear_resolution": (1e-12, 1.0),
+        "torque_noise": (0, inf),
+        "jitter": (0, inf),
+        "lag": (0, inf),
+        "sus_per_segment": (0, 1000),
+        "sus_on_base": (0, 1000),
+    }
+)
+"""What numbers may be, by fields of :class:`SimulationSettings`."""
 T = TypeVar("T")
 
 
@@ -75,9 +95,10 @@ class SimulationSettings:
         tracking: how joints follow their reference, by name ("none", "servo", "soft") or in full.
         imu_rate: samples per second of each SU [Hz].
         joint_rate: joint state messages per second [Hz].
-        encoder_bits: resolution of revolute encoders [bits per revolution]; None for exact ones.
-        linear_resolution: resolution of prismatic encoders [m]; without effect where
-            ``encoder_bits`` is None.
+        encoder_bits: resolution of revolute encoders [bits per revolution]; 0 or None for exact
+            ones.
+        linear_resolution: resolution of prismatic encoders [m]; without effect where others are
+            exact.
         torque_noise: rms noise of the torque that every gear bears, measured on the link's side and
             sent as effort with the positions [N m or N]; None for no efforts.
         jitter: rms noise of the time stamps on regular samples [s].
@@ -116,29 +137,20 @@ class SimulationSettings:
     plan: JointTrajectory | None = None
 
     def __post_init__(self) -> None:
-        checks = {
-            "n_poses must be at least 1": self.n_poses >= 1,
-            "seed must not be negative": self.seed >= 0,
-            "imu_rate and joint_rate must be positive": min(self.imu_rate, self.joint_rate) > 0,
-            "encoder_bits must be positive": self.encoder_bits is None or self.encoder_bits > 0,
-            "linear_resolution must be positive": self.linear_resolution > 0,
-            "jitter, lag and torque_noise must not be negative": min(
-                self.jitter, self.lag, self.torque_noise or 0.0
-            )
-            >= 0,
-            "numbers of SUs must not be negative": min(
-                self.sus_per_segment or 0, self.sus_on_base or 0
-            )
-            >= 0,
-            'excite must be "one", "all", "none" or "series"': self.excite in get_args(Excitation),
-            "minutes must be positive": self.minutes is None or self.minutes > 0,
-            "minutes are for motion without patterns; patterns go by n_poses": self.minutes is None
-            or self.excite in WITHOUT_PATTERNS,
-            "upright and base_rpy exclude each other": not (self.upright and self.base_rpy),
-        }
-        for message, holds in checks.items():
-            if not holds:
-                raise UsageError(f"simulation settings: {message}", "change the option named")
+        check_ranges(self, _RANGES)
+        choices = get_args(Excitation)
+        check_setting("excite", f"must be one of {', '.join(choices)}", self.excite in choices)
+        check_setting(
+            "minutes",
+            f"is for motion without patterns (excite {' or '.join(WITHOUT_PATTERNS)}), for with "
+            "them it takes as long as its poses",
+            self.minutes is None or self.excite in WITHOUT_PATTERNS,
+        )
+        check_setting(
+            "upright",
+            "and a tilt of the base exclude each other",
+            not (self.upright and self.base_rpy),
+        )
 
     @property
     def duration(self) -> float:

@@ -60,7 +60,7 @@ def record_joints(
     """
     time = _sample_times(motion, settings.joint_rate)
     resolution = np.zeros(mechanism.n_joints)
-    if settings.encoder_bits is not None:
+    if settings.encoder_bits:
         angular = 2 * pi / 2**settings.encoder_bits
         resolution = np.where(mechanism.prismatic, settings.linear_resolution, angular)
     position = encode(motion.at(time)[0], resolution)

@@ -24,6 +24,7 @@ from skin2urdf import survey
 from skin2urdf.cli import terminal
 from skin2urdf.cli.arguments import refuse_to_overwrite
 from skin2urdf.cli.commands.calibrate import calibration_settings
+from skin2urdf.cli.commands.simulate import simulation_settings
 from skin2urdf.cli.main import INTERNAL_ERROR, main
 from skin2urdf.cli.parser import COMMANDS, make_parser
 from skin2urdf.errors import BadFitError, StructureError, UsageError
@@ -31,6 +32,7 @@ from skin2urdf.estimation.problem.cost import Priors
 from skin2urdf.files import write_atomically
 from skin2urdf.recording.reading import read
 from skin2urdf.recording.writing import write
+from skin2urdf.simulation import SimulationSettings
 
 SHORT = ["--poses", "3", "--excite", "all", "--imu-rate", "100", "--joint-rate", "50", "--seed=5"]
 
@@ -255,7 +257,17 @@ def test_simulate_moves_without_patterns(run: Run, tmp_path: Path) -> None:
         (["simulate", "{truth}", "-o", "{truth}"], 2, "{truth}"),
         (["simulate", "panda", "-o", "{tmp}/a.txt"], 2, ".mcap"),
         (["check", "{log}", "{urdf}", "-o", "{tmp}/a", "--history", "{tmp}/a.json"], 2, "a.json"),
-        (["simulate", "panda", "-o", "{tmp}/a.mcap", "--poses", "0"], 2, "n_poses"),
+        (["simulate", "panda", "-o", "{tmp}/a.mcap", "--poses", "0"], 2, "--poses"),
+        (["simulate", "panda", "-o", "{tmp}/a.mcap", "--imu-rate", "1e9"], 2, "--imu-rate"),
+        (["simulate", "panda", "-o", "{tmp}/a.mcap", "--encoder-bits", "-1"], 2, "--encoder-bits"),
+        (["simulate", "panda", "-o", "{tmp}/a.mcap", "--minutes", "1"], 2, "--minutes"),
+        (["plan", "--model", "panda", "-o", "{tmp}/p.yaml", "--range", "1"], 2, "--range"),
+        (["plan", "--model", "panda", "-o", "{tmp}/p.yaml", "--share", "nan"], 2, "--share"),
+        *(
+            (["simulate", "panda", "-o", "{tmp}/a.mcap", "--plan", "{text}", *more], 2, more[0])
+            for more in (["--poses", "4"], ["--excite", "none"], ["--minutes", "2"])
+        ),
+        (["simulate", "panda", "-o", "{tmp}/a.mcap", "--plan", "{text}"], 2, "{text}"),
     ],
     ids=lambda value: " ".join(value[:1]) if isinstance(value, list) else str(value),
 )
@@ -364,8 +376,9 @@ def test_a_folder_that_is_no_bag_is_not_taken_silently(
         (KeyboardInterrupt(), 130, "interrupted"),
         (ZeroDivisionError("0/0"), 1, f"{INTERNAL_ERROR}: ZeroDivisionError: 0/0"),
         (RecursionError(), 1, f"{INTERNAL_ERROR}: RecursionError"),
+        (MemoryError("16 GiB"), 1, "16 GiB"),
     ],
-    ids=["interrupt", "defect", "defect without words"],
+    ids=["interrupt", "defect", "defect without words", "memory"],
 )
 def test_no_traceback_reaches_a_user(
     run: Run, monkeypatch: pytest.MonkeyPatch, raised: BaseException, status: int, says: str
@@ -378,6 +391,7 @@ def test_no_traceback_reaches_a_user(
     assert (done, out) == (status, "")
     assert says in err
     assert "Traceback" not in err
+    assert (INTERNAL_ERROR in err) == (INTERNAL_ERROR in says)
 
 
 @pytest.mark.parametrize("error", [ZeroDivisionError("0/0"), BadFitError("no")])
@@ -502,6 +516,11 @@ def test_a_wrong_value_is_named_as_the_user_knows_it(
     assert words[0] in last
     assert says in last
     assert not_says not in last
+
+
+def test_defaults_in_the_help_are_those_of_the_simulation() -> None:
+    given = make_parser().parse_args(["simulate", "panda", "-o", "log.mcap"])
+    assert simulation_settings(given) == SimulationSettings()
 
 
 def test_simulated_sus_have_gyroscopes_where_they_are_asked_for(run: Run, tmp_path: Path) -> None:

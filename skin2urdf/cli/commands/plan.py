@@ -12,6 +12,7 @@ from skin2urdf.cli.arguments import (
     offer_json,
     print_json,
     refuse_to_overwrite,
+    settings_of_options,
     shown,
 )
 from skin2urdf.cli.terminal import progress_bar
@@ -134,12 +135,13 @@ def run(options: argparse.Namespace) -> int:
     from skin2urdf.planning.plan import make_plan
     from skin2urdf.planning.records import PlanSettings
 
-    settings = PlanSettings(
-        minutes=options.minutes,
-        seed=options.seed,
-        share=options.share,
-        full_scale=options.range * GRAVITY,
-    )
+    with settings_of_options(full_scale="range"):
+        settings = PlanSettings(
+            minutes=options.minutes,
+            seed=options.seed,
+            share=options.share,
+            full_scale=options.range * GRAVITY,
+        )
     with progress_bar(options.quiet) as bar:
         bar("loading", 0.0)
         earlier = read_earlier(options.after) if options.after else None

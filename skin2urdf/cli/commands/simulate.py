@@ -11,6 +11,7 @@ from skin2urdf.cli.arguments import (
     check_log_target,
     present,
     refuse_to_overwrite,
+    settings_of_options,
     wrote,
 )
 from skin2urdf.cli.terminal import progress_bar
@@ -19,6 +20,9 @@ from skin2urdf.files import check_target, write_atomically
 
 if TYPE_CHECKING:
     from skin2urdf.simulation import SimulationSettings
+
+_MOTION = {"n_poses": "poses", "excite": "excite", "minutes": "minutes", "structural": "structural"}
+"""Fields of settings and names of options that say how the robot moves, in place of a plan."""
 
 HELP = "record a robot of known URDF"
 EPILOG = """\
@@ -37,17 +41,18 @@ def declare(command: Parser) -> None:
     command.add_argument("--truth", metavar="URDF", help="write the robot as it was simulated")
 
     motion = command.add_argument_group("motion")
-    add_number(motion, "--poses", 12, "random poses to rest and excite in (%(default)s)", int)
+    add_number(motion, "--poses", None, "random poses to rest and excite in (12)", int)
     add_number(motion, "--seed", 0, "skin, poses and noise are drawn from it (%(default)s)", int)
     motion.add_argument(
         "--excite",
         choices=("one", "all", "none", "series"),
-        default="one",
         help="pattern on one DoF after the other, on all at once, ordinary moves from pose to "
-        "pose without any, or a Fourier series of each DoF without a rest (%(default)s)",
+        "pose without any, or a Fourier series of each DoF without a rest (one)",
     )
     motion.add_argument(
-        "--plan", metavar="YAML", help="follow a trajectory that plan wrote, in place of all that"
+        "--plan",
+        metavar="YAML",
+        help="follow a trajectory that plan wrote, in place of random poses",
     )
     add_number(motion, "--minutes", None, "how long to move without patterns [min] (3)")
     motion.add_argument(
@@ -122,7 +127,7 @@ def run(options: argparse.Namespace) -> int:
         )
     targets = [check_log_target(options.output)]
     targets += [check_target(options.truth)] if options.truth else []
-    settings = _simulation_settings(options)
+    settings = simulation_settings(options)
     robot = load_robot(options.robot)
     inputs = [robot.urdf, options.robot, *([options.plan] if options.plan else [])]
     refuse_to_overwrite(inputs, *targets)
@@ -156,7 +161,7 @@ def run(options: argparse.Namespace) -> int:
     return 0
 
 
-def _simulation_settings(options: argparse.Namespace) -> SimulationSettings:
+def simulation_settings(options: argparse.Namespace) -> SimulationSettings:
     """Settings as the options say."""
     from math import radians
 
@@ -164,26 +169,34 @@ def _simulation_settings(options: argparse.Namespace) -> SimulationSettings:
     from skin2urdf.simulation import SimulationSettings
 
     rpy = options.base_rpy
-    return SimulationSettings(
-        n_poses=options.poses,
-        excite=options.excite,
-        minutes=options.minutes,
-        structural=options.structural,
-        upright=options.upright,
-        base_rpy=None if rpy is None else (radians(rpy[0]), radians(rpy[1]), radians(rpy[2])),
-        seed=options.seed,
-        grade=options.grade,
-        gyro=options.gyro,
-        tracking=options.tracking,
-        imu_rate=options.imu_rate,
-        joint_rate=options.joint_rate,
-        encoder_bits=options.encoder_bits or None,
-        jitter=options.jitter * 1e-3,
-        lag=options.lag * 1e-3,
-        sus_per_segment=options.sus_per_segment,
-        sus_on_base=options.sus_on_base,
-        plan=read_trajectory(options.plan) if options.plan else None,
-    )
+    motion = {
+        field: getattr(options, name)
+        for field, name in _MOTION.items()
+        if getattr(options, name) is not None
+    }
+    if options.plan and motion:
+        given = ", ".join(f"--{_MOTION[field]}" for field in motion)
+        raise UsageError(
+            f"{given}: all of the motion is that of --plan", "leave them out", "--plan"
+        )
+    with settings_of_options(**_MOTION):
+        return SimulationSettings(
+            **motion,
+            upright=options.upright,
+            base_rpy=None if rpy is None else (radians(rpy[0]), radians(rpy[1]), radians(rpy[2])),
+            seed=options.seed,
+            grade=options.grade,
+            gyro=options.gyro,
+            tracking=options.tracking,
+            imu_rate=options.imu_rate,
+            joint_rate=options.joint_rate,
+            encoder_bits=options.encoder_bits,
+            jitter=options.jitter * 1e-3,
+            lag=options.lag * 1e-3,
+            sus_per_segment=options.sus_per_segment,
+            sus_on_base=options.sus_on_base,
+            plan=read_trajectory(options.plan) if options.plan else None,
+        )
 
 
 def _gyro(text: str) -> str | float:

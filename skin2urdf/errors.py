@@ -14,7 +14,7 @@ Unreadable = Literal[
     "empty", "no regular file", "no log", "another format", "shortened", "too large", "long line",
     "no messages", "nothing usable", "no joints", "no SUs", "no times", "several times", "no unit",
     "same column", "missing axis", "no rows", "no XML", "no links", "same name", "missing link",
-    "two parents", "several trees", "circle", "refused", "",
+    "two parents", "several trees", "circle", "refused", "a log", "a text", "",
 ]  # fmt: skip
 """Why an input is not what it should be."""
 

@@ -8,6 +8,7 @@ import secrets
 from pathlib import Path
 
 from skin2urdf.errors import UnreadableInputError, UsageError
+from skin2urdf.magic import HEAD, log_in_words
 
 _STREAMS = tuple(map(Path, ("/proc", "/dev/fd")))
 """Folders whose links are open files of a process; /dev/stdout leads there."""
@@ -119,6 +120,30 @@ def read_text(path: str | Path) -> str:
         ) from error
     except ValueError as error:
         raise UnreadableInputError(str(path), "is no text in UTF-8", "check the path") from error
+
+
+def read_description(path: str | Path) -> bytes:
+    """What a file of text that describes a robot holds, such as a URDF.
+
+    Raises:
+        UnreadableInputError: there is no such file, or it is a log.
+    """
+    path = Path(path)
+    try:
+        if path.is_dir() and (path / "metadata.yaml").exists():
+            what = "a folder with a rosbag2"
+        else:
+            content = path.read_bytes()
+            what = log_in_words(content[:HEAD])
+    except OSError as error:
+        raise UnreadableInputError(
+            str(path), f"can not be read: {error.strerror or error}", "check the path"
+        ) from error
+    if what:
+        raise UnreadableInputError(
+            str(path), f"this is {what}, and no URDF", "give a URDF file", "a log"
+        )
+    return content
 
 
 def append_line(path: str | Path, line: str) -> None:

@@ -26,15 +26,16 @@ SOURCES = [*MODULES.values(), *sorted((ROOT / "scripts").rglob("*.py"))]
 
 # What the modules of a layer may import beside their own layer. A name covers what is below it;
 # "*.records" stands for the records of every folder. Data flows down this table.
-BASE = ("arrays", "errors", "files", "faults", "notes", "geometry", "threads")
+BASE = ("arrays", "errors", "files", "faults", "notes", "geometry", "threads", "magic")
 LAYERS: dict[str, tuple[str, ...]] = {
     "arrays": (),
     "errors": (),
-    "files": ("errors",),
+    "files": ("errors", "magic"),
     "faults": (),
     "notes": (),
     "geometry": ("arrays",),
     "threads": (),
+    "magic": (),
     "recording": BASE,
     "signals": (*BASE, "recording"),
     "structure": (*BASE, "signals"),

@@ -12,8 +12,8 @@ from pathlib import Path
 
 import pytest
 
-from skin2urdf.errors import UsageError
-from skin2urdf.files import check_target, write_atomically
+from skin2urdf.errors import UnreadableInputError, UsageError
+from skin2urdf.files import check_target, read_description, write_atomically
 
 
 def test_text_is_written_as_it_is(tmp_path: Path) -> None:
@@ -23,6 +23,23 @@ def test_text_is_written_as_it_is(tmp_path: Path) -> None:
     write_atomically(str(path), "new")
     assert path.read_text() == "new"
     assert list(tmp_path.iterdir()) == [path]
+
+
+def test_logs_are_told_from_descriptions(tmp_path: Path) -> None:
+    path, bag = tmp_path / "robot.urdf", tmp_path / "bag"
+    path.write_text("<robot/>")
+    assert read_description(path) == b"<robot/>"
+    bag.mkdir()
+    for place, why in ((bag, ""), (tmp_path / "none", "")):
+        with pytest.raises(UnreadableInputError) as caught:
+            read_description(place)
+        assert caught.value.why == why
+    (bag / "metadata.yaml").touch()
+    path.write_bytes(b"\x89MCAP0\r\n")
+    for place in (bag, path):
+        with pytest.raises(UnreadableInputError) as caught:
+            read_description(place)
+        assert caught.value.why == "a log"
 
 
 def test_a_new_file_obeys_the_umask(tmp_path: Path) -> None:

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+import argparse
 import os
 import sys
 import warnings
 from collections.abc import Sequence
 
 from skin2urdf.cli.commands.completion import answer_the_shell
-from skin2urdf.cli.parser import COMMANDS, make_parser
+from skin2urdf.cli.parser import COMMANDS, make_parser, order_of_arguments
 from skin2urdf.cli.terminal import complain, open_streams, silence_stdout
-from skin2urdf.errors import Skin2UrdfError, UsageError
+from skin2urdf.errors import Skin2UrdfError, UnreadableInputError, UsageError
 from skin2urdf.recording.naming import printable
 
 _INTERRUPTED = 130
@@ -52,8 +53,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if options.debug:
             raise
         complain(f"error: {printable(str(error))}")
-        if error.remedy:
-            print(f"  -> {printable(error.remedy)}", file=sys.stderr)
+        if remedy := _remedy(error, options):
+            print(f"  -> {printable(remedy)}", file=sys.stderr)
         return error.exit_status
     except OSError as error:
         if options.debug:
@@ -79,6 +80,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print("  -> this is a defect; add --debug to see where, and report it", file=sys.stderr)
         return 1
     return status
+
+
+def _remedy(error: Skin2UrdfError, options: argparse.Namespace) -> str:
+    """What to do about an error; where a log and a URDF changed places, what the order is."""
+    if isinstance(error, UnreadableInputError) and error.why in ("a log", "a text"):
+        order = order_of_arguments(options, error.path)
+        return f"{error.remedy}, as in {order}" if order else error.remedy
+    return error.remedy
 
 
 def _one_thread() -> None:

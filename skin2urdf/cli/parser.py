@@ -70,6 +70,24 @@ unreadable input, 3 the URDF was written, but an SU or an encoder needs repair, 
 determined (calibrate), or an SU is not where it was (check)"""
 
 
+def order_of_arguments(options: argparse.Namespace, path: str) -> str:
+    """What a command takes beside options, in its order; empty where a path is none of that.
+
+    Args:
+        options: what was given, with the parser of the whole command line.
+        path: as it was given.
+    """
+    command = completion.commands_of(options.parser)[options.command]
+    places = [action for action in command._actions if not action.option_strings]
+    given: list[str] = []
+    for place in places:
+        value = getattr(options, place.dest)
+        given += value if isinstance(value, list) else [value]
+    forms = {"+": "{} ..", "?": "[{}]"}
+    words = [forms.get(str(place.nargs), "{}").format(place.metavar) for place in places]
+    return f"{command.prog} {' '.join(words)}" if path in given else ""
+
+
 def make_parser() -> Parser:
     """The parser of the whole command line; ``command`` names the command."""
     top = Parser(

@@ -17,6 +17,7 @@ from mcap.opcode import Opcode
 from numpy.typing import NDArray
 
 from skin2urdf.arrays import Int
+from skin2urdf.magic import MCAP_MAGIC
 from skin2urdf.notes import ReadingNote
 from skin2urdf.recording.blocks import UNWANTED, Block, Channel, Channels
 from skin2urdf.recording.chunks import (
@@ -26,7 +27,6 @@ from skin2urdf.recording.chunks import (
     packed_chunk,
 )
 from skin2urdf.recording.framing import (
-    MAGIC,
     MESSAGE_FIELDS,
     MESSAGE_HEADER,
     RECORD_HEADER,
@@ -78,7 +78,7 @@ class McapFile:
     profile: str = ""
     compressions: set[str] = field(default_factory=set)
     notes: list[ReadingNote] = field(default_factory=list)
-    position: int = len(MAGIC)
+    position: int = len(MCAP_MAGIC)
     _schemas: dict[int, str] = field(default_factory=dict)
     _digested: int = 0
     _numbers: Int = field(default_factory=lambda: np.full(CHANNEL_IDS, UNDEFINED, np.int64))

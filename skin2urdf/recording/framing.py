@@ -14,9 +14,6 @@ from skin2urdf.arrays import Int
 from skin2urdf.recording.gather import U8, gather
 from skin2urdf.recording.naming import printable
 
-# First and last bytes of every file (https://mcap.dev/spec#magic).
-MAGIC = b"\x89MCAP0\r\n"
-
 # Opcode, length and the fixed fields of a message record (https://mcap.dev/spec#message-op0x05).
 MESSAGE_HEADER = np.dtype(
     [

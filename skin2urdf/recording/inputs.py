@@ -15,28 +15,17 @@ from typing import Literal, NamedTuple, TypeAlias
 
 import numpy as np
 
+from skin2urdf import magic
 from skin2urdf.errors import UnreadableInputError
 from skin2urdf.notes import ReadingNote
-from skin2urdf.recording.framing import MAGIC
 from skin2urdf.recording.gather import U8
 from skin2urdf.recording.naming import printable
 
-Kind: TypeAlias = Literal["mcap", "sqlite3", "ros1", "zstd", "parquet", "csv"]
+Kind: TypeAlias = magic.Kind | Literal["csv"]
 
 RECORD_REMEDY = (
     "record with `ros2 bag record -s mcap TOPIC ...`, a topic of joint states and the topics of "
     "all accelerometers"
-)
-ROS1_MAGIC = b"#ROSBAG V2.0\n"
-# What a zstd frame starts with (RFC 8878, section 3.1.1). As the head of a payload it would name a
-# representation that does not exist.
-ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
-KINDS: tuple[tuple[bytes, Kind], ...] = (
-    (MAGIC, "mcap"),
-    (b"SQLite format 3\0", "sqlite3"),
-    (ROS1_MAGIC, "ros1"),
-    (ZSTD_MAGIC, "zstd"),
-    (b"PAR1", "parquet"),
 )
 # Text has no first bytes of its own.
 TABLES = (".csv", ".tsv")
@@ -271,23 +260,24 @@ def opened(path: Path) -> Iterator[LogFile]:
             raise UnreadableInputError(
                 str(path), "the file is empty", f"nothing was recorded; {RECORD_REMEDY}", "empty"
             )
-        yield replace(file, kind=_kind(path, file.read(0, 32).tobytes()))
+        yield replace(file, kind=_kind(path, file.read(0, magic.HEAD).tobytes()))
 
 
 def _kind(path: Path, head: bytes) -> Kind:
     """What a file is by its first bytes, or an error that says what it is instead."""
-    for magic, kind in KINDS:
-        if head.startswith(magic):
-            return kind
+    if kind := magic.log_kind(head):
+        return kind
     if path.suffix.lower() in TABLES:
         return "csv"
-    for magic, what, remedy in OTHER_FORMATS:
-        if head.startswith(magic):
+    for start, what, remedy in OTHER_FORMATS:
+        if head.startswith(start):
             raise UnreadableInputError(str(path), what, remedy.format(path=path))
     if path.name == "metadata.yaml":
         raise UnreadableInputError(
             str(path), "this describes a bag", f"give the directory it lies in: {path.parent}"
         )
+    if what := magic.text_in_words(head):
+        raise UnreadableInputError(str(path), f"this is {what}, and no log", "give a log", "a text")
     raise UnreadableInputError(
         str(path),
         "this is not an MCAP file, nor a log of another known format",

@@ -12,11 +12,12 @@ from pathlib import Path
 import numpy as np
 
 from skin2urdf.errors import Unreadable, UnreadableInputError
+from skin2urdf.magic import ZSTD_MAGIC
 from skin2urdf.notes import ReadingNote
 from skin2urdf.recording.blocks import Block
 from skin2urdf.recording.chunks import LARGEST_JOINED
 from skin2urdf.recording.gather import gather
-from skin2urdf.recording.inputs import ZSTD_MAGIC, LogFile
+from skin2urdf.recording.inputs import LogFile
 from skin2urdf.recording.naming import printable
 
 # Messages of a log differ in their stamps at least, which leaves more than two of some hundred

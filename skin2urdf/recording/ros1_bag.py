@@ -16,11 +16,12 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from skin2urdf.arrays import Bool, Int
+from skin2urdf.magic import ROS1_MAGIC
 from skin2urdf.notes import ReadingNote
 from skin2urdf.recording.blocks import Block, Channel, Channels
 from skin2urdf.recording.chunks import LARGEST_UNPACKED, DamagedChunkError, joined, unpack_lz4
 from skin2urdf.recording.gather import U8, gather, gather_rows, grouped
-from skin2urdf.recording.inputs import ROS1_MAGIC, LogFile
+from skin2urdf.recording.inputs import LogFile
 from skin2urdf.recording.messages import canonical_type
 from skin2urdf.recording.naming import printable
 from skin2urdf.recording.regions import DAMAGED_END

@@ -13,6 +13,7 @@ import numpy as np
 
 from skin2urdf.arrays import F64
 from skin2urdf.errors import Unreadable, UnreadableInputError
+from skin2urdf.files import read_description
 from skin2urdf.structure.records import JointType
 
 # A robot with a thousand SUs has some more than a thousand links. What is made of each pair of
@@ -187,13 +188,7 @@ def read_root(path: Path) -> ET.Element:
     Raises:
         UnreadableInputError: there is no such file, or it is no XML.
     """
-    try:
-        content = path.read_bytes()
-    except OSError as error:
-        raise UnreadableInputError(
-            str(path), f"can not be read: {error.strerror or error}", "check the path"
-        ) from error
-    return parsed_urdf(content, str(path))
+    return parsed_urdf(read_description(path), str(path))
 
 
 def parsed_urdf(content: bytes, source: str) -> ET.Element:
@@ -213,7 +208,7 @@ def parsed_urdf(content: bytes, source: str) -> ET.Element:
         raise UnreadableInputError(
             source,
             f"is not XML: {error}",
-            "give a URDF file (not xacro, not a log)",
+            "give a URDF file, not xacro",
             "no XML",
         ) from error
 

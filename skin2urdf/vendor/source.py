@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Literal
 
 from skin2urdf.errors import UnreadableInputError
+from skin2urdf.files import read_description
 
 BAG = "bag"
 """What is given in place of a file for the description that the logs hold."""
@@ -51,12 +52,7 @@ def read_model(given: str | Path, logs: Sequence[str | Path] = ()) -> ModelText:
     if str(given) == BAG and not Path(given).exists():
         return _of_bags(logs)
     path = Path(given)
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise UnreadableInputError(
-            str(path), f"can not be read: {error.strerror or error}", "check the path"
-        ) from error
+    data = read_description(path)
     digest = hashlib.sha256(data).hexdigest()
     if path.suffix.lower() == ".xacro":
         return ModelText(_expanded(path), str(path), "xacro", digest)

@@ -175,7 +175,10 @@ def test_other_inputs_are_refused_with_the_next_step(tmp_path: Path) -> None:
     assert "gunzip" in refused(packed).remedy
 
     text = tmp_path / "robot.urdf"
-    text.write_text("<robot/>")
+    for content in ("<robot/>", "\ufeff\n<robot/>", '{"sus": {}}'):
+        text.write_text(content)
+        assert refused(text).why == "a text"
+    text.write_text("neither")
     assert refused(text).why == "another format"
 
     missing = refused(tmp_path / "missing.mcap")

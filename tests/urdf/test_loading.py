@@ -21,7 +21,8 @@ ROBOTS = Path(
 BAD = {
     "": "no XML",
     "#VRML V2.0": "no XML",
-    "\x89MCAP0\r\n": "no XML",
+    "\x89MCAP0\r\n": "a log",
+    "SQLite format 3\0": "a log",
     "<sdf/>": "another format",
     "<robot name='r'/>": "no links",
     "<robot><link name='a'/><link name='a'/></robot>": "same name",

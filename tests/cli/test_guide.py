@@ -15,6 +15,32 @@ def test_all_guides_are_listed_and_shown(capsys: pytest.CaptureFixture[str]) -> 
         assert capsys.readouterr().out == guides()[name].read_text(encoding="utf-8")
 
 
+@pytest.mark.parametrize(
+    ("words", "name"),
+    [
+        (["vendor models"], "vendor-models"),
+        (["Vendor", "Models"], "vendor-models"),
+        (["REAL-ROBOTS"], "real-robots"),
+        (["real_robots.md"], "real-robots"),
+        (["record.md"], "record"),
+        (["gyro"], "gyroscopes"),
+    ],
+)
+def test_a_guide_is_found_as_a_person_writes_it(
+    words: list[str], name: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["guide", *words]) == 0
+    assert capsys.readouterr().out == guides()[name].read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize(("text", "meant"), [("calibarte", " calibrate?"), ("s", "simulate")])
+def test_what_may_be_meant_is_told(
+    text: str, meant: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["guide", text]) == 2
+    assert meant in capsys.readouterr().err
+
+
 def test_a_guide_that_is_not_there_is_bad_usage(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["guide", "no-such"]) == 2
     assert "no-such" in capsys.readouterr().err

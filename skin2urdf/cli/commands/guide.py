@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import argparse
+import re
 import sys
+from collections.abc import Sequence
 from importlib import resources
 from importlib.resources.abc import Traversable
 
-from skin2urdf.cli.arguments import Parser
+from skin2urdf.cli.arguments import Parser, did_you_mean
 from skin2urdf.errors import UsageError
 
 HELP = "show a guide: record, calibrate, judge, use and more"
@@ -21,20 +23,20 @@ Without a name: what guides there are. Piped, a guide is plain Markdown."""
 
 def declare(command: Parser) -> None:
     """Add what the command takes."""
-    command.add_argument("name", nargs="?", metavar="NAME", help="the guide to show")
+    command.add_argument(
+        "name", nargs="*", metavar="NAME", help="the guide to show, or how its name begins"
+    )
 
 
 def run(options: argparse.Namespace) -> int:
     """Do it; the exit status."""
     known = guides()
-    if options.name is None:
+    if not options.name:
         width = max(map(len, known))
         for name, guide in known.items():
             print(f"{name:{width}}  {_title(guide)}")
         return 0
-    if options.name not in known:
-        raise UsageError(f"there is no guide {options.name!r}", f"one of {', '.join(known)}")
-    text = known[options.name].read_text(encoding="utf-8")
+    text = known[_meant(" ".join(options.name), list(known))].read_text(encoding="utf-8")
     if not sys.stdout.isatty():
         print(text, end="")
         return 0
@@ -45,6 +47,24 @@ def run(options: argparse.Namespace) -> int:
     with console.pager(styles=True):
         console.print(Markdown(text))
     return 0
+
+
+def _meant(text: str, names: Sequence[str]) -> str:
+    """The one of some names that a text means, as a person may write it or a file is called.
+
+    Raises:
+        UsageError: it means none of them, or several.
+    """
+    asked = re.sub(r"[\s_-]+", "-", text.strip().lower()).removesuffix(".md")
+    found = [name for name in names if name == asked] or [
+        name for name in names if asked and name.startswith(asked)
+    ]
+    if len(found) > 1:
+        raise UsageError(f"several guides begin with {text!r}", f"one of {', '.join(found)}")
+    if not found:
+        near = did_you_mean(asked, names)
+        raise UsageError(f"there is no guide {text!r}{near}", f"one of {', '.join(names)}")
+    return found[0]
 
 
 def guides() -> dict[str, Traversable]:

@@ -57,13 +57,12 @@ def _table(checked: Checked) -> list[str]:
     rows = []
     for su in checked.sus:
         (shift, shift_sd), (turn, turn_sd) = su.shift, su.turn
-        gone = su.what == "gone"
         rows.append(
             (
                 su.name,
                 su.link,
-                "-" if gone else f"{number(shift * _MM)} +- {number(shift_sd * _MM)}",
-                "-" if gone else f"{number(turn * _DEG, 3)} +- {number(turn_sd * _DEG, 3)}",
+                f"{number(shift * _MM)} +- {number(shift_sd * _MM)}" if su.told else "-",
+                f"{number(turn * _DEG, 3)} +- {number(turn_sd * _DEG, 3)}" if su.told else "-",
                 number(su.off.shift * _MM),
                 number(su.off.turn * _DEG, 3),
                 number(su.off.chi2 / su.off.dof if su.off.dof else np.nan, 1),
@@ -132,7 +131,8 @@ def as_document(checked: Checked) -> dict[str, Any]:
 
 
 def _su(su: SuCheck) -> dict[str, Any]:
-    (shift, shift_sd), (turn, turn_sd) = su.shift, su.turn
+    unknown = np.nan, np.nan
+    (shift, shift_sd), (turn, turn_sd) = (su.shift, su.turn) if su.told else (unknown, unknown)
     return {
         "what": su.what,
         "link": su.link,

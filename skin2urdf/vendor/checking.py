@@ -93,6 +93,11 @@ class SuCheck(Record):
         """Whether it is not as it was."""
         return self.what not in ("as it was", "open")
 
+    @property
+    def told(self) -> bool:
+        """Whether the log tells anything of where it is."""
+        return self.what not in ("gone", "open")
+
 
 def _length(x: F64, covariance: F64) -> tuple[float, float]:
     length = float(np.linalg.norm(x))
@@ -142,7 +147,7 @@ class Checked:
         index = {joint.name: j for j, joint in enumerate(self.chassis.joints)}
         tree = self.chassis.tree((), ())
         at = {su.name: _segment(self.chassis, index, su) for su in self.skin.sus}
-        told = [su for su in self.sus if su.what not in ("gone", "open")]
+        told = [su for su in self.sus if su.told]
         changed = {su.name for su in told if su.changed}
         for name, j in reversed(index.items()):
             beyond = {su.name for su in told if j in tree.chain(at[su.name])}

@@ -17,6 +17,7 @@ from skin2urdf.geometry.se3 import exp, inverse, log
 from skin2urdf.output import save_on_model, write_pair
 from skin2urdf.recording.records import JointStream, Recording
 from skin2urdf.recording.writing import write
+from skin2urdf.report.check import as_document, as_text
 from skin2urdf.vendor.calibrate import calibrate_with_model
 from skin2urdf.vendor.checking import Checked, check
 from skin2urdf.vendor.known_skin import load_skin
@@ -110,6 +111,16 @@ def test_exchanged_and_dead_sus_are_named(toy: Recorded, calibrated: Path) -> No
     places = {su.name: su.place_of for su in checked.sus}
     assert places[two] == three
     assert places[three] == two
+
+
+def test_of_what_the_log_does_not_tell_no_figures_are_shown(
+    toy: Recorded, calibrated: Path
+) -> None:
+    checked = check(toy.recording, calibrated)
+    assert as_text(checked).count("+-") == 2 * sum(su.told for su in checked.sus) > 0
+    silent = replace(checked, sus=tuple(replace(su, what="open") for su in checked.sus))
+    assert "+-" not in as_text(silent)
+    assert {su["shift_sd"] for su in as_document(silent)["sus"].values()} == {None}
 
 
 def test_what_changed_beyond_one_joint_alone_points_at_its_encoder(

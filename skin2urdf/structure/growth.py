@@ -62,6 +62,9 @@ is, 0.79 to 0.99 are left (29 simulated recordings of panda, ur5 and z1 with a b
 _MISSING = 0.5
 """Share of what an SU at rest on the base would leave above noise that a chain which lacks a joint
 leaves at least: 0.79 to 0.99 in those recordings, below 0.1 where none is missing."""
+_STEADY = 0.2
+"""What an SU may feel beside gravity of one direction where no joint turns it [m/s^2], rms: biases
+drift by 20 mg while sensors warm up. A joint that turns gravity by no more moves by a degree."""
 _CHUNK = 400_000
 """Entries of Jacobians that are held at a time."""
 
@@ -226,7 +229,8 @@ class Growth:
     def best(self) -> tuple[Int, F64]:
         """(U,) segment that suits each SU best, and (U,) what it leaves.
 
-        Of segments that suit as well the one with fewest joints is taken.
+        Of segments that suit as well the one with fewest joints is taken; of what a sensor at rest
+        on the base drifts by some joint explains a part, which is no reason for it to sit there.
         """
         misfit = np.array([s.misfit for s in self.segments])
         depth = np.array([len(self.chain(i)) for i in range(len(self.segments))])
@@ -234,17 +238,32 @@ class Growth:
         # An SU further out has no more parameters; the joint itself was paid for.
         alike = misfit < lowest + 0.5
         at = np.where(alike, depth[:, None], len(depth)).argmin(axis=0)
-        return at.astype(np.int64), lowest
+        on_base = self._is_steady() & ~self._lacks_none(lowest)
+        lowest = np.where(on_base, misfit[0], lowest)
+        return np.where(on_base, 0, at).astype(np.int64), lowest
 
     def explained(self) -> Bool:
         """(U,) True for SUs of which no joint is missing between them and the RS."""
-        noise, left = self._noise(), self.best()[1]
+        at, left = self.best()
+        return np.asarray(self._lacks_none(left) | (self._is_steady() & (at == 0)))
+
+    def _lacks_none(self, left: F64) -> Bool:
+        """(U,) whether chains that leave so much of SUs lack no joint."""
+        noise = self._noise()
         return np.asarray(left <= noise + _MISSING * np.maximum(self.segments[0].misfit - noise, 0))
+
+    def _is_steady(self) -> Bool:
+        """(U,) whether SUs feel gravity from one direction but for what sensors drift by."""
+        return np.asarray(self._rms(self.segments[0].misfit) <= _STEADY)
 
     def left(self) -> F64:
         """(U,) what the best segments leave of readings, rms per axis [m/s^2]; NaN where none."""
+        return self._rms(self.best()[1])
+
+    def _rms(self, misfit: F64) -> F64:
+        """(U,) what misfits are in readings, per axis [m/s^2]; NaN where there are none."""
         n = np.where(self.n > 0, self.n, np.nan)
-        chi2 = n * np.expm1(2 * self.best()[1] / n)
+        chi2 = n * np.expm1(2 * misfit / n)
         return np.asarray(np.sqrt(chi2 / (3.0 * self._weight.sum(axis=0))))
 
     def chain(self, segment: int) -> tuple[int, ...]:

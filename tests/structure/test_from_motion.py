@@ -10,10 +10,11 @@ import pytest
 from joint_paths import JointPath
 from mujoco_robot import random_arm, record
 from random_robots import Joint, random_joints, robot_of
+from simulated import changed_sus
 
 from skin2urdf.errors import StructureError
 from skin2urdf.notes import of_kind
-from skin2urdf.recording.records import Recording
+from skin2urdf.recording.records import Recording, SuStream
 from skin2urdf.recording.retiming import retimed
 from skin2urdf.signals.features import extract_features
 from skin2urdf.signals.sampling import Sampled, sample_recording, sampled_together
@@ -248,3 +249,26 @@ def test_what_a_slide_pushes_by_leaves_no_su_without_a_place(seed: int, tmp_path
     slides = {joint.name for joint in joints if joint.kind == "prismatic"}
     found = zip(tree.joint_names, tree.joint_types, strict=True)
     assert {name for name, kind in found if kind == "prismatic"} == slides
+
+
+@pytest.mark.parametrize("drift", [0.1, 0.25])
+def test_an_su_on_the_base_that_drifts_stays_there(drift: float, tmp_path: Path) -> None:
+    settings = SimulationSettings(n_poses=12, seed=2, excite="none", upright=True)
+    layout = SkinLayout(sus_per_segment=1, sus_on_base=1)
+    recording = retimed(simulate(robot_of(PARALLEL, tmp_path, layout), settings).recording)
+    names = [su.name for su in recording.sus]
+    (base,) = _on_base(trees_from_motion([sampled(recording)], names)[0])
+
+    def drifting(su: SuStream) -> SuStream:
+        warmth = 1 - np.exp(-su.time / 60)
+        felt = su.specific_force + drift * warmth[:, None] * (1.0, -0.5, 0.3)
+        return replace(su, specific_force=felt) if su.name == base else su
+
+    moved = changed_sus(recording, drifting)
+    found = trees_from_motion([sampled(moved)], names)[0]
+    assert sorted(found.tree.su_names) == names
+    assert _on_base(found) == [base]
+
+
+def _on_base(found: MotionTree) -> list[str]:
+    return [n for n, j in zip(found.tree.su_names, found.tree.su_joint, strict=True) if j < 0]

@@ -12,8 +12,9 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any, NoReturn
 
-from skin2urdf.errors import SettingError, UsageError
+from skin2urdf.errors import SettingError, UsageError, check_ranges
 from skin2urdf.files import check_target
+from skin2urdf.geometry.units import GRAVITY
 
 
 class Filled(argparse.RawDescriptionHelpFormatter):
@@ -109,15 +110,37 @@ def number_or_nan(text: str) -> float:
         return float("nan")
 
 
-def check_at_least(options: argparse.Namespace, name: str, least: float) -> None:
+def check_within(
+    options: argparse.Namespace, name: str, least: float, most: float = float("inf")
+) -> None:
     """Refuse numbers that mean nothing; NaN is one of them.
 
     Raises:
-        UsageError: the option's value is below the least, or not finite.
+        UsageError: the option's value is below the least, above the most, or not finite.
     """
-    value = getattr(options, name)
-    if not least <= value < float("inf"):
-        raise UsageError(f"--{name} {value:g} is out of range", f"give {least:g} or more")
+    with settings_of_options():
+        check_ranges(options, {name: (least, most)})
+
+
+def add_threshold(command: Parser) -> None:
+    """Add the option that says what counts as activity; see :func:`static_threshold`."""
+    add_number(
+        command.add_argument_group("structure"),
+        "--threshold",
+        0.05,
+        "change of a static reading that counts as activity [g] (%(default)s)",
+    )
+
+
+def static_threshold(options: argparse.Namespace) -> float:
+    """Change of a static reading that counts as activity [m/s^2].
+
+    Raises:
+        UsageError: it is out of range: a reading changes by 2 g at most, where an SU is turned
+            upside down.
+    """
+    check_within(options, "threshold", 1e-3, 2.0)
+    return float(options.threshold * GRAVITY)
 
 
 @contextmanager

@@ -21,7 +21,7 @@ _MOTION = """\
 The log has no patterns around poses: what is looked for is a tree that explains gravity at rest
 and the accelerations of the moves."""
 _UNCERTAIN = 2.0
-"""Evidence within this factor of the threshold is marked as uncertain."""
+"""Evidence within this factor of what it takes is marked as uncertain."""
 
 
 def as_text(explored: Explored) -> str:
@@ -90,17 +90,23 @@ def _order(seen: Activity, tree: KinematicTree | None) -> tuple[Int, Int]:
 
 def _matrix(seen: Activity, sus: Int, dofs: Int) -> list[str]:
     """The activity matrix with its evidence."""
-    evidence, active = np.exp(seen.evidence), seen.matrix
+    evidence, active, tested = np.exp(seen.evidence), seen.matrix, seen.tested
     rows = [
-        (seen.su_names[u], *(_cell(float(evidence[u, d]), bool(active[u, d])) for d in dofs))
+        (
+            seen.su_names[u],
+            *(
+                _cell(float(evidence[u, d]), bool(active[u, d])) if tested[u, d] else "-"
+                for d in dofs
+            ),
+        )
         for u in sus
     ]
     head = ("SU", *(str(i + 1) for i in range(len(dofs))))
     numbered = [(str(i + 1), seen.dof_names[d], _remark(seen, int(d))) for i, d in enumerate(dofs)]
     width = max((len(name) for _, name, _ in numbered), default=0)
     return [
-        "activity: evidence in multiples of the threshold; . is below, ? is within a factor "
-        f"of {_UNCERTAIN:g}",
+        "activity: evidence over what it takes; 1 and more is active, . is less, ? is within a "
+        f"factor of {_UNCERTAIN:g}, - was never recorded together",
         *table(head, rows, "<" + ">" * len(dofs)),
         *(f"{n:>3}  {name:{width}}  {remark}".rstrip() for n, name, remark in numbered),
     ]

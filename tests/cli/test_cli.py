@@ -233,6 +233,8 @@ def test_simulate_moves_without_patterns(run: Run, tmp_path: Path) -> None:
         (["calibrate", "{text}", "-o", "{tmp}/a.urdf"], 2, "{text}"),
         (["calibrate", "{log}", "-o", "{tmp}/a.urdf", "--bias", "nan"], 2, "--bias"),
         (["calibrate", "{log}", "-o", "{tmp}/a.urdf", "--threshold", "-1"], 2, "--threshold"),
+        (["calibrate", "{log}", "-o", "{tmp}/a.urdf", "--threshold", "1000"], 2, "--threshold"),
+        (["explore", "{log}", "--threshold", "1000"], 2, "--threshold"),
         (["calibrate", "{log}", "-o", "{tmp}/a.urdf", "--gravity", "0"], 2, "--gravity"),
         (["calibrate", "{log}", "-o", "{tmp}/a.urdf", "--limits", "narrow"], 2, "narrow"),
         (

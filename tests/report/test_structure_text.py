@@ -66,6 +66,17 @@ def test_the_matrix_is_in_the_order_of_the_tree() -> None:
     assert [len(entry) > 2 for entry in legend] == [False, False, False, True]
 
 
+def test_what_was_never_recorded_together_has_a_sign_of_its_own() -> None:
+    explored = forked()
+    static, dynamic = (np.array(explored.activity.static), np.array(explored.activity.dynamic))
+    static[0, 1] = dynamic[0, 1] = np.nan
+    apart = replace(explored, activity=replace(explored.activity, static=static, dynamic=dynamic))
+    before, after = (as_text(one).splitlines()[3:7] for one in (explored, apart))
+    assert [row.split().count("-") for row in before] == [0, 0, 0, 0]
+    assert [row.split().count("-") for row in after] == [0, 0, 1, 0]
+    assert after[2].split()[0] == explored.activity.su_names[0]
+
+
 def test_the_tree_names_joints_and_what_they_carry() -> None:
     lines = as_text(forked()).splitlines()
     at = next(n for n, line in enumerate(lines) if line.startswith("base "))

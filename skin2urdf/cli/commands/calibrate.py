@@ -12,17 +12,19 @@ from typing import TYPE_CHECKING
 from skin2urdf.cli.arguments import (
     Parser,
     add_number,
-    check_at_least,
+    add_threshold,
+    check_within,
     number_or_nan,
     offer_json,
     present,
     print_json,
     refuse_to_overwrite,
+    static_threshold,
     wrote,
 )
 from skin2urdf.cli.terminal import progress_bar, show
 from skin2urdf.errors import BadFitError, UsageError
-from skin2urdf.geometry.units import GRAVITY, MILLI_G
+from skin2urdf.geometry.units import MILLI_G
 
 if TYPE_CHECKING:
     from skin2urdf.calibration.settings import CalibrationSettings
@@ -103,12 +105,7 @@ def declare(command: Parser) -> None:
         "placements as well, as all[:MM,DEG] with the standard deviations that its maker would "
         "state (1 mm, 0.1 deg)",
     )
-    add_number(
-        command.add_argument_group("structure"),
-        "--threshold",
-        0.05,
-        "change of a static reading that counts as activity [g] (%(default)s)",
-    )
+    add_threshold(command)
     sensors = command.add_argument_group("sensors, as standard deviations over a production")
     sensors.add_argument(
         "--no-intrinsics", action="store_true", help="take bias, scale and cross-axis as perfect"
@@ -302,8 +299,8 @@ def calibration_settings(options: argparse.Namespace) -> CalibrationSettings:
     least = {"bias": 0.0, "scale": 0.0, "cross": 0.0, "gravity": 1.0}
     given = {name: getattr(options, name) for name in least if getattr(options, name) is not None}
     for name in given:
-        check_at_least(options, name, least[name])
-    check_at_least(options, "threshold", 1e-3)
+        check_within(options, name, least[name])
+    threshold = static_threshold(options)
     if "bias" in given:
         given["bias"] *= MILLI_G
     from skin2urdf.geometry.earth import ANOMALY, normal_gravity
@@ -322,7 +319,7 @@ def calibration_settings(options: argparse.Namespace) -> CalibrationSettings:
             intrinsics=not options.no_intrinsics,
             refine=options.refine,
         ),
-        static_threshold=options.threshold * GRAVITY,
+        static_threshold=threshold,
         motion=options.motion,
         gyro=not options.no_gyro,
         effort=not options.no_effort,

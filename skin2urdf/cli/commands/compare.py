@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 
-from skin2urdf.cli.arguments import Parser, add_number, check_at_least, offer_json, print_json
+from skin2urdf.cli.arguments import Parser, add_number, check_within, offer_json, print_json
 from skin2urdf.cli.terminal import show
 
 HELP = "compare an estimated URDF with the true one"
@@ -39,7 +39,7 @@ def declare(command: Parser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Do it; the exit status."""
-    check_at_least(options, "seed", 0)
+    check_within(options, "seed", 0)
     import numpy as np
 
     from skin2urdf.report.comparison import as_text

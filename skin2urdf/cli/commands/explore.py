@@ -6,15 +6,14 @@ import argparse
 
 from skin2urdf.cli.arguments import (
     Parser,
-    add_number,
-    check_at_least,
+    add_threshold,
     offer_json,
     present,
     print_json,
+    static_threshold,
     wrote,
 )
 from skin2urdf.cli.terminal import progress_bar, show
-from skin2urdf.geometry.units import GRAVITY
 
 HELP = "show which SU moves with which joint"
 EPILOG = """\
@@ -22,8 +21,10 @@ example:
   skin2urdf explore log.mcap
   skin2urdf explore log.mcap --plot structure.svg
 
-Rows of the activity matrix are SUs, columns are DoFs. A figure is the evidence in multiples of
-the threshold: 1 and more is active. Several logs are combined by OR."""
+Rows of the activity matrix are SUs, columns are DoFs. A figure is the evidence that the DoF moves
+the SU over what it takes to say so: 1 and more is active. At rest an SU counts that feels 0.3 times
+what any other does, where that is more than --threshold leaves in doubt; else patterns decide.
+Several logs are combined by OR."""
 
 
 def declare(command: Parser) -> None:
@@ -31,17 +32,12 @@ def declare(command: Parser) -> None:
     command.add_argument("logs", nargs="+", metavar="LOG", help="MCAP, rosbag2, ROS 1 bag or CSV")
     offer_json(command)
     command.add_argument("--plot", metavar="FILE", help="draw matrix and tree (.svg, .png, .pdf)")
-    add_number(
-        command.add_argument_group("structure"),
-        "--threshold",
-        0.05,
-        "change of a static reading that counts as activity [g] (%(default)s)",
-    )
+    add_threshold(command)
 
 
 def run(options: argparse.Namespace) -> int:
     """Do it; the exit status."""
-    check_at_least(options, "threshold", 1e-3)
+    threshold = static_threshold(options)
     plots = []
     if options.plot:
         from skin2urdf.report.canvas import check_picture
@@ -54,7 +50,7 @@ def run(options: argparse.Namespace) -> int:
         from skin2urdf.survey import explore
 
         bar("starting", 1.0)
-        explored = explore(options.logs, options.threshold * GRAVITY, progress=bar)
+        explored = explore(options.logs, threshold, progress=bar)
     if options.json:
         print_json(as_document(explored))
     elif not options.quiet:

@@ -12,9 +12,13 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any, NoReturn
 
+from skin2urdf.cli.terminal import complain
 from skin2urdf.errors import SettingError, UsageError, check_ranges
 from skin2urdf.files import check_target
 from skin2urdf.geometry.units import GRAVITY
+
+A_LOG = "MCAP, rosbag2, ROS 1 bag, CSV or Parquet"
+"""Help for an argument that is a log."""
 
 
 class Filled(argparse.RawDescriptionHelpFormatter):
@@ -62,14 +66,16 @@ class Parser(argparse.ArgumentParser):
         return found, unknown
 
     def error(self, message: str) -> NoReturn:
-        """Say what is wrong and what may have been meant, and exit with 2."""
+        """Say what is wrong, what may have been meant and where more is told, and exit with 2."""
         found = re.search(r"invalid choice: '([^']*)' \(choose from (.*)\)", message)
         if found:
             message += did_you_mean(found[1], re.findall(r"[\w.-]+", found[2]))
         found = re.match(r"unrecognized arguments: (\S+)", message)
         if found:
             message += did_you_mean(found[1].partition("=")[0], self.options)
-        super().error(message)
+        # The usage of a command with many options would hide the one line that tells.
+        complain(f"error: {message}")
+        self.exit(UsageError.exit_status, f"  -> see {self.prog} --help\n")
 
     def format_help(self) -> str:
         """The help, with the late epilog where there is one."""

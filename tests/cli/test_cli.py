@@ -520,10 +520,11 @@ def test_a_wrong_value_is_named_as_the_user_knows_it(
     with pytest.raises(SystemExit) as stopped:
         main(["calibrate", "l", "-o", "r", *words])
     assert stopped.value.code == 2
-    last = capsys.readouterr().err.splitlines()[-1]
-    assert words[0] in last
-    assert says in last
-    assert not_says not in last
+    first, second = capsys.readouterr().err.splitlines()
+    assert words[0] in first
+    assert says in first
+    assert not_says not in first
+    assert "skin2urdf calibrate --help" in second
 
 
 def test_defaults_in_the_help_are_those_of_the_simulation() -> None:

@@ -20,6 +20,7 @@ from skin2urdf.cli.arguments import did_you_mean
 from skin2urdf.cli.commands.export import FORMATS
 from skin2urdf.cli.main import main
 from skin2urdf.cli.parser import COMMANDS
+from skin2urdf.geometry.units import JOINT_UNITS
 from skin2urdf.report.summary import as_text
 from skin2urdf.report.tables import fitting, table
 from skin2urdf.simulation import robot_names
@@ -117,7 +118,7 @@ def test_a_typo_is_guessed(
     with pytest.raises(SystemExit) as stopped:
         main(words)
     assert stopped.value.code == 2
-    assert capsys.readouterr().err.rstrip().endswith(f"{meant}?")
+    assert capsys.readouterr().err.splitlines()[0].endswith(f"{meant}?")
 
 
 def test_an_option_of_another_command_is_not_what_was_meant(
@@ -190,3 +191,13 @@ def test_each_format_of_an_export_has_a_line_of_its_own(
     lines = capsys.readouterr().out.splitlines()
     for name in FORMATS:
         assert sum(line.startswith(f"  {name}  ") for line in lines) == 1
+
+
+def test_all_units_of_joints_are_in_the_help(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("COLUMNS", "200")
+    with pytest.raises(SystemExit):
+        main(["convert", "--help"])
+    help_ = capsys.readouterr().out
+    assert set(JOINT_UNITS) <= set(re.findall(r"[^\s,;()]+", help_[help_.rindex("[JOINT=]UNIT") :]))

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from skin2urdf.cli.arguments import (
+    A_LOG,
     Parser,
     add_number,
     add_threshold,
@@ -53,7 +54,7 @@ _TO_REPAIR = 3
 
 def declare(command: Parser) -> None:
     """Add what the command takes."""
-    command.add_argument("logs", nargs="+", metavar="LOG", help="MCAP, rosbag2, ROS 1 bag or CSV")
+    command.add_argument("logs", nargs="+", metavar="LOG", help=A_LOG)
     command.add_argument(
         "-o", "--output", required=True, metavar="URDF", help="file to write; JSON goes beside it"
     )

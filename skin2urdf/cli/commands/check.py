@@ -9,6 +9,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from skin2urdf.cli.arguments import (
+    A_LOG,
     Parser,
     offer_json,
     present,
@@ -34,7 +35,7 @@ _CHANGED = 3
 
 def declare(command: Parser) -> None:
     """Add what the command takes."""
-    command.add_argument("log", metavar="LOG", help="MCAP file or rosbag2 folder")
+    command.add_argument("log", metavar="LOG", help=A_LOG)
     command.add_argument("urdf", metavar="URDF", help="the calibration, its JSON beside it")
     command.add_argument(
         "-o", "--output", metavar="URDF", help="write it with the changed SUs estimated anew"

@@ -42,9 +42,10 @@ def declare(command: Parser) -> None:
         default=[],
         type=_joint_unit,
         metavar="[JOINT=]UNIT",
-        help="unit of positions in LOG, which are rad and m in OUT: deg, mm, rev (turns), or a "
-        "number of rad or m, such as that of a count; of all joints, or of those whose name "
-        "JOINT fits, a pattern as 'wrist*'. May be given several times; the last that fits counts",
+        help="unit of positions in LOG, which are rad and m in OUT: "
+        f"{', '.join(JOINT_UNITS)} (rev is a turn), or a number of rad or m, such as that of a "
+        "count; of all joints, or of those whose name JOINT fits, a pattern as 'wrist*'. May be "
+        "given several times; the last that fits counts",
     )
     command.add_argument(
         "--compression",

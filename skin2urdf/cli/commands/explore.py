@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 
 from skin2urdf.cli.arguments import (
+    A_LOG,
     Parser,
     add_threshold,
     offer_json,
@@ -29,7 +30,7 @@ Several logs are combined by OR."""
 
 def declare(command: Parser) -> None:
     """Add what the command takes."""
-    command.add_argument("logs", nargs="+", metavar="LOG", help="MCAP, rosbag2, ROS 1 bag or CSV")
+    command.add_argument("logs", nargs="+", metavar="LOG", help=A_LOG)
     offer_json(command)
     command.add_argument("--plot", metavar="FILE", help="draw matrix and tree (.svg, .png, .pdf)")
     add_threshold(command)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from skin2urdf.cli.arguments import Parser, offer_json, print_json
+from skin2urdf.cli.arguments import A_LOG, Parser, offer_json, print_json
 from skin2urdf.cli.terminal import progress_bar, show
 
 HELP = "show what a log holds and what it lacks"
@@ -19,7 +19,7 @@ is possible without it."""
 
 def declare(command: Parser) -> None:
     """Add what the command takes."""
-    command.add_argument("log", metavar="LOG", help="MCAP, rosbag2, ROS 1 bag or CSV")
+    command.add_argument("log", metavar="LOG", help=A_LOG)
     offer_json(command)
 
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from skin2urdf.estimation.trajectory.estimate import MotionEstimate
-from skin2urdf.signals.clocks import as_far_as_confirmed, is_off
+from skin2urdf.signals.clocks import is_off, unconfirmed
 from skin2urdf.signals.records import Features, JointClock, SuClock
 from skin2urdf.signals.sampling import Sampled
 
@@ -98,14 +98,13 @@ def late_sus(
         time = along.problem.logs[g].time
         middle = s.motion.grid.start + 0.5 * float(time[0] + time[-1])
         known = {clock.su for clock in s.clocks}
+        wider = unconfirmed(s.motion)
         for u, name in enumerate(along.problem.tree.su_names):
             if name in known or shown.get(name, False):
                 continue
             late, fast = map(float, along.fitted.state.clock[g, u])
             late_sd, fast_sd = map(float, np.sqrt(variances[u, layout.clock(g)].clip(0.0)))
-            clock = as_far_as_confirmed(
-                SuClock(name, late, late_sd, fast, fast_sd, middle), s.motion
-            )
+            clock = SuClock(name, late, wider * late_sd, fast, wider * fast_sd, middle)
             if is_off(clock, s.motion):
                 out[g].append(clock)
     return tuple(tuple(each) for each in out)

@@ -10,6 +10,9 @@ _SOMIGLIANA = 0.00193185265241
 _ECCENTRICITY2 = 0.00669437999013
 _FREE_AIR = 3.086e-6
 """Decrease with height [1/s^2]."""
+ON_GROUND = 9.76, 9.84
+"""Gravity anywhere on the ground is between these [m/s^2]: 9.7639 on Huascaran, 9.8337 on the
+Arctic Ocean (Hirt et al. 2013)."""
 ANOMALY = 5e-4
 """By how much gravity departs from the formula, as a standard deviation: 50 mGal, which is large
 except in mountains [m/s^2]."""

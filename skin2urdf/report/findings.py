@@ -41,9 +41,9 @@ class Findings(Record):
         su_orientation_sd: (U,) of its orientation, turns that errors of sensors hide included
             [rad].
         expected_position: rms error of SU positions to expect over the joints' ranges, once the
-            base frames are aligned; of the SUs that are observable in all directions [m].
+            base frames are aligned; of the SUs that are determined, NaN without any [m].
         expected_orientation: the same of SU orientations [rad].
-        worst_position: largest error to expect of an SU that is determined; NaN without any [m].
+        worst_position: the largest of any of these [m].
         worst_orientation: the same of SU orientations [rad].
         positions_open: why no position shows of any SU on any joint that turns it, None where one
             does; then that is told once, and not of every SU and branch.
@@ -158,17 +158,16 @@ def _expected(calibration: Calibration) -> tuple[tuple[float, float], tuple[floa
     """Expected rms errors of SU positions [m] and orientations [rad] over the joints' ranges.
 
     Returns:
-        Of the SUs that are observable in all directions, and of the worst that is determined.
+        Of the SUs that are determined together, and of the worst of them.
     """
     low, high = calibration.limits.T
     seen = calibration.observability
     rng = np.random.default_rng(0)
     q = low + (high - low) * rng.random((_CONFIGURATIONS, len(low)))
     position, orientation = aligned_deviations(calibration.estimate, seen, q)
-    whole = np.array([not len(rows) for rows in seen.su_unobservable], dtype=bool)
     determined = np.array([v == "determined" for v in seen.su_verdict], dtype=bool)
     return (
-        (_rms(position[whole]), _rms(orientation[whole])),
+        (_rms(position[determined]), _rms(orientation[determined])),
         (_largest(position[determined]), _largest(orientation[determined])),
     )
 

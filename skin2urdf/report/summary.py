@@ -69,7 +69,7 @@ def as_text(calibration: Calibration) -> str:
 def _expectation(found: Findings) -> str:
     """What errors to expect, in one line."""
     if not np.isfinite(found.expected_position):
-        return "no SU's pose is observable as a whole"
+        return "no SU is determined"
     return (
         f"error to expect of an SU that is determined: {number(found.expected_position * _MM)} mm, "
         f"{number(found.expected_orientation * _DEG, 3)} deg rms"

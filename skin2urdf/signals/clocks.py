@@ -319,16 +319,15 @@ def is_off(clock: SuClock, motion: Motion) -> bool:
     return late or abs(clock.drift) * half > max(_LEAST_BEND, SIGNIFICANT * at_the_ends)
 
 
-def as_far_as_confirmed(clock: SuClock, motion: Motion) -> SuClock:
-    """A clock that was fitted to a log, with deviations as wide as few moves leave them.
+def unconfirmed(motion: Motion) -> float:
+    """By how much wider clocks are that were fitted to a log, as few moves leave them.
 
     What two moves show of a line of two numbers nothing confirms: whatever else holds a link back
     behind its encoder, by other amounts in each, fits as well. Every stretch of motion beyond tells
     how much that is; neighbouring ones share half their samples.
     """
     freedom = sum(not stretch.rests for stretch in stretches(motion)) / 2 - 2
-    factor = _by_few(freedom) if freedom > 0 else np.inf
-    return replace(clock, latency_sd=factor * clock.latency_sd, drift_sd=factor * clock.drift_sd)
+    return _by_few(freedom) if freedom > 0 else np.inf
 
 
 def _on_one_clock(clocks: Sequence[SuClock]) -> list[SuClock]:

@@ -139,6 +139,7 @@ def find_neighbourhoods(motion: Motion, rests: tuple[Rest, ...]) -> tuple[Neighb
     same = np.minimum(_SAME_POSE, np.maximum(_SAME_POSE * span, 1e-3))
     largest = np.minimum(_LARGEST_EXCURSION, np.maximum(0.6 * span, _SMALL_EXCURSION))
     groups: list[tuple[list[Rest], list[list[int]]]] = []
+    heads = np.empty((len(rests), len(span)))
     left = set[int]()
     previous: Rest | None = None
     current: int | None = None
@@ -155,15 +156,13 @@ def find_neighbourhoods(motion: Motion, rests: tuple[Rest, ...]) -> tuple[Neighb
                     left.add(current)
                 joined = True
         if not joined:
-            match = [
-                g for g, (members, _) in enumerate(groups)
-                if bool((np.abs(members[0].q - rest.q) <= same).all())
-            ]  # fmt: skip
-            if match:
-                current = match[0]
+            match = (np.abs(heads[: len(groups)] - rest.q) <= same).all(axis=1)
+            if match.any():
+                current = int(match.argmax())
                 groups[current][0].append(rest)
                 groups[current][1].append([rest.begin, rest.end])
             else:
+                heads[len(groups)] = rest.q
                 groups.append(([rest], [[rest.begin, rest.end]]))
                 current = len(groups) - 1
         previous = rest

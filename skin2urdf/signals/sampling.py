@@ -297,20 +297,20 @@ def _check_gravity(sampled: Sequence[Sampled]) -> None:
     odd = [fault for s in sampled for fault in s.faults if fault.kind == "wrong unit"]
     if not odd or any(s.valid.any() for s in sampled):
         return
-    weightless = sorted({fault.subject for fault in odd if fault.size < WEIGHTLESS})
-    all_odd = sorted({fault.subject for fault in odd})
-    if weightless != all_odd:
-        sizes = [fault.size for fault in odd if fault.size >= WEIGHTLESS]
+    sizes = [fault.size for fault in odd]
+    subjects = shortened(sorted({fault.subject for fault in odd}))
+    if min(sizes) > 1.0:
         raise InsufficientDataError(
-            f"the SUs read {np.median(sizes):.4g} times gravity at rest ({shortened(all_odd)}): "
+            f"the SUs read {np.median(sizes):.4g} times gravity at rest ({subjects}): "
             f"their readings are not in m/s^2{_as_if_in(sizes)}",
             "publish m/s^2, as sensor_msgs/Imu has it, or write a table whose headers name the "
             "unit: see `skin2urdf guide formats`",
             lacks="gravity",
         )
+    if max(sizes) >= WEIGHTLESS:
+        return
     raise InsufficientDataError(
-        f"the SUs feel no gravity at rest ({shortened(weightless)}): something takes it off their "
-        "readings",
+        f"the SUs feel no gravity at rest ({subjects}): something takes it off their readings",
         "record what the accelerometers read, gravity included, as sensor_msgs/Imu has it (REP "
         "145); a driver that sends linear acceleration without gravity has an option or another "
         "topic for that",

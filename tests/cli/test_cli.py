@@ -236,6 +236,7 @@ def test_simulate_moves_without_patterns(run: Run, tmp_path: Path) -> None:
         (["calibrate", "{log}", "-o", "{tmp}/a.urdf", "--threshold", "1000"], 2, "--threshold"),
         (["explore", "{log}", "--threshold", "1000"], 2, "--threshold"),
         (["calibrate", "{log}", "-o", "{tmp}/a.urdf", "--gravity", "0"], 2, "--gravity"),
+        (["calibrate", "{log}", "-o", "{tmp}/a.urdf", "--gravity", "981"], 2, "--gravity"),
         (["calibrate", "{log}", "-o", "{tmp}/a.urdf", "--limits", "narrow"], 2, "narrow"),
         (
             ["calibrate", "{log}", "-o", "{tmp}/a.urdf", "--model", "bag", "--limits", "seen"],

@@ -297,15 +297,16 @@ def _correction(text: str) -> Correction:
 
 def calibration_settings(options: argparse.Namespace) -> CalibrationSettings:
     """Settings as the options say."""
-    least = {"bias": 0.0, "scale": 0.0, "cross": 0.0, "gravity": 1.0}
-    given = {name: getattr(options, name) for name in least if getattr(options, name) is not None}
+    from skin2urdf.geometry.earth import ANOMALY, ON_GROUND, normal_gravity
+
+    anything = 0.0, math.inf
+    ranges = {"bias": anything, "scale": anything, "cross": anything, "gravity": ON_GROUND}
+    given = {name: getattr(options, name) for name in ranges if getattr(options, name) is not None}
     for name in given:
-        check_within(options, name, least[name])
+        check_within(options, name, *ranges[name])
     threshold = static_threshold(options)
     if "bias" in given:
         given["bias"] *= MILLI_G
-    from skin2urdf.geometry.earth import ANOMALY, normal_gravity
-
     if options.site is not None:
         latitude, height = options.site
         given["gravity"] = normal_gravity(math.radians(latitude), height)

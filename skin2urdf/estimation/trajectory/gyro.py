@@ -52,6 +52,10 @@ _SPAN = 2.0
 """Length of the spans of time over which noise averages out and errors do not [s]."""
 _HUBER = 3.0
 """Residual, in standard deviations, beyond which a sample counts less, as for accelerations."""
+_QUIET = 1e-5
+"""Noise of a sample at least [rad/s]: what low-passed samples of the quietest chips have is ten
+times that. Chips that set their zero at rest, and digits coarser than noise, read exactly nothing
+there, which is no reason to believe them without end."""
 _FEWEST = 50
 """Kept samples without which a gyroscope says nothing; a second of motion has twenty."""
 _CONTRADICTS = 0.1
@@ -253,7 +257,8 @@ def _spread(residual: F64) -> float:
     if len(residual) < 8:
         return np.inf
     # The median of chi-squared with three degrees of freedom is 2.366.
-    return float(np.sqrt(np.median((residual**2).sum(axis=1)) / 2.366))
+    spread = float(np.sqrt(np.median((residual**2).sum(axis=1)) / 2.366))
+    return max(spread, _QUIET)
 
 
 def _lasting(log: Trajectory, residual: F64, weight: F64) -> float:

@@ -444,16 +444,16 @@ def _places(q: F64, length: Int, most: int) -> Int:
         length: (S,) how long.
         most: number of places; stays elsewhere count to the place that is nearest.
     """
-    near = np.abs(q[:, None] - q[None]).max(axis=2)
     place = np.full(len(q), -1)
     heads: list[int] = []
     for s in np.argsort(-length, kind="stable"):
         if place[s] >= 0:
             continue
         if len(heads) == most:
-            place[s] = int(np.argmin(near[s, heads]))
+            place[s] = int(np.abs(q[heads] - q[s]).max(axis=1).argmin())
             continue
-        place[(near[s] < _SAME) & (place < 0)] = len(heads)
+        near = np.abs(q - q[s]).max(axis=1) < _SAME
+        place[near & (place < 0)] = len(heads)
         heads.append(int(s))
     return place
 

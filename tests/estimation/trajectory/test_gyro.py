@@ -60,6 +60,30 @@ def _fit(log: Trajectory) -> MotionEstimate:
     return estimate_along([log], _TREE, start, priors, np.zeros(3))
 
 
+def test_a_gyroscope_that_reads_nothing_at_rest_is_not_believed_without_end() -> None:
+    """As of chips that set their zero there."""
+    n = 5000
+    t, rng = np.arange(n) / RATE, np.random.default_rng(1)
+    cycle = t % 10 / 10
+    swell = np.where(cycle < 0.5, np.sin(np.pi * cycle / 0.5) ** 4, 0.0)
+    q = _motion(np.random.default_rng(0), t)[0] * swell[:, None]
+    qd = np.gradient(q, 1 / RATE, axis=0)
+    truth = _truth()
+    model = truth.model(_TREE)
+    force = specific_forces(model, q, qd, np.gradient(qd, 1 / RATE, axis=0), 9.81 * truth.up[0])
+    read = np.einsum("uij,kuj->kui", truth.sensor_matrix(), force) + truth.bias
+    read += _ACCELERATION * rng.standard_normal(read.shape)
+    turn = angular_velocities(model, q, qd) @ _MATRIX.T
+    turn += _TURN * rng.standard_normal(turn.shape)
+    turn[cycle >= 0.5] = 0.0
+    log = sampled_trajectory(q, read, turn)
+    moves = np.repeat((cycle < 0.52)[log.kept][:, None], 3, axis=1)
+    found = _fit(replace(log, moving=moves))
+    assert found.misfit < 1.2
+    assert found.gyros is not None
+    assert not found.gyros.contradict.any()
+
+
 @cache
 def _found() -> MotionEstimate:
     return _fit(_log(late=4e-3))

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from skin2urdf.estimation.trajectory.estimate import MotionEstimate
-from skin2urdf.signals.clocks import is_off, unconfirmed
+from skin2urdf.signals.clocks import is_off, widening_by_few_moves
 from skin2urdf.signals.records import Features, JointClock, SuClock
 from skin2urdf.signals.sampling import Sampled
 
@@ -98,13 +98,13 @@ def late_sus(
         time = along.problem.logs[g].time
         middle = s.motion.grid.start + 0.5 * float(time[0] + time[-1])
         known = {clock.su for clock in s.clocks}
-        wider = unconfirmed(s.motion)
+        widening = widening_by_few_moves(s.motion)
         for u, name in enumerate(along.problem.tree.su_names):
             if name in known or shown.get(name, False):
                 continue
             late, fast = map(float, along.fitted.state.clock[g, u])
             late_sd, fast_sd = map(float, np.sqrt(variances[u, layout.clock(g)].clip(0.0)))
-            clock = SuClock(name, late, wider * late_sd, fast, wider * fast_sd, middle)
+            clock = SuClock(name, late, widening * late_sd, fast, widening * fast_sd, middle)
             if is_off(clock, s.motion):
                 out[g].append(clock)
     return tuple(tuple(each) for each in out)

@@ -319,8 +319,8 @@ def is_off(clock: SuClock, motion: Motion) -> bool:
     return late or abs(clock.drift) * half > max(_LEAST_BEND, SIGNIFICANT * at_the_ends)
 
 
-def unconfirmed(motion: Motion) -> float:
-    """By how much wider clocks are that were fitted to a log, as few moves leave them.
+def widening_by_few_moves(motion: Motion) -> float:
+    """Factor on deviations of clocks that were fitted to a log; infinite where nothing confirms.
 
     What two moves show of a line of two numbers nothing confirms: whatever else holds a link back
     behind its encoder, by other amounts in each, fits as well. Every stretch of motion beyond tells

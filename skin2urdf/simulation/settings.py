@@ -142,8 +142,8 @@ class SimulationSettings:
         check_setting("excite", f"must be one of {', '.join(choices)}", self.excite in choices)
         check_setting(
             "minutes",
-            f"is for motion without patterns (excite {' or '.join(WITHOUT_PATTERNS)}), for with "
-            "them it takes as long as its poses",
+            f"is for motion without patterns (excite {' or '.join(WITHOUT_PATTERNS)}); with "
+            "patterns, poses say how long it is",
             self.minutes is None or self.excite in WITHOUT_PATTERNS,
         )
         check_setting(

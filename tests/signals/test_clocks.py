@@ -11,7 +11,7 @@ from simulated import changed_sus, sampled_of, simulation
 
 from skin2urdf.recording.records import Recording, SuStream
 from skin2urdf.report.clocks import clock_notes
-from skin2urdf.signals.clocks import su_clocks, unconfirmed
+from skin2urdf.signals.clocks import su_clocks, widening_by_few_moves
 from skin2urdf.signals.motion import joint_motion
 from skin2urdf.signals.records import SuClock
 from skin2urdf.simulation import SimulationSettings, load_robot, simulate
@@ -188,10 +188,10 @@ def test_who_feels_the_first_patterns_of_each_pose_is_not_one_pattern_late(seed:
 def test_a_rest_confirms_no_clock() -> None:
     """Two moves show a line of two numbers, however long the robot rests after them."""
     two = JointPath(np.zeros(2)).rest(2.0).move((0.7, 0.3), 3.0).rest(2.0).move((0.0, 0.0), 3.0)
-    assert np.isinf(unconfirmed(two.rest(60.0).motion()))
+    assert np.isinf(widening_by_few_moves(two.rest(60.0).motion()))
     for goal in np.random.default_rng(0).uniform(-1.0, 1.0, (20, 2)):
         two.move(goal, 3.0)
-    assert 1.0 < unconfirmed(two.motion()) < 3.0
+    assert 1.0 < widening_by_few_moves(two.motion()) < 3.0
 
 
 @pytest.mark.parametrize(("late", "told"), [(8e-3, False), (60e-3, True)])

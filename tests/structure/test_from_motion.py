@@ -251,8 +251,8 @@ def test_what_a_slide_pushes_by_leaves_no_su_without_a_place(seed: int, tmp_path
     assert {name for name, kind in found if kind == "prismatic"} == slides
 
 
-@pytest.mark.parametrize("drift", [0.1, 0.25])
-def test_an_su_on_the_base_that_drifts_stays_there(drift: float, tmp_path: Path) -> None:
+def test_an_su_on_the_base_that_drifts_stays_there(tmp_path: Path) -> None:
+    """By 25 mg, which is far more than its noise."""
     settings = SimulationSettings(n_poses=12, seed=2, excite="none", upright=True)
     layout = SkinLayout(sus_per_segment=1, sus_on_base=1)
     recording = retimed(simulate(robot_of(PARALLEL, tmp_path, layout), settings).recording)
@@ -261,7 +261,7 @@ def test_an_su_on_the_base_that_drifts_stays_there(drift: float, tmp_path: Path)
 
     def drifting(su: SuStream) -> SuStream:
         warmth = 1 - np.exp(-su.time / 60)
-        felt = su.specific_force + drift * warmth[:, None] * (1.0, -0.5, 0.3)
+        felt = su.specific_force + 0.25 * warmth[:, None] * (1.0, -0.5, 0.3)
         return replace(su, specific_force=felt) if su.name == base else su
 
     moved = changed_sus(recording, drifting)

@@ -195,6 +195,8 @@ _SIZES: Mapping[str, Callable[[np.random.Generator, float], Defect]] = MappingPr
     "held": lambda rng, _: real.Held(int(rng.integers(2, 6))),
     "held positions": lambda rng, _: real.HeldPositions(int(rng.integers(2, 6))),
     "on change": lambda rng, _: real.OnChange(_between(rng, 0.3, 3.0)),
+    "in turn": lambda rng, _: real.ReadInTurn(_between(rng, 2e-4, 1e-2)),
+    "smoothed": lambda rng, _: real.SmoothedPositions(_between(rng, 2e-2, 0.2)),
     "glitches": lambda rng, _: real.Glitches(_between(rng, 1e-4, 1e-3)),
     "spikes": lambda rng, _: real.Spikes(_between(rng, 1e-4, 1e-3)),
     "lost": lambda rng, _: real.Lost(_between(rng, 5e-3, 5e-2)),

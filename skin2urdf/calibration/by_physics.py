@@ -17,13 +17,22 @@ from skin2urdf.calibration.result import GOOD_FIT
 from skin2urdf.calibration.rounds import Logs, Solution
 from skin2urdf.calibration.samples import fit_samples, rejected
 from skin2urdf.estimation.problem.state import N_PLACEMENT
-from skin2urdf.estimation.trajectory.attempt import BENDS, CERTAIN, CLOCK, PLAY
+from skin2urdf.estimation.trajectory.attempt import (
+    BENDS,
+    CERTAIN,
+    CLOCK,
+    LAGS,
+    PLAY,
+    SMOOTHED,
+)
 from skin2urdf.estimation.trajectory.estimate import MotionEstimate
 from skin2urdf.estimation.uncertainty.plausible import are_plausible
 from skin2urdf.hypotheses.measure import price_of
 
 _OF_PLACES = frozenset({"encoder jump", "encoder scale", "loose"})
 """Faults that leave what is felt off by other amounts from place to place."""
+_FELT_IN_HITS = frozenset({*BENDS, PLAY, CLOCK, LAGS, SMOOTHED})
+"""Causes without which moments of a log are not explained that another fit has left out."""
 _STAYS = 0.5
 """Share of the slack that stays where encoders were mended that had nothing."""
 
@@ -76,7 +85,7 @@ def without_false_hits(
     # An SU that did leaves so much that every cause would be tried in vain. So would they be where
     # the logs without the hits leave only noise to a stiff robot on steady clocks: what yields or
     # wanders shows there as well.
-    stiff = not set(along.causes) & {*BENDS, PLAY, CLOCK} and (loose or leaves_only_noise(along))
+    stiff = not set(along.causes) & _FELT_IN_HITS and (loose or leaves_only_noise(along))
     most = 0.0 if stiff else np.inf
     again = fit_samples(everything, tell, without=rejected(along), most=most)
     if again is None:

@@ -311,8 +311,16 @@ def _samples(calibration: Calibration) -> dict[str, Any] | None:
         "gravity": state.gravity,
         "gravity_deviation": calibration.settings.gravity_deviation,
         "joints": {
-            name: {"largest_deflection": e, "compliance": c, "compliance_sd": sd}
-            for name, (e, c, sd) in zip(along.problem.tree.joint_names, yields, strict=True)
+            name: {
+                "largest_deflection": e,
+                "compliance": c,
+                "compliance_sd": sd,
+                "age": age,
+                "smoothing": smoothing,
+            }
+            for name, (e, c, sd), age, smoothing in zip(
+                along.problem.tree.joint_names, yields, along.ages, along.smoothing, strict=True
+            )
         },
         "sus": {
             name: {

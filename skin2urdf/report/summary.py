@@ -263,6 +263,21 @@ def sensor_notes(along: MotionEstimate | None, of: Sequence[str] | None = None) 
             f"{number(max(along.wandering) * _MM)} ms beside an offset and a drift; it was "
             "followed: stamp both by one clock, or keep clocks together (PTP, chrony)"
         )
+    if along.ages.any():
+        joints = along.problem.tree.joint_names
+        newest, oldest = (joints[pick(along.ages)] for pick in (np.argmin, np.argmax))
+        notes.append(
+            f"positions under one stamp are up to {number(np.ptp(along.ages) * _MM)} ms apart, "
+            f"those of {oldest} the oldest and those of {newest} the newest; they were set right: "
+            "read all joints at once, or stamp each when it is read"
+        )
+    if along.smoothing.any():
+        # Of a low-pass with a pole at 1 / tau, tau^2 / 2 is missing.
+        cutoff = 1 / (2 * np.pi * np.sqrt(2 * -along.smoothing.min()))
+        notes.append(
+            "positions of joints are smoothed before they are logged, by as much as a pole at "
+            f"{number(cutoff)} Hz does; they were set right: log them as encoders have them"
+        )
     curved = along.curvature[0]
     if curved.any():
         part = number(100 * np.abs(curved).max() * _FULL_SCALE)

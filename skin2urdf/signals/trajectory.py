@@ -192,12 +192,25 @@ class Trajectory(Record):
             late: (N,) by how much later each position is taken [s].
         """
         at = self._later(late)
-        q = np.array(self.q)
+        q, effort = np.array(self.q), np.array(self.effort)
         q[:, joints] = Spline(q[:, joints]).within(at)
-        qd, qdd = first_derivative(q, self.rate), second_derivative(q, self.rate)
-        effort = np.array(self.effort)
         if len(effort):
             effort[:, joints] = Spline(effort[:, joints]).within(at)
+        return self._with_positions(q, effort)
+
+    def each_joint_taken(self, late: F64) -> Trajectory:
+        """The same with the positions of each joint as they are so much (D,) later [s]."""
+
+        def taken(x: F64) -> F64:
+            columns = zip(x.T, late * self.rate, strict=True)
+            return np.hstack([Spline(column[:, None]).later(by) for column, by in columns])
+
+        effort = taken(self.effort) if len(self.effort) else self.effort
+        return self._with_positions(taken(self.q), effort)
+
+    def _with_positions(self, q: F64, effort: F64) -> Trajectory:
+        """The same with other positions (N, D) and efforts, and what follows from positions."""
+        qd, qdd = first_derivative(q, self.rate), second_derivative(q, self.rate)
         return replace(self, q=q, qd=qd, qdd=qdd, effort=effort)
 
     def read_later(self, late: F64) -> Trajectory:

@@ -27,7 +27,9 @@ from skin2urdf.simulation.defects import (
     OnArrival,
     OnChange,
     OwnRates,
+    ReadInTurn,
     SecondPublisher,
+    SmoothedPositions,
     Spikes,
     Stalls,
     SuClock,
@@ -156,6 +158,25 @@ def test_positions_are_held_until_they_are_read_again() -> None:
     (held,) = HeldPositions(3).publish((JointStream("j", position / 100.0, position),), RNG)
     np.testing.assert_array_equal(held.position[:8], [0, 0, 0, 3, 3, 3, 6, 6])
     np.testing.assert_array_equal(held.time, position / 100.0)
+
+
+def test_servos_that_are_read_in_turn_are_where_they_were() -> None:
+    time = np.arange(500) / 100.0
+    joints = tuple(JointStream(name, time, np.sin(3 * time)) for name in "abc")
+    read = ReadInTurn(0.013).publish(joints, RNG)
+    for joint, by in zip(read, (0.026, 0.013, 0.0), strict=True):
+        np.testing.assert_array_equal(joint.time, time)
+        np.testing.assert_allclose(joint.position[3:], np.sin(3 * (time[3:] - by)), atol=1e-5)
+
+
+def test_means_of_positions_lag_by_half_their_time_and_lack_of_fast_motion() -> None:
+    time = np.arange(2000) / 200.0
+    (joint,) = SmoothedPositions(0.2).publish((JointStream("j", time, np.cos(9 * time)),), RNG)
+    lacking = np.sin(0.9) / 0.9
+    there = time > 0.2
+    expected = lacking * np.cos(9 * (time - 0.1))
+    np.testing.assert_allclose(joint.position[there], expected[there], atol=1e-3)
+    assert joint.position[0] == pytest.approx(1.0)
 
 
 def test_what_is_sent_on_change_is_silent_at_rest_but_for_a_timer() -> None:

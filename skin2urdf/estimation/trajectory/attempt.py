@@ -1,8 +1,9 @@
 """A fit of all samples, what it still lacks, and the same with one cause more or less.
 
-Causes are what real robots have and ideal ones have not: clocks that wander, sensors whose axes are
-curved, uneven gears, joints that yield, a base that gives way, biases that drift, and slack of a
-learnt size, which takes up what none of them explains. Slack no larger than half an encoder's step
+Causes are what real robots have and ideal ones have not: clocks that wander, joints that are read
+one after another or smoothed, sensors whose axes are curved, uneven gears, joints that yield, a
+base that gives way, biases that drift, and slack of a learnt size, which takes up what none of them
+explains. Slack no larger than half an encoder's step
 needs no cause: rounding makes it wherever a robot rests, and many joints and SUs show what one of
 them hides in noise. What rounding makes on the way from rest to rest is told from slack by drawing
 it anew.
@@ -46,7 +47,6 @@ from skin2urdf.estimation.trajectory.slack import (
 )
 from skin2urdf.estimation.trajectory.tilting import tilts
 from skin2urdf.estimation.trajectory.unseen import Unseen
-from skin2urdf.estimation.trajectory.wandering import wandering, with_steady_clocks
 from skin2urdf.estimation.trajectory.yielding import fit_yielding
 
 EXPLAINED = 2.0
@@ -61,6 +61,8 @@ deviations. Slack of gears in a log of 15 s has 8, rounding that 200 SUs see 4."
 BENDS, PLAY, CLOCK, DRIFT, CURVES = ("elastic", "base"), "play", "clock", "drift", "nonlinearity"
 """Causes of deflections, what is followed as the first of them and is none, and those of clocks
 that wander, of biases and of sensors' axes."""
+LAGS, SMOOTHED = "lags", "smoothed"
+"""Those of joints that are read one after another, and of joints whose driver smooths them."""
 TILTS = "tilts"
 """That of a base that is tilted otherwise from time to time."""
 _KNOTS = 15.0
@@ -81,6 +83,8 @@ class Explained:
         wander: per log (N,) by how much later its readings were taken as clocks wander [s]; ()
             where they do not.
         left_to_one: whether nothing was tried, as what is left is the change of a single SU.
+        read: by cause, the numbers of how joints are read otherwise than their stamps say, as
+            :mod:`reading_times` has them.
     """
 
     problem: MotionProblem
@@ -90,6 +94,7 @@ class Explained:
     under_known: UnderKnown | None = None
     wander: tuple[F64, ...] = ()
     left_to_one: bool = False
+    read: Mapping[str, F64] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,6 +108,8 @@ class Attempt:
         places: slack of joints from place to place; None where the robot stays in one.
         wander: per log (N,) by how much later its readings were taken as clocks wander [s]; ()
             where they do not.
+        read: by cause, the numbers of how joints are read otherwise than their stamps say, as
+            :mod:`reading_times` has them.
     """
 
     problem: MotionProblem
@@ -110,6 +117,7 @@ class Attempt:
     causes: tuple[str, ...]
     places: Unseen | None
     wander: tuple[F64, ...] = ()
+    read: Mapping[str, F64] = field(default_factory=dict)
 
     @cached_property
     def misfit(self) -> float:
@@ -226,24 +234,10 @@ class Attempt:
     ) -> Explained:
         """This attempt as the one that explains the readings, with what else was tried."""
         tried = {cause: each.misfit for each in attempts for cause in each.causes[-1:]}
-        return Explained(self.problem, self.fitted, self.causes, tried, under, self.wander)
-
-    def on_steady_clocks(self) -> Attempt:
-        """With clocks that no longer wander, where that says more than a base or gears, else as is.
-
-        Slack is no rival: of another size from moment to moment, it follows whatever clocks do.
-        """
-        more = wandering(self.problem.logs)
-        if more is None:
-            return self
-        gain = size_of(self.problem, self.fitted, more).gain
-        if gain <= CERTAIN or gain <= max(self.gains.values()):
-            return self
-        if (tilting := self._tilting) is not None and gain <= self.sized(tilting)[1].gain:
-            return self
-        problem, fitted, wander = with_steady_clocks(self.problem, self.fitted)
-        causes = (*self.causes, CLOCK)
-        return replace(self, problem=problem, fitted=fitted, causes=causes, wander=wander)
+        return Explained(
+            self.problem, self.fitted, self.causes, tried, under, self.wander,
+            read=self.read,
+        )  # fmt: skip
 
     def curved_where_likeliest(self) -> Attempt:
         """With curved axes, where these say more than all that looks alike, else as it is."""

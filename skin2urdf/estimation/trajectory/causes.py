@@ -27,6 +27,7 @@ from skin2urdf.estimation.trajectory.attempt import (
 from skin2urdf.estimation.trajectory.displaced import one_alone_changed
 from skin2urdf.estimation.trajectory.elastic import UnderKnown
 from skin2urdf.estimation.trajectory.fit import Fitted
+from skin2urdf.estimation.trajectory.in_time import in_time
 from skin2urdf.estimation.trajectory.problem import MotionProblem
 from skin2urdf.estimation.trajectory.slack import slack
 
@@ -63,8 +64,7 @@ def explained(
         return Explained(problem, fitted)
     if unless_one_changed and one_alone_changed(problem, fitted, EXPLAINED):
         return Explained(problem, fitted, left_to_one=True)
-    # What clocks leave goes with the motion, and may pass for noise of SUs that move.
-    rigid = rigid.on_steady_clocks()
+    rigid = in_time(rigid)
     if not (rigid.lacks or rigid.certain_curvature):
         return rigid.as_explained()
     # As few numbers of each SU as a bias has; what bends gravity looks alike.
@@ -87,6 +87,11 @@ def explained(
         uneven = _with_few_sizes(best, max(others, default=0.0), without)
         if uneven is not best:
             best = uneven
+            attempts.append(best)
+        # Loads said more than times did, and leave these.
+        timed = in_time(best)
+        if timed is not best:
+            best = timed
             attempts.append(best)
     curved = best if best is rigid else best.curved_where_likeliest()
     if curved is not best:

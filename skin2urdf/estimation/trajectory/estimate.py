@@ -32,6 +32,7 @@ from skin2urdf.estimation.trajectory.following import follow_motion
 from skin2urdf.estimation.trajectory.front_end import begin_front, droop, droop_variance
 from skin2urdf.estimation.trajectory.gyro import gyro_deviations
 from skin2urdf.estimation.trajectory.impossible_fronts import with_possible_fronts
+from skin2urdf.estimation.trajectory.in_time import ages_and_smoothing, with_times_open
 from skin2urdf.estimation.trajectory.information import MotionInformation, motion_information
 from skin2urdf.estimation.trajectory.leaning import with_leaning_base
 from skin2urdf.estimation.trajectory.listening import found_gyros, listened
@@ -82,7 +83,8 @@ class MotionEstimate:
         causes: what was added to a rigid robot with steady sensors: ``elastic`` joints, a ``base``
             that gives way, ``tilts`` of one that moves by itself, ``play`` of joints, ``drift`` of
             biases, ``nonlinearity`` of sensors, ``harmonics`` and ``ripples`` of gears, ``clock``
-            of joints and SUs that wander, ``slack`` from place to place.
+            of joints and SUs that wander, ``lags`` of joints that are read one after another,
+            joints ``smoothed`` by their driver, ``slack`` from place to place.
         tried: misfit with each cause that was tried, chosen or not.
         under_known: what joints yield under torques that are known, the first of what encoders do
             not see; None where none do, or torques are not known.
@@ -94,6 +96,10 @@ class MotionEstimate:
         wander: per log (N,) by how much later its readings were taken as clocks wander [s]; ()
             where they do not.
         left_to_one: whether no cause was tried, as what is left is the change of a single SU.
+        ages: (D,) by how much older the positions of each joint are than those of all in the mean,
+            under one stamp [s]; 0 where all are as old as each other.
+        smoothing: (D,) by how much each joint is further per acceleration than it was read [s^2];
+            0 where none is smoothed.
     """
 
     problem: MotionProblem
@@ -109,6 +115,8 @@ class MotionEstimate:
     loads: ShakenLoads | None = None
     wander: tuple[F64, ...] = ()
     left_to_one: bool = False
+    ages: F64 = field(default_factory=lambda: np.zeros(0))
+    smoothing: F64 = field(default_factory=lambda: np.zeros(0))
 
     @property
     def state(self) -> State:
@@ -385,7 +393,7 @@ def estimate_along(
                 problem, fitted, most, only_known=only_known, without=without,
                 unless_one_changed=unless_one_changed,
             )  # fmt: skip
-        return with_likely_sensors(found, iterations)
+        return with_likely_sensors(with_times_open(found), iterations)
 
     if look_further and not _links_may_explain(problem, fitted):
         without = {*without, *BENDS}
@@ -410,7 +418,7 @@ def estimate_along(
     what = found.causes, found.tried, found.under_known
     return MotionEstimate(
         problem, fitted, left, gyros, *what, late, ended.corrected, ended.hidden, ended.loads,
-        found.wander, found.left_to_one,
+        found.wander, found.left_to_one, *ages_and_smoothing(found),
     )  # fmt: skip
 
 

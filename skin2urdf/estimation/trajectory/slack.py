@@ -386,17 +386,23 @@ def _likeliest(
     return Size(float(_SIZES[best]), float(gain[best]), numbers, gain)
 
 
-def with_unseen(problem: MotionProblem, more: Unseen, size: float) -> MotionProblem:
+def with_unseen(
+    problem: MotionProblem, more: Unseen, size: float, behind: int = 0
+) -> MotionProblem:
     """A problem with more unseen motion, of a common size.
 
     Args:
         problem: what was fitted.
         more: motions, which become the last.
         size: standard deviation of their numbers.
+        behind: how many of the groups that were added before stay behind them.
     """
-    motion = more if problem.unseen is None else together([problem.unseen, more])
-    spread = np.concatenate([problem.priors.unseen, np.full(more.n_numbers, size)])
+    old = () if problem.unseen is None else problem.unseen.several or (problem.unseen,)
+    before, after = old[: len(old) - behind], old[len(old) - behind :]
+    first = sum(each.n_numbers for each in before)
+    spread = np.insert(problem.priors.unseen, first, np.full(more.n_numbers, size))
     priors = replace(problem.priors, unseen=spread)
+    motion = together([*before, more, *after]) if old else more
     return MotionProblem(problem.tree, problem.logs, priors, problem.layout.n_knots, motion)
 
 

@@ -45,6 +45,14 @@ _PHYSICS = {
         "clocks of joints and SUs that wander against each other",
         "stamp both by one clock, or keep clocks together (PTP, chrony)",
     ),
+    "lags": (
+        "joints that are read one after another under one stamp",
+        "read them all at once, or stamp each when it is read",
+    ),
+    "smoothed": (
+        "positions that are smoothed before they are logged, as by a low-pass",
+        "log positions as encoders have them",
+    ),
     "harmonics": (
         "uneven gears",
         "log the positions of the links if the robot has encoders behind its gears",

@@ -6,6 +6,7 @@ from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.interpolate import CubicSpline, make_interp_spline
 
 from skin2urdf.arrays import F64, frozen
 from skin2urdf.geometry.units import GRAVITY
@@ -91,6 +92,60 @@ class HeldPositions(Defect):
             return replace(joint.at(first), time=joint.time)
 
         return tuple(map(held, joints))
+
+
+@dataclass(frozen=True)
+class ReadInTurn(Defect):
+    """Servos on a bus, of which each is read some time after the one before, under one stamp.
+
+    Attributes:
+        apart: that time [s]; the last of them is read when the message is stamped.
+    """
+
+    apart: float = 3e-3
+
+    def publish(
+        self, joints: tuple[JointStream, ...], rng: np.random.Generator
+    ) -> tuple[JointStream, ...]:
+        """Each joint where it was when it was read."""
+
+        def earlier(joint: JointStream, by: float) -> JointStream:
+            at = np.clip(joint.time - by, joint.time[0], None)
+            effort = joint.effort
+            if effort is not None:
+                effort = frozen(CubicSpline(joint.time, effort)(at))
+            position = frozen(CubicSpline(joint.time, joint.position)(at))
+            return replace(joint, position=position, effort=effort)
+
+        turns = range(len(joints) - 1, -1, -1)
+        return tuple(earlier(j, n * self.apart) for j, n in zip(joints, turns, strict=True))
+
+
+@dataclass(frozen=True)
+class SmoothedPositions(Defect):
+    """A driver that publishes means of the positions that it has read last.
+
+    Attributes:
+        over: time that a mean goes over [s].
+    """
+
+    over: float = 0.1
+
+    def publish(
+        self, joints: tuple[JointStream, ...], rng: np.random.Generator
+    ) -> tuple[JointStream, ...]:
+        """Positions that lag behind, and have less of fast motion."""
+
+        def smoothed(joint: JointStream) -> JointStream:
+            # The mean of what goes from sample to sample in straight lines, by its integral.
+            since = joint.time - joint.time[0]
+            steps = 0.5 * (joint.position[1:] + joint.position[:-1]) * np.diff(since)
+            integral = make_interp_spline(since, np.append(0.0, np.cumsum(steps)), k=3)
+            begin = since - self.over
+            before = np.where(begin < 0, begin * joint.position[0], integral(begin.clip(min=0.0)))
+            return replace(joint, position=frozen((integral(since) - before) / self.over))
+
+        return tuple(map(smoothed, joints))
 
 
 @dataclass(frozen=True)

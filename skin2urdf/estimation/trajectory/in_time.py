@@ -114,7 +114,7 @@ def ages_and_smoothing(found: Explained) -> tuple[F64, F64]:
 def _shown(attempt: Attempt, without: Collection[str]) -> dict[str, Size]:
     """What the readings show of each cause but for some."""
     logs = attempt.problem.logs
-    makers = {CLOCK: wandering, **{cause: each.unseen for cause, each in _OF_JOINTS.items()}}
+    makers = {CLOCK: wandering, **{cause: each.told_by for cause, each in _OF_JOINTS.items()}}
     motions = {cause: make(logs) for cause, make in makers.items() if cause not in without}
     known = {cause: motion for cause, motion in motions.items() if motion is not None}
     if not known:
@@ -140,9 +140,9 @@ def _with(attempt: Attempt, cause: str, size: float) -> Attempt | None:
     if cause == CLOCK:
         problem, fitted, wander = with_steady_clocks(problem, fitted)
         return replace(attempt, problem=problem, fitted=fitted, causes=causes, wander=wander)
-    how = _OF_JOINTS[cause]
-    problem, fitted, numbers = how.followed(problem, fitted, size)
-    if not how.is_possible(numbers, problem.tree.n_joints):
+    found = _OF_JOINTS[cause].followed(problem, fitted, size)
+    if found is None:
         return None
+    problem, fitted, numbers = found
     read = {**attempt.read, cause: numbers}
     return replace(attempt, problem=problem, fitted=fitted, causes=causes, read=read)

@@ -43,9 +43,6 @@ as one of the next: those of a pole at 8 Hz are of one size then, and of others 
 _ORDERS = (2, 3, 4)
 """Derivatives that a filter takes from motion: what is beyond them is a hundredth of it, of a pole
 at 5 Hz and patterns of 4 Hz."""
-_FOURTH = 1.0
-"""What a filter takes of the fourth at most, per square of what it takes of the second, either way:
-a pole takes a half, a mean gives back 0.7."""
 
 
 class ReadingTimes(ABC):
@@ -77,6 +74,14 @@ class ReadingTimes(ABC):
         del numbers  # what is only late has all of its motion
         return np.zeros(n_joints)
 
+    def told_by(self, logs: Sequence[Trajectory]) -> Unseen | None:
+        """The part of it that nothing else looks like, which tells whether there is any of it.
+
+        Args:
+            logs: trajectories.
+        """
+        return self.unseen(logs)
+
     def is_possible(self, numbers: F64, n_joints: int) -> bool:
         """Whether anything reads joints like that."""
         del numbers, n_joints
@@ -84,8 +89,8 @@ class ReadingTimes(ABC):
 
     def followed(
         self, problem: MotionProblem, fitted: Fitted, size: float
-    ) -> tuple[MotionProblem, Fitted, F64]:
-        """The fit with positions set right.
+    ) -> tuple[MotionProblem, Fitted, F64] | None:
+        """The fit with positions set right; None where nothing reads joints like that.
 
         Args:
             problem: what was fitted, of as many joints as it takes.
@@ -102,11 +107,14 @@ class ReadingTimes(ABC):
                 break
             numbers = numbers if numbers.size else np.zeros(more.n_numbers)
             begin = replace(state, unseen=np.append(state.unseen, np.zeros(len(numbers))))
-            found = fit(with_unseen(problem, more, size), begin, near=True)
+            wider = with_unseen(problem, more, size)
+            found = fit(wider, begin, near=True)
             step = found.state.unseen[-len(numbers) :]
             numbers = numbers + step
             problem = problem.again(logs=[self.set_right(log, numbers) for log in read])
             state = replace(found.state, unseen=found.state.unseen[: -len(numbers)])
+            if not self.is_possible(numbers, problem.tree.n_joints):
+                return None
             if np.abs(step).max() <= _SETTLED * np.abs(numbers).max():
                 break
         return problem, fit(problem, state, near=True), numbers
@@ -134,20 +142,11 @@ class _Smoothed(ReadingTimes):
     """Joints that are late, by so much per time that filters have, and smoothed [s^2]."""
 
     def unseen(self, logs: Sequence[Trajectory]) -> Unseen | None:
-        D = logs[0].q.shape[1]
-        taken = Unseen(np.tile(np.arange(D), len(_ORDERS)), tuple(map(_taken_by_filters, logs)))
-        late = LATE.unseen(logs)
-        if late is None:
-            return taken
-        mix = replace(late, unit=late.unit / _TIME)
-        motions = tuple(map(np.hstack, zip(late.motions, taken.motions, strict=True)))
-        return Unseen(
-            np.append(mix.joint, taken.joint),
-            motions,
-            column=np.append(mix.column, D + np.arange(len(taken.joint))),
-            unit=np.append(mix.unit, np.ones(len(taken.joint))),
-            number=np.append(mix.number, D - 1 + taken.number),
-        )
+        return _late_and([_taken_by_filters(log) for log in logs], logs)
+
+    def told_by(self, logs: Sequence[Trajectory]) -> Unseen | None:
+        # What play does where joints start has more of higher derivatives.
+        return _late_and([log.qdd for log in logs], logs)
 
     def set_right(self, log: Trajectory, numbers: F64) -> Trajectory:
         D = log.q.shape[1]
@@ -162,13 +161,29 @@ class _Smoothed(ReadingTimes):
         return numbers[n_joints - 1 : 2 * n_joints - 1]
 
     def is_possible(self, numbers: F64, n_joints: int) -> bool:
-        """Whether joints have less of fast motion, and as filters leave it.
+        """Whether joints have less of fast motion, never more."""
+        return bool(self.smoothing(numbers, n_joints).sum() < 0)
 
-        What play does where joints start would be the fourth derivative more than all others.
-        """
-        second, fourth = self.smoothing(numbers, n_joints), numbers[-n_joints:] * _TIME**2
-        bounded = np.linalg.norm(fourth) <= _FOURTH * np.linalg.norm(second**2)
-        return bool(second.sum() < 0 and bounded)
+
+def _late_and(taken: Sequence[F64], logs: Sequence[Trajectory]) -> Unseen:
+    """Motion of joints that are late, and by so many units more of what filters take.
+
+    Args:
+        taken: per log (N, k D) of all joints, k times.
+        logs: trajectories.
+    """
+    D = logs[0].q.shape[1]
+    joint = np.arange(taken[0].shape[1]) % D
+    late = LATE.unseen(logs)
+    if late is None:
+        return Unseen(joint, tuple(taken))
+    return Unseen(
+        np.append(late.joint, joint),
+        tuple(map(np.hstack, zip(late.motions, taken, strict=True))),
+        column=np.append(late.column, D + np.arange(len(joint))),
+        unit=np.append(late.unit / _TIME, np.ones(len(joint))),
+        number=np.append(late.number, D - 1 + np.arange(len(joint))),
+    )
 
 
 def _about_their_mean(n_joints: int) -> F64:

@@ -118,6 +118,8 @@ def displace(T_est_su: F64, T_true_su: F64, P: F64) -> F64:
         P: (U, 6, 6) projectors onto each SU's free directions, see :func:`align`.
     """
     best = _first_displacements(T_est_su, T_true_su, P)
+    if not P.any():
+        return best
     best_cost = np.full(len(P), np.inf)
     D = best
     for _ in range(_MAX_STEPS):
@@ -171,6 +173,8 @@ def _first_displacements(T_est_su: F64, T_true_su: F64, P: F64) -> F64:
     A displacement near half a turn reads as +pi at some configurations and as -pi at others, so
     a mean over them means nothing. One configuration is followed either way round instead.
     """
+    if not P.any():  # as of most robots: no SU may be displaced
+        return np.tile(np.eye(4), (len(P), 1, 1))
     error = inverse(T_est_su[0]) @ T_true_su[0]
     ways = [se3.log(error, long_way=long_way) * _SCALE for long_way in (False, True)]
     guesses = [_displacement(P, way) for way in (np.zeros_like(ways[0]), *ways)]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any
 
@@ -154,25 +154,52 @@ def test_a_bias_that_drifts_does_not_step() -> None:
     assert told(found) == []
 
 
+@dataclass(frozen=True)
+class Watched:
+    """A calibration of SUs whose biases step at one moment.
+
+    Attributes:
+        found: its result.
+        tried: whether any physics was, in each fit of all samples.
+    """
+
+    found: Calibration
+    tried: tuple[bool, ...]
+
+
+@pytest.fixture(scope="module")
+def stepped() -> Callable[[int], Watched]:
+    """Calibrations with so many SUs that step, each done once."""
+
+    @cache
+    def stepped(n: int) -> Watched:
+        tried: list[bool] = []
+
+        def watched(*arguments: Any, **more: Any) -> MotionEstimate | None:
+            along = fit_samples(*arguments, **more)
+            tried.append(bool(along is not None and along.tried))
+            return along
+
+        with pytest.MonkeyPatch.context() as patched:
+            patched.setattr(explanation, "fit_samples", watched)
+            found = calibrate(retimed(changed(last_names(n), lambda force: force + 0.2)))
+        return Watched(found, tuple(tried))
+
+    return stepped
+
+
 @pytest.mark.parametrize("n", [1, 2])
 def test_no_physics_is_tried_for_what_one_su_alone_shows(
-    n: int, monkeypatch: pytest.MonkeyPatch
+    n: int, stepped: Callable[[int], Watched]
 ) -> None:
     """As long as a single one is all that is left: two that changed at once may be a joint."""
-    tried: list[bool] = []
-
-    def watched(*arguments: Any, **more: Any) -> MotionEstimate | None:
-        along = fit_samples(*arguments, **more)
-        tried.append(bool(along is not None and along.tried))
-        return along
-
-    monkeypatch.setattr(explanation, "fit_samples", watched)
-    found = calibrate(retimed(changed(last_names(n), lambda force: force + 0.2)))
-    assert any(tried) == (n == 2)
-    assert told(found) == [("bias step", *last_names(1))] * (n == 1)
+    assert any(stepped(n).tried) == (n == 2)
+    assert told(stepped(n).found) == [("bias step", *last_names(1))] * (n == 1)
 
 
-def test_sus_that_change_at_one_moment_did_not_do_so_by_themselves() -> None:
-    found = calibrate(retimed(changed(last_names(2), lambda force: force + 0.2)))
+def test_sus_that_change_at_one_moment_did_not_do_so_by_themselves(
+    stepped: Callable[[int], Watched],
+) -> None:
+    found = stepped(2).found
     assert not {"loose", "bias step"} & {fault.kind for fault in found.faults}
     assert found.quality != "good"

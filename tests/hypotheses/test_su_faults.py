@@ -29,6 +29,7 @@ from skin2urdf.calibration.rounds import (
     take_features,
 )
 from skin2urdf.calibration.settings import CalibrationSettings
+from skin2urdf.errors import InsufficientDataError
 from skin2urdf.faults import Fault, distinct, without_slips
 from skin2urdf.hypotheses.attempts import Search
 from skin2urdf.hypotheses.loose import slips
@@ -203,10 +204,15 @@ def test_a_slip_explains_the_pose_in_which_it_happened() -> None:
     assert slip.drop == pytest.approx(of_su, rel=0.03)
 
 
+def nothing(*_: object) -> Solution:
+    raise InsufficientDataError("rests tell nothing", "record more of them", lacks="poses")
+
+
 def test_no_physics_is_tried_for_what_leaves_more_than_any(monkeypatch: pytest.MonkeyPatch) -> None:
     """Where nothing has found what is wrong, fits with gears that yield take minutes."""
     monkeypatch.setattr(explanation, "KINDS", ())
     monkeypatch.setattr(explanation, "with_sus_apart", lambda *found, **_: found[:2])
+    monkeypatch.setattr(explanation, "estimate_at_rest", nothing)
     injected = FAULTS["loose"](sound(), np.random.default_rng([3, *b"loose"]))
     found = calibrate([retimed(recording) for recording in injected.recordings])
     assert found.estimate.misfit > HOPELESS_FIT

@@ -82,7 +82,7 @@ def test_names_that_act_on_a_terminal_or_are_taken_end_in_a_urdf(
     sus = changed_sus(recording, renamed)
     log, urdf = tmp_path / "log.mcap", tmp_path / "robot.urdf"
     write(replace(sus, joints=joints), log)
-    assert main(["calibrate", str(log), "-o", str(urdf)]) == 0
+    assert main(["calibrate", str(log), "-o", str(urdf), "--motion", "patterns"]) == 0
     told = capsys.readouterr()
     assert all(line.isprintable() for line in (told.out + told.err).splitlines())
     assert "'universe_joint'" in told.out

@@ -108,7 +108,8 @@ def test_an_su_to_be_repaired_is_told_by_verdict_and_exit_status(
     nothing = replace(dead, specific_force=np.zeros_like(dead.specific_force))
     sus = tuple(nothing if su is dead else su for su in recording.sus)
     write(replace(recording, sus=sus), tmp_path / "dead.mcap")
-    status, out, _ = run("calibrate", tmp_path / "dead.mcap", "-o", tmp_path / "a.urdf")
+    words = ("-o", tmp_path / "a.urdf", "--motion", "patterns")
+    status, out, _ = run("calibrate", tmp_path / "dead.mcap", *words)
     assert status == 3
     assert out.startswith("fair: ")
     assert any(dead.name in line and "dead" in line for line in out.splitlines())

@@ -212,6 +212,7 @@ def imported_names(tree: ast.AST, module: str, is_package: bool) -> Iterator[str
                     yield argument.value
 
 
+@cache
 def imports_of(module: str) -> set[str]:
     path = MODULES[module]
     return set(imported_names(parsed(path), module, path.name == "__init__.py"))

@@ -307,7 +307,7 @@ def test_positions_in_degrees_give_no_robot() -> None:
 
 
 def test_a_joint_that_is_not_linear_is_a_bad_fit() -> None:
-    log = simulation_of(small_arm(3), **MEMS, excite="all").recording
+    log = simulation_of(small_arm(3), **MEMS).recording
     name = log.joints[1].name
 
     def bent(joint: JointStream) -> JointStream:

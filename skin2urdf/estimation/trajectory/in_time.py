@@ -112,7 +112,7 @@ def ages_and_smoothing(found: Explained) -> tuple[F64, F64]:
 
 
 def _shown(attempt: Attempt, without: Collection[str]) -> dict[str, Size]:
-    """What the readings show of each cause but for some."""
+    """What the readings show of each cause but for some, where anything does that."""
     logs = attempt.problem.logs
     makers = {CLOCK: wandering, **{cause: each.told_by for cause, each in _OF_JOINTS.items()}}
     motions = {cause: make(logs) for cause, make in makers.items() if cause not in without}
@@ -120,7 +120,13 @@ def _shown(attempt: Attempt, without: Collection[str]) -> dict[str, Size]:
     if not known:
         return {}
     found = lacking(attempt.problem, attempt.fitted, list(known.values()))
-    return {cause: found.size(group) for group, cause in enumerate(known)}
+    sizes = {cause: found.size(group) for group, cause in enumerate(known)}
+    n = attempt.problem.tree.n_joints
+    return {
+        cause: size
+        for cause, size in sizes.items()
+        if cause not in _OF_JOINTS or _OF_JOINTS[cause].is_possible(size.numbers, n)
+    }
 
 
 def _of_others(attempt: Attempt, cause: str) -> float:

@@ -175,8 +175,8 @@ class Calibration(Record):
         robot does the same, the fit of all samples has arrived, nothing is wrong with an SU, a pose
         or an encoder, no sensor would need an error that none has, every SU with readings has a
         place, and one alone, and joints one order, no joint is weak, half of the joints are
-        determined, and the base stands still, since lengths along the first axis may else be off by
-        more than is stated.
+        determined, positions are as encoders have them, and the base stands still, since lengths
+        may else be off by more than is stated.
 
         It is bad where the readings are not explained, or by more slack than joints have, or only
         in part while no SU that a recording could place is determined, or where most of these are
@@ -202,7 +202,7 @@ class Calibration(Record):
         known = "weak" not in verdicts and 2 * verdicts.count("determined") >= len(verdicts)
         known &= not self.mostly_open
         sound = not self.faults and not self.base_gives_way and not self.without_a_place
-        sound &= not (self.turn_of_base or self.tilt_of_base)
+        sound &= not (self.turn_of_base or self.tilt_of_base or self.is_smoothed)
         sound &= not (self.of_two_places or self.open_orders)
         sound &= not self.implausible
         return "good" if explained and alike and known and sound else "fair"
@@ -268,6 +268,15 @@ class Calibration(Record):
     def base_gives_way(self) -> bool:
         """Whether the base was found to move under the robot's load."""
         return self.along is not None and "base" in self.along.causes
+
+    @property
+    def is_smoothed(self) -> bool:
+        """Whether positions were found to be smoothed before they were logged.
+
+        What the smoothing takes from fast motion is known to 1e-5 s^2 at best, whatever the
+        readings say for certain: products of motions are predicted no better.
+        """
+        return self.along is not None and "smoothed" in self.along.causes
 
     @property
     def tilt_of_base(self) -> float:

@@ -7,7 +7,7 @@ differentiated and the prediction once more after it, the readings twice.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -184,6 +184,17 @@ class Trajectory(Record):
             qdd=self.qdd + second_derivative(off, self.rate),
         )
 
+    def with_joints_further(self, by: F64) -> Trajectory:
+        """The same with joints further by so much (N, D), positions as they were sampled as well.
+
+        These get what the low-pass leaves nearly all of: a gain of H becomes one of
+        ``1 - (1 - H)^2`` where what is left out is added once more (Tukey 1977).
+        """
+        further = self.with_joints_off(by)
+        if not len(self.positions):
+            return further
+        return replace(further, positions=self.positions + 2 * by - filtered(by, self.taps))
+
     def joints_taken(self, joints: Int, late: F64) -> Trajectory:
         """The same with the positions of some joints as they are so much later.
 
@@ -192,11 +203,13 @@ class Trajectory(Record):
             late: (N,) by how much later each position is taken [s].
         """
         at = self._later(late)
-        q, effort = np.array(self.q), np.array(self.effort)
-        q[:, joints] = Spline(q[:, joints]).within(at)
-        if len(effort):
-            effort[:, joints] = Spline(effort[:, joints]).within(at)
-        return self._with_positions(q, effort)
+
+        def taken(x: F64) -> F64:
+            out = np.array(x)
+            out[:, joints] = Spline(out[:, joints]).within(at)
+            return out
+
+        return self._with_all(taken)
 
     def each_joint_taken(self, late: F64) -> Trajectory:
         """The same with the positions of each joint as they are so much (D,) later [s]."""
@@ -205,13 +218,14 @@ class Trajectory(Record):
             columns = zip(x.T, late * self.rate, strict=True)
             return np.hstack([Spline(column[:, None]).later(by) for column, by in columns])
 
-        effort = taken(self.effort) if len(self.effort) else self.effort
-        return self._with_positions(taken(self.q), effort)
+        return self._with_all(taken)
 
-    def _with_positions(self, q: F64, effort: F64) -> Trajectory:
-        """The same with other positions (N, D) and efforts, and what follows from positions."""
+    def _with_all(self, taken: Callable[[F64], F64]) -> Trajectory:
+        """The same with what is known of joints (N, D) in another way, and what follows from it."""
+        q = taken(self.q)
+        effort, positions = (taken(x) if len(x) else x for x in (self.effort, self.positions))
         qd, qdd = first_derivative(q, self.rate), second_derivative(q, self.rate)
-        return replace(self, q=q, qd=qd, qdd=qdd, effort=effort)
+        return replace(self, q=q, qd=qd, qdd=qdd, effort=effort, positions=positions)
 
     def read_later(self, late: F64) -> Trajectory:
         """The same with readings that belong to so much later, as a clock of SUs that wanders says.

@@ -105,6 +105,14 @@ def test_a_base_that_gives_way_makes_a_good_fit_fair() -> None:
     assert against(found) == [("soft base", ()), missing()]
 
 
+def test_positions_that_are_smoothed_keep_a_result_from_being_good() -> None:
+    along = calibration().along
+    assert along is not None
+    found = replace(calibration(), along=replace(along, causes=("smoothed",)))
+    assert found.quality == "fair"
+    assert against(found) == [("smoothed", ()), missing()]
+
+
 def test_joints_in_an_untold_order_make_a_good_fit_fair() -> None:
     first, second, *_ = names = calibration().model.tree.joint_names
     told = Note("other order", joints=names[:2], instead=(second, first), size=0.02)

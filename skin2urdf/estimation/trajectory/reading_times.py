@@ -25,8 +25,9 @@ import numpy as np
 from scipy.linalg import helmert
 
 from skin2urdf.arrays import F64
-from skin2urdf.estimation.trajectory.fit import Fitted, fit
+from skin2urdf.estimation.trajectory.fit import Fitted, fit, held
 from skin2urdf.estimation.trajectory.problem import MotionProblem
+from skin2urdf.estimation.trajectory.products import with_products
 from skin2urdf.estimation.trajectory.slack import with_unseen
 from skin2urdf.estimation.trajectory.unseen import Unseen
 from skin2urdf.signals.filters import first_derivative, second_derivative
@@ -117,7 +118,10 @@ class ReadingTimes(ABC):
                 return None
             if np.abs(step).max() <= _SETTLED * np.abs(numbers).max():
                 break
-        return problem, fit(problem, state, near=True), numbers
+        # Products of motions were known of positions as they were read.
+        problem = problem.again(logs=[replace(log, beyond=None) for log in problem.logs])
+        problem, predicted = with_products(problem, held(problem, state))
+        return problem, fit(problem, state, near=True, predicted=predicted), numbers
 
 
 class _Late(ReadingTimes):
@@ -152,7 +156,7 @@ class _Smoothed(ReadingTimes):
         D = log.q.shape[1]
         log = log.each_joint_taken(self.ages(numbers, D))
         taken = _taken_by_filters(log) * numbers[D - 1 :]
-        return log.with_joints_off(taken.reshape(len(taken), len(_ORDERS), D).sum(axis=1))
+        return log.with_joints_further(taken.reshape(len(taken), len(_ORDERS), D).sum(axis=1))
 
     def ages(self, numbers: F64, n_joints: int) -> F64:
         return LATE.ages(numbers[: n_joints - 1] / _TIME, n_joints)

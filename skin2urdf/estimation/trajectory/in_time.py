@@ -36,8 +36,6 @@ _OF_JOINTS: Mapping[str, ReadingTimes] = {
     SMOOTHED: reading_times.SMOOTHED,
 }
 """Ways in which joints are read, by cause."""
-
-
 _LEFT = 0.01
 """Share of what a cause gained that it may leave for the others, since it is followed in steps that
 leave a hundredth each: of clocks that wander by 10 ms 0.5 % looked like lags, of joints behind

@@ -393,7 +393,7 @@ def with_unseen(
 
     Args:
         problem: what was fitted.
-        more: motions, which become the last.
+        more: motions, which become the last but for those that stay behind them.
         size: standard deviation of their numbers.
         behind: how many of the groups that were added before stay behind them.
     """

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from synthetic import (
     RATE,
+    error_along_another_motion,
     random_state,
     sampled_trajectory,
     serial_tree,
@@ -68,14 +69,7 @@ def _read(q: F64, how: str) -> F64:
 
 def _errors(found: MotionEstimate) -> float:
     """Root mean square error of what sensors read along another motion [m/s^2]."""
-    q = np.random.default_rng(9).uniform(-1, 1, (40, 3))
-    qd, qdd = 2 * q[::-1], 10 * q[:, ::-1]
-
-    def read(state: State) -> F64:
-        felt = specific_forces(state.model(_TREE), q, qd, qdd, 9.81 * state.up[0])
-        return np.asarray(np.einsum("uij,kuj->kui", state.sensor_matrix(), felt) + state.bias)
-
-    return float(np.sqrt(((read(found.state) - read(_truth())) ** 2).mean()))
+    return error_along_another_motion(_TREE, found.state, _truth())
 
 
 def test_positions_as_encoders_have_them_are_left_as_they_are() -> None:

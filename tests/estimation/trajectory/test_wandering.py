@@ -7,7 +7,14 @@ from functools import cache
 
 import numpy as np
 import pytest
-from synthetic import RATE, random_state, sampled_trajectory, serial_tree, stays
+from synthetic import (
+    RATE,
+    error_along_another_motion,
+    random_state,
+    sampled_trajectory,
+    serial_tree,
+    stays,
+)
 
 from skin2urdf.arrays import F64
 from skin2urdf.estimation.problem.cost import Priors
@@ -62,14 +69,7 @@ def _late(n: int, slewed: float, stepped: float) -> F64:
 
 def _errors(found: MotionEstimate) -> float:
     """Root mean square error of what sensors read along another motion [m/s^2]."""
-    q = np.random.default_rng(9).uniform(-1, 1, (40, 3))
-    qd, qdd = 2 * q[::-1], 10 * q[:, ::-1]
-
-    def read(state: State) -> F64:
-        felt = specific_forces(state.model(_TREE), q, qd, qdd, 9.81 * state.up[0])
-        return np.asarray(np.einsum("uij,kuj->kui", state.sensor_matrix(), felt) + state.bias)
-
-    return float(np.sqrt(((read(found.state) - read(_truth())) ** 2).mean()))
+    return error_along_another_motion(_TREE, found.state, _truth())
 
 
 def test_steady_clocks_are_not_followed() -> None:

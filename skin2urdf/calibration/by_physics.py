@@ -19,13 +19,13 @@ from skin2urdf.calibration.samples import fit_samples, rejected
 from skin2urdf.estimation.problem.state import N_PLACEMENT
 from skin2urdf.estimation.trajectory.attempt import (
     BENDS,
-    CERTAIN,
     CLOCK,
     LAGS,
     PLAY,
     SMOOTHED,
 )
 from skin2urdf.estimation.trajectory.estimate import MotionEstimate
+from skin2urdf.estimation.trajectory.slack import CERTAIN
 from skin2urdf.estimation.uncertainty.plausible import are_plausible
 from skin2urdf.hypotheses.measure import price_of
 

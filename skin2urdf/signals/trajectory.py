@@ -13,7 +13,7 @@ from functools import cached_property
 
 import numpy as np
 
-from skin2urdf.arrays import F64, Bool, Int, Record
+from skin2urdf.arrays import F64, Bool, Complex, Int, Record
 from skin2urdf.recording.shelf import Shelf, room_for_streams
 from skin2urdf.signals.digits import rounding
 from skin2urdf.signals.filters import (
@@ -79,6 +79,9 @@ class Trajectory(Record):
         averaged: (N, D) what averages took off positions of joints that stay, low-passed once
             [rad or m]; (0, 0) where they took nothing.
         left_out: (N, E) positions of joints that move and are none of these; (0, 0) for none.
+        further: (O, D) how much of their second and higher derivatives was added to positions, in
+            which their noise is as well [s^2, s^3, ...]; (0, 0) for none.
+        smoothed: (N, D) positions before that, low-passed once; (0, 0) for none [rad or m].
         effort: (N, D) measured torques, low-passed once [N m or N], NaN for joints of which the log
             does not hold them; (0, 0) where it holds none.
         motion_cutoff: of a low-pass that keeps all of the joints' motion [Hz]; 0 where that is the
@@ -111,6 +114,8 @@ class Trajectory(Record):
     raw_rate: F64 = field(default_factory=lambda: np.zeros(0))
     averaged: F64 = field(default_factory=lambda: np.zeros((0, 0)))
     left_out: F64 = field(default_factory=lambda: np.zeros((0, 0)))
+    further: F64 = field(default_factory=lambda: np.zeros((0, 0)))
+    smoothed: F64 = field(default_factory=lambda: np.zeros((0, 0)))
     effort: F64 = field(default_factory=lambda: np.zeros((0, 0)))
     motion_cutoff: float = 0.0
     thin: int = 1
@@ -153,11 +158,20 @@ class Trajectory(Record):
         return np.asarray(np.arange(len(self.q)) / self.rate - 0.5 * (self.time[0] + self.time[-1]))
 
     def noise_spectrum(self) -> tuple[F64, F64]:
-        """Angular frequencies (F,) [rad/s] and the share (F,) of ``noise`` that each has."""
+        """Angular frequencies (F,) [rad/s], and what each has of ``noise`` (F, D)."""
         w, gain = _passed_twice(self.taps, self.rate)
-        power = gain * w**4
-        some = power > _NOTHING * power.max()
-        return w[some], power[some] / power[some].sum()
+        power = (gain * w**4)[:, None] * np.abs(self.times(w)) ** 2
+        some = (power > _NOTHING * power.max(axis=0)).any(axis=1)
+        noise = np.zeros(self.q.shape[1]) if self.noise is None else self.noise
+        return w[some], noise * power[some] / power[some].sum(axis=0)
+
+    def times(self, w: F64) -> Complex:
+        """(F, D) what positions are times, by what was added of their derivatives.
+
+        Args:
+            w: (F,) angular frequencies [rad/s].
+        """
+        return _set_further(w, self.further, self.q.shape[1])
 
     @property
     def rounding(self) -> F64:
@@ -165,7 +179,8 @@ class Trajectory(Record):
         if not len(self.resolution):
             return np.zeros(self.q.shape[1])
         raw = self.raw_rate if len(self.raw_rate) else np.full(self.q.shape[1], self.rate)
-        return _of_accelerations(self.resolution**2 / 12, raw, self.taps, self.rate)
+        white = _of_accelerations(self.resolution**2 / 12, raw, self.taps, self.rate)
+        return white * _louder(self.further, self.taps, self.rate, len(white))
 
     def as_sampled(self, several: Iterable[F64]) -> Iterator[F64]:
         """Positions (N, D), each as those that are read: averages where joints stay, low-passed."""
@@ -173,7 +188,8 @@ class Trajectory(Record):
         if len(self.resolution):
             share = averaged_share(np.abs(self.qd), self.resolution, self.rate)
         for q in several:
-            yield filtered(with_averages(q, share, self.rate), self.taps)
+            passed = filtered(with_averages(q, share, self.rate), self.taps)
+            yield passed + self._of_derivatives(passed, self.further)
 
     def with_joints_off(self, off: F64) -> Trajectory:
         """The same with positions (N, D) that are off by so much, low-passed as they are."""
@@ -184,16 +200,39 @@ class Trajectory(Record):
             qdd=self.qdd + second_derivative(off, self.rate),
         )
 
-    def with_joints_further(self, by: F64) -> Trajectory:
-        """The same with joints further by so much (N, D), positions as they were sampled as well.
+    def with_joints_further(self, numbers: F64) -> Trajectory:
+        """The same with joints further by so much of their derivatives, as is their noise.
 
-        These get what the low-pass leaves nearly all of: a gain of H becomes one of
-        ``1 - (1 - H)^2`` where what is left out is added once more (Tukey 1977).
+        Positions as they were sampled get what the low-pass leaves nearly all of: a gain of H
+        becomes one of ``1 - (1 - H)^2`` where what is left out is added once more (Tukey 1977).
+
+        Args:
+            numbers: (O, D) times the second, third and further derivatives [s^2, s^3, ...].
+
+        Raises:
+            ValueError: they are further already.
         """
-        further = self.with_joints_off(by)
-        if not len(self.positions):
-            return further
-        return replace(further, positions=self.positions + 2 * by - filtered(by, self.taps))
+        if len(self.further):
+            raise ValueError("joints are further by derivatives of positions that were read")
+        by, positions = self._of_derivatives(self.q, numbers), self.positions
+        if len(positions):
+            positions = positions + 2 * by - filtered(by, self.taps)
+        louder = _louder(numbers, self.taps, self.rate, self.q.shape[1])
+        return replace(
+            self.with_joints_off(by),
+            positions=positions,
+            further=numbers,
+            smoothed=self.q,
+            noise=None if self.noise is None else self.noise * louder,
+        )
+
+    def _of_derivatives(self, q: F64, numbers: F64) -> F64:
+        """(N, D) numbers (O, D) times the second and higher derivatives of positions."""
+        if not len(numbers):
+            return np.zeros(q.shape)
+        return np.asarray(
+            (higher_derivatives(q, self.rate, len(numbers) + 1) * numbers[:, None]).sum(0)
+        )
 
     def joints_taken(self, joints: Int, late: F64) -> Trajectory:
         """The same with the positions of some joints as they are so much later.
@@ -223,9 +262,15 @@ class Trajectory(Record):
     def _with_all(self, taken: Callable[[F64], F64]) -> Trajectory:
         """The same with what is known of joints (N, D) in another way, and what follows from it."""
         q = taken(self.q)
-        effort, positions = (taken(x) if len(x) else x for x in (self.effort, self.positions))
-        qd, qdd = first_derivative(q, self.rate), second_derivative(q, self.rate)
-        return replace(self, q=q, qd=qd, qdd=qdd, effort=effort, positions=positions)
+        return replace(
+            self,
+            q=q,
+            qd=first_derivative(q, self.rate),
+            qdd=second_derivative(q, self.rate),
+            effort=taken(self.effort) if len(self.effort) else self.effort,
+            positions=taken(self.positions) if len(self.positions) else self.positions,
+            smoothed=taken(self.smoothed) if len(self.smoothed) else self.smoothed,
+        )
 
     def read_later(self, late: F64) -> Trajectory:
         """The same with readings that belong to so much later, as a clock of SUs that wanders says.
@@ -237,8 +282,10 @@ class Trajectory(Record):
         """
         at = self._later(late)
         q, qd, qdd = (Spline(x).within(at) for x in (self.q, self.qd, self.qdd))
-        effort = Spline(self.effort).within(at) if len(self.effort) else self.effort
-        return replace(self, q=q, qd=qd, qdd=qdd, effort=effort)
+        effort, smoothed = (
+            Spline(x).within(at) if len(x) else x for x in (self.effort, self.smoothed)
+        )
+        return replace(self, q=q, qd=qd, qdd=qdd, effort=effort, smoothed=smoothed)
 
     def _later(self, late: F64) -> F64:
         """(N,) fractional grid samples that are so much (N,) later [s], within the log."""
@@ -254,6 +301,7 @@ class Trajectory(Record):
             qd=self.qd * factor,
             qdd=self.qdd * factor,
             positions=self.positions * factor if known else self.positions,
+            smoothed=self.smoothed * factor if len(self.smoothed) else self.smoothed,
             resolution=self.resolution * np.abs(factor)
             if len(self.resolution)
             else self.resolution,
@@ -336,6 +384,7 @@ class Trajectory(Record):
             qdd=second_derivative(q, self.rate),
             readings=filtered(filtered(self.readings, more), more),
             effort=filtered(self.effort, more) if len(self.effort) else self.effort,
+            smoothed=filtered(self.smoothed, more) if len(self.smoothed) else self.smoothed,
             kept=self.kept[few],
             valid=whole[few],
             moving=self.moving[few],
@@ -434,6 +483,29 @@ def _of_accelerations(variance: F64, raw_rate: F64, taps: F64, rate: float) -> F
     return np.asarray(density * np.trapezoid(gain * w**4, w))
 
 
+def higher_derivatives(q: F64, rate: float, last: int) -> F64:
+    """(last - 1, N, D) second and higher derivatives of positions (N, D), up to the last."""
+    out = [second_derivative(q, rate)]
+    for order in range(3, last + 1):
+        odd = order % 2 == 1
+        out.append(first_derivative(out[-1], rate) if odd else second_derivative(out[-2], rate))
+    return np.stack(out)
+
+
+def _louder(numbers: F64, taps: F64, rate: float, n_joints: int) -> F64:
+    """(D,) variance of accelerations' noise over what it is with nothing added to positions."""
+    w, gain = _passed_twice(taps, rate)
+    power = gain * w**4
+    return np.asarray(power @ np.abs(_set_further(w, numbers, n_joints)) ** 2 / power.sum())
+
+
+def _set_further(w: F64, numbers: F64, n_joints: int) -> Complex:
+    """(F, D) what positions are times by so much of their derivatives."""
+    if not len(numbers):
+        return np.ones((len(w), n_joints), dtype=np.complex128)
+    return 1 + (1j * w[:, None]) ** np.arange(2, len(numbers) + 2) @ numbers
+
+
 def _passed_twice(taps: F64, rate: float) -> tuple[F64, F64]:
     """Angular frequencies (F,) up to half a rate [rad/s], and what passes of noise there (F,)."""
     H = np.fft.rfft(taps, 2048)[:-1]
@@ -464,6 +536,8 @@ def in_order(log: Trajectory, dofs: Int, sus: Int) -> Trajectory:
             shaken=log.shaken[:, dofs],
             publisher=log.publisher[dofs] if len(log.publisher) else log.publisher,
             noise=None if log.noise is None else log.noise[dofs],
+            further=log.further[:, dofs] if len(log.further) else log.further,
+            smoothed=log.smoothed[:, dofs] if len(log.smoothed) else log.smoothed,
             resolution=log.resolution[dofs] if len(log.resolution) else log.resolution,
             raw_rate=log.raw_rate[dofs] if len(log.raw_rate) else log.raw_rate,
             averaged=log.averaged[:, dofs] if len(log.averaged) else log.averaged,

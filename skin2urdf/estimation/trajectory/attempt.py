@@ -34,8 +34,10 @@ from skin2urdf.estimation.trajectory.measured_torque import with_measured_torque
 from skin2urdf.estimation.trajectory.misfit import MOST_OF_IT, SPAN, misfit_of, span_means
 from skin2urdf.estimation.trajectory.play import deflections_saturate
 from skin2urdf.estimation.trajectory.problem import MotionProblem
+from skin2urdf.estimation.trajectory.reading_times import Read
 from skin2urdf.estimation.trajectory.rounded import rounded_off_again
 from skin2urdf.estimation.trajectory.slack import (
+    CERTAIN,
     UNKNOWN,
     Lacking,
     Shared,
@@ -52,9 +54,6 @@ from skin2urdf.estimation.trajectory.yielding import fit_yielding
 EXPLAINED = 2.0
 """Misfit up to which nothing is missing: recordings with nothing but noise have 0.6 to 0.9, and its
 scatter over the spans of a log is a twentieth."""
-CERTAIN = 10.0
-"""Logarithm of the likelihood that unseen motion has to gain, which chance does once in 100,000;
-sound recordings gain nothing (panda and five of ur5), a strain wave of 0.1 mrad 121."""
 _DOUBTED = 4.5
 """Logarithm of the likelihood up to which a size is not ruled out: that of three standard
 deviations. Slack of gears in a log of 15 s has 8, rounding that 200 SUs see 4."""
@@ -83,8 +82,7 @@ class Explained:
         wander: per log (N,) by how much later its readings were taken as clocks wander [s]; ()
             where they do not.
         left_to_one: whether nothing was tried, as what is left is the change of a single SU.
-        read: by cause, the numbers of how joints are read otherwise than their stamps say, as
-            :mod:`reading_times` has them.
+        read: by cause, how joints are read otherwise than their stamps say.
     """
 
     problem: MotionProblem
@@ -94,7 +92,7 @@ class Explained:
     under_known: UnderKnown | None = None
     wander: tuple[F64, ...] = ()
     left_to_one: bool = False
-    read: Mapping[str, F64] = field(default_factory=dict)
+    read: Mapping[str, Read] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,8 +106,7 @@ class Attempt:
         places: slack of joints from place to place; None where the robot stays in one.
         wander: per log (N,) by how much later its readings were taken as clocks wander [s]; ()
             where they do not.
-        read: by cause, the numbers of how joints are read otherwise than their stamps say, as
-            :mod:`reading_times` has them.
+        read: by cause, how joints are read otherwise than their stamps say.
     """
 
     problem: MotionProblem
@@ -117,7 +114,7 @@ class Attempt:
     causes: tuple[str, ...]
     places: Unseen | None
     wander: tuple[F64, ...] = ()
-    read: Mapping[str, F64] = field(default_factory=dict)
+    read: Mapping[str, Read] = field(default_factory=dict)
 
     @cached_property
     def misfit(self) -> float:

@@ -14,7 +14,6 @@ import numpy as np
 
 from skin2urdf.estimation.trajectory.attempt import (
     BENDS,
-    CERTAIN,
     CURVES,
     DRIFT,
     EXPLAINED,
@@ -29,7 +28,7 @@ from skin2urdf.estimation.trajectory.elastic import UnderKnown
 from skin2urdf.estimation.trajectory.fit import Fitted
 from skin2urdf.estimation.trajectory.in_time import in_time
 from skin2urdf.estimation.trajectory.problem import MotionProblem
-from skin2urdf.estimation.trajectory.slack import slack
+from skin2urdf.estimation.trajectory.slack import CERTAIN, slack
 
 _BEYOND = 200.0
 """Misfit beyond which no cause is looked for: gears that yield by 3 mrad leave 11, a joint whose

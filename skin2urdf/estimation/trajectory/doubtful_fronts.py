@@ -27,8 +27,8 @@ _BEYOND_DOUBT = 5.0
 
 def has_doubtful_fronts(fitted: Fitted) -> bool:
     """Whether the low-passes of a fit cut off more of encoders' noise than chance makes them."""
-    front = fitted.state.front
-    return fitted.shaken.cut_off(front) > N_FRONT * len(front)
+    state = fitted.state
+    return fitted.shaken.cut_off(state) > N_FRONT * len(state.front)
 
 
 def without_doubtful_fronts(
@@ -46,7 +46,7 @@ def without_doubtful_fronts(
     fast = fit(problem, replace(state, front=front), near=True, iterations=iterations)
     shaken = fast.shaken
     gain = fast.chi2 - cost_with(fast.weights, shaken, fitted)
-    taken_off = shaken.cut_off(state.front) - shaken.cut_off(fast.state.front)
+    taken_off = shaken.cut_off(state) - shaken.cut_off(fast.state)
     if gain > _BEYOND_DOUBT * UNSURE * max(taken_off, 0.0):
         return problem, fitted
     return fit_with_products(problem, fast, iterations)

@@ -171,7 +171,7 @@ class MotionEstimate:
         *each_off, all_off = unsure(
             self.problem, self.fitted, again, [*groups, np.concatenate(groups)]
         )
-        joint, su = _shaking(self.problem, self.fitted)
+        joint, su = self.fitted.shaken.pull(self.problem, self.fitted.state)
         return [
             *((off * c.joint, off * c.su) for off, c in zip(each_off, self.corrected, strict=True)),
             (all_off * joint, all_off * su),
@@ -482,12 +482,6 @@ def _led(
     fitted = in_likelier_sense(problem, fitted, iterations)
     problem, fitted = fit_with_products(problem, fitted, iterations)
     return with_possible_fronts(problem, fitted, iterations)
-
-
-def _shaking(problem: MotionProblem, fitted: Fitted) -> tuple[F64, F64]:
-    """Parts (J,) and (U, n) of the gradient by what front ends would cut off of encoders' noise."""
-    layout = problem.layout
-    return np.zeros(layout.n_joint), fitted.shaken.pull(layout, fitted.state.front)
 
 
 def _links_may_explain(problem: MotionProblem, fitted: Fitted) -> bool:

@@ -89,14 +89,14 @@ class Fitted:
         return Shaken.of(self.problem.tree, self.problem.logs, self.state, self.weights)
 
     def minimised(self, equations: Equations) -> Equations:
-        """Normal equations at the state, without what front ends gain by cutting noise off.
+        """Normal equations at the state, without what is gained by cutting noise off.
 
         Of what a fit minimises that is no part, so that its optimum is where these are zero.
 
         Args:
-            equations: of its samples, in all coordinates that a question needs.
+            equations: of its samples.
         """
-        return self.shaken.taken_off(equations, self.problem.layout, self.state.front)
+        return self.shaken.taken_off(equations, self.problem, self.state)
 
     def keep(self, equations: Equations) -> None:
         """Take normal equations at the state, which need not be worked out again."""
@@ -270,7 +270,7 @@ def _descend(
         equations, known = known or problem.equations(state, predicted, weights), None
         at_once, enough = True, _SHORT * tolerance
         while True:
-            pulled = shaken.taken_off(equations, problem.layout, state.front)
+            pulled = shaken.taken_off(equations, problem, state)
             system = eliminated(pulled, free_joint, free_su, damping)
             joint, sus = newton_step(system, free_joint)
             length = step_length(equations, joint, sus, free)
@@ -373,8 +373,8 @@ def _cost(
     weights: Sequence[F64],
     shaken: Shaken,
 ) -> float:
-    """Chi-squared with given weights, without what front ends gain by cutting noise off."""
-    data = shaken.cut_off(state.front)
+    """Chi-squared with given weights, without what is gained by cutting noise off."""
+    data = shaken.cut_off(state, problem.unseen)
     for w, p in zip(weights, predicted, strict=True):
         square = np.einsum("kuc,kuc,kuc->ku", w[..., :3], p.residual, p.residual)
         data += float(square[p.measured].sum())

@@ -17,7 +17,6 @@ import numpy as np
 from skin2urdf.arrays import F64
 from skin2urdf.estimation.trajectory import reading_times
 from skin2urdf.estimation.trajectory.attempt import (
-    CERTAIN,
     CLOCK,
     EXPLAINED,
     LAGS,
@@ -28,7 +27,7 @@ from skin2urdf.estimation.trajectory.attempt import (
 )
 from skin2urdf.estimation.trajectory.fit import fit
 from skin2urdf.estimation.trajectory.reading_times import ReadingTimes
-from skin2urdf.estimation.trajectory.slack import Size, lacking, with_unseen
+from skin2urdf.estimation.trajectory.slack import CERTAIN, Size, lacking, with_unseen
 from skin2urdf.estimation.trajectory.wandering import wandering, with_steady_clocks
 
 _OF_JOINTS: Mapping[str, ReadingTimes] = {
@@ -78,8 +77,8 @@ def with_times_open(found: Explained) -> Explained:
     problem, state = found.problem, found.fitted.state
     # Slack stands last.
     behind = int("slack" in found.causes)
-    for cause, numbers in found.read.items():
-        more = _OF_JOINTS[cause].unseen(problem.logs)
+    for read in found.read.values():
+        more, numbers = read.way.unseen(problem.logs), read.numbers
         if more is None:
             continue
         problem = with_unseen(problem, more, float(np.sqrt((numbers**2).mean())), behind)
@@ -103,9 +102,9 @@ def ages_and_smoothing(found: Explained) -> tuple[F64, F64]:
     """
     n = found.problem.tree.n_joints
     ages, smoothing = np.zeros(n), np.zeros(n)
-    for cause, numbers in found.read.items():
-        ages = ages + _OF_JOINTS[cause].ages(numbers, n)
-        smoothing = smoothing + _OF_JOINTS[cause].smoothing(numbers, n)
+    for read in found.read.values():
+        ages = ages + read.way.ages(read.numbers, n)
+        smoothing = smoothing + read.way.smoothing(read.numbers, n)
     return ages, smoothing
 
 
@@ -147,6 +146,6 @@ def _with(attempt: Attempt, cause: str, size: float) -> Attempt | None:
     found = _OF_JOINTS[cause].followed(problem, fitted, size)
     if found is None:
         return None
-    problem, fitted, numbers = found
-    read = {**attempt.read, cause: numbers}
+    problem, fitted, how = found
+    read = {**attempt.read, cause: how}
     return replace(attempt, problem=problem, fitted=fitted, causes=causes, read=read)

@@ -10,6 +10,10 @@ Predictions with noise ``n`` of variance S behind a front end F leave ``|F|^2 S`
 frequencies. This part of chi-squared is known for every F, and is taken off, so that what is
 minimised is what the front end makes of the motion (corrected scores: Stefanski 1985; Nakamura
 1990). What noise does to lengths is taken off in the end, see :mod:`encoder_noise`.
+
+Joints that a driver smooths are further by so much of their derivatives, in which the same noise
+is: of joint j its numbers leave ``|F G_j|^2 S_j``. Were the front end's share alone taken off, it
+would pay to let sensors rise and joints fall.
 """
 
 from __future__ import annotations
@@ -19,12 +23,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from skin2urdf.arrays import F64, Record
+from skin2urdf.arrays import F64, Complex, Int, Record
 from skin2urdf.estimation.problem.state import State
 from skin2urdf.estimation.trajectory.front_end import transfer
 from skin2urdf.estimation.trajectory.kinematics import felt_of_joints
+from skin2urdf.estimation.trajectory.problem import MotionProblem
 from skin2urdf.estimation.trajectory.records import Equations
-from skin2urdf.estimation.trajectory.state import Layout, MotionState
+from skin2urdf.estimation.trajectory.state import MotionState
+from skin2urdf.estimation.trajectory.unseen import Unseen
 from skin2urdf.signals.trajectory import Trajectory
 from skin2urdf.structure.records import KinematicTree
 
@@ -33,16 +39,14 @@ EVERY = 10
 
 
 @dataclass(frozen=True, eq=False)
-class Shaken(Record):
+class Shaken:
     """What encoders' noise makes of the predicted readings of U SUs, before their front ends.
 
     Attributes:
-        w: (F,) angular frequencies [rad/s].
-        chi2: (F, U) by how much chi-squared is larger for it, frequency by frequency.
+        of_logs: log by log, where positions are not exact.
     """
 
-    w: F64
-    chi2: F64
+    of_logs: tuple[ShakenLog, ...]
 
     @staticmethod
     def of(
@@ -56,40 +60,141 @@ class Shaken(Record):
             state: where.
             weights: per log (K, U, 3) information of each sample [s^4/m^2]; gyroscopes' behind it.
         """
-        parts = []
-        for log, w in zip(logs, weights, strict=True):
-            if log.noise is None:
-                continue
-            frequencies, shares = log.noise_spectrum()
-            shaking = _squares_of_some(tree, log, log.noise, state.placements)
-            counted = EVERY * np.einsum("ku,uk->u", w[::EVERY, :, 0], shaking)
-            parts.append((frequencies, shares[:, None] * counted))
-        if not parts:
-            return Shaken(np.zeros(0), np.zeros((0, tree.n_sus)))
-        return Shaken(*(np.concatenate(each) for each in zip(*parts, strict=True)))
+        return Shaken(
+            tuple(
+                ShakenLog.of(tree, log, state, w)
+                for log, w in zip(logs, weights, strict=True)
+                if log.noise is not None
+            )
+        )
 
-    def cut_off(self, front: F64) -> float:
-        """What front ends (U, 2) take of chi-squared by cutting noise off."""
-        H, _ = transfer(self.w, front)
-        return float((_kept_less(np.abs(H) ** 2)[0] * self.chi2).sum())
+    def cut_off(self, state: MotionState, unseen: Unseen | None = None) -> float:
+        """What is taken of chi-squared by cutting noise off.
 
-    def taken_off(self, equations: Equations, layout: Layout, front: F64) -> Equations:
-        """Normal equations without what front ends (U, 2) gain by cutting noise off.
+        Args:
+            state: front ends, and numbers of unseen motion.
+            unseen: what these stand for; None where they cut nothing off, or shall not count.
+        """
+        return sum(each.cut_off(state, unseen) for each in self.of_logs)
+
+    def taken_off(
+        self, equations: Equations, problem: MotionProblem, state: MotionState
+    ) -> Equations:
+        """Normal equations without what is gained by cutting noise off.
 
         Args:
             equations: of the samples.
-            layout: where coordinates stand.
-            front: front ends (U, 2) where they are.
+            problem: whose coordinates they are in.
+            state: where.
         """
-        pull = self.pull(layout, front)
-        return replace(equations, su_gradient=equations.su_gradient + pull)
+        joint, su = self.pull(problem, state)
+        return replace(
+            equations,
+            joint_gradient=equations.joint_gradient + joint,
+            su_gradient=equations.su_gradient + su,
+        )
 
-    def pull(self, layout: Layout, front: F64) -> F64:
-        """(U, n) that part of the gradient, at front ends (U, 2)."""
-        H, slopes = transfer(self.w, front)
-        out = np.zeros((len(front), layout.n_su))
-        _, less = _kept_less(np.abs(H) ** 2)
-        out[:, layout.front] = np.einsum("fu,nfu->un", less * self.chi2, (H.conj() * slopes).real)
+    def pull(self, problem: MotionProblem, state: MotionState) -> tuple[F64, F64]:
+        """(J,) and (U, n) that part of the gradient, at a state of a problem."""
+        layout = problem.layout
+        joint, su = np.zeros(layout.n_joint), np.zeros((len(state.front), layout.n_su))
+        for each in self.of_logs:
+            to_numbers, to_fronts = each.pull(state, problem.unseen)
+            joint[layout.unseen] += to_numbers
+            su[:, layout.front] += to_fronts
+        return joint, su
+
+
+@dataclass(frozen=True, eq=False)
+class ShakenLog(Record):
+    """The same of one log, frequency by frequency.
+
+    Attributes:
+        w: (F,) angular frequencies [rad/s].
+        power: (F, D) mean squares of what noise of each encoder makes of accelerations there.
+        times: (F, D) what positions are times, by what was added of their derivatives.
+        counts: (U, D) by how much chi-squared grows with such a square.
+        chi2: (F, U) by how much chi-squared is larger for the noise.
+    """
+
+    w: F64
+    power: F64
+    times: Complex
+    counts: F64
+    chi2: F64
+
+    @staticmethod
+    def of(tree: KinematicTree, log: Trajectory, state: MotionState, weights: F64) -> ShakenLog:
+        """Of a log at a state, with weights (K, U, 3) of its samples."""
+        w, power = log.noise_spectrum()
+        felt, shaken = _felt_of_some(tree, log, state.placements), log.shaken[::EVERY]
+        counts = EVERY * np.einsum(
+            "ku,kd,udk->ud", weights[::EVERY, :, 0], shaken, felt, optimize=True
+        )
+        return ShakenLog(w, power, log.times(w), counts, power @ counts.T)
+
+    def cut_off(self, state: MotionState, unseen: Unseen | None) -> float:
+        """What is taken of chi-squared, as above."""
+        H, _ = transfer(self.w, state.front)
+        filters = _Filters.of(unseen, self, state.unseen)
+        kept = np.abs(H) ** 2 * (1.0 if filters is None else self._kept_share(filters))
+        return float((_kept_less(kept)[0] * self.chi2).sum())
+
+    def pull(self, state: MotionState, unseen: Unseen | None) -> tuple[F64, F64]:
+        """(S,) and (U, 2) parts of the gradient in numbers and front ends."""
+        H, slopes = transfer(self.w, state.front)
+        of_front, by_front = np.abs(H) ** 2, (H.conj() * slopes).real
+        filters = _Filters.of(unseen, self, state.unseen)
+        if filters is None:
+            less = _kept_less(of_front)[1] * self.chi2
+            return np.zeros(len(state.unseen)), np.einsum("fu,nfu->un", less, by_front)
+        share = self._kept_share(filters)
+        _, less = _kept_less(of_front * share)
+        to_numbers = filters.pull(self.power * ((less * of_front) @ self.counts))
+        return to_numbers, np.einsum("fu,nfu->un", less * share * self.chi2, by_front)
+
+    def _kept_share(self, filters: _Filters) -> F64:
+        """(F, U) share of the noise that filters of joints leave."""
+        kept = (self.power * np.abs(filters.gain) ** 2) @ self.counts.T
+        return np.asarray(kept / np.where(self.chi2 > 0, self.chi2, 1.0))
+
+
+@dataclass(frozen=True, eq=False)
+class _Filters:
+    """What numbers of unseen motion make of encoders' noise that is in it.
+
+    Attributes:
+        gain: (F, D) what is left of each joint's noise.
+        joint: (E,) joints that numbers filter, and
+        number: (E,) the numbers, of S, and
+        slope: (F, E) by how much gains grow with these.
+        n_numbers: S.
+    """
+
+    gain: Complex
+    joint: Int
+    number: Int
+    slope: Complex
+    n_numbers: int
+
+    @staticmethod
+    def of(unseen: Unseen | None, log: ShakenLog, x: F64) -> _Filters | None:
+        """Of numbers x (S,); None where none is a filter's."""
+        if unseen is None or not unseen.derivative.any():
+            return None
+        some = np.flatnonzero(unseen.derivative)
+        joint, number = unseen.joint[some], unseen.number[some]
+        slope = unseen.units[some] * (1j * log.w[:, None]) ** unseen.derivative[some]
+        slope = slope / log.times[:, joint]
+        gain = np.ones(log.power.shape, dtype=np.complex128)
+        np.add.at(gain.T, joint, (slope * x[number]).T)
+        return _Filters(gain, joint, number, slope, unseen.n_numbers)
+
+    def pull(self, noise: F64) -> F64:
+        """(S,) half the slope of noise (F, D) that is left, with its sign turned."""
+        each = noise[:, self.joint] * (self.gain[:, self.joint].conj() * self.slope).real
+        out = np.zeros(self.n_numbers)
+        np.add.at(out, self.number, each.sum(axis=0))
         return out
 
 
@@ -118,12 +223,11 @@ def made_by_encoders(tree: KinematicTree, log: Trajectory, places: State) -> F64
     """
     if log.noise is None:
         return None
-    some = _squares_of_some(tree, log, log.noise, places) / 3
+    shaking = log.shaken[::EVERY] * log.noise
+    some = np.einsum("kd,udk->uk", shaking, _felt_of_some(tree, log, places)) / 3
     return np.repeat(some, EVERY, axis=1)[:, : len(log.kept)]
 
 
-def _squares_of_some(tree: KinematicTree, log: Trajectory, noise: F64, places: State) -> F64:
-    """(U, k) mean squares of what encoders' noise (D,) makes of every so manieth sample."""
-    q = log.q[log.kept[::EVERY], : tree.n_joints]
-    shaking = log.shaken[::EVERY] * noise
-    return np.asarray(np.einsum("kd,udk->uk", shaking, felt_of_joints(tree, places, q)))
+def _felt_of_some(tree: KinematicTree, log: Trajectory, places: State) -> F64:
+    """(U, D, k) squares that a unit of acceleration makes of every so manieth sample."""
+    return np.asarray(felt_of_joints(tree, places, log.q[log.kept[::EVERY], : tree.n_joints]))

@@ -36,6 +36,8 @@ class Unseen(Record):
             where each has its own.
         unit: (E,) how many of it; () for one of each.
         number: (E,) the number that makes the motion; by default each entry has its own.
+        derivative: (E,) order of the derivative of its joint's positions, as they were read, that
+            an entry's motion is, so that the noise of the encoder is in it; 0 of all other motion.
         origin: (S,) numbers about which the motions are those that more of them makes; by default
             0.
         settled: per log (N, D + 6) motion of joints and hinges that numbers at the origin make;
@@ -54,6 +56,7 @@ class Unseen(Record):
     column: Int = field(default_factory=lambda: np.zeros(0, dtype=np.int64), kw_only=True)
     unit: F64 = field(default_factory=lambda: np.zeros(0), kw_only=True)
     number: Int = field(default_factory=lambda: np.zeros(0, dtype=np.int64), kw_only=True)
+    derivative: Int = field(default_factory=lambda: np.zeros(0, dtype=np.int64), kw_only=True)
     origin: F64 = field(default_factory=lambda: np.zeros(0), kw_only=True)
     settled: tuple[F64, ...] = field(default=(), kw_only=True)
     every: tuple[int, ...] = field(default=(), kw_only=True)
@@ -68,6 +71,8 @@ class Unseen(Record):
         super().__post_init__()
         number = self.number if len(self.number) else np.arange(len(self.joint))
         object.__setattr__(self, "number", frozen(number, np.int64))
+        order = self.derivative if len(self.derivative) else np.zeros_like(self.joint)
+        object.__setattr__(self, "derivative", frozen(order, np.int64))
         origin = self.origin if len(self.origin) else np.zeros(self.n_numbers)
         object.__setattr__(self, "origin", frozen(origin))
 
@@ -216,6 +221,7 @@ def together(several: Sequence[Unseen]) -> Unseen:
         column=np.concatenate([e.columns + n for e, n in zip(several, columns, strict=True)]),
         unit=np.concatenate([each.units for each in several]),
         number=np.concatenate([e.number + n for e, n in zip(several, first[:-1], strict=True)]),
+        derivative=np.concatenate([each.derivative for each in several]),
         origin=np.concatenate([each.origin for each in several]),
         settled=_sums([each.settled for each in several if each.settled]),
         several=tuple(several),

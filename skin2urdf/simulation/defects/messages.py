@@ -110,12 +110,14 @@ class ReadInTurn(Defect):
         """Each joint where it was when it was read."""
 
         def earlier(joint: JointStream, by: float) -> JointStream:
-            at = np.clip(joint.time - by, joint.time[0], None)
+            read = _read_times(joint)
+            at = np.clip(read - by, 0.0, None)
             effort = joint.effort
             if effort is not None:
-                effort = frozen(CubicSpline(joint.time, effort)(at))
-            position = frozen(CubicSpline(joint.time, joint.position)(at))
-            return replace(joint, position=position, effort=effort)
+                effort = frozen(CubicSpline(read, effort)(at))
+            return replace(
+                joint, position=frozen(CubicSpline(read, joint.position)(at)), effort=effort
+            )
 
         turns = range(len(joints) - 1, -1, -1)
         return tuple(earlier(j, n * self.apart) for j, n in zip(joints, turns, strict=True))
@@ -138,7 +140,7 @@ class SmoothedPositions(Defect):
 
         def smoothed(joint: JointStream) -> JointStream:
             # The mean of what goes from sample to sample in straight lines, by its integral.
-            since = joint.time - joint.time[0]
+            since = _read_times(joint)
             steps = 0.5 * (joint.position[1:] + joint.position[:-1]) * np.diff(since)
             integral = make_interp_spline(since, np.append(0.0, np.cumsum(steps)), k=3)
             begin = since - self.over
@@ -373,3 +375,15 @@ def _in_order(late: F64, apart: float = MIN_STAMP_STEP) -> F64:
     """
     ramp = apart * np.arange(len(late))
     return frozen(np.maximum.accumulate(late - ramp) + ramp)
+
+
+def _read_times(joint: JointStream) -> F64:
+    """(M,) times since the first at which positions were read, at an even rate [s].
+
+    What a driver makes of positions it makes of them as it has read them: stamps scatter after.
+    """
+    since = joint.time - joint.time[0]
+    step = float(np.median(np.diff(since)))
+    # Where messages are lost, times go on; where stamps come to lie on each other, ticks do not.
+    ticks, count = np.rint(since / step), np.arange(len(since))
+    return np.asarray(step * (np.maximum.accumulate(ticks - count) + count))

@@ -175,7 +175,7 @@ class ReadingTimes(ABC):
                 unit=every.units[which],
                 number=every.number[which] - least,
                 origin=np.zeros(0),
-                derivative=every.derivative[which],
+                derivative=every.derivatives[which],
             )
             for which, least in ((~more, 0), (more, known))
         )
@@ -280,7 +280,7 @@ def _late_and(taken: Sequence[F64], logs: Sequence[Trajectory]) -> Unseen:
         column=np.append(late.column, D + np.arange(len(joint))),
         unit=np.append(late.unit / _TIME, unit),
         number=np.append(late.number, D - 1 + np.arange(len(joint))),
-        derivative=np.append(late.derivative, derivative),
+        derivative=np.append(late.derivatives, derivative),
     )
 
 

@@ -182,9 +182,9 @@ class _Filters:
         """Of numbers x (S,); None where none is a filter's."""
         if unseen is None or not unseen.derivative.any():
             return None
-        some = np.flatnonzero(unseen.derivative)
+        some = np.flatnonzero(unseen.derivatives)
         joint, number = unseen.joint[some], unseen.number[some]
-        slope = unseen.units[some] * (1j * log.w[:, None]) ** unseen.derivative[some]
+        slope = unseen.units[some] * (1j * log.w[:, None]) ** unseen.derivatives[some]
         slope = slope / log.times[:, joint]
         gain = np.ones(log.power.shape, dtype=np.complex128)
         np.add.at(gain.T, joint, (slope * x[number]).T)

@@ -37,7 +37,8 @@ class Unseen(Record):
         unit: (E,) how many of it; () for one of each.
         number: (E,) the number that makes the motion; by default each entry has its own.
         derivative: (E,) order of the derivative of its joint's positions, as they were read, that
-            an entry's motion is, so that the noise of the encoder is in it; 0 of all other motion.
+            an entry's motion is, so that the noise of the encoder is in it; 0 of all other motion,
+            () for nothing but that.
         origin: (S,) numbers about which the motions are those that more of them makes; by default
             0.
         settled: per log (N, D + 6) motion of joints and hinges that numbers at the origin make;
@@ -71,8 +72,6 @@ class Unseen(Record):
         super().__post_init__()
         number = self.number if len(self.number) else np.arange(len(self.joint))
         object.__setattr__(self, "number", frozen(number, np.int64))
-        order = self.derivative if len(self.derivative) else np.zeros_like(self.joint)
-        object.__setattr__(self, "derivative", frozen(order, np.int64))
         origin = self.origin if len(self.origin) else np.zeros(self.n_numbers)
         object.__setattr__(self, "origin", frozen(origin))
 
@@ -90,6 +89,11 @@ class Unseen(Record):
     def units(self) -> F64:
         """(E,) how many of its column each entry moves by."""
         return self.unit if len(self.unit) else np.ones(len(self.joint))
+
+    @property
+    def derivatives(self) -> Int:
+        """(E,) order of the derivative of positions that each entry's motion is, or 0."""
+        return self.derivative if len(self.derivative) else np.zeros_like(self.joint)
 
     @property
     def n_columns(self) -> int:
@@ -221,7 +225,7 @@ def together(several: Sequence[Unseen]) -> Unseen:
         column=np.concatenate([e.columns + n for e, n in zip(several, columns, strict=True)]),
         unit=np.concatenate([each.units for each in several]),
         number=np.concatenate([e.number + n for e, n in zip(several, first[:-1], strict=True)]),
-        derivative=np.concatenate([each.derivative for each in several]),
+        derivative=np.concatenate([each.derivatives for each in several]),
         origin=np.concatenate([each.origin for each in several]),
         settled=_sums([each.settled for each in several if each.settled]),
         several=tuple(several),

@@ -186,6 +186,7 @@ def _grown_from(
     seed: int,
     tell: Callable[[float], None],
     sliding: tuple[int, ...] = (),
+    hidden: tuple[int, ...] = (),
 ) -> tuple[MotionTree, ...]:
     """Trees that some windows show, best first.
 
@@ -197,7 +198,8 @@ def _grown_from(
         known: a tree that is right, where there is one.
         seed: of random axes.
         tell: told the share of the work that is done.
-        sliding: what joints are, among those of the logs, that are taken to slide.
+        sliding: what joints are, among those of the logs, that are taken to slide, and
+        hidden: those that are taken to turn no gravity, as sliding and upright ones.
 
     Raises:
         StructureError: they show none.
@@ -206,9 +208,10 @@ def _grown_from(
     tree = None if known is None else _known(known, windows)
     sought = moved if known else moved & windows.may_show
     while True:
-        turning = tuple(int(d) for d in np.flatnonzero(sought) if d not in sliding)
+        unfelt = (*sliding, *hidden)
+        turning = tuple(int(d) for d in np.flatnonzero(sought) if d not in unfelt)
         up = None if base is None else base.up
-        pushed = windows.pushed_by(sliding)
+        pushed = windows.pushed_by(unfelt)
         growth = Growth(pushed, turning, np.random.default_rng(seed), tree, up)
         growth.grow(tell)
         drafts = _drafted(growth, samples, moved, sliding)
@@ -221,11 +224,12 @@ def _grown_from(
     best, *others = (_motion_tree(d, growth, samples, sampled, moved, of_span) for d in drafts)
     notes = (*best.tree.notes, *(doubt(best.tree, other.tree) for other in others))
     trees = replace(best, tree=replace(best.tree, notes=notes)), *others
-    if known or not (doubtful := that_may_slide(drafts[0], samples)):
+    doubtful = tuple(d for d in that_may_slide(drafts[0], samples) if d not in hidden)
+    if known or not doubtful:
         return trees
     try:
         likelier = _grown_from(
-            windows, samples, sampled, base, known, seed, tell, (*sliding, *doubtful)
+            windows, samples, sampled, base, known, seed, tell, sliding, (*hidden, *doubtful)
         )
     except StructureError:
         return trees

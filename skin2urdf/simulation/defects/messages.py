@@ -382,8 +382,7 @@ def _read_times(joint: JointStream) -> F64:
 
     What a driver makes of positions it makes of them as it has read them: stamps scatter after.
     """
-    since = joint.time - joint.time[0]
-    step = float(np.median(np.diff(since)))
-    # Where messages are lost, times go on; where stamps come to lie on each other, ticks do not.
-    ticks, count = np.rint(since / step), np.arange(len(since))
-    return np.asarray(step * (np.maximum.accumulate(ticks - count) + count))
+    steps = np.diff(joint.time)
+    usual = float(np.median(steps))
+    # Where messages are lost, time goes on.
+    return np.append(0.0, np.cumsum(usual * np.rint(steps / usual).clip(min=1.0)))

@@ -26,18 +26,19 @@ _NAMED = 3
 
 
 DoubtKind = Literal[
-    "faults", "SUs unplaced", "SUs unexplained", "impossible slack", "SUs of two places",
-    "orders open", "soft base", "moving base", "SUs misfit", "poses misfit", "prediction",
-    "errors come back", "not arrived", "smoothed", "sensors", "no such sensors", "weak joints",
+    "faults", "SUs unplaced", "SUs unexplained", "impossible slack", "smoothed away",
+    "SUs of two places", "orders open", "soft base", "moving base", "SUs misfit",
+    "poses misfit", "prediction",
+    "errors come back", "not arrived", "sensors", "no such sensors", "weak joints",
     "open limbs", "joints open", "SUs open",
 ]  # fmt: skip
 """What speaks against a result: things found wrong, SUs whose readings fit no place, or not the one
-that they have, joints further off their encoders than any gear allows, SUs that fit another place
-as well, joints that may follow each other in another order, a base that gives way, or moves by
-itself, SUs and poses that fit worse than the rest, poses that are predicted worse than stated, what
-is left of the readings and comes back with the motion, a fit that ended before it arrived,
-positions that a driver smooths, sensors that are worse than the options say, or than any, axes that
-are known weakly, limbs whose places are open, and what of the joints and SUs the log does not
+that they have, joints further off their encoders than any gear allows, fast motion that a driver
+smooths away, SUs that fit another place as well, joints that may follow each other in another
+order, a base that gives way, or moves by itself, SUs and poses that fit worse than the rest, poses
+that are predicted worse than stated, what is left of the readings and comes back with the motion, a
+fit that ended before it arrived, sensors that are worse than the options say, or than any, axes
+that are known weakly, limbs whose places are open, and what of the joints and SUs the log does not
 determine."""
 
 
@@ -141,6 +142,12 @@ def _doubts(calibration: Calibration) -> list[Doubt]:
         found.append(Doubt("SUs unexplained", words, unexplained))
     if calibration.needs_impossible_slack:
         found.append(Doubt("impossible slack", "{} ({})".format(*IMPOSSIBLE_SLACK)))
+    if calibration.is_smoothed_away:
+        words = (
+            "positions are smoothed before they are logged, by so much that fast motion can not be "
+            "told from them any more (log them as encoders have them, or move more slowly)"
+        )
+        found.append(Doubt("smoothed away", words))
     two = calibration.of_two_places
     if two:
         sus, joints = (list(dict.fromkeys(names)) for names in zip(*two, strict=True))
@@ -167,12 +174,6 @@ def _doubts(calibration: Calibration) -> list[Doubt]:
             "(fix it stiffly and record again, or give the robot's own URDF by --model)"
         )
         found.append(Doubt("soft base", words))
-    if calibration.is_smoothed:
-        words = (
-            "positions are smoothed before they are logged: lengths may be off by more than is "
-            "stated, up to 5 parts in 10,000 (log positions as encoders have them)"
-        )
-        found.append(Doubt("smoothed", words))
     if turn := calibration.turn_of_base:
         found.append(Doubt("moving base", f"{base_moves(turn)} ({STAND_STILL})", number=turn))
     elif tilt := calibration.tilt_of_base:

@@ -100,6 +100,8 @@ class MotionEstimate:
             under one stamp [s]; 0 where all are as old as each other.
         smoothing: (D,) by how much each joint is further per acceleration than it was read [s^2];
             0 where none is smoothed.
+        unreached: part of a joint's accelerations, the largest, that the last term of the series
+            makes up by which smoothing is undone; what is beyond it is left.
     """
 
     problem: MotionProblem
@@ -117,6 +119,7 @@ class MotionEstimate:
     left_to_one: bool = False
     ages: F64 = field(default_factory=lambda: np.zeros(0))
     smoothing: F64 = field(default_factory=lambda: np.zeros(0))
+    unreached: float = 0.0
 
     @property
     def state(self) -> State:

@@ -15,7 +15,7 @@ from dataclasses import replace
 import numpy as np
 
 from skin2urdf.arrays import F64
-from skin2urdf.estimation.trajectory import reading_times
+from skin2urdf.estimation.trajectory import smoothed
 from skin2urdf.estimation.trajectory.attempt import (
     CLOCK,
     EXPLAINED,
@@ -26,13 +26,13 @@ from skin2urdf.estimation.trajectory.attempt import (
     explains_most,
 )
 from skin2urdf.estimation.trajectory.fit import fit
-from skin2urdf.estimation.trajectory.reading_times import ReadingTimes
+from skin2urdf.estimation.trajectory.reading_times import LATE, ReadingTimes
 from skin2urdf.estimation.trajectory.slack import CERTAIN, Size, lacking, with_unseen
 from skin2urdf.estimation.trajectory.wandering import wandering, with_steady_clocks
 
 _OF_JOINTS: Mapping[str, ReadingTimes] = {
-    LAGS: reading_times.LATE,
-    SMOOTHED: reading_times.SMOOTHED,
+    LAGS: LATE,
+    SMOOTHED: smoothed.SMOOTHED,
 }
 """Ways in which joints are read, by cause."""
 _LEFT = 0.01
@@ -78,7 +78,7 @@ def with_times_open(found: Explained) -> Explained:
     # Slack stands last.
     behind = int("slack" in found.causes)
     for read in found.read.values():
-        more, numbers = read.way.unseen(problem.logs), read.numbers
+        more, numbers = read.way.unseen(problem.logs, read.numbers), read.numbers
         if more is None:
             continue
         problem = with_unseen(problem, more, float(np.sqrt((numbers**2).mean())), behind)
@@ -90,22 +90,25 @@ def with_times_open(found: Explained) -> Explained:
     return replace(found, problem=problem, fitted=fit(problem, state, near=True))
 
 
-def ages_and_smoothing(found: Explained) -> tuple[F64, F64]:
+def ages_and_smoothing(found: Explained) -> tuple[F64, F64, float]:
     """How old each joint's positions are, and how smoothed.
 
     Args:
         found: the explanation.
 
     Returns:
-        (D,) by how much older than in the mean they are [s], and (D,) by how much the joint is
-        further per acceleration than it was read [s^2].
+        (D,) by how much older than in the mean they are [s], (D,) by how much the joint is further
+        per acceleration than it was read [s^2], and the part of a joint's accelerations that the
+        last term of what undoes the smoothing makes up.
     """
-    n = found.problem.tree.n_joints
-    ages, smoothing = np.zeros(n), np.zeros(n)
+    problem = found.problem
+    n = problem.tree.n_joints
+    ages, smoothing, unreached = np.zeros(n), np.zeros(n), 0.0
     for read in found.read.values():
         ages = ages + read.way.ages(read.numbers, n)
         smoothing = smoothing + read.way.smoothing(read.numbers, n)
-    return ages, smoothing
+        unreached = max(unreached, read.way.unreached(problem.logs, read.numbers))
+    return ages, smoothing, unreached
 
 
 def _shown(attempt: Attempt, without: Collection[str]) -> dict[str, Size]:

@@ -15,9 +15,9 @@ from skin2urdf.arrays import F64
 from skin2urdf.calibration.settings import CalibrationSettings
 from skin2urdf.estimation.trajectory.estimate import MotionEstimate
 from skin2urdf.estimation.trajectory.front_end import droop
-from skin2urdf.estimation.trajectory.reading_times import SMOOTHED
 from skin2urdf.estimation.trajectory.shaken import Shaken
 from skin2urdf.estimation.trajectory.slack import CERTAIN, size_of, with_unseen
+from skin2urdf.estimation.trajectory.smoothed import SMOOTHED
 from skin2urdf.signals.filters import filtered, second_derivative
 from skin2urdf.simulation import SimulationSettings, simulate
 from skin2urdf.simulation.robots import SkinLayout
@@ -87,7 +87,7 @@ def test_slopes_of_smoothing_are_those_of_differences(tmp_path: Path) -> None:
     along = along_of(tmp_path, excite="all")
     further = np.random.default_rng(1).normal(0.0, 1e-4, (1, 3))
     logs = [log.with_joints_further(further) for log in along.problem.logs]
-    smoothing = SMOOTHED.unseen(logs)
+    smoothing = SMOOTHED.unseen(logs, np.zeros(0))
     assert smoothing is not None
     problem = with_unseen(along.problem.again(logs=logs), smoothing, 1e-4)
     x = np.random.default_rng(2).normal(0.0, 1e-4, smoothing.n_numbers)

@@ -169,6 +169,14 @@ def test_servos_that_are_read_in_turn_are_where_they_were() -> None:
         np.testing.assert_allclose(joint.position[3:], np.sin(3 * (time[3:] - by)), atol=1e-5)
 
 
+def test_servos_that_are_read_in_turn_count_steps() -> None:
+    time, step = np.arange(500) / 100.0, 2 * np.pi / 2**14
+    counted = step * np.rint(np.sin(3 * time) / step)
+    joints = tuple(JointStream(name, time, counted) for name in ("a", "b"))
+    for joint in ReadInTurn(0.004).publish(joints, RNG):
+        np.testing.assert_allclose(joint.position / step, np.rint(joint.position / step), atol=1e-9)
+
+
 def test_means_of_positions_lag_by_half_their_time_and_lack_of_fast_motion() -> None:
     time = np.arange(2000) / 200.0
     (joint,) = SmoothedPositions(0.2).publish((JointStream("j", time, np.cos(9 * time)),), RNG)

@@ -115,9 +115,10 @@ class ReadInTurn(Defect):
             effort = joint.effort
             if effort is not None:
                 effort = frozen(CubicSpline(read, effort)(at))
-            return replace(
-                joint, position=frozen(CubicSpline(read, joint.position)(at)), effort=effort
-            )
+            position = CubicSpline(read, joint.position)(at)
+            if step := _encoder_step(joint.position):
+                position = step * np.rint(position / step)
+            return replace(joint, position=frozen(position), effort=effort)
 
         turns = range(len(joints) - 1, -1, -1)
         return tuple(earlier(j, n * self.apart) for j, n in zip(joints, turns, strict=True))
@@ -386,3 +387,12 @@ def _read_times(joint: JointStream) -> F64:
     usual = float(np.median(steps))
     # Where messages are lost, time goes on.
     return np.append(0.0, np.cumsum(usual * np.rint(steps / usual).clip(min=1.0)))
+
+
+def _encoder_step(position: F64) -> float:
+    """Step of the encoder that positions (M,) were read by [rad or m]; 0 where they are exact."""
+    counted = np.unique(position)
+    step = float(np.diff(counted).min(initial=np.inf))
+    if not np.isfinite(step):
+        return 0.0
+    return step if np.abs(counted / step - np.rint(counted / step)).max() < 1e-3 else 0.0

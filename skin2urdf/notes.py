@@ -14,6 +14,7 @@ NoteKind = Literal[
     "undecided",
     "bare base",
     "other order",
+    "moved alike",
     "sense unknown",
     "order from motion",
     "second look",
@@ -32,9 +33,9 @@ NoteKind = Literal[
 ]
 """Of the structure: an SU and a joint that are in no tree; SUs that no log holds while joints move;
 a bit of the activity that the rest decided; no SU on the base; another order of joints, or other
-senses of axes, that the log does not tell from those taken; joints whose order follows from the
-motion; a tree that a second look gave; an SU that sits where its readings fit; logs that lack
-positions of joints before SUs.
+senses of axes, that the log does not tell from those taken; joints that always moved alike; joints
+whose order follows from the motion; a tree that a second look gave; an SU that sits where its
+readings fit; logs that lack positions of joints before SUs.
 Of the fit: an SU and poses that fit worse than the rest; SUs that may sit on a vertical axis;
 errors that no working sensor has.
 Of the streams: readings in g, rates in deg/s, both converted; a joint that goes farther and faster

@@ -28,9 +28,11 @@ from skin2urdf.estimation.uncertainty.narrow import narrow_priors
 from skin2urdf.estimation.uncertainty.observability import Observability, observability
 from skin2urdf.faults import distinct, without_slips
 from skin2urdf.model.canonical import canonical
+from skin2urdf.notes import Note
 from skin2urdf.recording.holding import joints_as_measured
 from skin2urdf.recording.progress import Share
 from skin2urdf.recording.records import Recording
+from skin2urdf.signals.alike import joints_moved_alike
 from skin2urdf.signals.filters import eroded, low_pass, noise_bandwidth
 from skin2urdf.signals.publishers import all_that_are_off
 from skin2urdf.signals.records import JointClock
@@ -126,6 +128,7 @@ def _calibration(
                 (
                     *(note for s in sampled for note in s.notes),
                     *tree.notes,
+                    *_notes_on_alike_joints(tree, sampled),
                     *unknown_position_notes(features, tree),
                     *health_notes(found, fit),
                     *notes_on_vertical_joints(tree, found.state, along),
@@ -145,6 +148,13 @@ def _calibration(
         su_sources=su_sources(recordings, sampled),
         publishers=publishers,
     )
+
+
+def _notes_on_alike_joints(tree: KinematicTree, sampled: Sequence[Sampled]) -> list[Note]:
+    """Joints that the log does not tell from each other, where some of them carry SUs."""
+    carry = {tree.joint_names[j] for su in tree.su_joint for j in tree.chain(int(su))}
+    groups = joints_moved_alike([s.motion for s in sampled])
+    return [Note("moved alike", joints=joints) for joints in groups if not carry.isdisjoint(joints)]
 
 
 def su_sources(recordings: Sequence[Recording], sampled: Sequence[Sampled]) -> dict[str, SuSource]:

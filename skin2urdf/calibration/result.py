@@ -178,16 +178,16 @@ class Calibration(Record):
         It is good only if poses are predicted as well as stated, errors do not come back where the
         robot does the same, the fit of all samples has arrived, nothing is wrong with an SU, a pose
         or an encoder, no sensor would need an error that none has, every SU with readings has a
-        place, and one alone, and joints one order, no joint is weak, half of the joints are
-        determined, positions are as encoders have them, and the base stands still, since lengths
-        may else be off by more than is stated.
+        place, and one alone, and joints one order, no joints have moved alike all along, no joint
+        is weak, half of the joints are determined, and the base stands still, since lengths may
+        else be off by more than is stated.
 
         It is bad where the readings are not explained, or by more slack than joints have, or where
-        positions were smoothed by more than can be undone, or only
-        in part while no SU that a recording could place is determined, or where most of these are
-        not and most would need errors that no sensor has: then it is the model that is wrong, which
-        SUs on the base fit whatever it is; and so it is where an SU feels motion that its place in
-        the tree does not explain.
+        positions were smoothed by more than can be undone, or only in part while no SU that a
+        recording could place is determined, or where most of these are not and most would need
+        errors that no sensor has: then it is the model that is wrong, which SUs on the base fit
+        whatever it is; and so it is where an SU feels motion that its place in the tree does not
+        explain.
 
         What no recording can tell must not spoil it, such as where branches that meet in one joint
         sit along its axis.
@@ -210,7 +210,7 @@ class Calibration(Record):
         known &= not self.mostly_open
         sound = not self.faults and not self.base_gives_way and not self.without_a_place
         sound &= not (self.turn_of_base or self.tilt_of_base)
-        sound &= not (self.of_two_places or self.open_orders)
+        sound &= not (self.of_two_places or self.open_orders or self.moved_alike)
         sound &= not self.implausible
         return "good" if explained and alike and known and sound else "fair"
 
@@ -241,6 +241,11 @@ class Calibration(Record):
         known = [verdict == "determined" for verdict in seen.su_verdict]
         alike = 2 * float(np.sqrt(variances[known].max(initial=0.0)))
         return tuple(n for n in of_kind(self.notes, "other order") if not n.size <= alike)
+
+    @property
+    def moved_alike(self) -> tuple[tuple[str, ...], ...]:
+        """Joints that moved alike all along: what sits beyond one may sit beyond another."""
+        return tuple(note.joints for note in of_kind(self.notes, "moved alike"))
 
     @property
     def unexplained(self) -> tuple[str, ...]:

@@ -74,6 +74,12 @@ def _words(note: Note) -> str:
             )
         case "bare base":
             return "no SU sits on the reference segment"
+        case "moved alike":
+            return (
+                f"{joints} moved alike all along, so that the log does not tell which of them "
+                "carries what sits beyond: the model holds as long as they move so; move them "
+                "apart, or leave out of the log what is computed from another joint (mimic joints)"
+            )
         case "positions lacking":
             logs = ", ".join(str(log + 1) for log in note.numbers)
             return (

@@ -27,19 +27,18 @@ _NAMED = 3
 
 DoubtKind = Literal[
     "faults", "SUs unplaced", "SUs unexplained", "impossible slack", "smoothed away",
-    "SUs of two places", "orders open", "soft base", "moving base", "SUs misfit",
-    "poses misfit", "prediction",
-    "errors come back", "not arrived", "sensors", "no such sensors", "weak joints",
-    "open limbs", "joints open", "SUs open",
+    "SUs of two places", "orders open", "joints alike", "soft base", "moving base", "SUs misfit",
+    "poses misfit", "prediction", "errors come back", "not arrived", "sensors",
+    "no such sensors", "weak joints", "open limbs", "joints open", "SUs open",
 ]  # fmt: skip
 """What speaks against a result: things found wrong, SUs whose readings fit no place, or not the one
 that they have, joints further off their encoders than any gear allows, fast motion that a driver
 smooths away, SUs that fit another place as well, joints that may follow each other in another
-order, a base that gives way, or moves by itself, SUs and poses that fit worse than the rest, poses
-that are predicted worse than stated, what is left of the readings and comes back with the motion, a
-fit that ended before it arrived, sensors that are worse than the options say, or than any, axes
-that are known weakly, limbs whose places are open, and what of the joints and SUs the log does not
-determine."""
+order, or that moved alike all along, a base that gives way, or moves by itself, SUs and poses that
+fit worse than the rest, poses that are predicted worse than stated, what is left of the readings
+and comes back with the motion, a fit that ended before it arrived, sensors that are worse than the
+options say, or than any, axes that are known weakly, limbs whose places are open, and what of the
+joints and SUs the log does not determine."""
 
 
 @dataclass(frozen=True)
@@ -168,6 +167,13 @@ def _doubts(calibration: Calibration) -> list[Doubt]:
             "them at several positions of the others, or put an SU on every segment)"
         )
         found.append(Doubt("orders open", words, tuple(pairs), number=size))
+    if alike := calibration.moved_alike:
+        joints = list(dict.fromkeys(name for group in alike for name in group))
+        words = (
+            f"the log does not tell {shortened(joints, _NAMED)} from each other, which moved alike "
+            "all along: the model holds as long as they do"
+        )
+        found.append(Doubt("joints alike", words, tuple(joints)))
     if calibration.base_gives_way:
         words = (
             "the base gives way: lengths along the first axis may be off by more than is stated "

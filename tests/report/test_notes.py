@@ -28,7 +28,13 @@ OF_NOTHING = {
     "base moves",
     "felt at rest",
 }
-OF_JOINTS_ALONE = {"joint left out", "order from motion", "other order", "odd unit"}
+OF_JOINTS_ALONE = {
+    "joint left out",
+    "order from motion",
+    "other order",
+    "moved alike",
+    "odd unit",
+}
 OF_SUS_ALONE = {
     "su left out", "positions lacking", "misfit", "unit g", "unit deg/s",
     "implausible shape", "implausible bias",

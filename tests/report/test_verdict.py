@@ -105,6 +105,12 @@ def test_a_base_that_gives_way_makes_a_good_fit_fair() -> None:
     assert against(found) == [("soft base", ()), missing()]
 
 
+def test_joints_that_moved_alike_make_a_good_fit_fair() -> None:
+    found = replace(calibration(), notes=(Note("moved alike", joints=("j_1", "j_2")),))
+    assert found.quality == "fair"
+    assert against(found) == [("joints alike", ("j_1", "j_2")), missing()]
+
+
 def test_motion_that_is_smoothed_away_makes_it_bad() -> None:
     along = calibration().along
     assert along is not None

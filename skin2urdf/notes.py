@@ -10,6 +10,7 @@ from typing import Literal
 NoteKind = Literal[
     "su left out",
     "joint left out",
+    "moves otherwise",
     "never together",
     "undecided",
     "bare base",
@@ -31,11 +32,12 @@ NoteKind = Literal[
     "base moves",
     "felt at rest",
 ]
-"""Of the structure: an SU and a joint that are in no tree; SUs that no log holds while joints move;
-a bit of the activity that the rest decided; no SU on the base; another order of joints, or other
-senses of axes, that the log does not tell from those taken; joints that always moved alike; joints
-whose order follows from the motion; a tree that a second look gave; an SU that sits where its
-readings fit; logs that lack positions of joints before SUs.
+"""Of the structure: an SU and a joint that are in no tree; SUs that such a joint moves all the
+same; SUs that no log holds while joints move; a bit of the activity that the rest decided; no SU on
+the base; another order of joints, or other senses of axes, that the log does not tell from those
+taken; joints that always moved alike; joints whose order follows from the motion; a tree that a
+second look gave; an SU that sits where its readings fit; logs that lack positions of joints before
+SUs.
 Of the fit: an SU and poses that fit worse than the rest; SUs that may sit on a vertical axis;
 errors that no working sensor has.
 Of the streams: readings in g, rates in deg/s, both converted; a joint that goes farther and faster

@@ -165,7 +165,8 @@ def not_to_be_saved(calibration: Calibration, path: str | Path) -> BadFitError:
     remedy = "record more poses and moves with the default method"
     found, unexplained = calibration.physics, calibration.unexplained
     if unexplained:
-        what = f"{what}; the tree does not explain what {', '.join(unexplained)} feel"
+        feel = "feels" if len(unexplained) == 1 else "feel"
+        what = f"{what}; the tree does not explain what {', '.join(unexplained)} {feel}"
         remedy = (
             "move from rest to rest, one joint at a time now and then, with an SU on every "
             "segment, and see whether clocks, axes and names of these SUs are right"

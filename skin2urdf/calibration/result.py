@@ -178,9 +178,9 @@ class Calibration(Record):
         It is good only if poses are predicted as well as stated, errors do not come back where the
         robot does the same, the fit of all samples has arrived, nothing is wrong with an SU, a pose
         or an encoder, no sensor would need an error that none has, every SU with readings has a
-        place, and one alone, and joints one order, no joints have moved alike all along, no joint
-        is weak, half of the joints are determined, and the base stands still, since lengths may
-        else be off by more than is stated.
+        place, and one alone, that nothing else moves, and joints one order, no joints have moved
+        alike all along, no joint is weak, half of the joints are determined, and the base stands
+        still, since lengths may else be off by more than is stated.
 
         It is bad where the readings are not explained, or by more slack than joints have, or where
         positions were smoothed by more than can be undone, or only in part while no SU that a
@@ -211,6 +211,7 @@ class Calibration(Record):
         sound = not self.faults and not self.base_gives_way and not self.without_a_place
         sound &= not (self.turn_of_base or self.tilt_of_base)
         sound &= not (self.of_two_places or self.open_orders or self.moved_alike)
+        sound &= not self.moved_otherwise
         sound &= not self.implausible
         return "good" if explained and alike and known and sound else "fair"
 
@@ -241,6 +242,12 @@ class Calibration(Record):
         known = [verdict == "determined" for verdict in seen.su_verdict]
         alike = 2 * float(np.sqrt(variances[known].max(initial=0.0)))
         return tuple(n for n in of_kind(self.notes, "other order") if not n.size <= alike)
+
+    @property
+    def moved_otherwise(self) -> tuple[str, ...]:
+        """SUs that a joint moves which is in no tree, as it neither turns nor slides them."""
+        told = of_kind(self.notes, "moves otherwise")
+        return tuple(dict.fromkeys(su for note in told for su in note.sus))
 
     @property
     def moved_alike(self) -> tuple[tuple[str, ...], ...]:

@@ -62,6 +62,13 @@ def _words(note: Note) -> str:
             return f"{sus} is left out: {_WHY[note.detail]}"
         case "joint left out":
             return f"{joints} is left out of the tree: {_why_joint(note)}"
+        case "moves otherwise":
+            move = "moves" if len(note.sus) == 1 else "move"
+            return (
+                f"{joints} is left out of the tree: {sus} {move} with it, but neither turns about "
+                "an axis nor slides by as much as it does, as on a linkage: the place given is the "
+                "one in the mean; log positions of the joints that carry it"
+            )
         case "never together":
             return (
                 f"{sus} were not recorded while {joints} moved and are taken not to move with "
@@ -107,8 +114,8 @@ def _why_joint(note: Note) -> str:
     if note.detail != "not shown":
         return _WHY[note.detail]
     return (
-        f"it moved by {note.size:.2g} rad (or m), but no SU shows it: none sits beyond it, or its "
-        "axis is vertical and it moved slowly"
+        f"it moved by {note.size:.2g} rad (or m), but no SU that has a place in the tree shows it: "
+        "none sits beyond it, or its axis is vertical and it moved slowly"
     )
 
 

@@ -26,19 +26,20 @@ _NAMED = 3
 
 
 DoubtKind = Literal[
-    "faults", "SUs unplaced", "SUs unexplained", "impossible slack", "smoothed away",
-    "SUs of two places", "orders open", "joints alike", "soft base", "moving base", "SUs misfit",
-    "poses misfit", "prediction", "errors come back", "not arrived", "sensors",
+    "faults", "SUs unplaced", "SUs moved otherwise", "SUs unexplained", "impossible slack",
+    "smoothed away", "SUs of two places", "orders open", "joints alike", "soft base", "moving base",
+    "SUs misfit", "poses misfit", "prediction", "errors come back", "not arrived", "sensors",
     "no such sensors", "weak joints", "open limbs", "joints open", "SUs open",
 ]  # fmt: skip
-"""What speaks against a result: things found wrong, SUs whose readings fit no place, or not the one
-that they have, joints further off their encoders than any gear allows, fast motion that a driver
-smooths away, SUs that fit another place as well, joints that may follow each other in another
-order, or that moved alike all along, a base that gives way, or moves by itself, SUs and poses that
-fit worse than the rest, poses that are predicted worse than stated, what is left of the readings
-and comes back with the motion, a fit that ended before it arrived, sensors that are worse than the
-options say, or than any, axes that are known weakly, limbs whose places are open, and what of the
-joints and SUs the log does not determine."""
+"""What speaks against a result: things found wrong, SUs whose readings fit no place, that a joint
+moves otherwise than it goes, or whose readings do not fit the place that they have, joints further
+off their encoders than any gear allows, fast motion that a driver smooths away, SUs that fit
+another place as well, joints that may follow each other in another order, or that moved alike all
+along, a base that gives way, or moves by itself, SUs and poses that fit worse than the rest, poses
+that are predicted worse than stated, what is left of the readings and comes back with the motion, a
+fit that ended before it arrived, sensors that are worse than the options say, or than any, axes
+that are known weakly, limbs whose places are open, and what of the joints and SUs the log does not
+determine."""
 
 
 @dataclass(frozen=True)
@@ -131,6 +132,13 @@ def _doubts(calibration: Calibration) -> list[Doubt]:
             "may be wrong with them, or with names or joints (see the notes)"
         )
         found.append(Doubt("SUs unplaced", words, lost))
+    if otherwise := calibration.moved_otherwise:
+        move = "moves" if len(otherwise) == 1 else "move"
+        words = (
+            f"{shortened(list(otherwise), _NAMED)} {move} with a joint that neither turns nor "
+            "slides them (see the notes): lengths there are means"
+        )
+        found.append(Doubt("SUs moved otherwise", words, otherwise))
     unexplained = calibration.unexplained
     if unexplained:
         feel = "feels" if len(unexplained) == 1 else "feel"

@@ -29,6 +29,7 @@ from skin2urdf.structure.draft import (
     Draft,
     in_best_order,
     that_may_slide,
+    that_move_otherwise,
     that_slide,
     with_unseen_joints,
 )
@@ -390,9 +391,12 @@ def _motion_tree(
         for u in np.flatnonzero(draft.su_joint < -1)
     ]
     felt = {joint.dof for joint in draft.joints}
-    notes += [
-        _left_out(sampled, d, name, bool(moved[d])) for d, name in enumerate(names) if d not in felt
-    ]
+    for d, name in enumerate(names):
+        if d in felt:
+            continue
+        pushed = that_move_otherwise(draft, samples, d) if moved[d] else []
+        sus = tuple(windows.su_names[u] for u in pushed)
+        notes.append(_left_out(sampled, d, name, sus, moved=bool(moved[d])))
     tree = KinematicTree(
         tuple(names[j.dof] for j in draft.joints),
         np.array(draft.parent, dtype=np.int64),
@@ -439,9 +443,13 @@ def _chains(tree: KinematicTree) -> list[tuple[str, tuple[str, ...]]]:
     ]
 
 
-def _left_out(sampled: Sequence[Sampled], dof: int, name: str, moved: bool) -> Note:
-    """A note on a joint that is no part of the tree."""
+def _left_out(
+    sampled: Sequence[Sampled], dof: int, name: str, pushed: tuple[str, ...], *, moved: bool
+) -> Note:
+    """A note on a joint that is no part of the tree, and on SUs that it pushes all the same."""
     if not moved:
         return Note("joint left out", joints=(name,), detail="never moved")
     span = max(float(np.ptp(s.motion.q[:, dof])) for s in sampled)
+    if pushed:
+        return Note("moves otherwise", pushed, (name,), size=span)
     return Note("joint left out", joints=(name,), detail="not shown", size=span)

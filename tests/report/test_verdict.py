@@ -111,6 +111,12 @@ def test_joints_that_moved_alike_make_a_good_fit_fair() -> None:
     assert against(found) == [("joints alike", ("j_1", "j_2")), missing()]
 
 
+def test_sus_that_a_linkage_moves_make_a_good_fit_fair() -> None:
+    found = replace(calibration(), notes=(Note("moves otherwise", ("su_x",), ("drive",)),))
+    assert found.quality == "fair"
+    assert against(found) == [("SUs moved otherwise", ("su_x",)), missing()]
+
+
 def test_motion_that_is_smoothed_away_makes_it_bad() -> None:
     along = calibration().along
     assert along is not None

@@ -14,7 +14,7 @@ from simulated import changed_sus
 
 from skin2urdf.errors import StructureError
 from skin2urdf.notes import of_kind
-from skin2urdf.recording.records import Recording, SuStream
+from skin2urdf.recording.records import JointStream, Recording, SuStream
 from skin2urdf.recording.retiming import retimed
 from skin2urdf.signals.features import extract_features
 from skin2urdf.signals.sampling import Sampled, sample_recording, sampled_together
@@ -272,3 +272,32 @@ def test_an_su_on_the_base_that_drifts_stays_there(tmp_path: Path) -> None:
 
 def _on_base(found: MotionTree) -> list[str]:
     return [n for n, j in zip(found.tree.su_names, found.tree.su_joint, strict=True) if j < 0]
+
+
+@pytest.mark.parametrize("arm", [0.0, 0.05])
+def test_what_a_linkage_moves_is_told_from_what_nothing_moves(arm: float, tmp_path: Path) -> None:
+    """A finger goes round with its drive without turning, or is not carried by it at all."""
+    settings = SimulationSettings(seed=4, excite="none", minutes=1.0, imu_rate=200.0)
+    layout = SkinLayout(sus_per_segment=1, sus_on_base=1)
+    made = retimed(simulate(robot_of(PARALLEL, tmp_path, layout), settings).recording)
+    names = [su.name for su in made.sus]
+    tree = trees_from_motion([sampled(made)], names)[0].tree
+    finger = tree.su_names[int(np.argmax(tree.su_joint))]
+    w, most = 3.0, 0.4
+
+    def carried(su: SuStream) -> SuStream:
+        turn, speed = most * (1 - np.cos(w * su.time)), most * w * np.sin(w * su.time)
+        rate = most * w**2 * np.cos(w * su.time)
+        to, away = np.array([0.0, 1.0, 0.0]), np.array([0.0, 0.0, 1.0])
+        along = rate * np.cos(turn) - speed**2 * np.sin(turn)
+        across = -rate * np.sin(turn) - speed**2 * np.cos(turn)
+        felt = arm * (along[:, None] * to + across[:, None] * away)
+        return replace(su, specific_force=su.specific_force + felt) if su.name == finger else su
+
+    time = made.joints[0].time
+    drive = JointStream("drive", time, most * (1 - np.cos(w * time)))
+    log = replace(changed_sus(made, carried), joints=(*made.joints, drive))
+    both, _ = sampled_together([log], must_rest=False)
+    notes = trees_from_motion(both, names)[0].tree.notes
+    moved = [(note.sus, note.joints) for note in of_kind(notes, "moves otherwise")]
+    assert moved == ([((finger,), ("drive",))] if arm else [])

@@ -9,7 +9,7 @@ from skin2urdf.calibration.result import BAD_FIT, BAD_MISFIT, HOPELESS_FIT
 from skin2urdf.errors import BadFitError, StructureError
 from skin2urdf.estimation.solve.estimate import Estimate
 from skin2urdf.estimation.trajectory.estimate import MotionEstimate
-from skin2urdf.estimation.uncertainty.health import why_bad
+from skin2urdf.estimation.uncertainty.health import few_affected, why_bad
 from skin2urdf.estimation.uncertainty.physics import (
     STAND_STILL,
     base_moves,
@@ -83,6 +83,8 @@ def _refuse_beyond(
         return
     of_samples = None if along is None else (along.misfit, along.misfit_of_sus)
     what, remedy = why_bad(found, limit, of_samples)
-    if along is not None and along.tried:
+    # What links and joints do is felt by most: it is not that, where most SUs are explained.
+    of_few = few_affected(found, limit, of_samples)
+    if along is not None and along.tried and not of_few:
         what, remedy = why_unexplained(along.tried, along.misfit, what, remedy)
     raise BadFitError(what, remedy, cost_per_dof=cost)

@@ -76,6 +76,31 @@ def health_notes(estimate: Estimate, goodness: Goodness) -> tuple[Note, ...]:
     return tuple(notes)
 
 
+def few_affected(
+    found: Estimate, limit: float, of_samples: tuple[float, F64] | None = None
+) -> tuple[str, ...]:
+    """SUs that a model does not explain, where it explains most; none where it does not.
+
+    What links and joints do is felt by most.
+
+    Args:
+        found: the best estimate.
+        limit: cost beyond which an SU counts as affected.
+        of_samples: as of :func:`why_bad`.
+    """
+    affected = np.flatnonzero(_left_over(found, of_samples)[1] > limit)
+    few = 2 * len(affected) < len(found.tree.su_names)
+    return tuple(found.tree.su_names[u] for u in affected) if few else ()
+
+
+def _left_over(found: Estimate, of_samples: tuple[float, F64] | None) -> tuple[float, F64]:
+    """What is left over noise, and of each SU (U,), by features or by all samples."""
+    if of_samples is not None:
+        return of_samples[0], np.nan_to_num(of_samples[1])
+    per = found.chi2_by_block.sum(axis=0) / np.maximum(found.count.sum(axis=0), 1)
+    return found.cost_per_dof, per
+
+
 def why_bad(
     found: Estimate, limit: float, of_samples: tuple[float, F64] | None = None
 ) -> tuple[str, str]:
@@ -87,11 +112,7 @@ def why_bad(
         of_samples: what all samples leave over noise, and of each SU (U,), NaN of one without any;
             None where the features of the estimate decide.
     """
-    if of_samples is None:
-        per = found.chi2_by_block.sum(axis=0) / np.maximum(found.count.sum(axis=0), 1)
-        cost = found.cost_per_dof
-    else:
-        cost, per = of_samples[0], np.nan_to_num(of_samples[1])
+    cost, per = _left_over(found, of_samples)
     worst = np.argsort(-per)[:3]
     named = ", ".join(f"{found.tree.su_names[u]} ({per[u]:.0f})" for u in worst)
     what = (
@@ -105,6 +126,8 @@ def why_bad(
         )
     else:
         where = "check that these SUs are fixed rigidly and report m/s^2 in a right-handed frame"
+        if few := few_affected(found, limit, of_samples):
+            where = f"{where}, or leave them out ({' '.join(f'--without {su}' for su in few)})"
     narrow = narrow_priors(found)
     if narrow:
         where = (

@@ -11,7 +11,7 @@ from calibrated import calibration
 from skin2urdf.estimation.problem.cost import Cost
 from skin2urdf.estimation.problem.state import Free
 from skin2urdf.estimation.solve.estimate import Estimate
-from skin2urdf.estimation.uncertainty.health import why_bad
+from skin2urdf.estimation.uncertainty.health import few_affected, why_bad
 from skin2urdf.estimation.uncertainty.narrow import narrow_priors
 
 
@@ -35,6 +35,17 @@ def test_the_worst_sus_are_those_of_all_samples_where_these_decide() -> None:
     left = np.where(np.arange(len(names)) < 3, 30.0, 1.0)
     told = why_bad(found, 10.0, (24.0, left))[0]
     assert [name in told for name in names] == (left > 1).tolist()
+
+
+@pytest.mark.parametrize("several", [1, 3])
+def test_sus_that_a_robot_does_not_explain_may_be_left_out_where_they_are_few(several: int) -> None:
+    found = calibration().estimate
+    names = found.tree.su_names
+    left = np.where(np.arange(len(names)) < several, 500.0, 1.0)
+    assert few_affected(found, 20.0, (60.0, left)) == names[:several]
+    assert all(f"--without {su}" in why_bad(found, 20.0, (60.0, left))[1] for su in names[:several])
+    assert few_affected(found, 20.0, (60.0, 500.0 - left)) == ()
+    assert few_affected(found, 20.0, (60.0, np.ones(len(names)))) == ()
 
 
 def test_errors_that_were_denied_show_in_the_size_of_gravity() -> None:

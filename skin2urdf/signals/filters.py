@@ -329,6 +329,15 @@ def second_derivative(values: F64, rate: float, at: Int | None = None) -> F64:
     return _differentiated(values, SECOND_DIFFERENCES * rate**2, at)
 
 
+def higher_derivatives(q: F64, rate: float, last: int) -> F64:
+    """(last - 1, N, D) second and higher derivatives of positions (N, D), up to the last."""
+    out = [second_derivative(q, rate)]
+    for order in range(3, last + 1):
+        odd = order % 2 == 1
+        out.append(first_derivative(out[-1], rate) if odd else second_derivative(out[-2], rate))
+    return np.stack(out)
+
+
 def _differentiated(values: F64, weights: F64, at: Int | None) -> F64:
     """Differences of neighbours, weighed; ends repeat the outermost samples."""
     if at is None:

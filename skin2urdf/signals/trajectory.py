@@ -21,6 +21,7 @@ from skin2urdf.signals.filters import (
     eroded,
     filtered,
     first_derivative,
+    higher_derivatives,
     low_pass,
     noise_bandwidth,
     second_derivative,
@@ -481,15 +482,6 @@ def _of_accelerations(variance: F64, raw_rate: F64, taps: F64, rate: float) -> F
     w, gain = _passed_twice(taps, rate)
     density = 2 * variance / raw_rate / (2 * np.pi)
     return np.asarray(density * np.trapezoid(gain * w**4, w))
-
-
-def higher_derivatives(q: F64, rate: float, last: int) -> F64:
-    """(last - 1, N, D) second and higher derivatives of positions (N, D), up to the last."""
-    out = [second_derivative(q, rate)]
-    for order in range(3, last + 1):
-        odd = order % 2 == 1
-        out.append(first_derivative(out[-1], rate) if odd else second_derivative(out[-2], rate))
-    return np.stack(out)
 
 
 def _louder(numbers: F64, taps: F64, rate: float, n_joints: int) -> F64:

@@ -505,7 +505,7 @@ def _moved(
     gains = each.sum(axis=0)
     gain = float(gains.sum())
     # What moves a branch moves every SU on it.
-    holds = _is_gained_throughout(gains, price) and bool(each.sum(axis=1).min() >= -CERTAIN)
+    holds = is_gained_throughout(gains, price) and bool(each.sum(axis=1).min() >= -CERTAIN)
     if kind == "revolute":
         own = trial.path(int(trial.su_joint[members[0]]))
         shaken = len(pairs) == 1 and is_shaken(*pairs[0]) and len(own) == len(draft.path(at)) + 1
@@ -519,39 +519,19 @@ def _moved(
     return _Moved(holds, gain, push[best], float(sd[best]))
 
 
-def _is_gained_throughout(gains: F64, price: float) -> bool:
+def is_gained_throughout(gains: F64, price: float) -> bool:
     """Whether log-likelihoods (B,) that stretches gain are more than chance, and one odd moment.
 
     Of what is explained by chance as much is lost elsewhere.
+
+    Args:
+        gains: (B,) of each stretch.
+        price: what has to be gained beside the one that gains most.
     """
     gain = float(gains.sum())
     chance = float(np.sqrt(2 * (np.minimum(gains, 0.0) ** 2).sum()))
     elsewhere = gain - float(gains.max(initial=0.0))
     return gain >= CONSISTENT * chance and elsewhere >= price
-
-
-def that_move_otherwise(draft: Draft, samples: Along, dof: int) -> list[int]:
-    """SUs that a joint without a place pushes, though by another way than it goes.
-
-    A finger on a four-bar linkage goes round without turning, and a spindle may be counted in
-    turns. Where most SUs are pushed it is the robot that is shaken, by the joint's weight.
-
-    Args:
-        draft: a tree without the joint.
-        samples: the logs.
-        dof: the joint.
-    """
-    price = price_of(samples, 1, len(draft.joints) + 1)
-    heard = [u for u, at in enumerate(draft.su_joint) if at >= -1]
-    pushed = []
-    for u in heard:
-        trial = draft.with_joint(
-            ChainJoint(dof, "prismatic", (0.0, 0.0, 1.0)), int(draft.su_joint[u]), [], [u]
-        )
-        gains = gained(draft.judged(samples, u), trial.judged(samples, u))
-        if _is_gained_throughout(gains, price):
-            pushed.append(u)
-    return pushed if 2 * len(pushed) <= len(heard) else []
 
 
 def _with_all_that_they_move(draft: Draft, samples: Along, dofs: Sequence[int]) -> Draft:

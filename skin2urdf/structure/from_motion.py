@@ -29,7 +29,6 @@ from skin2urdf.structure.draft import (
     Draft,
     in_best_order,
     that_may_slide,
-    that_move_otherwise,
     that_slide,
     with_unseen_joints,
 )
@@ -37,6 +36,7 @@ from skin2urdf.structure.elsewhere import with_sus_elsewhere
 from skin2urdf.structure.facing import facing_one_way
 from skin2urdf.structure.gravity import OFF_IN_TIME, GravityWindows, gravity_windows, moments
 from skin2urdf.structure.growth import Growth, Known
+from skin2urdf.structure.otherwise import that_move_otherwise
 from skin2urdf.structure.records import KinematicTree
 from skin2urdf.structure.tilted import Tilted, tilts_of_base
 

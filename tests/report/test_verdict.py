@@ -15,12 +15,13 @@ from calibrated import calibration
 
 from skin2urdf.arrays import F64
 from skin2urdf.calibration.refusal import check_fit
-from skin2urdf.calibration.result import Calibration
+from skin2urdf.calibration.result import BAD_MISFIT, Calibration
 from skin2urdf.errors import BadFitError
 from skin2urdf.estimation.trajectory.estimate import MotionEstimate
 from skin2urdf.estimation.trajectory.fit import held
 from skin2urdf.estimation.trajectory.slack import MOST_SLACK
 from skin2urdf.estimation.uncertainty.goodness import Share
+from skin2urdf.estimation.uncertainty.health import why_bad
 from skin2urdf.estimation.uncertainty.physics import (
     IMPOSSIBLE_SLACK,
     physics_found,
@@ -346,6 +347,20 @@ def test_sus_before_the_model_do_not_vouch_for_it() -> None:
     assert 2 * len(worse) > beyond.sum()
     other = replace(found.estimate, state=replace(state, bias=bias))
     assert replace(found, estimate=other).quality == "bad"
+
+
+def test_a_refusal_names_no_physics_where_most_sus_are_explained(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    along = calibration().along
+    assert along is not None
+    found, far = calibration().estimate, replace(along, misfit=60.0, tried={"drift": 60.0})
+    left = np.where(np.arange(len(found.tree.su_names)) == 0, 500.0, 1.0)
+    monkeypatch.setattr(MotionEstimate, "misfit_of_sus", left)
+    with pytest.raises(BadFitError) as refused:
+        check_fit(found, far)
+    what, remedy = why_bad(found, BAD_MISFIT, (60.0, left))
+    assert (str(refused.value), refused.value.remedy) == (what, remedy)
 
 
 def test_a_refusal_names_the_physics_that_explains_most() -> None:

@@ -19,6 +19,7 @@ from skin2urdf.recording.retiming import retimed
 from skin2urdf.signals.features import extract_features
 from skin2urdf.signals.sampling import Sampled, sample_recording, sampled_together
 from skin2urdf.simulation import SimulationSettings, load_robot, simulate
+from skin2urdf.simulation.motion_settings import MotionSettings
 from skin2urdf.simulation.robots import GivenSu, SkinLayout
 from skin2urdf.structure.activity import activity
 from skin2urdf.structure.from_motion import MotionTree, trees_from_motion
@@ -230,6 +231,19 @@ def test_joints_may_all_move_fast_and_never_rest(seed: int) -> None:
     for su, joint in zip(tree.su_names, tree.su_joint, strict=True):
         chain = [tree.joint_names[j] for j in tree.chain(int(joint))]
         assert chain == joints[: sus.index(su)]
+
+
+def test_what_fast_motion_turns_gravity_by_hides_no_upright_joint() -> None:
+    """The joint was taken to slide behind the next one, and its SU to sit on the base."""
+    settings = SimulationSettings(
+        seed=3, excite="series", minutes=0.5, upright=True, imu_rate=100.0, joint_rate=50.0,
+        motion=MotionSettings(series_band=(0.1, 0.5)),
+    )  # fmt: skip
+    recording = retimed(simulate(load_robot("ur5"), settings).recording)
+    tree = trees_from_motion(*sampled_together([recording], must_rest=False))[0].tree
+    assert list(tree.parent) == [-1, 0, 1, 2, 3, 4]
+    assert tree.joint_types == ("revolute",) * 6
+    assert sorted(tree.su_joint) == [-1, 0, 1, 2, 3, 4, 5]
 
 
 @pytest.mark.parametrize("seed", [10, 14])

@@ -32,7 +32,7 @@ from skin2urdf.estimation.trajectory.following import follow_motion
 from skin2urdf.estimation.trajectory.front_end import begin_front, droop, droop_variance
 from skin2urdf.estimation.trajectory.gyro import gyro_deviations
 from skin2urdf.estimation.trajectory.impossible_fronts import with_possible_fronts
-from skin2urdf.estimation.trajectory.in_time import ages_and_smoothing, with_times_open
+from skin2urdf.estimation.trajectory.in_time import how_joints_were_read, with_times_open
 from skin2urdf.estimation.trajectory.information import MotionInformation, motion_information
 from skin2urdf.estimation.trajectory.leaning import with_leaning_base
 from skin2urdf.estimation.trajectory.listening import found_gyros, listened
@@ -421,7 +421,7 @@ def estimate_along(
     what = found.causes, found.tried, found.under_known
     return MotionEstimate(
         problem, fitted, left, gyros, *what, late, ended.corrected, ended.hidden, ended.loads,
-        found.wander, found.left_to_one, *ages_and_smoothing(found),
+        found.wander, found.left_to_one, *how_joints_were_read(found),
     )  # fmt: skip
 
 

@@ -90,7 +90,7 @@ def with_times_open(found: Explained) -> Explained:
     return replace(found, problem=problem, fitted=fit(problem, state, near=True))
 
 
-def ages_and_smoothing(found: Explained) -> tuple[F64, F64, float]:
+def how_joints_were_read(found: Explained) -> tuple[F64, F64, float]:
     """How old each joint's positions are, and how smoothed.
 
     Args:

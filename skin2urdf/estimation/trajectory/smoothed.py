@@ -25,8 +25,8 @@ from skin2urdf.estimation.trajectory.problem import MotionProblem
 from skin2urdf.estimation.trajectory.reading_times import LATE, Read, ReadingTimes
 from skin2urdf.estimation.trajectory.slack import CERTAIN, lacking, with_unseen
 from skin2urdf.estimation.trajectory.unseen import Unseen
-from skin2urdf.signals.filters import second_derivative
-from skin2urdf.signals.trajectory import Trajectory, higher_derivatives
+from skin2urdf.signals.filters import higher_derivatives, second_derivative
+from skin2urdf.signals.trajectory import Trajectory
 
 _TIME = 0.02
 """Unit of the times that filters have [s], which says how many numbers of a derivative are as many
@@ -152,13 +152,7 @@ class _Any(_Smoothing):
     def followed(
         self, problem: MotionProblem, fitted: Fitted, size: float
     ) -> tuple[MotionProblem, Fitted, Read] | None:
-        """The fit with positions set right, by a filter of few numbers where that explains as much.
-
-        Args:
-            problem: what was fitted, of as many joints as it takes.
-            fitted: the fit.
-            size: standard deviation of the numbers.
-        """
+        # By a filter of few numbers where that explains as much: fewer follow noise.
         as_read = problem.logs
         found = super().followed(problem, fitted, size)
         if found is None:

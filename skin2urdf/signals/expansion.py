@@ -38,8 +38,17 @@ nine logs of five kinds of motion: so far may errors that come back with the mot
 whatever the length of the log."""
 
 
+_COMES_BACK = 0.01
+"""Share of what joints are apart from any moment to another that they are apart after each round of
+a motion that comes back: a tenth of its amplitude."""
+
+
 class Expansion:
     """Terms in the joints' motion, in groups by how much they matter.
+
+    Attributes:
+        new: share of the log after which the motion comes back, 1 where it does not: what is read
+            again tells nothing that any terms might explain by chance.
 
     Args:
         q: (n, D) joint positions [rad or m].
@@ -48,6 +57,7 @@ class Expansion:
 
     def __init__(self, q: F64, rate: float) -> None:
         D = q.shape[1]
+        self.new = _until_it_comes_back(q)
         self._qd = slope(q, rate)
         self._qdd = slope(self._qd, rate)
         self._turns = [np.stack([np.sin(x), np.cos(x)], axis=1) for x in (q - q.mean(axis=0)).T]
@@ -98,6 +108,27 @@ class Expansion:
         columns = np.concatenate([self._columns(group) for group in range(taken)], axis=1)
         size = np.sqrt((columns**2).sum(axis=0))
         return np.asarray(columns[:, size > 0] / size[size > 0])
+
+
+def _until_it_comes_back(q: F64) -> float:
+    """Share of a log of joint positions (n, D) after which all of them come back; 1 if never.
+
+    A motion of few frequencies spans few values whatever its length: any other of the same
+    frequencies, as itself at another lag, is a sum of as many terms.
+    """
+    n = len(q)
+    size = np.maximum(q.std(axis=0), 1e-12)
+    x = (q - q.mean(axis=0)) / size
+    fast = next_fast_len(2 * n, real=True)
+    alike = irfft(np.abs(rfft(x, fast, axis=0)) ** 2, fast, axis=0)[:n].sum(axis=1)
+    squares = np.concatenate([[0.0], np.cumsum((x**2).sum(axis=1))])
+    lags = np.arange(n // 2 + 1)
+    both = squares[n - lags] + squares[n] - squares[lags]
+    apart = (both - 2 * alike[lags]) / np.maximum(both, 1e-12)
+    away = np.flatnonzero(apart > 0.5)
+    back = np.flatnonzero(apart < _COMES_BACK)
+    back = back[back > away[0]] if len(away) else back[:0]
+    return float(back[0]) / n if len(back) else 1.0
 
 
 def independent(values: F64, valid: Bool) -> float:
@@ -157,7 +188,7 @@ def best_line(
     n, start = count * length, (len(readings) - count * length) // 2
     most = int(np.ceil((reach + steep * n / (2 * rate)) * rate)) + 2
     lags = np.arange(-most, most + 1)
-    values = independent(readings, valid)
+    values = expansion.new * independent(readings, valid)
     terms = expansion.terms(values, _IN_SEARCH)
     if terms is None:
         return None
@@ -206,7 +237,7 @@ def refined(
     """
     n = len(readings)
     time = ((np.arange(n) - n / 2) / rate)[valid]
-    terms = expansion.terms(independent(readings, valid))
+    terms = expansion.terms(expansion.new * independent(readings, valid))
     if terms is None:
         return None
     used = terms[valid]

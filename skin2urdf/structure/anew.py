@@ -10,11 +10,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import numpy as np
-
 from skin2urdf.structure.accelerations import Along
-from skin2urdf.structure.draft import CERTAIN, Draft, Place, gained, places, price_of
-from skin2urdf.structure.joint_types import HALF_A_PUSH
+from skin2urdf.structure.draft import (
+    CERTAIN,
+    Draft,
+    Place,
+    gained,
+    places,
+    price_of,
+    unfelt_pushes,
+)
 
 
 def with_joints_elsewhere(
@@ -68,25 +73,10 @@ def _best_place(draft: Draft, samples: Along, joint: int, sliding: Sequence[int]
         for a, b in zip(without, now, strict=True)
         if a is not None and b is not None
     ) - price_of(samples, 1, len(draft.joints))
-    here -= _unfelt_pushes(draft, samples)
+    here -= unfelt_pushes(draft, samples)
     options = [
-        Place(place.draft, place.gain - _unfelt_pushes(place.draft, samples))
+        Place(place.draft, place.gain - unfelt_pushes(place.draft, samples))
         for place in places(rest, samples, dof, without, [dof], sliding)
     ]
     best = max(options, key=lambda place: place.gain, default=Place(draft, here))
     return Place(best.draft, best.gain - here)
-
-
-def _unfelt_pushes(draft: Draft, samples: Along) -> float:
-    """Negative log-likelihood of pushes of half a slide's length where SUs feel less.
-
-    Each SU finds a push of its own, of length 1 where a slide carries it. One that sits before the
-    slide finds next to none, and is predicted the better for it: what the slide's weight does to
-    elastic gears before them both goes with its acceleration as well.
-    """
-    total = 0.0
-    for judged in draft.all_judged(samples):
-        if judged is not None:
-            lacking = np.maximum(HALF_A_PUSH - np.linalg.norm(judged.slide, axis=1), 0.0)
-            total += 0.5 * float((lacking**2 / judged.slide_sd**2).sum())
-    return total

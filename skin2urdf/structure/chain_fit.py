@@ -136,6 +136,7 @@ def fit_gravity(
     axes: F64,
     iterations: int = 12,
     carried: Carried | None = None,
+    rough: F64 | None = None,
 ) -> GravityFits:
     """Fit chains of m joints by Gauss-Newton, many at once.
 
@@ -148,8 +149,11 @@ def fit_gravity(
         iterations: number of steps at most.
         carried: how the segments move, where offsets and clocks are fitted as well; else what they
             add to gravity is noise.
+        rough: (K, N) inverse variances of readings as gravity alone, which offsets are not known
+            to be in at first; None where ``weight`` is that.
     """
     K, m, _ = q.shape
+    rough = weight if rough is None else rough
     root = np.sqrt(weight)
     offsets = 0 if carried is None else carried.columns.shape[1] + 3 * m + 1
     # Bias, scale and cross-axis errors; offsets of the chain from its beginning; the clock.
@@ -158,9 +162,9 @@ def fit_gravity(
     z = x
     for i in range(m):
         z = series.applied(seen_beyond(axes[:, i], q[:, i]), z)
-    gamma = _centring(weight)
-    felt, seen = (_centred(v.swapaxes(1, 2), weight, gamma) for v in (y, z))
-    R, _ = wahba(felt, seen, weight)
+    gamma = _centring(rough)
+    felt, seen = (_centred(v.swapaxes(1, 2), rough, gamma) for v in (y, z))
+    R, _ = wahba(felt, seen, rough)
     data = q, x, y, root, carried
     r, J = _linearised(data, axes, R, linear)
     cost = _chi2(r, linear, known)

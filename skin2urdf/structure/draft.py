@@ -16,6 +16,7 @@ import numpy as np
 from skin2urdf.arrays import F64, Int, Record
 from skin2urdf.geometry.so3 import rotation_exp
 from skin2urdf.structure.accelerations import Along, ChainJoint, Judged
+from skin2urdf.structure.joint_types import HALF_A_PUSH
 from skin2urdf.structure.ordering import bare_neighbours
 from skin2urdf.structure.records import JointType
 
@@ -244,7 +245,11 @@ def with_unseen_joints(
     others: list[Draft] = []
     while left:
         now = draft.all_judged(samples)
-        found = [p for d in left for p in places(draft, samples, d, now, left, sliding)]
+        found = [
+            Place(p.draft, p.gain - unfelt_pushes(p.draft, samples))
+            for d in left
+            for p in places(draft, samples, d, now, left, sliding)
+        ]
         if not found:
             break
         found.sort(key=lambda p: -p.gain)
@@ -373,6 +378,21 @@ def _log_ratio(now: F64, then: F64, count: F64, quiet: float) -> F64:
     """Log-likelihood gained by a smaller sum of squares over so many measurements."""
     floor = quiet**2 * count + 1e-12
     return np.asarray(count / 2 * np.log((now + floor) / (then + floor)))
+
+
+def unfelt_pushes(draft: Draft, samples: Along) -> float:
+    """Negative log-likelihood of pushes of half a slide's length where SUs feel less.
+
+    Each SU finds a push of its own, of length 1 where a slide carries it. One that sits before the
+    slide finds next to none, and is predicted the better for it: what the slide's weight does to
+    elastic gears before them both goes with its acceleration as well.
+    """
+    total = 0.0
+    for judged in draft.all_judged(samples):
+        if judged is not None:
+            lacking = np.maximum(HALF_A_PUSH - np.linalg.norm(judged.slide, axis=1), 0.0)
+            total += 0.5 * float((lacking**2 / judged.slide_sd**2).sum())
+    return total
 
 
 def places(

@@ -22,6 +22,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.ndimage import uniform_filter1d
 
 from skin2urdf.arrays import F64, Bool, Int, Record
 from skin2urdf.geometry.units import GRAVITY
@@ -57,8 +58,9 @@ _DIRECTION = 0.01
 fitted to half a degree. What is taken for noise hides joints whose axes lie close to each other."""
 OFF_IN_TIME = 0.05
 """Part of accelerations that an SU may be off by whose clock drifts or whose axes are bent."""
-_BLUR = 0.05
-"""Standard deviation of such a low-pass in time [s]."""
+_BEYOND = 2.0
+"""Times the cutoff of that low-pass up to which its loss is looked at: motion that it cuts off
+reaches little further, and sensors' noise does."""
 _MOST_MOMENTS = 240
 """Moments that a tree is grown from: one in 0.75 s of a log of three minutes, and joints turn by
 half a radian in between."""
@@ -225,12 +227,15 @@ def moments(
         change = first_derivative(y, rate)[at]
         speed = np.abs(qd).sum(axis=1)
         felt = LEVER * (np.abs(qdd).sum(axis=1) + speed**2)
-        blurred = 0.5 * GRAVITY * (_BLUR * speed) ** 2
-        modelled = np.sqrt(_STEADY**2 + (off * felt) ** 2 + blurred**2)
+        # Of accelerations of any direction a third of the square is along gravity: what each SU
+        # feels of them, which is far less near the base than what all joints could make.
+        beside = np.linalg.norm(y, axis=-1) - GRAVITY
+        pushed = 3 * _about(beside**2, rate)[at]
+        modelled = np.sqrt(_STEADY**2 + off**2 * pushed + _cut_off(s, y)[at])
         turning = np.linalg.norm(change, axis=-1)
         rough = np.sqrt(_STEADY**2 + felt[:, None] ** 2 + (_LAG * turning) ** 2)
         sd = np.where(ok[at], rough, np.inf)
-        left = np.where(ok[at], modelled[:, None], np.inf)
+        left = np.where(ok[at], modelled, np.inf)
         reading = np.where(ok[at, :, None], y[at], 0.0)
         of_log = spans[g][at] if spans else np.full(len(at), g)
         parts.append((q[at], of_log, reading, sd, qd, qdd, change, left))
@@ -240,6 +245,26 @@ def moments(
     names = sampled[0].motion.dof_names
     moving = Moving(qd, qdd, change, left)
     return GravityWindows(names, tuple(su_names), q, log, reading, sd, moving)
+
+
+def _cut_off(s: Sampled, smooth: F64) -> F64:
+    """(N, U) mean square per axis of what a low-pass took of readings near a sample [m^2/s^4].
+
+    Joints that move slowly enough to pass it may together turn gravity faster than that.
+
+    Args:
+        s: a log on its grid.
+        smooth: (N, U, 3) its readings, low-passed.
+    """
+    rate = s.motion.grid.rate
+    taps = low_pass(min(_BEYOND * _SMOOTH, 0.4 * rate), rate)
+    lost = ((filtered(s.readings, taps) - smooth) ** 2).mean(axis=-1)
+    return _about(lost, rate)
+
+
+def _about(squares: F64, rate: float) -> F64:
+    """(N, U) means of squares over a moment about each sample."""
+    return np.asarray(uniform_filter1d(squares, max(1, round(_WINDOW * rate)), axis=0))
 
 
 def _intervals(s: Sampled) -> list[tuple[int, int, bool]]:

@@ -302,8 +302,9 @@ class Growth:
             )
         x = np.broadcast_to(self._gravity(R).T, (U, 3, W))
         y = np.ascontiguousarray(self.windows.reading.transpose(1, 2, 0))
-        weight = np.ascontiguousarray(self._weight.T)
-        fits = fit_gravity(np.zeros((U, 0, W)), x, y, weight, np.zeros((U, 0, 3)), carried=carried)
+        weight, rough = (np.ascontiguousarray(w.T) for w in (self._weight, self._rough))
+        none = np.zeros((U, 0, W))
+        fits = fit_gravity(none, x, y, weight, none[..., :3], carried=carried, rough=rough)
         misfit = self.misfit(fits.chi2)
         self.segments.append(Segment(parent, dof, axis, R, omega, alpha, columns, fits, misfit))
 
@@ -315,7 +316,10 @@ class Growth:
         """The extension that leaves least, of those that are worth their parameters."""
         found = self._with_axes_before(self._single())
         for length in _RANDOM_STARTS:
-            if found is not None and self._explained(found):
+            # What one joint leaves beyond noise may be an upright one before it, which gravity alone
+            # does not show, and which would find no place once axes are bent to do without it.
+            enough = self._explained if length > 2 else self._is_noise
+            if found is not None and enough(found):
                 break
             longer = self._with_axes_before(self._longer(length))
             price = 0.0 if longer is None else self._price(longer.su, length, 1)
@@ -370,6 +374,10 @@ class Growth:
         noise = float(self._noise()[option.su])
         now = float(self.best()[1][option.su])
         return option.misfit <= max(noise, noise + _LEFT * (now - noise))
+
+    def _is_noise(self, option: _Extension) -> bool:
+        """Whether an extension leaves no more than noise as stated."""
+        return option.misfit <= float(self._noise()[option.su])
 
     def _noise(self) -> F64:
         """(U,) misfit that noise as stated stays below in all but one of a million cases."""
@@ -480,6 +488,7 @@ class Growth:
                 axes[first : first + chunk],
                 iterations,
                 self._carried(some, at) if modelled else None,
+                np.ascontiguousarray(self._rough[np.ix_(at, sus)].T),
             )
 
         fits = list(each(fitted, range(0, len(problems), chunk), len(problems)))

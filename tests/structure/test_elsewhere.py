@@ -44,6 +44,19 @@ def test_a_scara_is_found_from_moves_alone(tmp_path: Path) -> None:
     assert found.tree.su_joint.tolist() == [joint[name] for name in found.tree.su_names]
 
 
+def test_an_su_that_no_slide_pushes_sits_before_it(tmp_path: Path) -> None:
+    """Any push suits it, none at all as well: the lift was put before the wrist that carries it."""
+    settings = SimulationSettings(
+        minutes=0.4, seed=6, excite="series", upright=True, imu_rate=100.0, joint_rate=50.0
+    )
+    simulation = simulate(robot_of(SCARA, tmp_path, SkinLayout(1, 1)), settings)
+    logs, names = sampled_together([retimed(simulation.recording)], must_rest=False)
+    found, *_ = trees_from_motion(logs, names)
+    assert found.tree.joint_names == simulation.truth.joint_names
+    joint = {su.name: su.joint for su in simulation.truth.sus}
+    assert found.tree.su_joint.tolist() == [joint[name] for name in found.tree.su_names]
+
+
 COAXIAL = (
     Joint("turntable", -1, "revolute", (0.0, 0.0, 0.2)),
     Joint("waist", 0, "revolute", (0.0, 0.0, 0.05)),

@@ -316,8 +316,8 @@ class Growth:
         """The extension that leaves least, of those that are worth their parameters."""
         found = self._with_axes_before(self._single())
         for length in _RANDOM_STARTS:
-            # What one joint leaves beyond noise may be an upright one before it, which gravity alone
-            # does not show, and which would find no place once axes are bent to do without it.
+            # What one joint leaves beyond noise may be an upright one before it: gravity alone does
+            # not show it, and it would find no place once axes are bent to do without it.
             enough = self._explained if length > 2 else self._is_noise
             if found is not None and enough(found):
                 break

@@ -35,7 +35,8 @@ from skin2urdf.structure.draft import (
 from skin2urdf.structure.elsewhere import with_sus_elsewhere
 from skin2urdf.structure.facing import facing_one_way
 from skin2urdf.structure.gravity import OFF_IN_TIME, GravityWindows, gravity_windows, moments
-from skin2urdf.structure.growth import Growth, Known
+from skin2urdf.structure.grown import Grown
+from skin2urdf.structure.growth import Known, grow
 from skin2urdf.structure.otherwise import that_move_otherwise
 from skin2urdf.structure.records import KinematicTree
 from skin2urdf.structure.tilted import Tilted, tilts_of_base
@@ -213,8 +214,7 @@ def _grown_from(
         turning = tuple(int(d) for d in np.flatnonzero(sought) if d not in unfelt)
         up = None if base is None else base.up
         pushed = windows.pushed_by(unfelt)
-        growth = Growth(pushed, turning, np.random.default_rng(seed), tree, up)
-        growth.grow(tell)
+        growth = grow(pushed, turning, np.random.default_rng(seed), tree, up, tell)
         drafts = _drafted(growth, samples, moved, sliding)
         more = () if known else _that_slide(drafts[0], samples)
         if not more:
@@ -238,7 +238,7 @@ def _grown_from(
     return min(trees, likelier, key=lambda each: _unexplained(each[0], samples, names, names))
 
 
-def _drafted(growth: Growth, samples: Along, moved: Bool, sliding: Sequence[int]) -> list[Draft]:
+def _drafted(growth: Grown, samples: Along, moved: Bool, sliding: Sequence[int]) -> list[Draft]:
     """What has grown with joints that gravity does not show, best first.
 
     Raises:
@@ -336,7 +336,7 @@ def moved_joints(sampled: Sequence[Sampled]) -> Bool:
     return np.asarray(np.any([s.motion.named & s.motion.moved for s in sampled], axis=0))
 
 
-def _as_grown(growth: Growth) -> Draft:
+def _as_grown(growth: Grown) -> Draft:
     """The tree that gravity shows, without joints that no SU sits beyond."""
     at, _ = growth.best()
     heard = (growth.n > 0) & growth.explained()
@@ -363,7 +363,7 @@ def _triple(axis: F64) -> tuple[float, float, float]:
 
 def _motion_tree(
     draft: Draft,
-    growth: Growth,
+    growth: Grown,
     samples: Along,
     sampled: Sequence[Sampled],
     moved: Bool,

@@ -1,36 +1,26 @@
 """Trees grown outwards: which joint, next to what is known, explains the gravity an SU feels.
 
-Every segment whose rotation is known carries upward gravity into its frame. An SU sits on it if a
-constant orientation explains what it feels; an SU one joint further out, if one axis does besides.
-Of all joints, segments and SUs the one is taken next that leaves least unexplained, as long as that
-is worth more than its parameters; where segments in between carry no SU, two or three joints are
-put in at once. Nothing is compared with a threshold: what a fit leaves is weighed by the logarithm
-of its chi-squared, which holds whatever the noise is, and parameters by that of the measurements.
-
-Where the windows tell how the joints move (:func:`skin2urdf.structure.gravity.moments`), offsets
-and the accelerations by which they are felt belong to the fits; else what moves is noise.
+An SU sits one joint further out than a known segment (:mod:`skin2urdf.structure.grown`) if one axis
+explains what it feels besides. Of all joints, segments and SUs the one is taken next that leaves
+least unexplained, as long as that is worth more than its parameters; where segments in between
+carry no SU, two or three joints are put in at once. Nothing is compared with a threshold: what a
+fit leaves is weighed by the logarithm of its chi-squared, and parameters by that of the
+measurements.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from copy import copy
 from dataclasses import dataclass, replace
 from itertools import pairwise, permutations
 
 import numpy as np
 
-from skin2urdf.arrays import F64, Bool, Int
-from skin2urdf.geometry.so3 import axis_rotation, fibonacci_sphere, spread_out
-from skin2urdf.geometry.units import GRAVITY
-from skin2urdf.structure.chain_fit import (
-    Carried,
-    GravityFits,
-    axis_losses,
-    fit_gravity,
-    seen_beyond,
-)
+from skin2urdf.arrays import F64, Int
+from skin2urdf.geometry.so3 import fibonacci_sphere, spread_out
+from skin2urdf.structure.chain_fit import Carried, GravityFits, axis_losses, fit_gravity
 from skin2urdf.structure.gravity import GravityWindows
+from skin2urdf.structure.grown import MISSING, Grown
 from skin2urdf.threads import each
 
 _GRID = 200
@@ -46,7 +36,6 @@ _RANDOM_STARTS = {2: 16, 3: 24}
 """Random axes from which chains of several joints are fitted. Of simulated chains of two (three)
 joints with 45 rests, one start in three (one in six) leads to the optimum."""
 
-
 _TRIED = 4
 """SUs for which chains of several joints are searched at a time, those that feel least first."""
 _NEAR = 6
@@ -59,12 +48,6 @@ there are orders of six joints. More would take longer than all else."""
 _LEFT = 0.1
 """Share of an SU's log-likelihood that a chain may leave without a joint being missing: where one
 is, 0.79 to 0.99 are left (29 simulated recordings of panda, ur5 and z1 with a bare segment)."""
-_MISSING = 0.5
-"""Share of what an SU at rest on the base would leave above noise that a chain which lacks a joint
-leaves at least: 0.79 to 0.99 in those recordings, below 0.1 where none is missing."""
-_STEADY = 0.2
-"""What an SU may feel beside gravity of one direction where no joint turns it [m/s^2], rms: biases
-drift by 20 mg while sensors warm up. A joint that turns gravity by no more moves by a degree."""
 _CHUNK = 400_000
 """Entries of Jacobians that are held at a time."""
 
@@ -72,33 +55,6 @@ _Chain = tuple[int, tuple[int, ...]]
 """A known segment, and the joints beyond it."""
 _Problem = tuple[int, int, tuple[int, ...]]
 """An SU, the known segment, and the joints beyond it."""
-
-
-@dataclass(frozen=True, eq=False)
-class Segment:
-    """A rigid body whose rotation is known in all windows.
-
-    Attributes:
-        parent: index of the segment before it; -1 for the RS.
-        dof: index of the joint that carries it; -1 for the RS.
-        axis: (3,) the joint's axis at position zero, in the base frame.
-        R: (W, 3, 3) rotation of the segment in the base frame, identity at position zero.
-        omega: (3, W) its angular velocity, and
-        alpha: (3, W) angular acceleration, in its own frame; zero where these are not modelled.
-        columns: (c, 3, W) what a metre of each offset up to here adds to the specific force there.
-        fits: how well each of the U SUs would sit on it.
-        misfit: (U,) what those fits leave, as :meth:`Growth.misfit`.
-    """
-
-    parent: int
-    dof: int
-    axis: F64
-    R: F64
-    omega: F64
-    alpha: F64
-    columns: F64
-    fits: GravityFits
-    misfit: F64
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,13 +94,15 @@ class Known:
     joint: Mapping[int, int]
 
 
-class Growth:
-    """A tree that grows, joint by joint.
-
-    Attributes:
-        windows: the measurements.
-        up: (G, 3) upward unit vectors of the logs in the base frame; NaN where not known yet.
-        segments: the known segments, the RS first; parents come before their children.
+def grow(
+    windows: GravityWindows,
+    moved: Sequence[int],
+    rng: np.random.Generator,
+    known: Known | None = None,
+    up: F64 | None = None,
+    tell: Callable[[float], None] = lambda _: None,
+) -> Grown:
+    """Add joints to a tree until none is worth its parameters.
 
     Args:
         windows: the measurements.
@@ -153,63 +111,50 @@ class Growth:
         known: the tree, where it is known already: it grows no further where nothing explains what
             an SU feels, since rotations beyond are not to be had.
         up: (G, 3) upward unit vectors of the logs in the base frame, where they are known.
+        tell: told the share of the joints that are placed.
     """
+    search = _Search(windows, moved, rng, known, up)
+    search.grow(tell)
+    return search.tree
+
+
+class _Search:
+    """The search for the next joints of a tree; its arguments are those of :func:`grow`."""
 
     def __init__(
         self,
         windows: GravityWindows,
         moved: Sequence[int],
         rng: np.random.Generator,
-        known: Known | None = None,
-        up: F64 | None = None,
-    ):
+        known: Known | None,
+        up: F64 | None,
+    ) -> None:
         self.windows = windows
         self._moved = tuple(moved)
         self._rng = rng
         self._known = known
         self._grid = fibonacci_sphere(_GRID)
-        self.up = _first_of(windows) if up is None else np.array(up)
-        self.segments: list[Segment] = []
-        self._begin([(-1, -1, np.zeros(3))])
+        self._begin(Grown(windows, _first_of(windows) if up is None else up))
 
-    def _begin(self, known: Sequence[tuple[int, int, F64]]) -> None:
-        """Start with known segments (parent, joint, axis), once the logs' gravity is known."""
-        self.segments = []
+    def _begin(self, tree: Grown) -> None:
+        """Forget what was fitted beyond segments that have changed."""
+        self.tree = tree
         self._losses: dict[tuple[int, int], F64] = {}
         self._fitted: dict[tuple[int, int, int], tuple[float, F64]] = {}
         self._by_pairs: dict[int, list[_Chain]] = {}
-        usable = np.asarray(np.isfinite(self.up).all(axis=1))[self.windows.log]
-        self._weight = self.windows.weight * usable[:, None]
-        # Axes are ranked by gravity alone, whatever is modelled when they are fitted.
-        self._rough = self._weight
-        if self.windows.moving is not None:
-            self._weight = usable[:, None] / self.windows.moving.sd**2
-        self._upward = np.where(usable[:, None], self.up[self.windows.log], 0.0) * GRAVITY
-        self.n = 3.0 * (self._weight > 0).sum(axis=0)
-        for parent, dof, axis in known:
-            self._add(parent, dof, axis)
 
-    def misfit(self, chi2: F64, sus: Int | slice = slice(None)) -> F64:
-        """Half the logarithm of chi-squared per measurement, summed over the measurements.
-
-        A log-likelihood whose noise is no less than stated and else unknown.
-        """
-        n = np.maximum(self.n[sus], 1.0)
-        return np.asarray(n / 2 * np.log1p(chi2 / n))
-
-    def grow(self, tell: Callable[[float], None] = lambda _: None) -> None:
-        """Add joints until none is worth its parameters.
-
-        Args:
-            tell: told the share of the joints that are placed.
-        """
+    def grow(self, tell: Callable[[float], None]) -> None:
+        """Add joints, see :func:`grow`."""
         while True:
-            tell(1.0 - len(self.unplaced) / max(len(self._moved), 1))
+            tell(1.0 - len(self._unplaced) / max(len(self._moved), 1))
             found = self._next()
             if found is None or (self._known is not None and not self._explained(found)):
                 return
             self._extend(found)
-            self._look_at_other_logs(found.su)
+            up = self.tree.felt_elsewhere(found.su)
+            if up is not None:
+                known = [(s.parent, s.dof, s.axis) for s in self.tree.segments[1:]]
+                self._begin(Grown(self.windows, up, known))
 
     def _extend(self, found: _Extension) -> None:
         """Add an extension's joints, once those before them are turned as it has them."""
@@ -217,100 +162,14 @@ class Growth:
             self._begin(self._turned(found))
         at = found.segment
         for dof, axis in zip(found.dofs, found.axes, strict=True):
-            self._add(at, dof, axis)
-            at = len(self.segments) - 1
+            self.tree.add(at, dof, axis)
+            at = len(self.tree.segments) - 1
 
     @property
-    def unplaced(self) -> tuple[int, ...]:
+    def _unplaced(self) -> tuple[int, ...]:
         """Joints that moved and are not in the tree."""
-        placed = {s.dof for s in self.segments}
+        placed = self.tree.placed
         return tuple(d for d in self._moved if d not in placed)
-
-    def best(self) -> tuple[Int, F64]:
-        """(U,) segment that suits each SU best, and (U,) what it leaves.
-
-        Of segments that suit as well the one with fewest joints is taken; of what a sensor at rest
-        on the base drifts by some joint explains a part, which is no reason for it to sit there.
-        """
-        misfit = np.array([s.misfit for s in self.segments])
-        depth = np.array([len(self.chain(i)) for i in range(len(self.segments))])
-        lowest = misfit.min(axis=0)
-        # An SU further out has no more parameters; the joint itself was paid for.
-        alike = misfit < lowest + 0.5
-        at = np.where(alike, depth[:, None], len(depth)).argmin(axis=0)
-        on_base = self._is_steady() & ~self._lacks_none(lowest)
-        lowest = np.where(on_base, misfit[0], lowest)
-        return np.where(on_base, 0, at).astype(np.int64), lowest
-
-    def explained(self) -> Bool:
-        """(U,) True for SUs of which no joint is missing between them and the RS."""
-        at, left = self.best()
-        return np.asarray(self._lacks_none(left) | (self._is_steady() & (at == 0)))
-
-    def _lacks_none(self, left: F64) -> Bool:
-        """(U,) whether chains that leave so much of SUs lack no joint."""
-        noise = self._noise()
-        return np.asarray(left <= noise + _MISSING * np.maximum(self.segments[0].misfit - noise, 0))
-
-    def _is_steady(self) -> Bool:
-        """(U,) whether SUs feel gravity from one direction but for what sensors drift by."""
-        return np.asarray(self._rms(self.segments[0].misfit) <= _STEADY)
-
-    def left(self) -> F64:
-        """(U,) what the best segments leave of readings, rms per axis [m/s^2]; NaN where none."""
-        return self._rms(self.best()[1])
-
-    def _rms(self, misfit: F64) -> F64:
-        """(U,) what misfits are in readings, per axis [m/s^2]; NaN where there are none."""
-        n = np.where(self.n > 0, self.n, np.nan)
-        chi2 = n * np.expm1(2 * misfit / n)
-        return np.asarray(np.sqrt(chi2 / (3.0 * self._weight.sum(axis=0))))
-
-    def chain(self, segment: int) -> tuple[int, ...]:
-        """Segments from the first moving one to the given one."""
-        path: list[int] = []
-        while segment > 0:
-            path.append(segment)
-            segment = self.segments[segment].parent
-        return tuple(reversed(path))
-
-    def _add(self, parent: int, dof: int, axis: F64) -> None:
-        W, U = self.windows.sd.shape
-        R = np.tile(np.eye(3), (W, 1, 1))
-        omega, alpha, columns = np.zeros((3, W)), np.zeros((3, W)), np.zeros((0, 3, W))
-        moving = self.windows.moving
-        if dof >= 0:
-            before, q = self.segments[parent], self.windows.q[:, dof]
-            R = before.R @ axis_rotation(axis, q)
-            if moving is not None:
-                known = Carried(
-                    before.omega[None], before.alpha[None], before.columns[None],
-                    moving.qd[None, :, dof, None].swapaxes(1, 2),
-                    moving.qdd[None, :, dof, None].swapaxes(1, 2), np.zeros((1, 3, W)),
-                ).beyond(0, axis[None], seen_beyond(axis[None], q[None]))  # fmt: skip
-                omega, alpha, columns = known.omega[0], known.alpha[0], known.columns[0]
-        carried = None
-        if moving is not None:
-            none = np.zeros((U, 0, W))
-            carried = Carried(
-                np.broadcast_to(omega, (U, 3, W)),
-                np.broadcast_to(alpha, (U, 3, W)),
-                np.broadcast_to(columns, (U, *columns.shape)),
-                none,
-                none,
-                np.ascontiguousarray(moving.change.transpose(1, 2, 0)),
-            )
-        x = np.broadcast_to(self._gravity(R).T, (U, 3, W))
-        y = np.ascontiguousarray(self.windows.reading.transpose(1, 2, 0))
-        weight, rough = (np.ascontiguousarray(w.T) for w in (self._weight, self._rough))
-        none = np.zeros((U, 0, W))
-        fits = fit_gravity(none, x, y, weight, none[..., :3], carried=carried, rough=rough)
-        misfit = self.misfit(fits.chi2)
-        self.segments.append(Segment(parent, dof, axis, R, omega, alpha, columns, fits, misfit))
-
-    def _gravity(self, R: F64) -> F64:
-        """(W, 3) upward gravity in the frame of a segment [m/s^2]."""
-        return np.asarray((np.swapaxes(R, 1, 2) @ self._upward[..., None])[..., 0])
 
     def _next(self) -> _Extension | None:
         """The extension that leaves least, of those that are worth their parameters."""
@@ -333,15 +192,15 @@ class Growth:
         Along a level axis a bias is felt as a tilt is: SUs right beyond it leave it open, and those
         that other joints turn over tell.
         """
-        if option is None or option.misfit <= self._noise()[option.su]:
+        if option is None or option.misfit <= self.tree.noise()[option.su]:
             return option
-        chain = self.chain(option.segment)
+        chain = self.tree.chain(option.segment)
         if not chain:
             return option
-        dofs = (*(self.segments[i].dof for i in chain), *option.dofs)
-        axes = np.array([*(self.segments[i].axis for i in chain), *option.axes])
+        dofs = (*(self.tree.segments[i].dof for i in chain), *option.dofs)
+        axes = np.array([*(self.tree.segments[i].axis for i in chain), *option.axes])
         chi2, found = self._fit([(option.su, 0, dofs)], axes[None])
-        left = float(self.misfit(chi2[0], np.array(option.su)))
+        left = float(self.tree.misfit(chi2[0], np.array(option.su)))
         gain = option.misfit - left - self._price(option.su, len(chain), 1)
         if gain <= 0:
             return option
@@ -351,19 +210,21 @@ class Growth:
 
     def _suits_others(self, option: _Extension) -> bool:
         """Whether SUs that are explained still are where axes before an extension are turned."""
-        at_most = np.maximum(self._noise(), self.best()[1])
-        turned = copy(self)
-        turned._begin(self._turned(option))
-        explained = self.explained() & (self.n > 0)
-        return bool((turned.best()[1] <= at_most)[explained].all())
+        at_most = np.maximum(self.tree.noise(), self.tree.best()[1])
+        explained = self.tree.explained() & (self.tree.n > 0)
+        return bool((self._turned(option).best()[1] <= at_most)[explained].all())
 
-    def _turned(self, option: _Extension) -> list[tuple[int, int, F64]]:
-        """Parent, joint and axis of all segments, with the axes that an extension has before it."""
-        axes = [s.axis for s in self.segments]
+    def _turned(self, option: _Extension) -> Grown:
+        """The tree with the axes that an extension has before it."""
+        axes = [s.axis for s in self.tree.segments]
         if option.before is not None:
-            for i, axis in zip(self.chain(option.segment), option.before, strict=True):
+            for i, axis in zip(self.tree.chain(option.segment), option.before, strict=True):
                 axes[i] = axis
-        return [(s.parent, s.dof, axis) for s, axis in zip(self.segments, axes, strict=True)]
+        known = [
+            (s.parent, s.dof, axis)
+            for s, axis in zip(self.tree.segments[1:], axes[1:], strict=True)
+        ]
+        return Grown(self.windows, self.tree.up, known)
 
     def _explained(self, option: _Extension) -> bool:
         """Whether an extension leaves too little for more joints to be looked for at once.
@@ -371,55 +232,51 @@ class Growth:
         That is the noise as stated, or what a sensor that is worse than that leaves once nine
         tenths of its misfit are gone.
         """
-        noise = float(self._noise()[option.su])
-        now = float(self.best()[1][option.su])
+        noise = float(self.tree.noise()[option.su])
+        now = float(self.tree.best()[1][option.su])
         return option.misfit <= max(noise, noise + _LEFT * (now - noise))
 
     def _is_noise(self, option: _Extension) -> bool:
         """Whether an extension leaves no more than noise as stated."""
-        return option.misfit <= float(self._noise()[option.su])
-
-    def _noise(self) -> F64:
-        """(U,) misfit that noise as stated stays below in all but one of a million cases."""
-        return self.misfit(self.n + 5 * np.sqrt(2 * self.n))
+        return option.misfit <= float(self.tree.noise()[option.su])
 
     def _price(self, su: int, joints: int, candidates: int) -> float:
         """Half the logarithm of the measurements for each parameter, and that of the candidates."""
-        return joints * float(np.log(max(self.n[su], 2.0))) + float(np.log(max(candidates, 1)))
+        return joints * float(np.log(max(self.tree.n[su], 2.0))) + float(np.log(max(candidates, 1)))
 
     def _single(self) -> _Extension | None:
         """The best extension by one joint."""
-        free = self.unplaced
-        _, now = self.best()
-        open_ = np.flatnonzero((now > self._noise()) & (self.n > 0))
-        for s, segment in enumerate(self.segments):
-            gravity = self._gravity(segment.R)
+        free = self._unplaced
+        _, now = self.tree.best()
+        open_ = np.flatnonzero((now > self.tree.noise()) & (self.tree.n > 0))
+        for s, segment in enumerate(self.tree.segments):
+            gravity = self.tree.gravity(segment.R)
             for d in free:
                 if (s, d) not in self._losses and self._may_follow(segment.dof, d):
                     losses = np.full((len(now), len(self._grid)), np.inf)
                     there = [u for u in open_ if self._may_carry(d, int(u))]
                     losses[there] = axis_losses(
                         self.windows.q[:, d], gravity, self.windows.reading[:, there],
-                        self._rough[:, there], self._grid,
+                        self.tree.rough[:, there], self._grid,
                     )  # fmt: skip
                     self._losses[s, d] = losses
         self._fit_most_promising(free)
-        candidates = len(free) * len(self.segments) * len(now)
+        candidates = len(free) * len(self.tree.segments) * len(now)
         options = [
             _Extension(u, s, (d,), axis[None], left, now[u] - left - self._price(u, 1, candidates))
             for (u, s, d), (left, axis) in self._fitted.items()
             if d in free
         ]
-        noise, explained = self._noise(), self.explained()
+        noise, explained = self.tree.noise(), self.tree.explained()
         # Of an SU that lacks no joint, one more has to explain most of what is left: the rest of it
         # is what accelerations make, of which any joint explains something.
-        at_most = np.where(explained, noise + _MISSING * np.maximum(now - noise, 0), np.inf)
+        at_most = np.where(explained, noise + MISSING * np.maximum(now - noise, 0), np.inf)
         worth = [o for o in options if o.gain > 0 and o.misfit <= at_most[o.su]]
         return min(worth, key=self._left, default=None)
 
     def _left(self, option: _Extension) -> tuple[float, float]:
         """What to compare extensions by: misfit per measurement, then gain."""
-        return option.misfit / max(float(self.n[option.su]), 1.0), -option.gain
+        return option.misfit / max(float(self.tree.n[option.su]), 1.0), -option.gain
 
     def _may_follow(self, dof: int, other: int) -> bool:
         """Whether a joint (-1: the RS) may carry the segment that another one moves."""
@@ -435,7 +292,7 @@ class Growth:
             (float(left), u, s, d)
             for (s, d), losses in self._losses.items()
             if d in free
-            for u, left in enumerate(losses.min(axis=1) / np.maximum(self.n, 1.0))
+            for u, left in enumerate(losses.min(axis=1) / np.maximum(self.tree.n, 1.0))
             if (u, s, d) not in self._fitted and np.isfinite(left)
         ]
         rows = sorted(rows)[:_REFINED]
@@ -449,7 +306,7 @@ class Growth:
             return
         chi2, axes = self._fit([(u, s, (d,)) for u, s, d in keys], np.array(starts)[:, None])
         for key, c, k in zip(keys, chi2, axes, strict=True):
-            left = float(self.misfit(c, np.array(key[0])))
+            left = float(self.tree.misfit(c, np.array(key[0])))
             if key not in self._fitted or left < self._fitted[key][0]:
                 self._fitted[key] = left, k[0]
 
@@ -468,13 +325,13 @@ class Growth:
         """
         at = np.arange(len(self.windows.q)) if windows is None else windows
         known = {s for _, s, _ in problems}
-        gravity = {s: self._gravity(self.segments[s].R)[at].T for s in known}
+        gravity = {s: self.tree.gravity(self.tree.segments[s].R)[at].T for s in known}
         length = axes.shape[1]
         modelled = self.windows.moving is not None and not roughly
-        weight = self._weight if modelled else self._rough
+        weight = self.tree.weight if modelled else self.tree.rough
         width = 12 + 2 * length
         if modelled:
-            width += 3 * length + 1 + max(len(self.segments[s].columns) for s in gravity)
+            width += 3 * length + 1 + max(len(self.tree.segments[s].columns) for s in gravity)
         chunk = max(1, _CHUNK // (3 * len(at) * width))
 
         def fitted(first: int) -> GravityFits:
@@ -488,7 +345,7 @@ class Growth:
                 axes[first : first + chunk],
                 iterations,
                 self._carried(some, at) if modelled else None,
-                np.ascontiguousarray(self._rough[np.ix_(at, sus)].T),
+                np.ascontiguousarray(self.tree.rough[np.ix_(at, sus)].T),
             )
 
         fits = list(each(fitted, range(0, len(problems), chunk), len(problems)))
@@ -499,7 +356,7 @@ class Growth:
         moving = self.windows.moving
         if moving is None:
             return None
-        segments = [self.segments[s] for _, s, _ in problems]
+        segments = [self.tree.segments[s] for _, s, _ in problems]
         columns = np.zeros((len(problems), max(len(s.columns) for s in segments), 3, len(at)))
         for k, segment in enumerate(segments):
             columns[k, : len(segment.columns)] = segment.columns[..., at]
@@ -514,13 +371,13 @@ class Growth:
 
     def _longer(self, length: int) -> _Extension | None:
         """The best extension by several joints, of SUs that are not explained yet."""
-        free = self.unplaced
+        free = self._unplaced
         if len(free) < length:
             return None
-        _, now = self.best()
-        unexplained = np.flatnonzero(~self.explained() & (self.n > 0))
+        _, now = self.tree.best()
+        unexplained = np.flatnonzero(~self.tree.explained() & (self.tree.n > 0))
         best: _Extension | None = None
-        for u in sorted(unexplained, key=lambda u: now[u] / self.n[u])[:_TRIED]:
+        for u in sorted(unexplained, key=lambda u: now[u] / self.tree.n[u])[:_TRIED]:
             option = self._longer_chain(int(u), length, free, now[u])
             if option and (best is None or self._left(option) < self._left(best)):
                 best = option
@@ -537,14 +394,14 @@ class Growth:
             (su, s, dofs)
             for s, dofs in beyond
             if self._may_carry(dofs[-1], su)
-            and all(self._may_follow(a, b) for a, b in pairwise((self.segments[s].dof, *dofs)))
+            and all(self._may_follow(a, b) for a, b in pairwise((self.tree.segments[s].dof, *dofs)))
             for _ in range(_RANDOM_STARTS[length])
         ]
         if not problems:
             return None
         axes = self._rng.standard_normal((len(problems), length, 3))
         axes /= np.linalg.norm(axes, axis=-1, keepdims=True)
-        heaviest = np.argsort(-self._rough[:, su], kind="stable")[: 2 * _SEARCHED]
+        heaviest = np.argsort(-self.tree.rough[:, su], kind="stable")[: 2 * _SEARCHED]
         few = heaviest[:: max(1, len(heaviest) // _SEARCHED)]
         chi2, axes = self._fit(problems, axes, windows=few, iterations=4, roughly=True)
         if length == 2:
@@ -558,7 +415,7 @@ class Growth:
         some = [some[i] for i in kept]
         chi2, axes = self._fit(some, axes[kept])
         i = int(np.argmin(chi2))
-        left = float(self.misfit(chi2[i], np.array(su)))
+        left = float(self.tree.misfit(chi2[i], np.array(su)))
         gain = now - left - self._price(su, length, len(problems) // _RANDOM_STARTS[length])
         return _Extension(su, some[i][1], some[i][2], axes[i], left, gain) if gain > 0 else None
 
@@ -591,32 +448,8 @@ class Growth:
 
     def _near(self, su: int) -> list[int]:
         """Segments on which an SU fits best."""
-        misfit = [s.misfit[su] for s in self.segments]
+        misfit = [s.misfit[su] for s in self.tree.segments]
         return [int(s) for s in np.argsort(misfit, kind="stable")[:_NEAR]]
-
-    def _look_at_other_logs(self, su: int) -> None:
-        """Gravity in logs where it is not known yet, as an SU feels it on the newest segment."""
-        unknown = np.flatnonzero(np.isnan(self.up).any(axis=1))
-        if not len(unknown):
-            return
-        newest = self.segments[-1]
-        bias, shape = newest.fits.sensor[su, :3], newest.fits.sensor[su, 3:]
-        M = np.eye(3) + np.array(
-            [[shape[0], shape[5], shape[4]], [shape[5], shape[1], shape[3]],
-             [shape[4], shape[3], shape[2]]]
-        )  # fmt: skip
-        felt = np.linalg.solve(M, (self.windows.reading[:, su] - bias)[..., None])
-        up = (newest.R @ newest.fits.R[su] @ felt)[..., 0]
-        weight = self.windows.weight[:, su]
-        found = False
-        for g in unknown:
-            mine = (self.windows.log == g) & (weight > 0)
-            if mine.any():
-                mean = (weight[mine, None] * up[mine]).sum(axis=0)
-                self.up[g] = mean / np.linalg.norm(mean)
-                found = True
-        if found:
-            self._begin([(s.parent, s.dof, s.axis) for s in self.segments])
 
 
 def _first_of(windows: GravityWindows) -> F64:

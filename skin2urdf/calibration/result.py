@@ -260,6 +260,18 @@ class Calibration(Record):
         return () if self.along is None else unexplained_sus(self.along, self.faults)
 
     @property
+    def carried_along(self) -> tuple[tuple[str, str], ...]:
+        """Pairs of an SU and a joint that carries it along, although it does not turn it."""
+        if self.along is None:
+            return ()
+        tree, joint = self.model.tree, self.along.carried_along.joint
+        return tuple(
+            (tree.su_names[u], tree.joint_names[joint[u]])
+            for u in np.flatnonzero(joint >= 0)
+            if tree.su_names[u] in self.unexplained and joint[u] not in tree.chain(tree.su_joint[u])
+        )
+
+    @property
     def feel_more(self) -> tuple[str, ...]:
         """SUs that feel more than the model and noise, where at least half of all feel no more.
 

@@ -13,6 +13,7 @@ from skin2urdf.estimation.problem.cost import Priors
 from skin2urdf.estimation.problem.state import State
 from skin2urdf.estimation.trajectory.ahead import Ahead, step_ahead
 from skin2urdf.estimation.trajectory.attempt import BENDS, Explained
+from skin2urdf.estimation.trajectory.carried_along import CarriedAlong, carried_along
 from skin2urdf.estimation.trajectory.causes import explained
 from skin2urdf.estimation.trajectory.clocks import with_likely_clocks
 from skin2urdf.estimation.trajectory.deviations import su_covariances
@@ -193,8 +194,14 @@ class MotionEstimate:
 
     @cached_property
     def unexplained(self) -> Bool:
-        """(U,) SUs of which is left what follows the joints' motion, see :mod:`following`."""
-        return follow_motion(self.fitted, self.problem.tree.prismatic)
+        """(U,) SUs of which is left what follows the joints' positions or accelerations."""
+        follow = follow_motion(self.fitted, self.problem.tree.prismatic)
+        return np.asarray(follow | self.carried_along.unexplained)
+
+    @cached_property
+    def carried_along(self) -> CarriedAlong:
+        """SUs of which is left what follows accelerations, and whose these are."""
+        return carried_along(self.fitted)
 
     @property
     def scatter(self) -> float:

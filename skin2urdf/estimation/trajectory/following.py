@@ -17,7 +17,7 @@ import numpy as np
 from skin2urdf.arrays import F64, Bool
 from skin2urdf.estimation.trajectory.fit import Fitted
 
-_SHARE = 0.1
+SHARE = 0.1
 """Share of what changes in the readings from which what is left of them and follows the motion is
 no matter of physics: sensors' scale errors are 0.03, what yields by 20 mrad leaves 0.02, and an SU
 on a wrong joint 0.3 and more."""
@@ -26,7 +26,7 @@ _LEAN = 0.1
 against what that turn would change."""
 _ENOUGH = 10
 """Samples to each function, at least."""
-_STRETCH = 1.0
+STRETCH = 1.0
 """Length of stretches of time [s], of which every other one is predicted from the rest: longer than
 noise lasts that is low-passed, and shorter than a robot stays in one place."""
 
@@ -57,10 +57,10 @@ def follow_motion(fitted: Fitted, prismatic: Bool) -> Bool:
             y = y - y.mean(axis=0)
             count[u] += len(y)
             changed[u] += (y**2).sum()
-            if (residual**2).sum() > _SHARE**2 * (y**2).sum():
+            if (residual**2).sum() > SHARE**2 * (y**2).sum():
                 left[u] += _explained(q[log.kept[use]], log.time[use], residual, ahead, slides)
     about = changed + count * (_LEAN * fitted.state.gravity) ** 2
-    return np.asarray(left > _SHARE**2 * about)
+    return np.asarray(left > SHARE**2 * about)
 
 
 def _explained(q: F64, time: F64, residual: F64, ahead: F64, prismatic: Bool) -> float:
@@ -73,7 +73,7 @@ def _explained(q: F64, time: F64, residual: F64, ahead: F64, prismatic: Bool) ->
     pairs = [_products(a, b) for a, b in combinations(functions, 2)]
     columns = np.hstack([np.ones((len(q), 1)), *functions, *turned, *pairs])
     columns = columns[:, : max(1, len(q) // (2 * _ENOUGH))]
-    even = (time // _STRETCH) % 2 == 0
+    even = (time // STRETCH) % 2 == 0
     explained = 0.0
     for here in (even, ~even):
         x = np.linalg.lstsq(columns[~here], residual[~here], rcond=None)[0]

@@ -1,0 +1,27 @@
+"""What it means where a joint carries SUs along that it does not turn."""
+
+from __future__ import annotations
+
+from skin2urdf.calibration.result import Calibration
+from skin2urdf.recording.naming import shortened
+
+_NAMED = 3
+
+
+def carried_without_turning(calibration: Calibration) -> tuple[str, str] | None:
+    """What was found, and what to do about it; None where nothing is carried along.
+
+    Args:
+        calibration: a finished calibration.
+    """
+    carried = dict(calibration.carried_along)
+    if not carried:
+        return None
+    joints = list(dict.fromkeys(carried.values()))
+    carry = "carries" if len(joints) == 1 else "carry"
+    sus, names = shortened(list(carried), _NAMED), " and ".join(joints)
+    return (
+        f"{names} {carry} {sus} along without turning what they sit on, as a parallelogram does",
+        "an encoder reads the sum of two joints then: log the angle between the two links, which "
+        f"is its reading less, or plus, that of {names}",
+    )

@@ -22,6 +22,9 @@ LEVER = 0.5
 known: that of an arm."""
 LATE = 0.05
 """Standard deviation of what an SU's clock, bus and filter lag the joints' [s]."""
+_AZIMUTHS = 8
+"""Turns about gravity from which an orientation is fitted where readings tell more than gravity:
+45 deg apart, from half of which Gauss-Newton converges."""
 SHAPE_INDEX = ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))
 
 
@@ -166,6 +169,8 @@ def fit_gravity(
     felt, seen = (_centred(v.swapaxes(1, 2), rough, gamma) for v in (y, z))
     R, _ = wahba(felt, seen, rough)
     data = q, x, y, root, carried
+    if carried is not None:
+        R = _azimuth(data, axes, R, linear, known, z.mean(axis=-1))
     r, J = _linearised(data, axes, R, linear)
     cost = _chi2(r, linear, known)
     damping = np.full(K, 1e-4)
@@ -201,6 +206,35 @@ def fit_gravity(
         if gain < 1e-4 and bool((damping < 1e2).all()):
             break
     return GravityFits(axes, R, linear[:, :9], cost)
+
+
+def _azimuth(data: _Data, axes: F64, R: F64, linear: F64, known: F64, upward: F64) -> F64:
+    """Orientations (K, 3, 3), turned about what is upward in the mean as accelerations show them.
+
+    An SU that gravity meets from one side all along shows nothing of that turn at rest.
+
+    Args:
+        data: what is fitted.
+        axes: (K, m, 3) axes.
+        R: (K, 3, 3) orientations as gravity has them.
+        linear: (K, p) the rest to begin from.
+        known: (p,) standard deviations of these before.
+        upward: (K, 3) mean of gravity in the segment's frame.
+    """
+    first = 2 * axes.shape[1] + 3
+    about = upward / np.maximum(np.linalg.norm(upward, axis=1, keepdims=True), 1e-12)
+    best, out = np.full(len(R), np.inf), R
+    for angle in np.arange(_AZIMUTHS) * 2 * np.pi / _AZIMUTHS:
+        trial = rotation_exp(angle * about) @ R
+        r, J = _linearised(data, axes, trial, linear)
+        J = J[:, first:]
+        H = J @ J.swapaxes(1, 2) + np.diag(known**-2)
+        g = (J @ r[..., None])[..., 0] + linear / known**2
+        gain = (g * np.linalg.solve(H, g[..., None])[..., 0]).sum(axis=1)
+        cost = _chi2(r, linear, known) - gain
+        better = cost < best
+        best, out = np.minimum(best, cost), np.where(better[:, None, None], trial, out)
+    return out
 
 
 def _chi2(r: F64, linear: F64, known: F64) -> F64:

@@ -30,6 +30,7 @@ _REFINED = 12
 """Most promising pairs of SU and joint that are fitted before one is chosen."""
 _STARTS = 2
 """Axes from which each of them is fitted; where gravity hardly moves, two mirror images compete."""
+_UPRIGHT = np.array([[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]])
 _SEARCHED = 60
 """Windows on which chains of several joints are searched before they are fitted to all."""
 _RANDOM_STARTS = {2: 16, 3: 24}
@@ -299,7 +300,8 @@ class _Search:
         keys, starts = [], []
         for _, u, s, d in rows:
             order = np.argsort(self._losses[s, d][u], kind="stable")
-            for axis in spread_out(self._grid[order], _STARTS):
+            # Of upright axes gravity tells nothing, and others pass for what these accelerate.
+            for axis in (*spread_out(self._grid[order], _STARTS), *_UPRIGHT):
                 keys.append((u, s, d))
                 starts.append(axis)
         if not keys:

@@ -157,12 +157,11 @@ class Attempt:
         """What bends that the readings show for certain beside what encoders round off.
 
         Slow moves of small loads leave little, which looks like rounding, and yet make lengths
-        others. Where no more is left than noise leaves, nothing is looked for. What bends has few
-        numbers, and has to say more than slack does, which follows whatever a drive that gives way
-        does within a step of its encoder.
+        others. The noise that residuals show has in it what they leave while all joints move on and
+        on, so that no more than noise may be left of much. What bends has few numbers, and has to
+        say more than slack does, which follows whatever a drive that gives way does within a step
+        of its encoder.
         """
-        if self.misfit <= 1 and self.certain_slack is None:
-            return {}
         found = {cause: size for cause, size in self.bends.items() if size.gain > CERTAIN}
         if found and (again := self._rounded_again) is not None:
             drives = self._loads(BENDS[0])

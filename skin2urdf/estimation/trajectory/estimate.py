@@ -415,6 +415,9 @@ def estimate_along(
         if are_plausible(other.fitted.state.placements).all():
             found, without = other, others
     ended = _ended(found, mended, lengths=lengths, alike=alike)
+    if alike and not is_in_balance(ended.problem, ended.fitted):
+        # What sensors have in common changes loads that the log hardly tells by too much.
+        ended = _ended(found, mended, lengths=lengths, alike=False)
     if not is_in_balance(ended.problem, ended.fitted):
         # Whatever yields so is nothing that carries loads.
         found = look({*without, *BENDS})

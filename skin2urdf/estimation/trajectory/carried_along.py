@@ -56,7 +56,7 @@ def carried_along(fitted: Fitted) -> CarriedAlong:
     felt = np.zeros(tree.n_sus)
     explained = np.zeros((tree.n_sus, tree.n_joints + 1))
     for g, log in enumerate(fitted.problem.logs):
-        frames = _standing(fitted, g)
+        frames = _standing(fitted, g, log.kept)
         predicted, columns = fitted.predicted[g], list[F64]()
         for u in range(tree.n_sus):
             use = predicted.measured[:, u]
@@ -68,8 +68,8 @@ def carried_along(fitted: Fitted) -> CarriedAlong:
             felt[u] += (here**2).sum() + floor
             if (residual**2).sum() <= SHARE**2 * felt[u]:
                 continue
-            columns = columns or _columns(log, tree.parent, tree.prismatic, frames)
-            R = _in_su(fitted, frames, u)[log.kept[use]]
+            columns = columns or _columns(fitted, g)
+            R = _in_su(fitted, frames, u)[use]
             own = [R @ each[use] for each in columns]
             time = log.time[use]
             explained[u, -1] += _foretold(np.concatenate(own, axis=2), residual, time)
@@ -81,10 +81,10 @@ def carried_along(fitted: Fitted) -> CarriedAlong:
     return CarriedAlong(unexplained, np.where(unexplained & alone, most, -1))
 
 
-def _standing(fitted: Fitted, g: int) -> list[FrameMotion]:
-    """Frames that joints carry, the base's last, along a log as if it passed at no speed."""
-    state, q = fitted.state, fitted.problem.logs[g].q.T
-    up = state.placements.up[g] / np.linalg.norm(state.placements.up[g]) * state.gravity
+def _standing(fitted: Fitted, g: int, at: Int | slice) -> list[FrameMotion]:
+    """Frames that joints carry, the base's last, as they are at samples passed at no speed."""
+    state, q = fitted.state, fitted.problem.logs[g].q[at].T
+    up = state.placements.up[g] * state.gravity
     none = np.zeros_like(q)
     tree = fitted.problem.tree
     return frame_motions(tree, state.placements.T_parent_joint, up, q, none, none)[1]
@@ -95,24 +95,26 @@ def _beside_gravity(fitted: Fitted, log: Trajectory, frames: list[FrameMotion], 
     places = fitted.state.placements
     frame = frames[int(fitted.problem.tree.su_joint[u])]
     M = sensor_matrix(places.shape[u]) @ places.T_joint_su[u, :3, :3].T
-    return np.asarray(log.readings[log.kept, u] - (M @ frame.f[:, log.kept]).T - places.bias[u])
+    return np.asarray(log.readings[log.kept, u] - (M @ frame.f).T - places.bias[u])
 
 
 def _in_su(fitted: Fitted, frames: list[FrameMotion], u: int) -> F64:
-    """(N, 3, 3) the base's axes as an SU sees them."""
+    """(K, 3, 3) the base's axes as an SU sees them."""
     R = fitted.state.placements.T_joint_su[u, :3, :3].T
     frame = frames[int(fitted.problem.tree.su_joint[u])]
     return np.asarray(R @ np.moveaxis(frame.R_frame_base, 2, 0))
 
 
-def _columns(log: Trajectory, parent: Int, prismatic: Bool, frames: list[FrameMotion]) -> list[F64]:
+def _columns(fitted: Fitted, g: int) -> list[F64]:
     """Per joint (K, 3, n) accelerations in the base frame of what it carries, for each number.
 
     The last ones are of joints that the tree lacks, as if they were on the base.
     """
+    log, tree = fitted.problem.logs[g], fitted.problem.tree
+    frames = _standing(fitted, g, slice(None))
     out: list[F64] = []
-    for j, slides in enumerate(prismatic):
-        R = np.moveaxis(frames[int(parent[j])].R_frame_base, 2, 0).swapaxes(1, 2)
+    for j, slides in enumerate(tree.prismatic):
+        R = np.moveaxis(frames[int(tree.parent[j])].R_frame_base, 2, 0).swapaxes(1, 2)
         q = log.q[:, j]
         out.append(_accelerations(log, R, [q] if slides else [np.sin(q), np.cos(q)]))
     fixed = np.broadcast_to(np.eye(3), (len(log.q), 3, 3))

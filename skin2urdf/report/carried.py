@@ -21,7 +21,9 @@ def carried_without_turning(calibration: Calibration) -> tuple[str, str] | None:
     carry = "carries" if len(joints) == 1 else "carry"
     sus, names = shortened(list(carried), _NAMED), " and ".join(joints)
     return (
-        f"{names} {carry} {sus} along without turning what they sit on, as a parallelogram does",
-        "an encoder reads the sum of two joints then: log the angle between the two links, which "
-        f"is its reading less, or plus, that of {names}",
+        f"{names} {carry} {sus} along, which do not turn with it against gravity, as on a "
+        "parallelogram",
+        "where an encoder reads the sum of two joints, log the angle between the two links, which "
+        f"is its reading less, or plus, that of {names}; see otherwise whether these SUs sit "
+        f"beyond {names}",
     )

@@ -29,7 +29,8 @@ from skin2urdf.structure.gravity import GravityWindows
 
 MISSING = 0.5
 """Share of what an SU at rest on the base would leave above noise that a chain which lacks a joint
-leaves at least: 0.79 to 0.99 in those recordings, below 0.1 where none is missing."""
+leaves at least: 0.79 to 0.99 in 29 simulated recordings of panda, ur5 and z1 with a bare segment,
+below 0.1 where none is missing."""
 _STEADY = 0.2
 """What an SU may feel beside gravity of one direction where no joint turns it [m/s^2], rms: biases
 drift by 20 mg while sensors warm up. A joint that turns gravity by no more moves by a degree."""
@@ -113,9 +114,8 @@ class Grown:
                     moving.qdd[None, :, dof, None].swapaxes(1, 2), np.zeros((1, 3, W)),
                 ).beyond(0, axis[None], seen_beyond(axis[None], q[None]))  # fmt: skip
                 omega, alpha, columns = known.omega[0], known.alpha[0], known.columns[0]
-        carried = None
+        carried, none = None, np.zeros((U, 0, W))
         if moving is not None:
-            none = np.zeros((U, 0, W))
             carried = Carried(
                 np.broadcast_to(omega, (U, 3, W)),
                 np.broadcast_to(alpha, (U, 3, W)),
@@ -127,7 +127,6 @@ class Grown:
         x = np.broadcast_to(self.gravity(R).T, (U, 3, W))
         y = np.ascontiguousarray(self.windows.reading.transpose(1, 2, 0))
         weight, rough = (np.ascontiguousarray(w.T) for w in (self.weight, self.rough))
-        none = np.zeros((U, 0, W))
         fits = fit_gravity(none, x, y, weight, none[..., :3], carried=carried, rough=rough)
         misfit = self.misfit(fits.chi2)
         self.segments.append(Segment(parent, dof, axis, R, omega, alpha, columns, fits, misfit))

@@ -31,6 +31,7 @@ _REFINED = 12
 _STARTS = 2
 """Axes from which each of them is fitted; where gravity hardly moves, two mirror images compete."""
 _UPRIGHT = np.array([[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]])
+"""Axes of which gravity tells nothing, from which each is fitted as well."""
 _SEARCHED = 60
 """Windows on which chains of several joints are searched before they are fitted to all."""
 _RANDOM_STARTS = {2: 16, 3: 24}
@@ -300,7 +301,7 @@ class _Search:
         keys, starts = [], []
         for _, u, s, d in rows:
             order = np.argsort(self._losses[s, d][u], kind="stable")
-            # Of upright axes gravity tells nothing, and others pass for what these accelerate.
+            # To gravity alone others pass for what upright ones accelerate.
             for axis in (*spread_out(self._grid[order], _STARTS), *_UPRIGHT):
                 keys.append((u, s, d))
                 starts.append(axis)

@@ -125,6 +125,8 @@ def _until_it_comes_back(q: F64) -> float:
     lags = np.arange(n // 2 + 1)
     both = squares[n - lags] + squares[n] - squares[lags]
     apart = (both - 2 * alike[lags]) / np.maximum(both, 1e-12)
+    # Neighbouring moments are near each other in any motion: it has to go away before, at least
+    # half as far as any two moments are apart.
     away = np.flatnonzero(apart > 0.5)
     back = np.flatnonzero(apart < _COMES_BACK)
     back = back[back > away[0]] if len(away) else back[:0]

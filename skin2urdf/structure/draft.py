@@ -245,6 +245,7 @@ def with_unseen_joints(
     others: list[Draft] = []
     while left:
         now = draft.all_judged(samples)
+        # Any push suits an SU before a slide, none at all as well.
         found = [
             Place(p.draft, p.gain - unfelt_pushes(p.draft, samples))
             for d in left

@@ -157,7 +157,7 @@ def _of_both_kinds(
     grown: list[tuple[MotionTree, ...]] = []
     missing: list[StructureError] = []
 
-    def grow(i: int, windows: GravityWindows) -> None:
+    def add(i: int, windows: GravityWindows) -> None:
         def part(share: float) -> None:
             tell(min(1.0, (i + share) / 2))
 
@@ -168,12 +168,12 @@ def _of_both_kinds(
         grown.sort(key=lambda trees: _unexplained(trees[0], samples, su_names, su_names))
 
     of_moves = moments(sampled, su_names, spans)
-    grow(0, gravity_windows(sampled, su_names, spans))
-    grow(1, of_moves)
+    add(0, gravity_windows(sampled, su_names, spans))
+    add(1, of_moves)
     heard = {name for u, name in enumerate(su_names) if np.isfinite(of_moves.sd[:, u]).any()}
     if not (grown and heard <= set(grown[0][0].tree.su_names)):
         # An SU without a place may be off in time, or its axes be bent.
-        grow(2, moments(sampled, su_names, spans, off=OFF_IN_TIME))
+        add(2, moments(sampled, su_names, spans, off=OFF_IN_TIME))
     if not grown:
         raise missing[0]
     return grown
@@ -214,15 +214,15 @@ def _grown_from(
         turning = tuple(int(d) for d in np.flatnonzero(sought) if d not in unfelt)
         up = None if base is None else base.up
         pushed = windows.pushed_by(unfelt)
-        growth = grow(pushed, turning, np.random.default_rng(seed), tree, up, tell)
-        drafts = _drafted(growth, samples, moved, sliding)
+        grown = grow(pushed, turning, np.random.default_rng(seed), tree, up, tell)
+        drafts = _drafted(grown, samples, moved, sliding)
         more = () if known else _that_slide(drafts[0], samples)
         if not more:
             break
         # What was taken to turn has bent all directions beyond it.
         sliding += more
     of_span = np.arange(len(sampled)) if base is None else base.log
-    best, *others = (_motion_tree(d, growth, samples, sampled, moved, of_span) for d in drafts)
+    best, *others = (_motion_tree(d, grown, samples, sampled, moved, of_span) for d in drafts)
     notes = (*best.tree.notes, *(doubt(best.tree, other.tree) for other in others))
     trees = replace(best, tree=replace(best.tree, notes=notes)), *others
     doubtful = tuple(d for d in that_may_slide(drafts[0], samples) if d not in hidden)
@@ -238,14 +238,14 @@ def _grown_from(
     return min(trees, likelier, key=lambda each: _unexplained(each[0], samples, names, names))
 
 
-def _drafted(growth: Grown, samples: Along, moved: Bool, sliding: Sequence[int]) -> list[Draft]:
+def _drafted(grown: Grown, samples: Along, moved: Bool, sliding: Sequence[int]) -> list[Draft]:
     """What has grown with joints that gravity does not show, best first.
 
     Raises:
         StructureError: no SU feels any joint move, or no chain of joints explains what any feels.
     """
-    if (growth.n > 0).any() and not (growth.explained() & (growth.n > 0)).any():
-        left = float(np.nanmin(growth.left()))
+    if (grown.n > 0).any() and not (grown.explained() & (grown.n > 0)).any():
+        left = float(np.nanmin(grown.left()))
         raise StructureError(
             "no order of the joints explains the gravity that the SUs feel: at best "
             f"{left:.2g} m/s^2 of it is left ({np.rad2deg(left / GRAVITY):.2g} deg of its "
@@ -254,7 +254,7 @@ def _drafted(growth: Grown, samples: Along, moved: Bool, sliding: Sequence[int])
             "put an SU on every segment, or move one joint at a time, or give the robot's own "
             "URDF (--model); positions have to be measured ones, not commands",
         )
-    draft, otherwise = _with_all_joints(_as_grown(growth), samples, moved, sliding)
+    draft, otherwise = _with_all_joints(_as_grown(grown), samples, moved, sliding)
     if not draft.joints:
         raise StructureError(
             "no SU feels any joint move",
@@ -336,14 +336,14 @@ def moved_joints(sampled: Sequence[Sampled]) -> Bool:
     return np.asarray(np.any([s.motion.named & s.motion.moved for s in sampled], axis=0))
 
 
-def _as_grown(growth: Grown) -> Draft:
+def _as_grown(grown: Grown) -> Draft:
     """The tree that gravity shows, without joints that no SU sits beyond."""
-    at, _ = growth.best()
-    heard = (growth.n > 0) & growth.explained()
-    carrying = sorted({s for u in np.flatnonzero(heard) for s in growth.chain(int(at[u]))})
+    at, _ = grown.best()
+    heard = (grown.n > 0) & grown.explained()
+    carrying = sorted({s for u in np.flatnonzero(heard) for s in grown.chain(int(at[u]))})
     index = {s: j for j, s in enumerate(carrying)} | {0: -1, -1: -1}
-    segments = [growth.segments[s] for s in carrying]
-    fits = [growth.segments[int(s)].fits.one(u) for u, s in enumerate(at)]
+    segments = [grown.segments[s] for s in carrying]
+    fits = [grown.segments[int(s)].fits.one(u) for u, s in enumerate(at)]
     return Draft(
         joints=tuple(ChainJoint(s.dof, "revolute", _triple(s.axis)) for s in segments),
         parent=tuple(index[s.parent] for s in segments),
@@ -352,7 +352,7 @@ def _as_grown(growth: Grown) -> Draft:
         ),
         R=np.array([f.R[0] for f in fits]),
         sensor=np.array([f.sensor[0] for f in fits]),
-        up=np.where(np.isnan(growth.up), (0.0, 0.0, 1.0), growth.up),
+        up=np.where(np.isnan(grown.up), (0.0, 0.0, 1.0), grown.up),
     )
 
 
@@ -363,7 +363,7 @@ def _triple(axis: F64) -> tuple[float, float, float]:
 
 def _motion_tree(
     draft: Draft,
-    growth: Grown,
+    grown: Grown,
     samples: Along,
     sampled: Sequence[Sampled],
     moved: Bool,
@@ -373,20 +373,20 @@ def _motion_tree(
 
     Args:
         draft: the tree.
-        growth: what it has grown from.
+        grown: what it has grown from.
         samples: low-passed samples.
         sampled: the logs.
         moved: (D,) joints that moved.
         of_span: (P,) log of each of the draft's directions of gravity.
     """
-    windows = growth.windows
+    windows = grown.windows
     names = windows.dof_names
     heard = np.flatnonzero(draft.su_joint >= -1)
     notes = [
         Note(
             "su left out",
             (windows.su_names[u],),
-            detail="no chain" if growth.n[u] > 0 else "no readings",
+            detail="no chain" if grown.n[u] > 0 else "no readings",
         )
         for u in np.flatnonzero(draft.su_joint < -1)
     ]
@@ -405,8 +405,8 @@ def _motion_tree(
         draft.su_joint[heard],
         tuple(notes),
     )
-    at, _ = growth.best()
-    chi2 = [growth.segments[int(at[u])].fits.chi2[u] / growth.n[u] for u in heard]
+    at, _ = grown.best()
+    chi2 = [grown.segments[int(at[u])].fits.chi2[u] / grown.n[u] for u in heard]
     judged = [draft.judged(samples, int(u)) for u in heard]
     up = np.array([draft.up[of_span == g].mean(axis=0) for g in range(len(sampled))])
     up /= np.linalg.norm(up, axis=1, keepdims=True)

@@ -19,3 +19,4 @@ def test_springs_are_found_where_no_more_than_noise_is_left() -> None:
     assert found.along is not None
     assert found.along.misfit < 1
     assert "elastic" in found.along.causes
+    assert not found.carried_along

@@ -30,7 +30,7 @@ _YIELD = 0.02
 """Turn against gravity [rad] that gears and links may make as the robot accelerates: of an SU that
 accelerates by less, what is left is held against what that turn would change."""
 _ALONE = 0.5
-"""Part of the energy that all joints explain of which one has to explain as much to be named."""
+"""Part of what all joints explain together that one of them has to explain alone to be named."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,8 +65,10 @@ def carried_along(fitted: Fitted) -> CarriedAlong:
             residual = predicted.residual[use, u, :3]
             here = _beside_gravity(fitted, log, frames, u)[use]
             floor = 3 * len(here) * (_YIELD * fitted.state.gravity) ** 2
-            felt[u] += (here**2).sum() + floor
-            if (residual**2).sum() <= SHARE**2 * felt[u]:
+            energy = (here**2).sum() + floor
+            felt[u] += energy
+            # No more can follow than is left.
+            if (residual**2).sum() <= SHARE**2 * energy:
                 continue
             columns = columns or _columns(fitted, g)
             R = _in_su(fitted, frames, u)[use]
@@ -91,7 +93,7 @@ def _standing(fitted: Fitted, g: int, at: Int | slice) -> list[FrameMotion]:
 
 
 def _beside_gravity(fitted: Fitted, log: Trajectory, frames: list[FrameMotion], u: int) -> F64:
-    """(K, 3) what an SU reads less what it would at no speed [m/s^2]."""
+    """(K, 3) what an SU reads less what it would at no speed, along its own axes [m/s^2]."""
     places = fitted.state.placements
     frame = frames[int(fitted.problem.tree.su_joint[u])]
     M = sensor_matrix(places.shape[u]) @ places.T_joint_su[u, :3, :3].T

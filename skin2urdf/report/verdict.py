@@ -114,6 +114,8 @@ def _fit(calibration: Calibration) -> str:
     limit = calibration.largest_misfit
     if not per_dof <= limit:
         return f"the model does not explain the readings ({cost}; {limit:g} is the limit)"
+    if calibration.unexplained:
+        return f"the model explains the readings in the mean of seconds alone ({cost})"
     if per_dof > GOOD_FIT:
         return f"the model explains the readings in part ({cost}; up to {GOOD_FIT:g} is good)"
     return f"the model explains the readings ({cost})"

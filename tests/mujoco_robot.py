@@ -66,6 +66,8 @@ class Arm:
         stiffness: of the joints' drives [N m / rad]; of sliding ones as many times
             `SLIDE_STIFFNESS` [N / m].
         friction: dry friction of every joint [N m or N].
+        slab: mass [kg] of a slab below that slides on springs in its plane, and at how many hertz
+            it would swing alone; None for a base that stands.
     """
 
     joints: tuple[ArmJoint, ...]
@@ -73,6 +75,12 @@ class Arm:
     base_rpy: Vector
     stiffness: float = 3000.0
     friction: float = 0.4
+    slab: tuple[float, float] | None = None
+
+    @property
+    def n_slides(self) -> int:
+        """Joints below the base."""
+        return 0 if self.slab is None else 2
 
     @property
     def n_joints(self) -> int:
@@ -186,13 +194,13 @@ def record(
     model = mujoco.MjModel.from_xml_string(_mjcf(arm))
     data = mujoco.MjData(model)
     command = path.at(np.arange(0.0, path.time[-1], STEP))
-    data.qpos[:] = command[0]
+    data.qpos[arm.n_slides :] = command[0]
     start = np.empty(mujoco.mj_stateSize(model, mujoco.mjtState.mjSTATE_FULLPHYSICS))
     mujoco.mj_getState(model, data, start, mujoco.mjtState.mjSTATE_FULLPHYSICS)
     states, sensors = rollout.rollout(model, data, start[None], command[None])
     # A step returns the state it leads to and the readings of the state it came from.
-    time, D = states[0, :-1, 0], arm.n_joints
-    q, readings = states[0, :-1, 1 : 1 + D], sensors[0, 1:]
+    time, first = states[0, :-1, 0], 1 + arm.n_slides
+    q, readings = states[0, :-1, first : first + arm.n_joints], sensors[0, 1:]
     settled = time > 0.5
 
     joint_at = np.flatnonzero(settled)[::4]
@@ -288,12 +296,27 @@ def _mjcf(arm: Arm) -> str:
     body += "</body>" * (depth[-1] + 1)
     (xyz, rpy) = arm.base_su
     base = f'<site name="su0" pos="{_text(xyz)}" quat="{_quat(rpy)}"/>'
+    if arm.slab is not None:
+        base, body = f"<body>{_slides(*arm.slab)}{base}", f"{body}</body>"
     return (
         f'<mujoco><option timestep="{STEP}" gravity="{_text(arm.gravity_base)}"'
         ' integrator="Euler"><flag eulerdamp="disable"/></option>'
         f"<worldbody>{base}{body}</worldbody>"
         f"<actuator>{''.join(actuators)}</actuator><sensor>{''.join(sensors)}</sensor></mujoco>"
     )
+
+
+def _slides(mass: float, hertz: float) -> str:
+    """A slab that slides in its plane, on springs with a tenth of the critical damping."""
+    stiffness = mass * (2 * np.pi * hertz) ** 2
+    damping = 0.2 * np.sqrt(stiffness * mass)
+    joints = [
+        f'<joint name="slide {axis}" type="slide" axis="{axis}" stiffness="{stiffness}"'
+        f' damping="{damping}"/>'
+        for axis in ("1 0 0", "0 1 0")
+    ]
+    geom = f'<geom type="box" size="0.3 0.3 0.05" mass="{mass}" contype="0" conaffinity="0"/>'
+    return "".join([*joints, geom])
 
 
 def _quat(rpy: Sequence[float]) -> str:

@@ -313,7 +313,12 @@ class Calibration(Record):
 
     @property
     def turn_of_base(self) -> float:
-        """Angle by which the base turned in half a second while no joint moved [rad]; 0 if none."""
+        """Angle by which the base turned in half a second while no joint moved [rad]; 0 if none.
+
+        Nor where all samples follow it by what SUs on it feel.
+        """
+        if self.along is not None and self.along.moving_base is not None:
+            return 0.0
         return max((note.size for note in of_kind(self.notes, "base moves")), default=0.0)
 
     @property

@@ -293,7 +293,7 @@ def _samples(calibration: Calibration) -> dict[str, Any] | None:
     along = calibration.along
     if along is None:
         return None
-    state, names = along.fitted.state, along.problem.tree.su_names
+    state, names, moves = along.fitted.state, along.problem.tree.su_names, along.moving_base
     layout = along.problem.layout
     deviations = np.sqrt(np.einsum("uii->ui", along.su_covariances).clip(0.0))
     # Lag and drift of each log: (G, U, 2).
@@ -308,6 +308,7 @@ def _samples(calibration: Calibration) -> dict[str, Any] | None:
         "slack": along.slack,
         "clocks_wander": list(along.wandering),
         "base_motion": along.base_motion,
+        "base_felt": {} if moves is None else dict(zip(moves.names, moves.felt, strict=True)),
         "gravity": state.gravity,
         "gravity_deviation": calibration.settings.gravity_deviation,
         "joints": {

@@ -19,7 +19,7 @@ from skin2urdf.report.gyros import gyro_notes
 from skin2urdf.report.notes import note_words
 from skin2urdf.report.stiffness import stiffness_words
 from skin2urdf.report.tables import bullets, number, span, table
-from skin2urdf.report.words import Unknown
+from skin2urdf.report.words import Unknown, listed
 from skin2urdf.signals.records import Features
 from skin2urdf.structure.records import KinematicTree
 
@@ -305,6 +305,13 @@ def sensor_notes(along: MotionEstimate | None, of: Sequence[str] | None = None) 
         notes.append(
             f"the base gives way under the robot's load: it turns by up to {turned} mrad within a "
             "log; it was followed: fix it more stiffly to know lengths along the first axis better"
+        )
+    if along.moving_base is not None:
+        sus, felt = along.moving_base.names, float(along.moving_base.felt.max())
+        notes.append(
+            f"the base moves: {listed(sus)} on it {'feels' if len(sus) == 1 else 'feel'} it "
+            f"accelerate, or tilt, by {number(felt, 3)} m/s^2 (rms), and so do all others; it was "
+            "taken off what they read, and stated errors count how well it is known"
         )
     if "tilts" in along.causes:
         notes.append(

@@ -45,6 +45,7 @@ from skin2urdf.estimation.trajectory.misfit import (
     misfit_of_sus,
     span_means,
 )
+from skin2urdf.estimation.trajectory.moving_base import FELT, MovingBase, standing_still
 from skin2urdf.estimation.trajectory.priors import MotionPriors
 from skin2urdf.estimation.trajectory.problem import MotionProblem
 from skin2urdf.estimation.trajectory.products import NEAR, fit_with_products
@@ -101,6 +102,8 @@ class MotionEstimate:
             under one stamp [s]; 0 where all are as old as each other.
         smoothing: (D,) by how much each joint is further per acceleration than it was read [s^2];
             0 where none is smoothed.
+        moving_base: motion of the base that SUs on it felt, which was taken off what all read; None
+            where they felt none.
         unreached: part of a joint's accelerations, the largest, that the last term of the series
             makes up by which smoothing is undone; what is beyond it is left.
     """
@@ -121,6 +124,7 @@ class MotionEstimate:
     ages: F64 = field(default_factory=lambda: np.zeros(0))
     smoothing: F64 = field(default_factory=lambda: np.zeros(0))
     unreached: float = 0.0
+    moving_base: MovingBase | None = None
 
     @property
     def state(self) -> State:
@@ -156,6 +160,8 @@ class MotionEstimate:
                 rounding = seen.pulls(number["again"])
             if lost is not None:
                 defects += zip(*seen.pulls(number["lost"]), strict=True)
+        if self.moving_base is not None:
+            defects += self.moving_base.unsure(problem, fitted)
         end = self.problem.layout.unseen.stop
         none = np.zeros(problem.layout.unseen.stop - end)
         lacks = [*self._unsure_of(again), *self.hidden, (self.ahead.joint, self.ahead.su)]
@@ -363,7 +369,8 @@ def estimate_along(
         look_further: whether elastic joints and drifting biases are tried where noise and
             placements do not explain the readings.
         only_known: then nothing but joints that yield under known torques is.
-        without: causes of what drifts and bends that need not be tried.
+        without: causes of what drifts and bends that need not be tried, and ``felt`` for motion of
+            the base that SUs on it feel.
         most: misfit beyond which they are not tried either.
         unless_one_changed: nor, if so, where the change of one SU explains what is left.
         iterations: linearisations, at most, of a first fit and of the last.
@@ -386,6 +393,9 @@ def estimate_along(
     )
     problem, fitted = _of_a_rigid_robot(problem, begin, iterations, lambda part: tell(0.7 * part))
     tell(0.7)
+    moving_base = None
+    if look_further and FELT not in without:
+        problem, fitted, moving_base = standing_still(problem, fitted)
     mended = np.zeros_like(clock) if mended is None else mended
     about, there = with_likely_clocks(problem, fitted, begin, mended, iterations)
     if there is not fitted:
@@ -431,7 +441,7 @@ def estimate_along(
     what = found.causes, found.tried, found.under_known
     return MotionEstimate(
         problem, fitted, left, gyros, *what, late, ended.corrected, ended.hidden, ended.loads,
-        found.wander, found.left_to_one, *how_joints_were_read(found),
+        found.wander, found.left_to_one, *how_joints_were_read(found), moving_base,
     )  # fmt: skip
 
 

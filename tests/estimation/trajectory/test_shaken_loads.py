@@ -20,6 +20,7 @@ from skin2urdf.estimation.trajectory.ahead import step_along
 from skin2urdf.estimation.trajectory.balance import Balance, balanced
 from skin2urdf.estimation.trajectory.encoder_noise import without_shortening
 from skin2urdf.estimation.trajectory.estimate import MotionEstimate, estimate_along, motion_priors
+from skin2urdf.estimation.trajectory.moving_base import FELT
 from skin2urdf.estimation.trajectory.rounded import drawn_anew
 from skin2urdf.estimation.trajectory.shaken_loads import ShakenLoads, shaken_loads
 from skin2urdf.signals.trajectory import Trajectory
@@ -39,7 +40,7 @@ def _log() -> Trajectory:
 
 def _estimated(log: Trajectory) -> MotionEstimate:
     priors = motion_priors(Priors(), gravity=0.0, front=(np.zeros(2), np.zeros(2)))
-    return estimate_along([log], TREE, TRUTH, priors, np.zeros(3))
+    return estimate_along([log], TREE, TRUTH, priors, np.zeros(3), without=(FELT,))
 
 
 @cache

@@ -12,7 +12,7 @@ from skin2urdf.simulation.motion_settings import MotionSettings
 def test_springs_are_found_where_no_more_than_noise_is_left() -> None:
     """Means over seconds leave nothing of what goes with all joints moving on and on."""
     settings = SimulationSettings(
-        seed=77, excite="series", minutes=0.8, upright=True, imu_rate=100.0, joint_rate=50.0,
+        seed=77, excite="series", minutes=0.45, upright=True, imu_rate=100.0, joint_rate=50.0,
         motion=MotionSettings(series_band=(0.1, 0.7)), defects=(ElasticGears(28e3, 14e3),),
     )  # fmt: skip
     found = calibrate([retimed(simulate(load_robot("z1"), settings).recording)])

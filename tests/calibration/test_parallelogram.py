@@ -16,7 +16,7 @@ SHOULDER, ELBOW = "shoulder_lift_joint", "elbow_joint"
 def test_what_carries_sus_along_without_turning_them_is_named() -> None:
     """Gravity is explained, which is most of what they feel, and the tree is wrong all the same."""
     settings = SimulationSettings(
-        seed=31, excite="none", minutes=1.5, upright=True, imu_rate=100.0, joint_rate=50.0
+        seed=31, excite="none", minutes=0.8, upright=True, imu_rate=100.0, joint_rate=50.0
     )
     recording = simulate(load_robot("ur5"), settings).recording
     shoulder, elbow = (

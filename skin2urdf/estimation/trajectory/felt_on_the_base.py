@@ -143,15 +143,16 @@ def free_motion(
         asked: (B,) SUs on the base.
 
     Returns:
-        Shifts as they feel them, and later; turns as it is shifted, and as gravity turns.
+        Shifts as they feel them, and later; turns as gravity turns, and as it is shifted.
     """
     columns = []
     for log in logs:
         s = np.hstack(_changes(log, asked))
         shifts = integral(s, log.rate, 2), _LATE * integral(s, log.rate, 1)
-        columns.append(np.hstack([*shifts, *_turns(s, log.rate, gravity)]))
+        tilts, *_, far = _turns(s, log.rate, gravity)
+        columns.append(np.hstack([*shifts, tilts, far]))
     B = 3 * len(asked)
-    kinds = [shift, shift, *[turn] * N_TURNS]
+    kinds = [shift, shift, turn, turn]
     moved = [np.repeat([of(tree, axis) for axis in range(3)], B) for of in kinds]
     column = np.concatenate([np.tile(kind * B + np.arange(B), 3) for kind in range(len(kinds))])
     return Unseen(

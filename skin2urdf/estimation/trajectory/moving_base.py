@@ -28,7 +28,7 @@ from skin2urdf.estimation.trajectory.felt_on_the_base import (
     felt_on_the_base,
     free_motion,
 )
-from skin2urdf.estimation.trajectory.fit import Fitted, Led, fit, fit_following
+from skin2urdf.estimation.trajectory.fit import Fitted, Led, fit, fit_following, held, leading
 from skin2urdf.estimation.trajectory.misfit import SPAN
 from skin2urdf.estimation.trajectory.on_the_base import turned_as_the_base
 from skin2urdf.estimation.trajectory.problem import MotionProblem
@@ -112,8 +112,8 @@ def standing_still(
     if not len(asked) or problem.unseen is not None:
         return problem, fitted, None
     whole = problem.again(logs=[_where_known(log, asked) for log in problem.logs])
-    state = _with_sus_turned(whole, fitted, asked)
-    if state is None:
+    state, asked = _with_sus_turned(whole, fitted, asked)
+    if not len(asked):
         return problem, fitted, None
     felt = felt_on_the_base(whole.logs, state.placements, state.gravity, asked)
     none = Numbers.none(problem.priors.sensors)
@@ -150,26 +150,30 @@ def standing_still(
     return problem, fit(problem, state, near=True), found
 
 
-def _with_sus_turned(whole: MotionProblem, fitted: Fitted, asked: Int) -> MotionState | None:
-    """A state with SUs on the base turned as what they feel; None if the others feel none of it.
+def _with_sus_turned(whole: MotionProblem, fitted: Fitted, asked: Int) -> tuple[MotionState, Int]:
+    """A state with SUs on the base turned as they feel, and those whose motion all others feel.
 
     Args:
         whole: the logs where the SUs that are asked read.
         fitted: a fit of them.
         asked: (B,) SUs on the base.
+
+    Returns:
+        The state, and which of these SUs it explains; none where the others feel none of it.
     """
     free = free_motion(whole.tree, whole.logs, fitted.state.gravity, asked)
-    others, there = _without(whole, fitted, asked)
-    size = lacking(others, there, [free]).size(0)
+    few = leading(whole)
+    some = (whole, fitted) if few is None else (few, held(few, fitted.state))
+    size = lacking(*_without(*some, asked), [free]).size(0)
     if size.gain <= CERTAIN:
-        return None
-    begin = replace(there.state, unseen=size.numbers)
+        return fitted.state, asked[:0]
+    others = whole.again(logs=_of_others(whole.logs, asked))
+    begin = replace(fitted.state, unseen=size.numbers)
     state = fit(with_unseen(others, free, size.size), begin, near=True).state
     state = turned_as_the_base(with_unseen(whole, free, size.size), state, SPAN)
     still = _taken_off(whole, replace(state, unseen=np.zeros(0)), free, state.unseen)
     before, after = (_rms(logs, asked) for logs in (whole.logs, still))
-    told = (after**2).sum() < _ITS_OWN * (before**2).sum()
-    return replace(state, unseen=np.zeros(0)) if told else None
+    return replace(state, unseen=np.zeros(0)), asked[after**2 < _ITS_OWN * before**2]
 
 
 def _asked(problem: MotionProblem) -> Int:

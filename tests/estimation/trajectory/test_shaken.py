@@ -41,7 +41,7 @@ def along_of(folder: Path, **changes: Any) -> MotionEstimate:
 
 @pytest.mark.usefixtures("through_the_patterns_band")
 def test_coarse_encoders_make_no_clock_late(tmp_path: Path) -> None:
-    along = along_of(tmp_path, seed=6, excite="all", encoder_bits=13)
+    along = along_of(tmp_path, seed=6, excite="all", encoder_bits=13, n_poses=3)
     # Where a low-pass may cut noise off, all three are off by more than 1.7 ms.
     assert np.abs(along.fitted.state.clock[0, :, 0]).max() < 3e-4
     # Where what is left of it around rests, which count for most, passes for none, 2e-5 and more.

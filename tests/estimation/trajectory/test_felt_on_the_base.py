@@ -1,0 +1,77 @@
+"""Motion of a base, made of what an SU on it feels."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from synthetic import serial_tree
+
+from skin2urdf.arrays import F64
+from skin2urdf.estimation.problem.cost import Priors
+from skin2urdf.estimation.trajectory.felt_on_the_base import UNIT, Felt, Numbers, about, motion_of
+from skin2urdf.geometry.so3 import rotation_exp
+from skin2urdf.signals.filters import second_derivative
+
+_RATE, _DEPTH, _G = 50.0, 0.8, 9.81
+_TIME = np.arange(0.0, 40.0, 1 / _RATE)
+_EDGE = slice(200, -200)
+"""What is far from the ends, where filters are mirrored."""
+
+
+def _felt(s: F64) -> Felt:
+    return Felt(s, s, _RATE, 1, len(s), np.array([0.0, 0.0, _G]))
+
+
+def _rocking() -> tuple[F64, F64]:
+    """(N, 3) turns about a point below [rad], and what the frame feels beside gravity [m/s^2]."""
+    e = np.zeros((len(_TIME), 3))
+    e[:, 0] = 2e-3 * np.sin(2 * np.pi * 0.5 * _TIME + 1.0)
+    e[:, 1] = 1e-3 * np.sin(2 * np.pi * 0.8 * _TIME)
+    f = np.array([0.0, 0.0, _G])
+    turned = np.array([rotation_exp(-each) @ f for each in e]) - f
+    return e, turned + np.cross(second_derivative(e, _RATE), [0.0, 0.0, _DEPTH])
+
+
+def test_a_base_that_rocks_about_a_point_turns_as_it_does() -> None:
+    """Mixtures of turns about the points that are tried are turns about any between them."""
+    e, s = _rocking()
+    felt = _felt(s)
+    turns = felt.turns.reshape(len(s), -1, 3)
+    for axis, by in ((0, 1), (1, 0)):
+        columns = turns[_EDGE, :3, by]
+        share, *_ = np.linalg.lstsq(columns, e[_EDGE, axis], rcond=None)
+        np.testing.assert_allclose(columns @ share, e[_EDGE, axis], atol=0.03 * np.ptp(e[:, axis]))
+
+
+def test_what_an_su_on_the_base_feels_is_what_its_motion_makes() -> None:
+    """Whatever turns are taken for it: the frame moves so that the SU feels it all the same."""
+    _, s = _rocking()
+    felt, none = _felt(s), Numbers.none(Priors())
+    rng = np.random.default_rng(1)
+    x = np.zeros(none.n_numbers)
+    x[11:] = none.spread[11:] * 0.3 * rng.standard_normal(none.n_numbers - 11)
+    numbers = replace(none, x=x)
+    moved = motion_of(felt, numbers)
+    d, e = moved[:, :3], moved[:, 3:]
+    tilted = -np.cross(e, felt.f)
+    there = second_derivative(d, _RATE) + tilted
+    there += np.cross(second_derivative(e, _RATE), numbers.place)
+    np.testing.assert_allclose(there[_EDGE], s[_EDGE], atol=0.01 * np.abs(s).max())
+
+
+def test_slopes_are_those_of_differences() -> None:
+    _, s = _rocking()
+    felt, none, tree = _felt(s), Numbers.none(Priors()), serial_tree(2)
+    rng = np.random.default_rng(2)
+    numbers = none.at(0.3 * UNIT * rng.standard_normal(none.n_numbers))
+    motion = about(tree, [felt], numbers)
+    assert motion.n_numbers == none.n_numbers
+    np.testing.assert_allclose(motion.settled[0][:, 2:], motion_of(felt, numbers))
+    for n in range(none.n_numbers):
+        more = 1e-3 * UNIT * (np.arange(none.n_numbers) == n)
+        expected = motion_of(felt, none.at(motion.origin + more)) - motion_of(felt, numbers)
+        found = np.zeros_like(expected)
+        mine = motion.number == n
+        np.add.at(found.T, motion.joint[mine] - 2, 1e-3 * UNIT * motion.motions[0].T[mine])
+        np.testing.assert_allclose(found, expected, atol=1e-9 + 1e-6 * np.abs(expected).max())

@@ -311,7 +311,8 @@ def sensor_notes(along: MotionEstimate | None, of: Sequence[str] | None = None) 
         notes.append(
             f"the base moves: {listed(sus)} on it {'feels' if len(sus) == 1 else 'feel'} it "
             f"accelerate, or tilt, by {number(felt, 3)} m/s^2 (rms), and so do all others; it was "
-            "taken off what they read, and stated errors count how well it is known"
+            "taken off what they read, and stated errors count how well it is known: one that "
+            "stands still tells more, and so do more SUs on it"
         )
     if "tilts" in along.causes:
         notes.append(

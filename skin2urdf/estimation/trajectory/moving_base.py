@@ -60,14 +60,15 @@ class MovingBase(Record):
         names: their names.
         motion: what the base does by more of each number that makes its motion.
         felt: (B,) by how much they feel it accelerate, or tilt, rms [m/s^2].
-        open_: per log (N, U, 3) by how much readings differ with what noise may be of it [m/s^2].
+        by_noise: per log (N, U, 3) by how much readings would be others if the noise of what is
+            felt had a part in the numbers [m/s^2].
     """
 
     sus: Int
     names: tuple[str, ...]
     motion: Unseen
     felt: F64
-    open_: tuple[F64, ...]
+    by_noise: tuple[F64, ...]
 
     def unsure(self, problem: MotionProblem, fitted: Fitted) -> list[tuple[F64, F64]]:
         """Parts (J,) and (U, n) of the gradient by which the base's motion may be off.
@@ -86,14 +87,14 @@ class MovingBase(Record):
         parts = [
             np.where(p.measured[:, :, None], w[..., :3] * each[log.kept], 0.0)
             for log, p, w, each in zip(
-                problem.logs, fitted.predicted, fitted.weights, self.open_, strict=True
+                problem.logs, fitted.predicted, fitted.weights, self.by_noise, strict=True
             )
         ]
         for part in parts:
             part[:, self.sus] = 0.0
-        by_noise = problem.gradients(fitted.state, fitted.predicted, [parts])
+        of_noise = problem.gradients(fitted.state, fitted.predicted, [parts])
         of_numbers = zip(roots.T @ joint, np.einsum("sr,sun->run", roots, su), strict=True)
-        return [*of_numbers, *by_noise]
+        return [*of_numbers, *of_noise]
 
 
 def standing_still(
@@ -133,20 +134,20 @@ def standing_still(
         return fit_following(first, begin, follow, iterations=_STEPS)[1].state
 
     begin = replace(state, unseen=np.zeros(none.n_numbers))
-    # Numbers may make the noise of what is felt less, as if it was motion: not without it.
+    # Where noise is part of what is felt, it pays to choose turns and places that cancel it.
     quiet = [replace(each, s=each.likeliest) for each in felt]
     moved = found_by(quiet, begin)
     other = found_by(felt, moved)
     state = replace(moved, unseen=np.zeros(0))
     motion, otherwise = (about(problem.tree, felt, none.at(x.unseen)) for x in (moved, other))
     still = _taken_off(whole, state, motion, moved.unseen)
-    open_ = tuple(
+    by_noise = tuple(
         one.readings - two.readings
         for one, two in zip(still, _taken_off(whole, state, otherwise, other.unseen), strict=True)
     )
     problem = problem.again(logs=[_told_by_gravity(log, asked) for log in still])
     names = tuple(problem.tree.su_names[u] for u in asked)
-    found = MovingBase(asked, names, motion, _rms(whole.logs, asked), open_)
+    found = MovingBase(asked, names, motion, _rms(whole.logs, asked), by_noise)
     return problem, fit(problem, state, near=True), found
 
 
@@ -260,7 +261,7 @@ def _taken_off(
 
 
 def _less(values: F64, more: F64, at: F64) -> F64:
-    """Values (N, U, 3) without what was felt (N, U, 3), which each SU felt at samples (N, U)."""
+    """Values (N, U, 3) of each SU's clock, without what was felt (N, U, 3) at samples (N, U)."""
     out = np.array(values)
     for u in range(out.shape[1]):
         felt = np.where(np.isfinite(more[:, u]), more[:, u], 0.0)

@@ -177,6 +177,7 @@ _SIZES: Mapping[str, Callable[[np.random.Generator, float], Defect]] = MappingPr
     "backlash": lambda rng, _: real.Backlash(_between(rng, 1e-4, 1e-3)),
     "gear error": lambda rng, _: real.GearHarmonics(
         *_and_half(_between(rng, 0.2, 1.5) * _ARCMIN)),
+    "slip": lambda rng, _: real.SlippingCoupling(_between(rng, 3e-5, 3e-4)),
     "low-pass": lambda rng, _: real.LowPass(_between(rng, 10.0, 94.0), int(rng.integers(1, 3))),
     "gravity": lambda rng, _: real.LocalGravity(float(rng.uniform(9.764, 9.834))),
     "warm-up": lambda rng, _: real.WarmUp(_between(rng, 5e-4, 5e-3)),

@@ -24,6 +24,9 @@ from skin2urdf.signals.records import Features
 from skin2urdf.structure.records import KinematicTree
 
 _MM = 1e3
+_CHIEF = 0.1
+"""Part of the largest deflection from which a joint is named beside it."""
+_ZEROS = {"creep": "creep along the log", "homed": "are others in the next log"}
 _GEARS = {"harmonics": "once and twice per turn", "ripples": "many times per turn"}
 """How errors of gears are told."""
 _SLOW_DROOP = 4e-6
@@ -324,6 +327,14 @@ def sensor_notes(along: MotionEstimate | None, of: Sequence[str] | None = None) 
         notes.append(
             f"gears are uneven ({', '.join(uneven)}): links are off what their encoders say, at "
             f"most {largest}; it was followed"
+        )
+    if moved := [_ZEROS[cause] for cause in along.causes if cause in _ZEROS]:
+        off = along.deflections
+        most = _largest(along.problem.tree, np.where(off > _CHIEF * off.max(), off, 0.0))
+        notes.append(
+            f"zeros of encoders {' and '.join(moved)}: links are off what they say by at most "
+            f"{most}; it was followed, and joints are 0 in the URDF where encoders said so when "
+            "the first log began"
         )
     if "slack" in along.causes:
         notes.append(

@@ -29,6 +29,7 @@ from skin2urdf.simulation.defects import (
     OwnRates,
     ReadInTurn,
     SecondPublisher,
+    SlippingCoupling,
     SmoothedPositions,
     Spikes,
     Stalls,
@@ -208,6 +209,16 @@ def test_glitches_are_single_positions() -> None:
     assert 8 <= wrong.sum() <= 36
     assert (struck.position[wrong] == 0).mean() > 0.2
     assert np.abs(struck.position).max() <= np.abs(sound.position).max()
+
+
+def test_a_coupling_slips_in_proportion_to_the_way_that_its_joint_goes() -> None:
+    time = np.arange(1001) / 100.0
+    sound = tuple(JointStream(name, time, np.sin(2 * np.pi * 0.1 * time)) for name in "ab")
+    sent = SlippingCoupling(1e-3).publish(sound, np.random.default_rng(0))
+    off = [s.position - w.position for s, w in zip(sent, sound, strict=True)]
+    (slips,) = (o for o in off if o.any())
+    # One period there and back, which a sine goes four times its amplitude.
+    np.testing.assert_allclose(np.abs(slips[[0, 250, 500, 1000]]), [0, 1e-3, 2e-3, 4e-3], atol=1e-9)
 
 
 def test_digits_are_the_nearest() -> None:

@@ -19,6 +19,7 @@ import numpy as np
 
 from skin2urdf.arrays import F64
 from skin2urdf.estimation.trajectory.balance import bending
+from skin2urdf.estimation.trajectory.creeping import creeping, homed_anew
 from skin2urdf.estimation.trajectory.curved import (
     Curvature,
     fit_curved,
@@ -68,6 +69,8 @@ LAGS, SMOOTHED = "lags", "smoothed"
 """Those of joints that are read one after another, and of joints whose driver smooths them."""
 TILTS = "tilts"
 """That of a base that is tilted otherwise from time to time."""
+CREEP, HOMED = "creep", "homed"
+"""Those of encoders whose zeros creep along a log, and are others in the next one."""
 _KNOTS = 15.0
 """Time between the moments that a drifting bias is given at [s]; sensors warm up in minutes."""
 
@@ -280,7 +283,7 @@ class Attempt:
     def of_few_sizes(self) -> list[tuple[str, Unseen | None]]:
         """What has as many numbers as slack, or fewer, by name: what it has not yet.
 
-        Errors of gears, and tilts of a base that no load moves.
+        Errors of gears, zeros of encoders that change, and tilts of a base that no load moves.
         """
         tree, logs = self.problem.tree, self.problem.logs
         kinds: list[tuple[str, Unseen | None]] = []
@@ -289,6 +292,10 @@ class Attempt:
         if "ripples" not in self.causes:
             found = find_ripples(self.problem, self.fitted)
             kinds.append(("ripples", ripples(logs, found)))
+        if CREEP not in self.causes:
+            kinds.append((CREEP, creeping(tree, logs)))
+        if HOMED not in self.causes:
+            kinds.append((HOMED, homed_anew(tree, logs)))
         return [*kinds, (TILTS, self._tilting)]
 
     def tilted(self) -> Attempt | None:

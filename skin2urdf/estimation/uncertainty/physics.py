@@ -61,6 +61,14 @@ _PHYSICS = {
         "ripples of gears",
         "log the positions of the links if the robot has encoders behind its gears",
     ),
+    "creep": (
+        "encoders whose zeros creep",
+        "see that couplings and belts do not slip and that encoders lose no counts",
+    ),
+    "homed": (
+        "encoders whose zeros are others in another log",
+        "home them once, before the first log, and see that couplings and belts do not slip",
+    ),
     "slack": (
         "joints off their encoders by other amounts in every place, as play and a base that gives "
         "way make them",

@@ -1,7 +1,12 @@
 """What real robots have and ideal ones have not, each as physics of its own and with a size."""
 
 from skin2urdf.simulation.defects.front_end import LowPass
-from skin2urdf.simulation.defects.gears import Backlash, ElasticGears, GearHarmonics
+from skin2urdf.simulation.defects.gears import (
+    Backlash,
+    ElasticGears,
+    GearHarmonics,
+    SlippingCoupling,
+)
 from skin2urdf.simulation.defects.messages import (
     Bursts,
     Glitches,
@@ -46,6 +51,7 @@ __all__ = [
     "OwnRates",
     "ReadInTurn",
     "SecondPublisher",
+    "SlippingCoupling",
     "SmoothedPositions",
     "Spikes",
     "Stalls",

@@ -1,4 +1,4 @@
-"""Gears between encoder and link: elastic, with play, with teeth that are not quite even."""
+"""Between encoder and link: gears that are elastic, uneven or have play, couplings that slip."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from math import pi
 import numpy as np
 
 from skin2urdf.arrays import F64
+from skin2urdf.recording.records import JointStream
 from skin2urdf.simulation.defects.records import Defect, Flexibility, Ripple
 from skin2urdf.simulation.mechanism import Mechanism
 
@@ -100,6 +101,27 @@ class GearHarmonics(Defect):
             if size
         )
         return replace(flexibility, ripples=(*flexibility.ripples, *ripples))
+
+
+@dataclass(frozen=True)
+class SlippingCoupling(Defect):
+    """A coupling or belt of one joint that slips a little with every move, always the same way.
+
+    Attributes:
+        part: by how much farther off the joint's encoder is, per way that it has gone.
+    """
+
+    part: float = 2e-4
+
+    def publish(
+        self, joints: tuple[JointStream, ...], rng: np.random.Generator
+    ) -> tuple[JointStream, ...]:
+        """One joint's positions, off in proportion to how far it has moved until then."""
+        which, sign = int(rng.integers(len(joints))), rng.choice([-1.0, 1.0])
+        slips = joints[which]
+        moved = np.cumsum(np.abs(np.diff(slips.position, prepend=slips.position[0])))
+        position = slips.position + sign * self.part * moved
+        return (*joints[:which], replace(slips, position=position), *joints[which + 1 :])
 
 
 def _in_far_half(mechanism: Mechanism) -> F64:

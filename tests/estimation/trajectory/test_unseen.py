@@ -36,6 +36,13 @@ def _truth() -> State:
     return replace(state, up=_UP[None])
 
 
+def _crept(theta: F64) -> F64:
+    """(N, 2) a coupling that slips with its joint's way, and a potentiometer that warms up."""
+    way = np.cumsum(np.abs(np.diff(theta[:, 0], prepend=theta[0, 0])))
+    warm = -np.expm1(-np.linspace(0.0, 1.5, len(theta)))
+    return np.column_stack([-9e-4 * way, 6e-3 * warm])
+
+
 def _moved(unseen: str) -> tuple[F64, F64]:
     """(N, 2) what encoders say, and by how much links are beyond it."""
     rng = np.random.default_rng(1)
@@ -44,6 +51,7 @@ def _moved(unseen: str) -> tuple[F64, F64]:
         "nothing": 0 * theta,
         "harmonics": 1.5e-3 * np.sin(theta + 0.3) + 8e-4 * np.sin(2 * theta + 2.0),
         "ripples": 2e-4 * np.sin(100 * theta + 0.3),
+        "creep": _crept(theta),
         "slack": stays(3e-4 * rng.standard_normal((_PLACES, 2)), _STAY, _MOVE),
     }
     return theta, beyond[unseen]
@@ -229,6 +237,31 @@ def test_ripples_are_found_by_their_number_per_turn() -> None:
     assert more.joint.tolist() == [1, 1]
     sliding = replace(_TREE, joint_types=("prismatic", "prismatic"))
     assert harmonics(sliding, [wavy]) is None
+
+
+def test_zeros_that_creep_are_those_that_joints_began_with() -> None:
+    crept, log = _fit("creep"), _log("creep")
+    assert crept.causes == ("creep",)
+    beyond = _moved("creep")[1][log.kept]
+    beyond = beyond - beyond[0]
+    off = crept.problem.deflections(crept.fitted.state)[0]
+    np.testing.assert_allclose(off[0], 0.0, atol=5e-6)
+    # The first joint's zero is a free choice, and so is where gravity points then.
+    assert np.abs(off - beyond)[:, 1].max() < 0.15 * np.abs(beyond[:, 1]).max()
+    assert crept.misfit < 1.5
+
+
+def test_encoders_homed_anew_between_logs_are_found() -> None:
+    early, late, truth = _log("nothing"), _log("nothing"), _truth()
+    by = np.array([0.0, 0.02])
+    late = replace(late, log=1, q=late.q - by, positions=late.positions - by)
+    priors = motion_priors(Priors(), gravity=0.0, front=(np.zeros(2), np.zeros(2)))
+    start = replace(truth, up=np.tile(_UP, (2, 1)))
+    homed = estimate_along([early, late], _TREE, start, priors, np.zeros(2))
+    assert homed.causes == ("homed",)
+    off = homed.problem.deflections(homed.fitted.state)
+    assert not off[0].any()
+    np.testing.assert_allclose(off[1][:, 1], 0.02, atol=1e-4)
 
 
 def test_slack_of_places_is_of_the_size_that_it_has() -> None:

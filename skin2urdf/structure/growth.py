@@ -55,6 +55,8 @@ _CHUNK = 400_000
 
 _Chain = tuple[int, tuple[int, ...]]
 """A known segment, and the joints beyond it."""
+_Promise = tuple[float, int, int, int]
+"""What gravity alone leaves per measurement, of an SU beyond a known segment by one joint."""
 _Problem = tuple[int, int, tuple[int, ...]]
 """An SU, the known segment, and the joints beyond it."""
 
@@ -297,7 +299,7 @@ class _Search:
             for u, left in enumerate(losses.min(axis=1) / np.maximum(self.tree.n, 1.0))
             if (u, s, d) not in self._fitted and np.isfinite(left)
         ]
-        rows = sorted(rows)[:_REFINED]
+        rows = self._most_promising(sorted(rows))
         keys, starts = [], []
         for _, u, s, d in rows:
             order = np.argsort(self._losses[s, d][u], kind="stable")
@@ -312,6 +314,21 @@ class _Search:
             left = float(self.tree.misfit(c, np.array(key[0])))
             if key not in self._fitted or left < self._fitted[key][0]:
                 self._fitted[key] = left, k[0]
+
+    def _most_promising(self, rows: list[_Promise]) -> list[_Promise]:
+        """The first of all, and where joints accelerate SUs, the first of each beyond each segment.
+
+        To gravity alone an upright joint promises nothing, and explains nearly all that SUs right
+        beyond it feel once accelerations are modelled.
+        """
+        chosen = rows[:_REFINED]
+        if self.windows.moving is not None:
+            looked_at = {(s, d) for _, s, d in self._fitted} | {(s, d) for *_, s, d in chosen}
+            for row in rows:
+                if row[2:] not in looked_at:
+                    looked_at.add(row[2:])
+                    chosen.append(row)
+        return chosen
 
     def _fit(
         self,

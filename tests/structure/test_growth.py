@@ -10,7 +10,12 @@ import pytest
 from skin2urdf.arrays import F64
 from skin2urdf.geometry.so3 import axis_rotation, rotation_exp, wahba
 from skin2urdf.geometry.units import GRAVITY
-from skin2urdf.structure.gravity import GravityWindows
+from skin2urdf.recording.retiming import retimed
+from skin2urdf.signals.sampling import sampled_together
+from skin2urdf.simulation import SimulationSettings, load_robot, simulate
+from skin2urdf.simulation.motion_settings import MotionSettings
+from skin2urdf.simulation.robots import SkinLayout
+from skin2urdf.structure.gravity import GravityWindows, moments
 from skin2urdf.structure.grown import Grown
 from skin2urdf.structure.growth import Known, grow
 
@@ -148,3 +153,19 @@ def test_a_known_tree_ends_at_a_joint_whose_encoder_is_wrong() -> None:
     windows = Robot(5).windows()
     growth = grown(replace(windows, q=windows.q * np.array([1.0, 1.5, 1.0, 1.0, 1.0])), KNOWN)
     assert growth.placed == {0, 3, 4}
+
+
+def test_the_first_joint_is_the_upright_one_that_gravity_does_not_show() -> None:
+    """Of many SUs that many joints move it promises least, to gravity alone."""
+    settings = SimulationSettings(
+        seed=11, excite="series", minutes=0.5, upright=True, imu_rate=100.0, joint_rate=50.0,
+        motion=MotionSettings(series_band=(0.1, 0.5)),
+    )  # fmt: skip
+    simulation = simulate(replace(load_robot("ur5"), skin=SkinLayout(2, 1)), settings)
+    logs, names = sampled_together([retimed(simulation.recording)], must_rest=False)
+    growth = grown(moments(logs, names))
+    joints = [growth.windows.dof_names[s.dof] for s in growth.segments[1:]]
+    assert joints == list(simulation.truth.joint_names)
+    assert [s.parent for s in growth.segments] == [-1, 0, 1, 2, 3, 4, 5]
+    at, _ = growth.best()
+    assert (at - 1).tolist() == [su.joint for su in simulation.truth.sus]

@@ -432,10 +432,7 @@ def _placed(
     What an SU gains by one of two joints that it lacks is spoilt by the other. So where the gain is
     not the same in all stretches, the others that have no place yet may push it as well.
     """
-    total = 0.0
-    children: list[int] = []
-    sus: list[int] = []
-    pushes: list[tuple[float, F64]] = []
+    carried: list[tuple[list[int], list[int], _Moved]] = []
     for own, members in _on_the_way(draft, at):
         single = [] if own else members
         there, place, behind = draft.brought(at, own)
@@ -450,18 +447,18 @@ def _placed(
             moved = _moved(beside, trial, samples, members, joint.kind, place, pushed, price)
         if moved is None or not moved.holds:
             continue
-        total += moved.gain
-        children += own
-        sus += single
-        pushes.append((moved.push_sd, moved.push))
-    if not (children or sus):
+        carried.append((own, single, moved))
+    if not carried:
         return None
     if joint.kind == "prismatic":
-        push = min(pushes, key=lambda p: p[0])[1]
-        axis = push / np.linalg.norm(push)
-        joint = replace(joint, axis=(float(axis[0]), float(axis[1]), float(axis[2])))
+        push = min((moved for *_, moved in carried), key=lambda moved: moved.push_sd).push
+        joint = joint.turned_to(push / np.linalg.norm(push))
+        carried = [each for each in carried if each[-1].is_pushed_by(joint)]
+    children = [child for own, _, _ in carried for child in own]
+    sus = [su for _, single, _ in carried for su in single]
     there, place, behind = draft.brought(at, children)
-    return Place(there.with_joint(joint, place, behind, sus), total - price)
+    gain = sum(moved.gain for *_, moved in carried)
+    return Place(there.with_joint(joint, place, behind, sus), gain - price)
 
 
 def _on_the_way(draft: Draft, at: int) -> Iterator[tuple[list[int], list[int]]]:
@@ -503,6 +500,13 @@ class _Moved:
     gain: float
     push: F64
     push_sd: float
+
+    def is_pushed_by(self, joint: ChainJoint) -> bool:
+        """Whether a joint of known axis may be what moves it.
+
+        Fingers that close on each other slide alike, each its own way.
+        """
+        return joint.kind != "prismatic" or bool(self.push @ np.array(joint.axis) > HALF_A_PUSH)
 
 
 def _moved(
@@ -572,7 +576,7 @@ def _with_all_that_they_move(draft: Draft, samples: Along, dofs: Sequence[int]) 
                 ]
                 at = draft.parent[j]
                 moved = _moved(draft, trial, samples, members, joint.kind, at, now, price)
-                if moved is not None and moved.holds:
+                if moved is not None and moved.holds and moved.is_pushed_by(joint):
                     draft = trial
                     break
             else:

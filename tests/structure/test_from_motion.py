@@ -322,3 +322,25 @@ def test_what_a_linkage_moves_is_told_from_what_nothing_moves(arm: float, tmp_pa
     notes = trees_from_motion(both, names)[0].tree.notes
     moved = [(note.sus, note.joints) for note in of_kind(notes, "moves otherwise")]
     assert moved == ([((finger,), ("drive",))] if arm else [])
+
+
+def test_fingers_that_close_on_each_other_are_slides_of_their_own() -> None:
+    """Both move by as much at all times, so that either position suits what moves both SUs."""
+    carry = random_arm(8, 2)
+    finger = replace(carry.joints[1], axis=(1.0, 0.0, 0.0), mass=0.2, parent=1, slides=True)
+    other = replace(finger, axis=(-1.0, 0.0, 0.0), su_xyz=(-0.05, 0.02, 0.1))
+    arm = replace(carry, joints=(*carry.joints, finger, other))
+    rng = np.random.default_rng(3)
+    path = JointPath([0.0] * 4).rest(1.0)
+    for turned in rng.uniform(-1.2, 1.2, (14, 2)):
+        apart = float(rng.uniform(0.0, 0.08))
+        path.move([*turned, apart, apart], 0.9).rest(0.5)
+    sus, joints = ["base", "a", "b", "left", "right"], ["m0", "m1", "left", "right"]
+    recording = record(arm, path, sus, joints, rng)
+    tree = trees_from_motion([sampled(recording)], [su.name for su in recording.sus])[0].tree
+    chains = tree.chains()
+    assert sorted(map(tuple, (chains["left"], chains["right"]))) == [
+        ("m0", "m1", "left"),
+        ("m0", "m1", "right"),
+    ]
+    assert chains["b"] == ["m0", "m1"]

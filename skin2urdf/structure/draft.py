@@ -78,6 +78,13 @@ class Draft(Record):
         """SUs that a joint moves."""
         return [u for u, j in enumerate(self.su_joint) if joint in self.path(int(j))]
 
+    def faces_one_way(self, joint: int) -> bool:
+        """Whether gravity tells how all that a joint (-1: the RS) carries is turned to each other.
+
+        What only upright joints and slides carry may be turned about the vertical, each by itself.
+        """
+        return not all(self.joints[j].is_upright for j in self.path(joint))
+
     def with_joint(
         self, new: ChainJoint, at: int, children: Sequence[int], sus: Sequence[int]
     ) -> Draft:
@@ -413,9 +420,8 @@ def places(
     price = price_of(samples, len(left), len(draft.joints) + 1)
     others = [d for d in left if d != dof]
     for at in range(-1, len(draft.joints)):
-        vertical = all(draft.joints[j].is_upright for j in draft.path(at))
         kinds = [ChainJoint(dof, "prismatic", (0.0, 0.0, 1.0))]
-        if vertical and dof not in sliding:
+        if not draft.faces_one_way(at) and dof not in sliding:
             kinds += [ChainJoint(dof, "revolute", (0.0, 0.0, s)) for s in (1.0, -1.0)]
         for joint in kinds:
             place = _placed(draft, samples, joint, at, now, others, price)
@@ -453,7 +459,8 @@ def _placed(
     if joint.kind == "prismatic":
         push = min((moved for *_, moved in carried), key=lambda moved: moved.push_sd).push
         joint = joint.turned_to(push / np.linalg.norm(push))
-        carried = [each for each in carried if each[-1].is_pushed_by(joint)]
+        if draft.faces_one_way(at):
+            carried = [each for each in carried if each[-1].is_pushed_by(joint)]
     children = [child for own, _, _ in carried for child in own]
     sus = [su for _, single, _ in carried for su in single]
     there, place, behind = draft.brought(at, children)
@@ -576,7 +583,9 @@ def _with_all_that_they_move(draft: Draft, samples: Along, dofs: Sequence[int]) 
                 ]
                 at = draft.parent[j]
                 moved = _moved(draft, trial, samples, members, joint.kind, at, now, price)
-                if moved is not None and moved.holds and moved.is_pushed_by(joint):
+                if moved is None or not moved.holds:
+                    continue
+                if not draft.faces_one_way(at) or moved.is_pushed_by(joint):
                     draft = trial
                     break
             else:

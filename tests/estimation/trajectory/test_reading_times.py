@@ -21,6 +21,9 @@ from skin2urdf.arrays import F64
 from skin2urdf.estimation.problem.cost import Priors
 from skin2urdf.estimation.problem.state import State
 from skin2urdf.estimation.trajectory.estimate import MotionEstimate, estimate_along, motion_priors
+from skin2urdf.estimation.trajectory.fit import Fitted
+from skin2urdf.estimation.trajectory.problem import MotionProblem
+from skin2urdf.estimation.trajectory.reading_times import Read, ReadingTimes
 from skin2urdf.estimation.trajectory.smoothed import SMOOTHED
 from skin2urdf.model.specific_force import specific_forces
 from skin2urdf.signals.filters import Spline, first_derivative, second_derivative
@@ -124,6 +127,21 @@ def test_filters_of_another_kind_get_back_what_they_lack() -> None:
     assert found.causes == ("smoothed",)
     np.testing.assert_allclose(found.smoothing, -(_POLE**2) - 2 * _LINES, rtol=0.05)
     assert _errors(found) < 1.5 * _errors(_fit())
+
+
+def test_what_explains_nothing_once_it_is_followed_is_no_cause(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Beside springs smoothing is shown for certain, and leads their numbers away from loads."""
+
+    def nowhere(
+        self: ReadingTimes, problem: MotionProblem, fitted: Fitted, size: float
+    ) -> tuple[MotionProblem, Fitted, Read]:
+        del size
+        return problem, fitted, Read(self, np.zeros(2 * _TREE.n_joints - 1))
+
+    monkeypatch.setattr(type(SMOOTHED), "followed", nowhere)
+    assert "smoothed" not in _fit.__wrapped__("means").causes
 
 
 def test_what_makes_up_most_of_the_motion_is_not_undone() -> None:

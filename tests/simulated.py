@@ -34,7 +34,7 @@ PATTERNS = CalibrationSettings(motion="patterns")
 """Settings of tests that look at features, structure or the search for faults, which the fit of all
 samples after them does not change."""
 
-SHORT = {"n_poses": 4, "seed": 1, "imu_rate": 250.0, "joint_rate": 125.0}
+SHORT = {"n_poses": 4, "seed": 1, "imu_rate": 125.0, "joint_rate": 100.0}
 """Settings of a short recording; what is not asked of streams costs half as much at these rates."""
 
 

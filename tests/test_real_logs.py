@@ -21,7 +21,7 @@ from skin2urdf.simulation import Simulation
 
 @cache
 def sound() -> Simulation:
-    return simulation_of(small_arm(3), excite="all", seed=3)
+    return simulation_of(small_arm(3), excite="all", seed=3, imu_rate=250.0)
 
 
 @cache

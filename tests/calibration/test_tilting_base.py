@@ -117,7 +117,7 @@ def _hold(found: Calibration, truth: str, folder: Path) -> None:
 
 
 def test_patterns_around_poses_are_no_obstacle(tmp_path: Path) -> None:
-    settings = SimulationSettings(n_poses=5, upright=True, seed=4, imu_rate=100.0, joint_rate=50.0)
+    settings = SimulationSettings(n_poses=3, upright=True, seed=4, imu_rate=100.0, joint_rate=50.0)
     simulation = simulate(_robot(tmp_path, 0.0, on_base=True), settings)
     found = calibrate(on_a_tilting_base(simulation, Tilting(0.006), seed=7))
     assert found.along is not None

@@ -17,7 +17,7 @@ from skin2urdf.simulation.faults import Sound
 from skin2urdf.simulation.joint_faults import contact
 from skin2urdf.simulation.simulate import Truth
 
-OPTIONS = {"n_poses": 3, "seed": 2, "imu_rate": 100.0}
+OPTIONS = {"n_poses": 2, "seed": 2, "imu_rate": 100.0}
 
 
 @cache

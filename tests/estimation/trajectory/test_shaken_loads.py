@@ -29,7 +29,7 @@ from skin2urdf.signals.trajectory import Trajectory
 @cache
 def _log() -> Trajectory:
     """On a stand of 30 kNm/rad, with encoders of 17 bits and sensors that are nearly exact."""
-    q = stays(np.random.default_rng(1).uniform(-1.5, 1.5, (8, 2)), 180, 120)
+    q = stays(np.random.default_rng(1).uniform(-1.5, 1.5, (6, 2)), 150, 120)
     read, _ = readings_on_a_stand(TREE, TRUTH, BODIES, q, 1 / 30_000)
     read = read + 5e-4 * np.random.default_rng(2).standard_normal(read.shape)
     step = 2 * np.pi / 2**17

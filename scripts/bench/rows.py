@@ -71,6 +71,7 @@ ROWS: Mapping[str, tuple[Defect, ...]] = MappingProxyType(
         "gravity 9.832": (LocalGravity(9.832),),
         "warm-up 2 mg": (WarmUp(2e-3),),
         "warm-up 5 mg": (WarmUp(5e-3),),
+        "warm-up 5 mg and 0.5 %": (WarmUp(5e-3, scale=5e-3),),
         "bias walk 0.5 mg/min": (BiasWalk(0.5e-3),),
         "nonlinearity 0.1 %": (Nonlinearity(1e-3),),
         "nonlinearity 0.5 %": (Nonlinearity(5e-3),),

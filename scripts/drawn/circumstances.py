@@ -180,7 +180,8 @@ _SIZES: Mapping[str, Callable[[np.random.Generator, float], Defect]] = MappingPr
     "slip": lambda rng, _: real.SlippingCoupling(_between(rng, 3e-5, 3e-4)),
     "low-pass": lambda rng, _: real.LowPass(_between(rng, 10.0, 94.0), int(rng.integers(1, 3))),
     "gravity": lambda rng, _: real.LocalGravity(float(rng.uniform(9.764, 9.834))),
-    "warm-up": lambda rng, _: real.WarmUp(_between(rng, 5e-4, 5e-3)),
+    "warm-up": lambda rng, _: real.WarmUp(
+        _between(rng, 5e-4, 5e-3), scale=_between(rng, 1e-4, 5e-3)),
     "walk": lambda rng, _: real.BiasWalk(_between(rng, 1e-4, 1e-3)),
     "nonlinearity": lambda rng, _: real.Nonlinearity(_between(rng, 5e-4, 5e-3)),
     "digits": lambda rng, _: real.CoarseDigits(_between(rng, 4e-3, 32e-3)),

@@ -332,6 +332,7 @@ def _samples(calibration: Calibration) -> dict[str, Any] | None:
                 "clock_drift": state.clock[:, u, 1],
                 "clock_drift_sd": of_clocks[:, u, 1],
                 "bias_drift": along.drifts[u],
+                "scale_drift": along.scale_drifts[u],
                 "curvature": curvature[u],
                 "curvature_sd": curvature_sd[u],
             }

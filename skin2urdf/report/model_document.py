@@ -61,6 +61,7 @@ def as_document(result: ModelCalibration) -> dict[str, Any]:
                     "lag": fitted.clock[:, u, 0],
                     "clock_drift": fitted.clock[:, u, 1],
                     "bias_drift": result.along.drifts[u],
+                    "scale_drift": result.along.scale_drifts[u],
                     "curvature": result.along.curvature[0][u],
                     "left": left[u],
                 }

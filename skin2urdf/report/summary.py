@@ -260,6 +260,12 @@ def sensor_notes(along: MotionEstimate | None, of: Sequence[str] | None = None) 
             f"biases drift within a log, by up to {number(along.drifts.max() / MILLI_G)} mg; they "
             "were followed: let sensors warm up before a recording"
         )
+    if along.scale_drifts.any():
+        notes.append(
+            f"scales of sensors drift within a log, by up to "
+            f"{number(100 * along.scale_drifts.max())} %, as those do that warm up; they were "
+            "followed"
+        )
     if along.wander:
         notes.append(
             "clocks of joints and SUs wander against each other, by up to "

@@ -221,6 +221,13 @@ def test_a_coupling_slips_in_proportion_to_the_way_that_its_joint_goes() -> None
     np.testing.assert_allclose(np.abs(slips[[0, 250, 500, 1000]]), [0, 1e-3, 2e-3, 4e-3], atol=1e-9)
 
 
+def test_a_sensor_that_warms_up_reads_more_or_less_per_push() -> None:
+    force = np.tile([0.0, 5.0, 10.0], (1000, 1))
+    read = WarmUp(0.0, scale=4e-3).sense(felt(force), np.random.default_rng(3))
+    np.testing.assert_allclose(read[0], force[0])
+    np.testing.assert_allclose(np.abs(read[-1] - force[-1]), 4e-3 * force[-1], rtol=1e-9)
+
+
 def test_digits_are_the_nearest() -> None:
     sound = stream()
     rounded = CoarseDigits(16e-3).send(sound, RNG).specific_force

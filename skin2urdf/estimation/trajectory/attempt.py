@@ -50,6 +50,7 @@ from skin2urdf.estimation.trajectory.slack import (
 )
 from skin2urdf.estimation.trajectory.tilting import tilts
 from skin2urdf.estimation.trajectory.unseen import Unseen
+from skin2urdf.estimation.trajectory.warming import fit_warming, with_steady_scales
 from skin2urdf.estimation.trajectory.yielding import fit_yielding
 
 EXPLAINED = 2.0
@@ -65,6 +66,8 @@ on springs, and 0.03 in one synthetic log without."""
 BENDS, PLAY, CLOCK, DRIFT, CURVES = ("elastic", "base"), "play", "clock", "drift", "nonlinearity"
 """Causes of deflections, what is followed as the first of them and is none, and those of clocks
 that wander, of biases and of sensors' axes."""
+WARMING = "warming"
+"""That of scales that drift, as sensors' biases do."""
 LAGS, SMOOTHED = "lags", "smoothed"
 """Those of joints that are read one after another, and of joints whose driver smooths them."""
 TILTS = "tilts"
@@ -422,12 +425,12 @@ class Attempt:
         return self.with_rounding() or self.with_slack()
 
     def steady(self) -> Attempt:
-        """Without biases that walk, with all other causes where they are but for a step."""
-        problem, state = self.problem, self.fitted.state
+        """Without biases and scales that drift, with all other causes where they are but a step."""
+        problem, state = with_steady_scales(self.problem, self.fitted.state)
         priors = replace(problem.priors, bias_walk=0.0)
         steady = MotionProblem(problem.tree, problem.logs, priors, unseen=problem.unseen)
         state = replace(state, knots=tuple(each[:0] for each in state.knots))
-        causes = tuple(cause for cause in self.causes if cause != DRIFT)
+        causes = tuple(cause for cause in self.causes if cause not in (DRIFT, WARMING))
         return replace(self, problem=steady, fitted=fit(steady, state, near=True), causes=causes)
 
     def with_slack(self) -> Attempt:
@@ -456,10 +459,12 @@ class Attempt:
         return best
 
     def adding(self, cause: str) -> Attempt:
-        """With joints or a base that yield, or with biases that walk."""
+        """With joints or a base that yield, or with biases or scales that drift."""
         causes = (*self.causes, cause)
         if cause == DRIFT:
             problem, fitted = _with_drifting_biases(self.problem, self.fitted)
+        elif cause == WARMING:
+            problem, fitted = fit_warming(self.problem, self.fitted)
         else:
             bends = {name: name in causes for name in BENDS}
             problem, fitted = fit_yielding(self.problem, self.fitted, **bends)

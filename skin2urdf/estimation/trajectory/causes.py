@@ -19,6 +19,7 @@ from skin2urdf.estimation.trajectory.attempt import (
     EXPLAINED,
     PLAY,
     TILTS,
+    WARMING,
     Attempt,
     Explained,
     explains_most,
@@ -181,13 +182,15 @@ def _with_physics(rigid: Attempt, without: Collection[str]) -> tuple[Attempt, li
     deflections are of another size in every place and of none on the way. Of play nothing else that
     bends explains what it leaves.
     """
-    left = [cause for cause in (DRIFT, *BENDS) if cause not in without]
-    if DRIFT in left and not rigid.may_drift:
-        left.remove(DRIFT)
+    left = [cause for cause in (DRIFT, WARMING, *BENDS) if cause not in without]
+    if not rigid.may_drift:
+        left = [cause for cause in left if cause in BENDS]
     best, tried = rigid, list[Attempt]()
     while left and best.needs_a_cause:
         further: list[Attempt] = []
-        drifts = [DRIFT] if DRIFT in left and best.misfit > EXPLAINED else []
+        # Scales drift with the temperature of sensors whose biases do.
+        drifts = [WARMING if DRIFT in best.causes else DRIFT] if best.misfit > EXPLAINED else []
+        drifts = [cause for cause in drifts if cause in left]
         for cause in (*drifts, *best.likely(left)):
             further.append(best.adding(cause))
             if further[-1].has_play:

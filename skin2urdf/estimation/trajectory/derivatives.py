@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from functools import cached_property, partial
 
 import numpy as np
+from numpy.polynomial.legendre import legvander
 
 from skin2urdf.arrays import F32, F64, Bool, Int
 from skin2urdf.estimation.problem.state import (
@@ -37,7 +38,7 @@ from skin2urdf.estimation.trajectory.priors import (
 from skin2urdf.estimation.trajectory.records import Predicted, Turned
 from skin2urdf.estimation.trajectory.rows import Beyond, Rows
 from skin2urdf.estimation.trajectory.skeleton import Skeleton
-from skin2urdf.estimation.trajectory.state import Layout, MotionState
+from skin2urdf.estimation.trajectory.state import N_WARMING, Layout, MotionState
 from skin2urdf.estimation.trajectory.unseen import Unseen
 from skin2urdf.signals.trajectory import Trajectory
 from skin2urdf.structure.records import KinematicTree
@@ -103,7 +104,8 @@ class Derivatives:
             len(priors.unseen),
             any(log.rates is not None for log in self.logs),
             priors.blueprint.n_coordinates if priors.blueprint else 0,
-            priors.curvature > 0,
+            curves=priors.curvature > 0,
+            warms=priors.warming > 0,
         )
 
     @cached_property
@@ -118,6 +120,12 @@ class Derivatives:
             return np.zeros((len(time), 0))
         at = (time - time[0]) / (time[-1] - time[0]) * (n - 1)
         return np.asarray(np.maximum(0.0, 1 - np.abs(at[:, None] - np.arange(n))))
+
+    def course(self, g: int) -> F64:
+        """(K, 2) what goes with time at the kept samples of a log, and with its square."""
+        time = self.logs[g].time
+        part = 2 * (time - time[0]) / max(float(time[-1] - time[0]), 1e-12) - 1
+        return np.asarray(legvander(part, N_WARMING)[:, 1:])
 
     def points(self, state: MotionState) -> tuple[SharedPoints, ...]:
         """The links of the tree with hinges that carry SUs, and the points that stand for them."""
@@ -247,10 +255,15 @@ class Derivatives:
             np.matmul(weight, felt, out=flat[:, : weight.shape[1]])
             for rate, out in zip(rates, own, strict=True):
                 self._further_columns(link.log, rate, out)
+            # What axes read in a straight line is all but what a perfect sensor does.
+            axes = np.arange(3)
+            perfect = own[:, N_PLACEMENT + 3 + axes, axes]
             if self.layout.curves:
-                # What axes read in a straight line is all but what a perfect sensor does.
-                perfect = own[:, N_PLACEMENT + 3 + np.arange(3), np.arange(3)]
-                own[:, self.layout.curvature.start + np.arange(3), np.arange(3)] = perfect**2
+                own[:, self.layout.curvature.start + axes, axes] = perfect**2
+            if self.layout.warms:
+                begin = self.layout.warming(link.log).start
+                for n, part in enumerate(self.course(link.log).T):
+                    own[:, begin + 3 * n + axes, axes] = part * perfect
             return own
 
         first = 0

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 
@@ -12,7 +12,7 @@ from skin2urdf.arrays import F64, Bool
 from skin2urdf.estimation.problem.cost import Priors
 from skin2urdf.estimation.problem.state import State
 from skin2urdf.estimation.trajectory.ahead import Ahead, step_ahead
-from skin2urdf.estimation.trajectory.attempt import BENDS, Explained
+from skin2urdf.estimation.trajectory.attempt import BENDS, DRIFT, Explained
 from skin2urdf.estimation.trajectory.carried_along import CarriedAlong, carried_along
 from skin2urdf.estimation.trajectory.causes import explained
 from skin2urdf.estimation.trajectory.clocks import with_likely_clocks
@@ -62,6 +62,7 @@ from skin2urdf.estimation.trajectory.swaying import swaying
 from skin2urdf.estimation.trajectory.time_scale import of_the_other_clock
 from skin2urdf.estimation.trajectory.unseen import Unseen
 from skin2urdf.estimation.trajectory.unsure import unsure
+from skin2urdf.estimation.trajectory.warming import scale_drifts
 from skin2urdf.estimation.trajectory.yielding import is_in_balance
 from skin2urdf.estimation.uncertainty.plausible import are_plausible
 from skin2urdf.signals.trajectory import Trajectory
@@ -276,6 +277,11 @@ class MotionEstimate:
         return np.max(ranges, axis=0) if ranges else np.zeros(self.problem.tree.n_sus)
 
     @property
+    def scale_drifts(self) -> F64:
+        """(U, 3) by how much the scale of each axis changes within a log [1]."""
+        return scale_drifts(self.fitted.state)
+
+    @property
     def wandering(self) -> tuple[float, ...]:
         """Per log, by how much clocks of joints and SUs wander: largest less smallest lag [s].
 
@@ -378,6 +384,40 @@ def estimate_along(
         alike: whether what the samples show of some sensors tells how good the others are.
         mended: (G, U, 2) latency [s] and drift [1] that were taken off each SU's stamps before.
     """
+    along = partial(
+        _along, logs, tree, start, priors, latency, tell,
+        look_further=look_further, only_known=only_known, most=most,
+        unless_one_changed=unless_one_changed, iterations=iterations, lengths=lengths,
+        alike=alike, mended=mended,
+    )  # fmt: skip
+    found = along(without=without)
+    if found.moving_base is not None and DRIFT in found.causes:
+        # Sensors that warm up together all feel what one of them on the base does.
+        other = along(without={*without, FELT})
+        if other.misfit <= max(found.misfit, 1.0) and set(other.causes) <= set(found.causes):
+            return other
+    return found
+
+
+def _along(
+    logs: Sequence[Trajectory],
+    tree: KinematicTree,
+    start: State,
+    priors: MotionPriors,
+    latency: F64,
+    tell: Callable[[float], None],
+    *,
+    look_further: bool,
+    only_known: bool,
+    without: Collection[str],
+    most: float,
+    unless_one_changed: bool,
+    iterations: int,
+    lengths: bool,
+    alike: bool,
+    mended: F64 | None,
+) -> MotionEstimate:
+    """The same, on a base that moves as SUs on it feel wherever the others feel that as well."""
     U, G = tree.n_sus, len(logs)
     problem = MotionProblem(tree, logs, priors)
     clock = np.zeros((G, U, 2))

@@ -44,6 +44,7 @@ class MotionPriors(Record):
         blueprint: the robot, where it is known; else its frames are the log's to choose.
         clocks: of SUs of which other SUs tell more than ``lag`` and ``drift`` do.
         curvature: of the curvature of an SU's axes [s^2/m].
+        warming: of what the scales of an SU's axes change by within a log [1].
     """
 
     sensors: Priors
@@ -57,6 +58,7 @@ class MotionPriors(Record):
     blueprint: Blueprint | None = None
     clocks: ClockPriors | None = None
     curvature: float = 0.0
+    warming: float = 0.0
 
 
 def sense(priors: MotionPriors, state: MotionState) -> float:
@@ -110,6 +112,10 @@ def prior_information(
     if layout.curves:
         of_su[:, layout.curvature] = inverse(priors.curvature)
         value[:, layout.curvature] = state.curvature
+    if layout.warms:
+        for g, of_log in enumerate(state.warming):
+            of_su[:, layout.warming(g)] = inverse(priors.warming)
+            value[:, layout.warming(g)] = of_log.reshape(U, -1)
     if layout.gyros:
         of_log = np.tile(priors.gyro[N_GYRO:], layout.n_logs)
         of_su[:, layout.gyro] = inverse(np.concatenate([priors.gyro[:N_GYRO], of_log]))

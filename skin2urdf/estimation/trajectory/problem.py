@@ -160,6 +160,7 @@ class MotionProblem(Derivatives):
             su[:, layout.clock(g)] = np.array([priors.lag > 0, priors.drift > 0])
             su[resting, layout.clock(g)] = False
             su[:, layout.knots(g)] = priors.bias_walk > 0
+            su[resting, layout.warming(g)] = False
         su[:, layout.curvature] = True
         su[resting, layout.front] = False
         su[resting, layout.curvature] = False
@@ -174,7 +175,7 @@ class MotionProblem(Derivatives):
         """Residuals of one log."""
         log, places = self.moved(state, g), state.placements
         felt = self._felt_by_points(state, log, g)
-        at, shares = self.read_at(state, g), self.knot_shares(g)
+        at, shares, course = self.read_at(state, g), self.knot_shares(g), self.course(g)
         # What belongs to an SU lies in one piece: with many of them, all else is far away.
         residual = np.empty((self.tree.n_sus, 3, len(log.kept))).transpose(2, 0, 1)
         matrices, splines = places.sensor_matrix(), self.logs[g].splines
@@ -189,6 +190,8 @@ class MotionProblem(Derivatives):
                 residual[:, u] = splines[u].at(at[:, u]) - mine.T - bias
                 if self.layout.curves:
                     residual[:, u] -= state.curvature[u] * mine.T**2
+                if self.layout.warms:
+                    residual[:, u] -= (course @ state.warming[g][u]) * mine.T
 
         of_links = (
             (link, Spectrum.of(link.series(felt[:, :3]), rate, margin))

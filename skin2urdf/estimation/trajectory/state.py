@@ -13,6 +13,8 @@ from skin2urdf.estimation.trajectory.front_end import N_FRONT
 
 N_CLOCK = 2
 """Coordinates of an SU's clock in a log: lag and drift."""
+N_WARMING = 2
+"""Coordinates of what the scale of an axis changes by in a log."""
 N_GYRO_MATRIX, N_GYRO, N_GYRO_BIAS = 9, 11, 3
 """Coordinates of a gyroscope: its sensitivity, row by row, with what else it always has (by how
 much it is late, and its droop), and its bias in a log."""
@@ -32,6 +34,9 @@ class MotionState(Record):
             between; none (B = 0) where biases are constant.
         curvature: (U, 3) by how much each axis reads more than a straight line does, over the
             square of what that does [s^2/m]; (0, 0) where all are straight.
+        warming: (G, U, 2, 3) by how much the scale of each axis changes along a log, as its parts
+            that go with time and with its square [1], polynomials of Legendre from the log's begin
+            to its end; (0, 0, 2, 3) where all are steady.
         gyro: (U, 11 + 3 G) of each gyroscope, above a perfect one: sensitivity, row by row [1],
             delay behind the accelerometer [s], droop [s^2], biases in each log [rad/s]; (U, 0)
             where no SU has one.
@@ -46,6 +51,12 @@ class MotionState(Record):
     unseen: F64
     gyro: F64 = field(default_factory=lambda: np.zeros((0, 0)))
     curvature: F64 = field(default_factory=lambda: np.zeros((0, 0)))
+    warming: F64 = field(default_factory=lambda: MotionState.no_warming())
+
+    @staticmethod
+    def no_warming() -> F64:
+        """Changes of scales that are steady."""
+        return np.zeros((0, 0, N_WARMING, 3))
 
 
 @dataclass(frozen=True)
@@ -59,6 +70,7 @@ class Layout:
         n_unseen: S.
         gyros: whether any SU has a gyroscope.
         curves: whether the axes of SUs may be curved.
+        warms: whether the scales of SUs may drift.
         n_further: coordinates that a robot that is known before has beyond these.
     """
 
@@ -69,6 +81,7 @@ class Layout:
     gyros: bool = False
     n_further: int = 0
     curves: bool = False
+    warms: bool = False
 
     @property
     def joints(self) -> slice:
@@ -121,10 +134,15 @@ class Layout:
         begin = self.front.stop + N_CLOCK * self.n_logs + 3 * sum(self.n_knots)
         return slice(begin, begin + 3 * self.curves)
 
+    def warming(self, log: int) -> slice:
+        """How an SU's scales change in a log: x, y, z with time, and with its square."""
+        begin = self.curvature.stop + 3 * N_WARMING * log * self.warms
+        return slice(begin, begin + 3 * N_WARMING * self.warms)
+
     @property
     def gyro(self) -> slice:
         """An SU's gyroscope, behind all that its accelerometer has."""
-        begin = self.curvature.stop
+        begin = self.curvature.stop + 3 * N_WARMING * self.n_logs * self.warms
         return slice(begin, begin + self.gyros * (N_GYRO + N_GYRO_BIAS * self.n_logs))
 
     @property
@@ -153,6 +171,10 @@ class Layout:
             old + sus[:, self.knots(g)].reshape(len(sus), -1, 3).swapaxes(0, 1)
             for g, old in enumerate(state.knots)
         )
+        warming = state.warming
+        if self.warms:
+            of_logs = [sus[:, self.warming(g)] for g in range(self.n_logs)]
+            warming = warming + np.reshape(of_logs, warming.shape)
         return replace(
             state,
             placements=placements,
@@ -165,4 +187,5 @@ class Layout:
             curvature=(
                 state.curvature + sus[:, self.curvature] if self.curves else state.curvature
             ),
+            warming=warming,
         )

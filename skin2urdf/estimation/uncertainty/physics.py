@@ -41,6 +41,10 @@ _PHYSICS = {
         "biases that drift",
         "let the sensors warm up before recording",
     ),
+    "warming": (
+        "scales that drift",
+        "let the sensors warm up before recording",
+    ),
     "clock": (
         "clocks of joints and SUs that wander against each other",
         "stamp both by one clock, or keep clocks together (PTP, chrony)",

@@ -14,22 +14,27 @@ from skin2urdf.simulation.defects.records import Defect, Felt
 
 @dataclass(frozen=True)
 class WarmUp(Defect):
-    """Biases that drift while the sensors warm up.
+    """Biases, and scales, that drift while the sensors warm up.
 
     Attributes:
         size: how far each axis has drifted at the end of the recording, up or down [g].
         constant: time constant of the warming up, as a part of the recording.
+        scale: by how much an axis then reads more or less, as a part of what it does.
     """
 
     size: float = 2e-3
     constant: float = 0.5
+    scale: float = 0.0
 
     def sense(self, felt: Felt, rng: np.random.Generator) -> F64:
-        """With the drift of a body that warms up exponentially."""
+        """With the drifts of a body that warms up exponentially."""
         sign = rng.choice([-1.0, 1.0], 3)
         part = (felt.time - felt.time[0]) / (self.constant * (felt.time[-1] - felt.time[0]))
         warm = np.expm1(-part) / np.expm1(-1.0 / self.constant)
-        return np.asarray(felt.force + self.size * GRAVITY * warm[:, None] * sign)
+        force = felt.force
+        if self.scale:
+            force = force * (1.0 + self.scale * warm[:, None] * rng.choice([-1.0, 1.0], 3))
+        return np.asarray(force + self.size * GRAVITY * warm[:, None] * sign)
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,75 @@
+"""Sensors whose scale drifts as they warm up: followed, and told from a base that moves."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from synthetic import random_state, readings_along, sampled_trajectory, serial_tree, stays
+
+from skin2urdf.arrays import F64
+from skin2urdf.estimation.problem.cost import Priors
+from skin2urdf.estimation.problem.state import State
+from skin2urdf.estimation.trajectory.estimate import MotionEstimate, estimate_along, motion_priors
+
+_TREE = serial_tree(3)
+_BIAS, _SCALE = 0.03, 5e-3
+"""What axes read more or less when the log ends [m/s^2], and per what they read."""
+
+
+@cache
+def _truth() -> State:
+    rng = np.random.default_rng(5)
+    state = random_state(rng, _TREE, 1, 0.1)
+    return replace(state, up=np.array([[0.0, 0.0, 1.0]]))
+
+
+def _signs(of: int) -> F64:
+    """(3, 3) up or down, of each axis of each SU."""
+    return np.random.default_rng(of).choice([-1.0, 1.0], (3, 3))
+
+
+@cache
+def _found() -> MotionEstimate:
+    """Forty places in two minutes of warming up."""
+    rng = np.random.default_rng(2)
+    q = stays(rng.uniform(-1.5, 1.5, (40, 3)), 180, 120)
+    warm = np.expm1(-np.arange(len(q)) / len(q) / 0.5) / np.expm1(-2.0)
+    read = readings_along(_TREE, _truth(), q)
+    read *= 1 + _SCALE * warm[:, None, None] * _signs(1)
+    read += _BIAS * warm[:, None, None] * _signs(2)
+    read += 1e-2 * rng.standard_normal(read.shape)
+    log = sampled_trajectory(q, read, still_below=1e-3)
+    priors = motion_priors(Priors(), gravity=0.0, front=(np.zeros(2), np.zeros(2)))
+    return estimate_along([log], _TREE, _truth(), priors, np.zeros(3))
+
+
+def test_scales_that_drift_are_followed_beside_biases() -> None:
+    found = _found()
+    assert found.causes == ("drift", "warming")
+    # Of biases alone five times as much is left as noise makes.
+    assert found.misfit < 1.2 < 2.0 < found.tried["drift"]
+    assert found.scale_drifts[1:] == pytest.approx(_SCALE, rel=0.3)
+
+
+def test_equations_hold_the_gradient_in_what_scales_change_by() -> None:
+    problem, fitted = _found().problem, _found().fitted
+    state = fitted.state
+    off = replace(state, warming=np.full_like(state.warming, 1e-3))
+
+    def chi2(warming: F64) -> float:
+        p = problem.predict(replace(off, warming=warming), 0)
+        weighed = float((fitted.weights[0][..., :3] * p.residual**2)[p.measured].sum())
+        return weighed + problem.prior_chi2(replace(off, warming=warming))
+
+    predicted = (problem.predict(off, 0),)
+    equations = problem.equations(off, predicted, fitted.weights)
+    at, rng = problem.layout.warming(0), np.random.default_rng(0)
+    for _ in range(3):
+        way = rng.standard_normal(off.warming.shape)
+        slope = (chi2(off.warming + 1e-5 * way) - chi2(off.warming - 1e-5 * way)) / 2e-5
+        own = float((equations.su_gradient[:, at] * way[0].reshape(3, -1)).sum())
+        # An axis reads nearly what a perfect sensor does, which derivatives have.
+        assert slope == pytest.approx(-2 * own, rel=1e-2)

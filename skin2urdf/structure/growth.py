@@ -10,7 +10,7 @@ measurements.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise, permutations
 
@@ -108,6 +108,10 @@ def grow(
 ) -> Grown:
     """Add joints to a tree until none is worth its parameters.
 
+    The base frame is that of one log, whose first joints tell where gravity points in the others. A
+    log of an upright base shows no upright joint, and is off by all that this turns: where SUs
+    remain that no chain explains, a tree is grown from another log.
+
     Args:
         windows: the measurements.
         moved: the joints that moved.
@@ -117,9 +121,14 @@ def grow(
         up: (G, 3) upward unit vectors of the logs in the base frame, where they are known.
         tell: told the share of the joints that are placed.
     """
-    search = _Search(windows, moved, rng, known, up)
-    search.grow(tell)
-    return search.tree
+    trees = []
+    for begin in _beginnings(windows) if up is None else (up,):
+        search = _Search(windows, moved, rng, known, begin)
+        search.grow(tell)
+        trees.append(search.tree)
+        if search.tree.explained()[search.tree.n > 0].all():
+            break
+    return max(trees, key=lambda tree: int(tree.explained()[tree.n > 0].sum()))
 
 
 class _Search:
@@ -131,14 +140,14 @@ class _Search:
         moved: Sequence[int],
         rng: np.random.Generator,
         known: Known | None,
-        up: F64 | None,
+        up: F64,
     ) -> None:
         self.windows = windows
         self._moved = tuple(moved)
         self._rng = rng
         self._known = known
         self._grid = fibonacci_sphere(_GRID)
-        self._begin(Grown(windows, _first_of(windows) if up is None else up))
+        self._begin(Grown(windows, up))
 
     def _begin(self, tree: Grown) -> None:
         """Forget what was fitted beyond segments that have changed."""
@@ -472,14 +481,17 @@ class _Search:
         return [int(s) for s in np.argsort(misfit, kind="stable")[:_NEAR]]
 
 
-def _first_of(windows: GravityWindows) -> F64:
-    """(G, 3) upward unit vectors of which that of one log is known: it makes the base frame."""
+def _beginnings(windows: GravityWindows) -> Iterator[F64]:
+    """(G, 3) upward unit vectors of which that of one log is known: it makes the base frame.
+
+    The log that holds most of the motion shows the first joints best, and comes first.
+    """
     logs = int(windows.log.max(initial=0)) + 1
-    # The log that holds most of the motion shows the first joints.
     spread = [
         float(np.ptp(windows.q[windows.log == g], axis=0).sum()) if g in windows.log else 0.0
         for g in range(logs)
     ]
-    up = np.full((logs, 3), np.nan)
-    up[int(np.argmax(spread))] = (0.0, 0.0, 1.0)
-    return up
+    for g in np.argsort(-np.array(spread), kind="stable"):
+        up = np.full((logs, 3), np.nan)
+        up[g] = (0.0, 0.0, 1.0)
+        yield up

@@ -127,8 +127,12 @@ def prior_information(
             step = seconds[g] / (n - 1)
             D = np.diff(np.eye(n), axis=0)
             walk = D.T @ D * inverse(priors.bias_walk) / step
-            # The walk begins anywhere near the SU's own bias, which its mean is to be.
-            walk += np.ones((n, n)) / n**2 * inverse(priors.bias_walk) / step * n
+            # The walk begins anywhere near the SU's own bias, which its mean is to be; switched on
+            # anew for another log, a sensor has another one.
+            mean = inverse(priors.bias_walk) / step * n
+            if layout.n_logs > 1:
+                mean = np.minimum(mean, inverse(priors.sensors.bias))
+            walk += np.ones((n, n)) / n**2 * mean
             full = np.kron(walk, np.eye(3))
             at = layout.knots(g)
             su[:, at, at] += full

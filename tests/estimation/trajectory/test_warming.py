@@ -7,12 +7,15 @@ from functools import cache
 
 import numpy as np
 import pytest
-from synthetic import random_state, readings_along, sampled_trajectory, serial_tree, stays
+from synthetic import RATE, random_state, readings_along, sampled_trajectory, serial_tree, stays
 
 from skin2urdf.arrays import F64
 from skin2urdf.estimation.problem.cost import Priors
 from skin2urdf.estimation.problem.state import State
 from skin2urdf.estimation.trajectory.estimate import MotionEstimate, estimate_along, motion_priors
+from skin2urdf.estimation.trajectory.priors import prior_information
+from skin2urdf.model.specific_force import specific_forces
+from skin2urdf.signals.filters import first_derivative, second_derivative
 
 _TREE = serial_tree(3)
 _BIAS, _SCALE = 0.03, 5e-3
@@ -73,3 +76,34 @@ def test_equations_hold_the_gradient_in_what_scales_change_by() -> None:
         own = float((equations.su_gradient[:, at] * way[0].reshape(3, -1)).sum())
         # An axis reads nearly what a perfect sensor does, which derivatives have.
         assert slope == pytest.approx(-2 * own, rel=1e-2)
+
+
+def _of_two_logs(apart: float) -> MotionEstimate:
+    """Two minutes on a base that is tilted for the second one, with other biases by then."""
+    rng = np.random.default_rng(4)
+    tilted = np.array([0.3, -0.2, np.sqrt(1 - 0.3**2 - 0.2**2)])
+    truth = replace(_truth(), up=np.stack([_truth().up[0], tilted]))
+    logs = []
+    for g in range(2):
+        q = stays(rng.uniform(-1.5, 1.5, (12, 3)), 180, 120)
+        qd, qdd = first_derivative(q, RATE), second_derivative(q, RATE)
+        ideal = specific_forces(truth.model(_TREE), q, qd, qdd, 9.81 * truth.up[g])
+        read = np.einsum("uij,kuj->kui", truth.sensor_matrix(), ideal) + truth.bias
+        read += apart * g * rng.standard_normal((3, 3))
+        read += 1e-2 * rng.standard_normal(read.shape)
+        logs.append(replace(sampled_trajectory(q, read, still_below=1e-3), log=g))
+    priors = motion_priors(Priors(), gravity=0.0, front=(np.zeros(2), np.zeros(2)))
+    return estimate_along(logs, _TREE, truth, priors, np.zeros(3))
+
+
+def test_sensors_that_were_switched_on_anew_may_have_any_bias() -> None:
+    found = _of_two_logs(0.03)
+    assert found.causes == ("drift",)
+    problem, layout = found.problem, found.problem.layout
+    seconds = [float(log.time[-1] - log.time[0]) for log in problem.logs]
+    _, su, _, _ = prior_information(problem.priors, layout, seconds, found.fitted.state)
+    for g, n in enumerate(layout.n_knots):
+        own = su[:, layout.knots(g), layout.knots(g)].reshape(-1, n, 3, n, 3)
+        # Of x in all knots alike.
+        known = own[:, :, 0, :, 0].sum(axis=(1, 2))
+        np.testing.assert_allclose(known, problem.priors.sensors.bias**-2, rtol=1e-6)

@@ -81,7 +81,7 @@ def explained(
         best, attempts = (rigid, []) if only_known else _of_any_cause(rigid, without)
     else:
         best, attempts = known, [known]
-    if best.gives_way and not only_known:
+    if (best.gives_way or DRIFT in best.causes) and not only_known:
         # Of gears that are uneven as well, slack of the size of rounding would take the rest.
         others = [gain for cause, gain in best.gains.items() if cause not in best.causes]
         uneven = _with_few_sizes(best, max(others, default=0.0), without)

@@ -35,16 +35,17 @@ def _signs(of: int) -> F64:
 
 
 @cache
-def _found() -> MotionEstimate:
-    """Forty places in two minutes of warming up."""
+def _found(scale: float = _SCALE, slips: float = 0.0) -> MotionEstimate:
+    """Forty places in two minutes of warming up, and a coupling that slips by so much per way."""
     rng = np.random.default_rng(2)
     q = stays(rng.uniform(-1.5, 1.5, (40, 3)), 180, 120)
     warm = np.expm1(-np.arange(len(q)) / len(q) / 0.5) / np.expm1(-2.0)
     read = readings_along(_TREE, _truth(), q)
-    read *= 1 + _SCALE * warm[:, None, None] * _signs(1)
+    read *= 1 + scale * warm[:, None, None] * _signs(1)
     read += _BIAS * warm[:, None, None] * _signs(2)
     read += 1e-2 * rng.standard_normal(read.shape)
-    log = sampled_trajectory(q, read, still_below=1e-3)
+    way = np.cumsum(np.abs(np.diff(q[:, 1], prepend=q[0, 1])))
+    log = sampled_trajectory(q + slips * way[:, None] * [0.0, 1.0, 0.0], read, still_below=1e-3)
     priors = motion_priors(Priors(), gravity=0.0, front=(np.zeros(2), np.zeros(2)))
     return estimate_along([log], _TREE, _truth(), priors, np.zeros(3))
 
@@ -55,6 +56,12 @@ def test_scales_that_drift_are_followed_beside_biases() -> None:
     # Of biases alone five times as much is left as noise makes.
     assert found.misfit < 1.2 < 2.0 < found.tried["drift"]
     assert found.scale_drifts[1:] == pytest.approx(_SCALE, rel=0.3)
+
+
+def test_zeros_that_creep_are_found_beside_biases_that_drift() -> None:
+    found = _found(scale=0.0, slips=2e-4)
+    assert found.causes == ("drift", "creep")
+    assert found.misfit < 1.2
 
 
 def test_equations_hold_the_gradient_in_what_scales_change_by() -> None:

@@ -19,28 +19,36 @@ from skin2urdf.signals.filters import filtered
 from skin2urdf.signals.trajectory import Trajectory
 from skin2urdf.structure.records import KinematicTree
 
+_MOST = 300
+"""Numbers at most, since time goes with their square and memory with their number: as many as slack
+has. A robot of 7 joints may have 14 logs, one of 50 two."""
 
-def creeping(tree: KinematicTree, logs: Sequence[Trajectory]) -> Unseen:
-    """Changes of every joint's zero since its log began.
+
+def creeping(tree: KinematicTree, logs: Sequence[Trajectory]) -> Unseen | None:
+    """Changes of every joint's zero since its log began; None of more than are looked for.
 
     Args:
         tree: D joints.
         logs: trajectories.
     """
-    return _of_each_log(tree, logs, _time_and_way)
+    return _of_each_log(tree, logs, _time_and_way) if 3 * _n_zeros(tree, logs) <= _MOST else None
 
 
 def homed_anew(tree: KinematicTree, logs: Sequence[Trajectory]) -> Unseen | None:
-    """Zeros of all joints that are others in every further log; None without any.
+    """Zeros of all joints that are others in every further log; None without any, or of too many.
 
     Args:
         tree: D joints.
         logs: trajectories.
     """
-    if len(logs) < 2:
+    if len(logs) < 2 or _n_zeros(tree, logs[1:]) > _MOST:
         return None
     first = logs[0]
     return _of_each_log(tree, logs, lambda log: np.ones((*log.q.shape, int(log is not first))))
+
+
+def _n_zeros(tree: KinematicTree, logs: Sequence[Trajectory]) -> int:
+    return tree.n_joints * len(logs)
 
 
 def _of_each_log(

@@ -12,6 +12,7 @@ from synthetic import RATE, random_state, sampled_trajectory, serial_tree, stays
 from skin2urdf.arrays import F64
 from skin2urdf.estimation.problem.cost import Priors
 from skin2urdf.estimation.problem.state import State
+from skin2urdf.estimation.trajectory.creeping import creeping, homed_anew
 from skin2urdf.estimation.trajectory.estimate import MotionEstimate, estimate_along, motion_priors
 from skin2urdf.estimation.trajectory.fit import fit
 from skin2urdf.estimation.trajectory.gears import find_ripples, harmonics, ripples
@@ -262,6 +263,13 @@ def test_encoders_homed_anew_between_logs_are_found() -> None:
     off = homed.problem.deflections(homed.fitted.state)
     assert not off[0].any()
     np.testing.assert_allclose(off[1][:, 1], 0.02, atol=1e-4)
+
+
+def test_zeros_of_many_logs_are_not_looked_for() -> None:
+    log = _log("nothing")
+    assert creeping(_TREE, [log] * 50) is not None
+    assert creeping(_TREE, [log] * 51) is None
+    assert homed_anew(_TREE, [log] * 200) is None
 
 
 def test_slack_of_places_is_of_the_size_that_it_has() -> None:

@@ -72,7 +72,7 @@ def replay(
     """Read a log again and predict it from a calibration's JSON.
 
     Readings are as they were recorded: what the calibration mended is not mended here, and neither
-    drifts of biases, clocks that wander nor elastic joints are followed.
+    drifts of biases and scales, clocks that wander nor elastic joints are followed.
 
     Args:
         log: one of the logs that the calibration was made from.

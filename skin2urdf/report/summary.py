@@ -264,7 +264,7 @@ def sensor_notes(along: MotionEstimate | None, of: Sequence[str] | None = None) 
         notes.append(
             f"scales of sensors drift within a log, by up to "
             f"{number(100 * along.scale_drifts.max())} %, as those do that warm up; they were "
-            "followed"
+            "followed: let sensors warm up before a recording"
         )
     if along.wander:
         notes.append(
@@ -340,7 +340,8 @@ def sensor_notes(along: MotionEstimate | None, of: Sequence[str] | None = None) 
         notes.append(
             f"zeros of encoders {' and '.join(moved)}: links are off what they say by at most "
             f"{most}; it was followed, and joints are 0 in the URDF where encoders said so when "
-            "the first log began"
+            "the first log began: see that couplings hold and that no counts are lost, and home "
+            "them once"
         )
     if "slack" in along.causes:
         notes.append(

@@ -122,8 +122,13 @@ class Derivatives:
         return np.asarray(np.maximum(0.0, 1 - np.abs(at[:, None] - np.arange(n))))
 
     def course(self, g: int) -> F64:
-        """(K, 2) what goes with time at the kept samples of a log, and with its square."""
+        """(K, 2) what goes with time at the kept samples of a log, and with its square.
+
+        (K, 0) where scales are steady.
+        """
         time = self.logs[g].time
+        if not self.layout.warms:
+            return np.zeros((len(time), 0))
         part = 2 * (time - time[0]) / max(float(time[-1] - time[0]), 1e-12) - 1
         return np.asarray(legvander(part, N_WARMING)[:, 1:])
 
@@ -255,21 +260,31 @@ class Derivatives:
             np.matmul(weight, felt, out=flat[:, : weight.shape[1]])
             for rate, out in zip(rates, own, strict=True):
                 self._further_columns(link.log, rate, out)
-            # What axes read in a straight line is all but what a perfect sensor does.
-            axes = np.arange(3)
-            perfect = own[:, N_PLACEMENT + 3 + axes, axes]
-            if self.layout.curves:
-                own[:, self.layout.curvature.start + axes, axes] = perfect**2
-            if self.layout.warms:
-                begin = self.layout.warming(link.log).start
-                for n, part in enumerate(self.course(link.log).T):
-                    own[:, begin + 3 * n + axes, axes] = part * perfect
+            self._reading_columns(link.log, own)
             return own
 
         first = 0
         for some in carried.link.parts():
             yield slice(first, first + len(some.sus)), partial(of, some)
             first += len(some.sus)
+
+    def _reading_columns(self, g: int, own: F64) -> None:
+        """Derivatives in what goes with an axis' own reading: its curvature, and its scale's drift.
+
+        Args:
+            g: number of the log.
+            own: (S, n, 3, K) derivatives in what SUs have of their own, of which these are filled.
+        """
+        if not (self.layout.curves or self.layout.warms):
+            return
+        # What axes read in a straight line is all but what a perfect sensor does.
+        axes = np.arange(3)
+        perfect = own[:, N_PLACEMENT + 3 + axes, axes]
+        if self.layout.curves:
+            own[:, self.layout.curvature.start + axes, axes] = perfect**2
+        begin = self.layout.warming(g).start
+        for n, part in enumerate(self.course(g).T):
+            own[:, begin + 3 * n + axes, axes] = part * perfect
 
     def gyro_rows(self, state: MotionState, g: int, u: int, carried: Carried) -> Iterator[Rows]:
         """The rows of an SU's gyroscope, if it has one."""

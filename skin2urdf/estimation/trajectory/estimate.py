@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property, partial
+from functools import cached_property
 
 import numpy as np
 
@@ -384,40 +384,6 @@ def estimate_along(
         alike: whether what the samples show of some sensors tells how good the others are.
         mended: (G, U, 2) latency [s] and drift [1] that were taken off each SU's stamps before.
     """
-    along = partial(
-        _along, logs, tree, start, priors, latency, tell,
-        look_further=look_further, only_known=only_known, most=most,
-        unless_one_changed=unless_one_changed, iterations=iterations, lengths=lengths,
-        alike=alike, mended=mended,
-    )  # fmt: skip
-    found = along(without=without)
-    if found.moving_base is not None and DRIFT in found.causes:
-        # Sensors that warm up together all feel what one of them on the base does.
-        other = along(without={*without, FELT})
-        if other.misfit <= max(found.misfit, 1.0) and set(other.causes) <= set(found.causes):
-            return other
-    return found
-
-
-def _along(
-    logs: Sequence[Trajectory],
-    tree: KinematicTree,
-    start: State,
-    priors: MotionPriors,
-    latency: F64,
-    tell: Callable[[float], None],
-    *,
-    look_further: bool,
-    only_known: bool,
-    without: Collection[str],
-    most: float,
-    unless_one_changed: bool,
-    iterations: int,
-    lengths: bool,
-    alike: bool,
-    mended: F64 | None,
-) -> MotionEstimate:
-    """The same, on a base that moves as SUs on it feel wherever the others feel that as well."""
     U, G = tree.n_sus, len(logs)
     problem = MotionProblem(tree, logs, priors)
     clock = np.zeros((G, U, 2))
@@ -455,6 +421,7 @@ def _along(
             )  # fmt: skip
         return with_likely_sensors(with_times_open(found), iterations)
 
+    asked_without = without
     if look_further and not _links_may_explain(problem, fitted):
         without = {*without, *BENDS}
     found = look(without, unless_one_changed)
@@ -479,10 +446,21 @@ def _along(
     tell(1.0)
     gyros = found_gyros(problem, fitted, contradict)
     what = found.causes, found.tried, found.under_known
-    return MotionEstimate(
+    estimate = MotionEstimate(
         problem, fitted, left, gyros, *what, late, ended.corrected, ended.hidden, ended.loads,
         found.wander, found.left_to_one, *how_joints_were_read(found), moving_base,
     )  # fmt: skip
+    if moving_base is not None and DRIFT in found.causes:
+        # Sensors that warm up together all feel what one of them on the base does; up to a misfit
+        # of 1 no more than noise is left of either.
+        standing = estimate_along(
+            logs, tree, start, priors, latency, tell, only_known=only_known,
+            without={*asked_without, FELT}, most=most, unless_one_changed=unless_one_changed,
+            iterations=iterations, lengths=lengths, alike=alike, mended=mended,
+        )  # fmt: skip
+        if standing.misfit <= max(left, 1.0) and set(standing.causes) <= set(found.causes):
+            return standing
+    return estimate
 
 
 @dataclass(frozen=True, eq=False)

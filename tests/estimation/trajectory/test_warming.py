@@ -12,8 +12,13 @@ from synthetic import RATE, random_state, readings_along, sampled_trajectory, se
 from skin2urdf.arrays import F64
 from skin2urdf.estimation.problem.cost import Priors
 from skin2urdf.estimation.problem.state import State
+from skin2urdf.estimation.trajectory import estimate
+from skin2urdf.estimation.trajectory.creeping import creeping
 from skin2urdf.estimation.trajectory.estimate import MotionEstimate, estimate_along, motion_priors
+from skin2urdf.estimation.trajectory.fit import Fitted
+from skin2urdf.estimation.trajectory.moving_base import MovingBase
 from skin2urdf.estimation.trajectory.priors import prior_information
+from skin2urdf.estimation.trajectory.problem import MotionProblem
 from skin2urdf.model.specific_force import specific_forces
 from skin2urdf.signals.filters import first_derivative, second_derivative
 
@@ -62,6 +67,24 @@ def test_zeros_that_creep_are_found_beside_biases_that_drift() -> None:
     found = _found(scale=0.0, slips=2e-4)
     assert found.causes == ("drift", "creep")
     assert found.misfit < 1.2
+
+
+def test_sensors_that_warm_up_together_are_no_base_that_moves(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """One of them on the base may seem to feel what all others do, and be explained as well."""
+
+    def felt(problem: MotionProblem, fitted: Fitted) -> tuple[MotionProblem, Fitted, MovingBase]:
+        motion = creeping(problem.tree, problem.logs)
+        assert motion is not None
+        none = tuple(np.zeros_like(log.readings) for log in problem.logs)
+        seeming = MovingBase(np.array([0]), ("su0",), motion, np.array([0.02]), none)
+        return problem, fitted, seeming
+
+    monkeypatch.setattr(estimate, "standing_still", felt)
+    found = _found.__wrapped__()
+    assert found.causes == ("drift", "warming")
+    assert found.moving_base is None
 
 
 def test_equations_hold_the_gradient_in_what_scales_change_by() -> None:

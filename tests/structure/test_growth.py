@@ -135,6 +135,28 @@ def test_the_base_may_stand_otherwise_in_another_log() -> None:
     assert tilt == pytest.approx(np.degrees(np.arctan2(np.hypot(0.3, 0.2), 0.9)), abs=0.5)
 
 
+def test_an_upright_log_shows_no_upright_joint_and_a_tilted_one_does() -> None:
+    """Of the first, which holds more of the motion, all is explained without that joint."""
+    robot = Robot(7)
+    robot.axes[0] = (0.0, 0.0, 1.0)
+    upright, tilted = robot.windows(40), robot.windows(25, (0.3, -0.2, 0.9))
+    both = replace(
+        upright,
+        q=np.concatenate([upright.q, tilted.q]),
+        log=np.repeat([0, 1], [40, 25]),
+        reading=np.concatenate([upright.reading, tilted.reading]),
+        sd=np.concatenate([upright.sd, tilted.sd]),
+    )
+    motion = [np.ptp(both.q[both.log == g], axis=0).sum() for g in range(2)]
+    assert motion[0] > motion[1]
+    growth = grown(both)
+    assert chains(growth) == TRUE
+    tilt = np.arccos(np.clip(growth.up[0] @ growth.up[1], -1, 1))
+    assert np.degrees(tilt) == pytest.approx(
+        np.degrees(np.arctan2(np.hypot(0.3, 0.2), 0.9)), abs=0.5
+    )
+
+
 KNOWN = Known(dict(enumerate(PARENT)), {u + 1: u for u in range(len(PARENT))} | {0: -1})
 
 

@@ -88,7 +88,7 @@ LAYERS: dict[str, tuple[str, ...]] = {
         "structure",
         "paper.exploration",
         "estimation.uncertainty",
-        "estimation.trajectory.estimate",
+        "estimation.trajectory.motion_estimate",
         "vendor.checking",
         "calibration.result",
         "survey",

@@ -15,8 +15,8 @@ import numpy as np
 
 from skin2urdf.calibration.result import GOOD_FIT
 from skin2urdf.estimation.trajectory.attempt import PLAY
-from skin2urdf.estimation.trajectory.estimate import MotionEstimate
 from skin2urdf.estimation.trajectory.misfit import SPAN, part_means
+from skin2urdf.estimation.trajectory.motion_estimate import MotionEstimate
 from skin2urdf.estimation.uncertainty.goodness import Goodness, Share
 from skin2urdf.signals.records import Features
 from skin2urdf.signals.sampling import Sampled

@@ -13,7 +13,7 @@ from skin2urdf.errors import StructureError
 from skin2urdf.estimation.problem.reordered import elsewhere
 from skin2urdf.estimation.solve.estimate import estimate
 from skin2urdf.estimation.start.from_rests import state_of
-from skin2urdf.estimation.trajectory.estimate import MotionEstimate
+from skin2urdf.estimation.trajectory.motion_estimate import MotionEstimate
 from skin2urdf.estimation.trajectory.slack import CERTAIN
 from skin2urdf.notes import of_kind
 from skin2urdf.structure.from_motion import MotionTree, doubt, trees_of_both_kinds

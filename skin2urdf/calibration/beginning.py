@@ -30,7 +30,7 @@ from skin2urdf.calibration.rounds import (
 from skin2urdf.calibration.samples import fit_samples
 from skin2urdf.calibration.settings import CalibrationSettings
 from skin2urdf.errors import InsufficientDataError, Skin2UrdfError
-from skin2urdf.estimation.trajectory.estimate import MotionEstimate
+from skin2urdf.estimation.trajectory.motion_estimate import MotionEstimate
 from skin2urdf.estimation.trajectory.publishers import likelihood
 from skin2urdf.hypotheses.corrected import Corrected, evident_errors
 from skin2urdf.recording.records import Recording

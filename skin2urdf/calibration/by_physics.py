@@ -24,7 +24,7 @@ from skin2urdf.estimation.trajectory.attempt import (
     PLAY,
     SMOOTHED,
 )
-from skin2urdf.estimation.trajectory.estimate import MotionEstimate
+from skin2urdf.estimation.trajectory.motion_estimate import MotionEstimate
 from skin2urdf.estimation.trajectory.slack import CERTAIN
 from skin2urdf.estimation.uncertainty.plausible import are_plausible
 from skin2urdf.hypotheses.measure import price_of

@@ -38,7 +38,7 @@ from skin2urdf.calibration.rounds import Solution
 from skin2urdf.calibration.samples import fit_samples, rejected
 from skin2urdf.calibration.taken_apart import retold, with_sus_apart, with_sus_together
 from skin2urdf.errors import BadFitError, Skin2UrdfError, StructureError
-from skin2urdf.estimation.trajectory.estimate import MotionEstimate
+from skin2urdf.estimation.trajectory.motion_estimate import MotionEstimate
 from skin2urdf.hypotheses.attempts import StandsOut
 from skin2urdf.hypotheses.encoder import named_leaps
 from skin2urdf.hypotheses.kinds import KINDS

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from skin2urdf.estimation.trajectory.estimate import MotionEstimate
+from skin2urdf.estimation.trajectory.motion_estimate import MotionEstimate
 from skin2urdf.signals.clocks import is_off, widening_by_few_moves
 from skin2urdf.signals.records import Features, JointClock, SuClock
 from skin2urdf.signals.sampling import Sampled

@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 
 from skin2urdf.arrays import F64, Bool, Int
-from skin2urdf.estimation.trajectory.estimate import MotionEstimate
 from skin2urdf.estimation.trajectory.kinematics import levers
+from skin2urdf.estimation.trajectory.motion_estimate import MotionEstimate
 from skin2urdf.signals.sampling import Sampled
 
 _HIT = 3.0

@@ -18,7 +18,7 @@ from skin2urdf.calibration.rounds import Solution
 from skin2urdf.estimation.problem.reordered import apart, elsewhere, reordered
 from skin2urdf.estimation.problem.state import State
 from skin2urdf.estimation.solve.estimate import estimate
-from skin2urdf.estimation.trajectory.estimate import MotionEstimate
+from skin2urdf.estimation.trajectory.motion_estimate import MotionEstimate
 from skin2urdf.estimation.trajectory.slack import CERTAIN
 from skin2urdf.notes import Note
 from skin2urdf.structure.from_motion import doubt

@@ -20,7 +20,7 @@ from skin2urdf.calibration.rounds import Solution
 from skin2urdf.calibration.samples import with_samples
 from skin2urdf.calibration.settings import CalibrationSettings
 from skin2urdf.errors import BadFitError, InsufficientDataError, UsageError
-from skin2urdf.estimation.trajectory.estimate import MotionEstimate
+from skin2urdf.estimation.trajectory.motion_estimate import MotionEstimate
 from skin2urdf.estimation.trajectory.vertical import notes_on_vertical_joints
 from skin2urdf.estimation.uncertainty.goodness import Goodness, goodness
 from skin2urdf.estimation.uncertainty.health import health_notes

@@ -22,8 +22,8 @@ from skin2urdf.calibration.result import GOOD_FIT
 from skin2urdf.calibration.rounds import Solution
 from skin2urdf.estimation.problem.reordered import branched, hung_on
 from skin2urdf.estimation.problem.state import State
-from skin2urdf.estimation.trajectory.estimate import MotionEstimate
 from skin2urdf.estimation.trajectory.misfit import MOST_OF_IT
+from skin2urdf.estimation.trajectory.motion_estimate import MotionEstimate
 from skin2urdf.estimation.trajectory.slack import CERTAIN
 from skin2urdf.model.poses import joint_poses
 from skin2urdf.structure.records import KinematicTree

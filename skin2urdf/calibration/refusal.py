@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from skin2urdf.calibration.result import BAD_FIT, BAD_MISFIT, HOPELESS_FIT
 from skin2urdf.errors import BadFitError, StructureError
 from skin2urdf.estimation.solve.estimate import Estimate
-from skin2urdf.estimation.trajectory.estimate import MotionEstimate
+from skin2urdf.estimation.trajectory.motion_estimate import MotionEstimate
 from skin2urdf.estimation.uncertainty.health import few_affected, why_bad
 from skin2urdf.estimation.uncertainty.physics import (
     STAND_STILL,

@@ -12,7 +12,7 @@ import numpy as np
 from skin2urdf.arrays import F64, Bool, Int, Record
 from skin2urdf.calibration.settings import CalibrationSettings
 from skin2urdf.estimation.solve.estimate import Estimate
-from skin2urdf.estimation.trajectory.estimate import MotionEstimate
+from skin2urdf.estimation.trajectory.motion_estimate import MotionEstimate
 from skin2urdf.estimation.trajectory.vertical import NEAREST
 from skin2urdf.estimation.uncertainty.goodness import Goodness
 from skin2urdf.estimation.uncertainty.observability import Observability

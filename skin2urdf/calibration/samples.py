@@ -14,14 +14,11 @@ from skin2urdf.calibration.settings import CalibrationSettings
 from skin2urdf.estimation.problem.cost import Priors
 from skin2urdf.estimation.problem.state import N_JOINT
 from skin2urdf.estimation.solve.estimate import Estimate
-from skin2urdf.estimation.trajectory.estimate import (
-    MotionEstimate,
-    estimate_along,
-    motion_priors,
-)
+from skin2urdf.estimation.trajectory.estimate import estimate_along
 from skin2urdf.estimation.trajectory.fit import independent
 from skin2urdf.estimation.trajectory.front_end import common_front_end
-from skin2urdf.estimation.trajectory.priors import MotionPriors
+from skin2urdf.estimation.trajectory.motion_estimate import MotionEstimate
+from skin2urdf.estimation.trajectory.priors import MotionPriors, motion_priors
 from skin2urdf.signals.sampling import Sampled
 from skin2urdf.signals.trajectory import Trajectory, in_order, trajectory
 from skin2urdf.structure.ordering import places_of

@@ -21,8 +21,8 @@ from skin2urdf.estimation.problem.state import N_PLACEMENT, State
 from skin2urdf.estimation.solve.estimate import estimate
 from skin2urdf.estimation.trajectory.deviations import change_covariance
 from skin2urdf.estimation.trajectory.displaced import Displaced, displaced
-from skin2urdf.estimation.trajectory.estimate import MotionEstimate
 from skin2urdf.estimation.trajectory.misfit import MOST_OF_IT
+from skin2urdf.estimation.trajectory.motion_estimate import MotionEstimate
 from skin2urdf.faults import Fault
 from skin2urdf.geometry.so3 import rotation_log
 from skin2urdf.geometry.units import GRAVITY

@@ -20,8 +20,9 @@ from skin2urdf.arrays import F64, Bool
 from skin2urdf.estimation.problem.cost import Priors
 from skin2urdf.estimation.problem.state import N_PLACEMENT, N_SU, State, identifiable
 from skin2urdf.estimation.solve.spread import learnt_hidden, narrowed
-from skin2urdf.estimation.trajectory.estimate import estimate_along, motion_priors
+from skin2urdf.estimation.trajectory.estimate import estimate_along
 from skin2urdf.estimation.trajectory.information import MotionInformation
+from skin2urdf.estimation.trajectory.priors import motion_priors
 from skin2urdf.estimation.uncertainty.observability import (
     Observability,
     Subject,

@@ -16,7 +16,7 @@ import numpy as np
 from skin2urdf.arrays import F64, Bool, Int
 from skin2urdf.estimation.problem.cost import Priors
 from skin2urdf.estimation.problem.state import N_JOINT, N_PLACEMENT, State
-from skin2urdf.estimation.trajectory.estimate import motion_priors
+from skin2urdf.estimation.trajectory.priors import motion_priors
 from skin2urdf.estimation.trajectory.problem import MotionProblem
 from skin2urdf.estimation.trajectory.records import Predicted
 from skin2urdf.estimation.trajectory.spans import spans_of

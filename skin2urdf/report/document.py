@@ -10,7 +10,7 @@ import numpy as np
 
 from skin2urdf.arrays import F64
 from skin2urdf.calibration.result import Calibration
-from skin2urdf.estimation.trajectory.estimate import MotionEstimate
+from skin2urdf.estimation.trajectory.motion_estimate import MotionEstimate
 from skin2urdf.estimation.uncertainty.goodness import Share
 from skin2urdf.faults import Fault
 from skin2urdf.geometry.dh import joint_placement, prismatic_placement

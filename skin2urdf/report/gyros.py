@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from skin2urdf.calibration.result import Calibration
-from skin2urdf.estimation.trajectory.estimate import MotionEstimate
+from skin2urdf.estimation.trajectory.motion_estimate import MotionEstimate
 from skin2urdf.estimation.trajectory.records import Gyros
 from skin2urdf.recording.naming import shortened
 from skin2urdf.report.tables import number

@@ -9,7 +9,7 @@ import numpy as np
 
 from skin2urdf.arrays import F64
 from skin2urdf.calibration.result import Calibration
-from skin2urdf.estimation.trajectory.estimate import MotionEstimate
+from skin2urdf.estimation.trajectory.motion_estimate import MotionEstimate
 from skin2urdf.geometry.units import GRAVITY, MILLI_G
 from skin2urdf.recording.naming import shortened
 from skin2urdf.report.clocks import clock_notes, publisher_notes

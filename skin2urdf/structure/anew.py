@@ -11,15 +11,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from skin2urdf.structure.accelerations import Along
-from skin2urdf.structure.draft import (
-    CERTAIN,
-    Draft,
-    Place,
-    gained,
-    places,
-    price_of,
-    unfelt_pushes,
-)
+from skin2urdf.structure.draft import Draft
+from skin2urdf.structure.hidden_joints import Place, places
+from skin2urdf.structure.worth import CERTAIN, gained, price_of, unfelt_pushes
 
 
 def with_joints_elsewhere(

@@ -13,7 +13,8 @@ from dataclasses import replace
 import numpy as np
 
 from skin2urdf.structure.accelerations import Along, Judged
-from skin2urdf.structure.draft import CERTAIN, CONSISTENT, Draft, gained, is_push, is_shaken
+from skin2urdf.structure.draft import Draft
+from skin2urdf.structure.worth import CERTAIN, CONSISTENT, gained, is_push, is_shaken
 
 
 def with_sus_elsewhere(draft: Draft, samples: Along) -> Draft:

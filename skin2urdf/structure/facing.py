@@ -15,7 +15,8 @@ import numpy as np
 from skin2urdf.arrays import F64
 from skin2urdf.geometry.so3 import axis_rotation
 from skin2urdf.structure.accelerations import Along
-from skin2urdf.structure.draft import CONSISTENT, Draft, groups
+from skin2urdf.structure.draft import Draft, groups
+from skin2urdf.structure.worth import CONSISTENT
 
 _UP = np.array([0.0, 0.0, 1.0])
 

@@ -24,22 +24,22 @@ from skin2urdf.notes import Note
 from skin2urdf.signals.sampling import Sampled
 from skin2urdf.structure.accelerations import Along, ChainJoint, along
 from skin2urdf.structure.anew import that_slide_elsewhere, with_joints_elsewhere
-from skin2urdf.structure.draft import (
-    QUIET,
-    Draft,
-    in_best_order,
-    that_may_slide,
-    that_slide,
-    with_unseen_joints,
-)
+from skin2urdf.structure.draft import Draft
 from skin2urdf.structure.elsewhere import with_sus_elsewhere
 from skin2urdf.structure.facing import facing_one_way
 from skin2urdf.structure.gravity import OFF_IN_TIME, GravityWindows, gravity_windows, moments
 from skin2urdf.structure.grown import Grown
 from skin2urdf.structure.growth import Known, grow
+from skin2urdf.structure.hidden_joints import (
+    in_best_order,
+    that_may_slide,
+    that_slide,
+    with_unseen_joints,
+)
 from skin2urdf.structure.otherwise import that_move_otherwise
 from skin2urdf.structure.records import KinematicTree
 from skin2urdf.structure.tilted import Tilted, tilts_of_base
+from skin2urdf.structure.worth import QUIET
 
 _EXPLAINED = 2.0
 """Chi-squared per measurement up to which gravity is explained: what windows may be off by is the

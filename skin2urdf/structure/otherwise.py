@@ -8,7 +8,8 @@ positions say, but what it carries feels it all the same.
 from __future__ import annotations
 
 from skin2urdf.structure.accelerations import Along, ChainJoint
-from skin2urdf.structure.draft import Draft, gained, is_gained_throughout, price_of
+from skin2urdf.structure.draft import Draft
+from skin2urdf.structure.worth import gained, is_gained_throughout, price_of
 
 
 def that_move_otherwise(draft: Draft, samples: Along, dof: int) -> list[int]:

@@ -10,7 +10,7 @@ import numpy as np
 from skin2urdf.arrays import Bool
 from skin2urdf.calibration.result import GOOD_FIT
 from skin2urdf.estimation.trajectory.blueprint import Blueprint
-from skin2urdf.estimation.trajectory.estimate import MotionEstimate
+from skin2urdf.estimation.trajectory.motion_estimate import MotionEstimate
 from skin2urdf.estimation.uncertainty.plausible import are_plausible
 from skin2urdf.vendor.fitting import Bench
 from skin2urdf.vendor.leftover import Leftover, leftover

@@ -17,7 +17,7 @@ from skin2urdf.arrays import Bool
 from skin2urdf.calibration.result import GOOD_FIT
 from skin2urdf.estimation.problem.state import State
 from skin2urdf.estimation.trajectory.blueprint import Blueprint
-from skin2urdf.estimation.trajectory.estimate import MotionEstimate
+from skin2urdf.estimation.trajectory.motion_estimate import MotionEstimate
 from skin2urdf.signals.trajectory import in_order
 from skin2urdf.vendor.counting import count_otherwise
 from skin2urdf.vendor.deviating import Off, other_zeros, placed_otherwise, strange

@@ -14,7 +14,8 @@ from skin2urdf.estimation.problem.cost import Priors
 from skin2urdf.estimation.problem.state import N_PLACEMENT, N_SU, Free, State
 from skin2urdf.estimation.solve.spread import narrowed
 from skin2urdf.estimation.trajectory.blueprint import Blueprint
-from skin2urdf.estimation.trajectory.estimate import MotionEstimate, estimate_along
+from skin2urdf.estimation.trajectory.estimate import estimate_along
+from skin2urdf.estimation.trajectory.motion_estimate import MotionEstimate
 from skin2urdf.estimation.uncertainty.observability import (
     Observability,
     Subject,

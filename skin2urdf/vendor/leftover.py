@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from skin2urdf.arrays import F64, Bool, Record
-from skin2urdf.estimation.trajectory.estimate import MotionEstimate
+from skin2urdf.estimation.trajectory.motion_estimate import MotionEstimate
 from skin2urdf.signals.trajectory import Trajectory
 
 SPANS = (0.5, 2.0)

@@ -12,7 +12,7 @@ from skin2urdf.arrays import F64, Bool
 from skin2urdf.calibration.result import GOOD_FIT, Quality, Source, SuSource
 from skin2urdf.calibration.settings import CalibrationSettings
 from skin2urdf.estimation.trajectory.blueprint import N_MOUNT, Blueprint, turn_axes
-from skin2urdf.estimation.trajectory.estimate import MotionEstimate
+from skin2urdf.estimation.trajectory.motion_estimate import MotionEstimate
 from skin2urdf.estimation.uncertainty.observability import Observability
 from skin2urdf.faults import Fault
 from skin2urdf.notes import Noted

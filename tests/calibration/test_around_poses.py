@@ -12,7 +12,7 @@ from calibrated import calibration, simulation
 from skin2urdf.arrays import F64
 from skin2urdf.calibration.around_poses import judged_by_samples, samples_around_poses
 from skin2urdf.calibration.result import GOOD_FIT, Calibration
-from skin2urdf.estimation.trajectory.estimate import MotionEstimate
+from skin2urdf.estimation.trajectory.motion_estimate import MotionEstimate
 from skin2urdf.estimation.uncertainty.goodness import Goodness, Share
 from skin2urdf.recording.retiming import retimed
 from skin2urdf.signals.records import Features

@@ -17,7 +17,7 @@ from skin2urdf.calibration import explanation
 from skin2urdf.calibration.pipeline import calibrate
 from skin2urdf.calibration.result import Calibration
 from skin2urdf.calibration.samples import fit_samples
-from skin2urdf.estimation.trajectory.estimate import MotionEstimate
+from skin2urdf.estimation.trajectory.motion_estimate import MotionEstimate
 from skin2urdf.geometry.so3 import rotation_exp
 from skin2urdf.recording.records import Recording, SuStream
 from skin2urdf.recording.retiming import retimed

@@ -19,7 +19,7 @@ from skin2urdf.calibration.rounds import (
 )
 from skin2urdf.calibration.samples import fit_samples
 from skin2urdf.calibration.settings import CalibrationSettings
-from skin2urdf.estimation.trajectory.estimate import MotionEstimate
+from skin2urdf.estimation.trajectory.motion_estimate import MotionEstimate
 from skin2urdf.faults import Fault
 from skin2urdf.hypotheses.attempts import Search
 from skin2urdf.hypotheses.contact import Contact

@@ -17,8 +17,8 @@ from skin2urdf.arrays import F64
 from skin2urdf.calibration.refusal import check_fit
 from skin2urdf.calibration.result import BAD_MISFIT, Calibration
 from skin2urdf.errors import BadFitError
-from skin2urdf.estimation.trajectory.estimate import MotionEstimate
 from skin2urdf.estimation.trajectory.fit import held
+from skin2urdf.estimation.trajectory.motion_estimate import MotionEstimate
 from skin2urdf.estimation.trajectory.slack import MOST_SLACK
 from skin2urdf.estimation.uncertainty.goodness import Share
 from skin2urdf.estimation.uncertainty.health import why_bad

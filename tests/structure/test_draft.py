@@ -13,7 +13,8 @@ from skin2urdf.signals.sampling import sampled_together
 from skin2urdf.simulation import SimulationSettings, simulate
 from skin2urdf.simulation.robots import SkinLayout
 from skin2urdf.structure.accelerations import Along, along
-from skin2urdf.structure.draft import Draft, with_unseen_joints
+from skin2urdf.structure.draft import Draft
+from skin2urdf.structure.hidden_joints import with_unseen_joints
 
 TURNS = Joint("turns", -1, "revolute")
 

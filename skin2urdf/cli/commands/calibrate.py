@@ -29,7 +29,7 @@ from skin2urdf.geometry.units import MILLI_G
 
 if TYPE_CHECKING:
     from skin2urdf.calibration.settings import CalibrationSettings
-    from skin2urdf.estimation.trajectory.estimate import MotionEstimate
+    from skin2urdf.estimation.trajectory.motion_estimate import MotionEstimate
     from skin2urdf.vendor.records import Correction
 
 HELP = "find the robot in one or several logs"

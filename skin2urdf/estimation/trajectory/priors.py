@@ -11,6 +11,7 @@ from skin2urdf.arrays import F64, Record
 from skin2urdf.estimation.problem.cost import Priors
 from skin2urdf.estimation.problem.state import N_JOINT, N_PLACEMENT, N_SU
 from skin2urdf.estimation.trajectory.blueprint import Blueprint
+from skin2urdf.estimation.trajectory.gyro import gyro_deviations
 from skin2urdf.estimation.trajectory.records import Equations
 from skin2urdf.estimation.trajectory.state import N_GYRO, N_GYRO_BIAS, Layout, MotionState
 
@@ -189,3 +190,26 @@ def prior_chi2(
         has = np.diag(H) > 0
         total += float(s[has] @ np.linalg.solve(H[np.ix_(has, has)], s[has]))
     return total
+
+
+def motion_priors(
+    sensors: Priors, *, gravity: float, front: tuple[F64, F64], gyro: bool = True
+) -> MotionPriors:
+    """What is commonly known before logs are read.
+
+    Args:
+        sensors: of bias, scale and cross-axis.
+        gravity: standard deviation of its magnitude [m/s^2].
+        front: mean and standard deviation (2,) of sensors' front ends [s^2].
+        gyro: whether gyroscopes have errors.
+    """
+    return MotionPriors(
+        sensors=sensors,
+        gravity=gravity,
+        front=np.stack(front),
+        lag=1.0,
+        drift=1e-2,
+        bias_walk=0.0,
+        unseen=np.zeros(0),
+        gyro=gyro_deviations(float(front[1].max())) * gyro,
+    )

@@ -15,7 +15,7 @@ import numpy as np
 
 from skin2urdf.arrays import F64, Bool, Int
 from skin2urdf.estimation.problem.state import State
-from skin2urdf.estimation.trajectory.estimate import MotionEstimate
+from skin2urdf.estimation.trajectory.motion_estimate import MotionEstimate
 from skin2urdf.geometry.so3 import skew
 from skin2urdf.notes import Note
 from skin2urdf.structure.records import KinematicTree

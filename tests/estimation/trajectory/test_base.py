@@ -22,9 +22,11 @@ from skin2urdf.estimation.trajectory import attempt
 from skin2urdf.estimation.trajectory.azimuth import turned
 from skin2urdf.estimation.trajectory.balance import bending, followed
 from skin2urdf.estimation.trajectory.bending import Bending
-from skin2urdf.estimation.trajectory.estimate import MotionEstimate, estimate_along, motion_priors
+from skin2urdf.estimation.trajectory.estimate import estimate_along
 from skin2urdf.estimation.trajectory.fit import Fitted
+from skin2urdf.estimation.trajectory.motion_estimate import MotionEstimate
 from skin2urdf.estimation.trajectory.moving_base import FELT
+from skin2urdf.estimation.trajectory.priors import motion_priors
 from skin2urdf.estimation.trajectory.problem import MotionProblem
 from skin2urdf.estimation.trajectory.slack import Lacking, Shared, Size, lacking, size_of
 from skin2urdf.estimation.trajectory.unseen import Unseen

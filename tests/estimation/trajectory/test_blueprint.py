@@ -11,7 +11,7 @@ from synthetic import RATE, sampled_trajectory
 from skin2urdf.estimation.problem.cost import Priors
 from skin2urdf.estimation.problem.state import State
 from skin2urdf.estimation.trajectory.blueprint import Blueprint
-from skin2urdf.estimation.trajectory.estimate import motion_priors
+from skin2urdf.estimation.trajectory.priors import motion_priors
 from skin2urdf.estimation.trajectory.problem import MotionProblem
 from skin2urdf.estimation.trajectory.state import MotionState
 from skin2urdf.geometry.se3 import exp

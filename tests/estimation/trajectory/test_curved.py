@@ -14,7 +14,9 @@ from skin2urdf.estimation.problem.cost import Priors
 from skin2urdf.estimation.problem.state import State
 from skin2urdf.estimation.trajectory.attempt import CERTAIN
 from skin2urdf.estimation.trajectory.curved import likeliest_curvature, may_be_curved
-from skin2urdf.estimation.trajectory.estimate import MotionEstimate, estimate_along, motion_priors
+from skin2urdf.estimation.trajectory.estimate import estimate_along
+from skin2urdf.estimation.trajectory.motion_estimate import MotionEstimate
+from skin2urdf.estimation.trajectory.priors import motion_priors
 from skin2urdf.geometry.units import GRAVITY
 from skin2urdf.signals.trajectory import Trajectory
 

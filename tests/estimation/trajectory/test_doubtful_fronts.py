@@ -11,9 +11,9 @@ from random_robots import Joint, robot_of
 
 from skin2urdf import calibrate
 from skin2urdf.calibration.settings import CalibrationSettings
-from skin2urdf.estimation.trajectory.estimate import MotionEstimate
 from skin2urdf.estimation.trajectory.fit import fit
 from skin2urdf.estimation.trajectory.impossible_fronts import with_possible_fronts
+from skin2urdf.estimation.trajectory.motion_estimate import MotionEstimate
 from skin2urdf.simulation import SimulationSettings, simulate
 from skin2urdf.simulation.defects import LowPass
 from skin2urdf.simulation.robots import SkinLayout

@@ -25,8 +25,8 @@ from skin2urdf.calibration.settings import CalibrationSettings
 from skin2urdf.estimation.problem.cost import Priors
 from skin2urdf.estimation.trajectory.ahead import step_along
 from skin2urdf.estimation.trajectory.encoder_noise import hidden_lengths, without_shortening
-from skin2urdf.estimation.trajectory.estimate import motion_priors
 from skin2urdf.estimation.trajectory.fit import fit, held
+from skin2urdf.estimation.trajectory.priors import motion_priors
 from skin2urdf.estimation.trajectory.problem import MotionProblem
 from skin2urdf.estimation.trajectory.slack import slack, with_unseen
 from skin2urdf.model.canonical import canonical

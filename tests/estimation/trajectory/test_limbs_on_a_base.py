@@ -13,10 +13,12 @@ from skin2urdf.arrays import F64
 from skin2urdf.estimation.problem.cost import Priors
 from skin2urdf.estimation.problem.state import State, Step, identifiable, moved
 from skin2urdf.estimation.trajectory.azimuth import turned
-from skin2urdf.estimation.trajectory.estimate import MotionEstimate, estimate_along, motion_priors
+from skin2urdf.estimation.trajectory.estimate import estimate_along
 from skin2urdf.estimation.trajectory.fit import fit
 from skin2urdf.estimation.trajectory.heights import rise
+from skin2urdf.estimation.trajectory.motion_estimate import MotionEstimate
 from skin2urdf.estimation.trajectory.on_the_base import limbs_turned_alike
+from skin2urdf.estimation.trajectory.priors import motion_priors
 from skin2urdf.estimation.trajectory.problem import MotionProblem
 from skin2urdf.estimation.uncertainty.observability import Subject, observability_along
 from skin2urdf.geometry.so3 import rotation_exp

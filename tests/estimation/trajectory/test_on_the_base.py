@@ -9,8 +9,8 @@ import pytest
 from synthetic import RATE, motion_state, random_state, sampled_trajectory, serial_tree
 
 from skin2urdf.estimation.problem.cost import Priors
-from skin2urdf.estimation.trajectory.estimate import motion_priors
 from skin2urdf.estimation.trajectory.on_the_base import turned_as_the_base
+from skin2urdf.estimation.trajectory.priors import motion_priors
 from skin2urdf.estimation.trajectory.problem import MotionProblem
 from skin2urdf.estimation.trajectory.skeleton import shift, turn
 from skin2urdf.estimation.trajectory.unseen import Unseen

@@ -9,7 +9,7 @@ from synthetic import random_state, sampled_trajectory, serial_tree
 
 from skin2urdf.arrays import F64
 from skin2urdf.estimation.problem.cost import Priors
-from skin2urdf.estimation.trajectory.estimate import motion_priors
+from skin2urdf.estimation.trajectory.priors import motion_priors
 from skin2urdf.estimation.trajectory.problem import MotionProblem
 from skin2urdf.estimation.trajectory.records import Equations
 from skin2urdf.estimation.trajectory.state import MotionState

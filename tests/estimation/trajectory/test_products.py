@@ -18,8 +18,10 @@ from synthetic import CUTOFF, RATE, motion_state, random_state, sampled_trajecto
 from skin2urdf.arrays import F64
 from skin2urdf.estimation.problem.cost import Priors
 from skin2urdf.estimation.problem.state import State
-from skin2urdf.estimation.trajectory.estimate import MotionEstimate, estimate_along, motion_priors
+from skin2urdf.estimation.trajectory.estimate import estimate_along
 from skin2urdf.estimation.trajectory.fit import held
+from skin2urdf.estimation.trajectory.motion_estimate import MotionEstimate
+from skin2urdf.estimation.trajectory.priors import motion_priors
 from skin2urdf.estimation.trajectory.problem import MotionProblem
 from skin2urdf.estimation.trajectory.products import with_products
 from skin2urdf.estimation.trajectory.unseen import Unseen

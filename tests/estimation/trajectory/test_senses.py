@@ -8,7 +8,8 @@ from synthetic import RATE, sampled_trajectory, stays
 
 from skin2urdf.estimation.problem.cost import Priors
 from skin2urdf.estimation.problem.state import State
-from skin2urdf.estimation.trajectory.estimate import estimate_along, motion_priors
+from skin2urdf.estimation.trajectory.estimate import estimate_along
+from skin2urdf.estimation.trajectory.priors import motion_priors
 from skin2urdf.structure.records import KinematicTree
 
 _LEVERS = np.array([[0.04, 0.0, 0.1], [-0.01, 0.05, 0.1]])

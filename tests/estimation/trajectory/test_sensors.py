@@ -12,7 +12,9 @@ from synthetic import RATE, random_state, sampled_trajectory, serial_tree
 from skin2urdf.arrays import F64
 from skin2urdf.estimation.problem.cost import Priors
 from skin2urdf.estimation.problem.state import State, identifiable
-from skin2urdf.estimation.trajectory.estimate import MotionEstimate, estimate_along, motion_priors
+from skin2urdf.estimation.trajectory.estimate import estimate_along
+from skin2urdf.estimation.trajectory.motion_estimate import MotionEstimate
+from skin2urdf.estimation.trajectory.priors import motion_priors
 from skin2urdf.estimation.uncertainty.observability import Subject, observability_along
 from skin2urdf.model.specific_force import specific_forces
 from skin2urdf.signals.filters import first_derivative, second_derivative

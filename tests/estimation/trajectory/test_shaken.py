@@ -13,8 +13,8 @@ from random_robots import Joint, robot_of
 from skin2urdf import calibrate
 from skin2urdf.arrays import F64
 from skin2urdf.calibration.settings import CalibrationSettings
-from skin2urdf.estimation.trajectory.estimate import MotionEstimate
 from skin2urdf.estimation.trajectory.front_end import droop
+from skin2urdf.estimation.trajectory.motion_estimate import MotionEstimate
 from skin2urdf.estimation.trajectory.shaken import Shaken
 from skin2urdf.estimation.trajectory.slack import CERTAIN, size_of, with_unseen
 from skin2urdf.estimation.trajectory.smoothed import SMOOTHED

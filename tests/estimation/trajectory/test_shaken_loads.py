@@ -19,8 +19,10 @@ from skin2urdf.estimation.trajectory import estimate, yielding
 from skin2urdf.estimation.trajectory.ahead import step_along
 from skin2urdf.estimation.trajectory.balance import Balance, balanced
 from skin2urdf.estimation.trajectory.encoder_noise import without_shortening
-from skin2urdf.estimation.trajectory.estimate import MotionEstimate, estimate_along, motion_priors
+from skin2urdf.estimation.trajectory.estimate import estimate_along
+from skin2urdf.estimation.trajectory.motion_estimate import MotionEstimate
 from skin2urdf.estimation.trajectory.moving_base import FELT
+from skin2urdf.estimation.trajectory.priors import motion_priors
 from skin2urdf.estimation.trajectory.rounded import drawn_anew
 from skin2urdf.estimation.trajectory.shaken_loads import ShakenLoads, shaken_loads
 from skin2urdf.signals.trajectory import Trajectory

@@ -19,9 +19,11 @@ from skin2urdf.arrays import F64
 from skin2urdf.estimation.problem.cost import Priors
 from skin2urdf.estimation.problem.state import State, identifiable
 from skin2urdf.estimation.trajectory.clusters import CLUSTERS, clusters
-from skin2urdf.estimation.trajectory.estimate import MotionEstimate, estimate_along, motion_priors
+from skin2urdf.estimation.trajectory.estimate import estimate_along
 from skin2urdf.estimation.trajectory.fit import fit
 from skin2urdf.estimation.trajectory.information import motion_information
+from skin2urdf.estimation.trajectory.motion_estimate import MotionEstimate
+from skin2urdf.estimation.trajectory.priors import motion_priors
 from skin2urdf.estimation.uncertainty.observability import (
     Observability,
     Subject,

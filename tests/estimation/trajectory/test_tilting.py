@@ -18,8 +18,9 @@ from synthetic import (
 
 from skin2urdf.arrays import F64
 from skin2urdf.estimation.problem.cost import Priors
-from skin2urdf.estimation.trajectory.estimate import estimate_along, motion_priors
+from skin2urdf.estimation.trajectory.estimate import estimate_along
 from skin2urdf.estimation.trajectory.fit import fit, held
+from skin2urdf.estimation.trajectory.priors import motion_priors
 from skin2urdf.estimation.trajectory.problem import MotionProblem
 from skin2urdf.estimation.trajectory.rocking import of_accelerations
 from skin2urdf.estimation.trajectory.skeleton import turn

@@ -17,8 +17,8 @@ from synthetic import (
 from skin2urdf.arrays import F64
 from skin2urdf.estimation.problem.cost import Priors
 from skin2urdf.estimation.trajectory.ahead import step_along
-from skin2urdf.estimation.trajectory.estimate import motion_priors
 from skin2urdf.estimation.trajectory.fit import Fitted, fit
+from skin2urdf.estimation.trajectory.priors import motion_priors
 from skin2urdf.estimation.trajectory.problem import MotionProblem
 from skin2urdf.estimation.trajectory.time_scale import of_the_other_clock
 from skin2urdf.signals.trajectory import Trajectory

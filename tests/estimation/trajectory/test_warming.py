@@ -14,10 +14,11 @@ from skin2urdf.estimation.problem.cost import Priors
 from skin2urdf.estimation.problem.state import State
 from skin2urdf.estimation.trajectory import estimate
 from skin2urdf.estimation.trajectory.creeping import creeping
-from skin2urdf.estimation.trajectory.estimate import MotionEstimate, estimate_along, motion_priors
+from skin2urdf.estimation.trajectory.estimate import estimate_along
 from skin2urdf.estimation.trajectory.fit import Fitted
+from skin2urdf.estimation.trajectory.motion_estimate import MotionEstimate
 from skin2urdf.estimation.trajectory.moving_base import MovingBase
-from skin2urdf.estimation.trajectory.priors import prior_information
+from skin2urdf.estimation.trajectory.priors import motion_priors, prior_information
 from skin2urdf.estimation.trajectory.problem import MotionProblem
 from skin2urdf.model.specific_force import specific_forces
 from skin2urdf.signals.filters import first_derivative, second_derivative

@@ -66,17 +66,19 @@ class Database:
             with contextlib.closing(_opened(self.file.path)) as database:
                 numbers = self._topics(database)
                 yield from self._messages(database, numbers)
-        except (sqlite3.Error, OverflowError) as error:
+        # Python makes no words of what SQLite says about a schema that is no text.
+        except (sqlite3.Error, OverflowError, UnicodeDecodeError) as error:
+            unspoken = isinstance(error, UnicodeDecodeError)
+            what = "its schema is no text" if unspoken else printable(str(error))
             if self.position:
                 words = (
-                    f"the database is damaged ({printable(str(error))}); the messages before the "
-                    "damage were read"
+                    f"the database is damaged ({what}); the messages before the damage were read"
                 )
                 self.notes.append(ReadingNote("damaged", words))
                 return
             raise UnreadableInputError(
                 str(self.file.path),
-                f"the database can not be read: {error}",
+                f"the database can not be read: {what}",
                 WHAT_TO_DO.format(path=self.file.path),
             ) from error
 

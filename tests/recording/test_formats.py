@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 import zstandard
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
@@ -294,6 +294,7 @@ def test_odd_rows_of_a_database_are_left_out_and_names_escaped(tmp_path: Path) -
     part=st.floats(0.0, 1.0),
     flips=st.lists(st.tuples(st.floats(0.0, 0.999), st.integers(1, 255)), max_size=8),
 )
+@example(part=1.0, flips=[(0.046875, 128)])
 def test_damaged_logs_of_other_formats_raise_only_our_errors(
     kind: str, part: float, flips: list[tuple[float, int]], tmp_path: Path
 ) -> None:

@@ -20,7 +20,7 @@ from skin2urdf.estimation.trajectory.front_end import common_front_end
 from skin2urdf.estimation.trajectory.motion_estimate import MotionEstimate
 from skin2urdf.estimation.trajectory.priors import MotionPriors, motion_priors
 from skin2urdf.signals.sampling import Sampled
-from skin2urdf.signals.trajectory import Trajectory, in_order, trajectory
+from skin2urdf.signals.trajectory import ENOUGH_MOTION, Trajectory, in_order, trajectory
 from skin2urdf.structure.ordering import places_of
 from skin2urdf.structure.unknown_positions import usable
 
@@ -52,8 +52,8 @@ def fit_samples(
 
     Returns:
         None where most moments are around poses that have no samples to compare, as rests that were
-        recorded one by one: filters reach beyond them, and the few samples that are left know less
-        than the features.
+        recorded one by one: filters reach beyond them, and the few samples that are left, hardly
+        any in motion, know less than the features.
     """
     found, features, logs = solution.found, solution.features, solution.logs
     tree, settings = found.tree, logs.settings
@@ -75,7 +75,10 @@ def fit_samples(
                 turning=None if whole.turning is None else whole.turning & tells,
             )
         )
-    if _share_compared(trajectories, logs.sampled) < _MOST:
+    if (
+        _share_compared(trajectories, logs.sampled) < _MOST
+        and sum(log.in_motion for log in trajectories) < ENOUGH_MOTION
+    ):
         return None
     priors = sample_priors(settings, found.cost.priors)
     return estimate_along(

@@ -37,6 +37,9 @@ _RATE_OVER_CUTOFF = 2.4
 _WIDER = 1.5
 """Cutoff of the low-pass in which deflections and torques are worked out, over that of the log: of
 what passes this, it leaves all."""
+ENOUGH_MOTION = 10.0
+"""Time in motion from which a log tells more than its rests do, however many of these have no
+samples to compare [s]: three or four moves, as few as show where an SU sits on a known robot."""
 _NOTHING = 1e-6
 """Power of noise, over the largest, below which a frequency has none: 4e-8 of all is left out."""
 
@@ -126,6 +129,13 @@ class Trajectory(Record):
     def time(self) -> F64:
         """(K,) times of the kept samples since the log's first one [s]."""
         return np.asarray(self.kept / self.rate)
+
+    @property
+    def in_motion(self) -> float:
+        """Time for which readings are compared while joints move [s]."""
+        compared = self.valid.any(axis=1) & self.moving.any(axis=1)
+        apart = float(np.median(np.diff(self.time))) if len(self.kept) > 1 else 0.0
+        return apart * float(compared.sum())
 
     @property
     def splines(self) -> tuple[Spline, ...]:

@@ -22,7 +22,7 @@ from skin2urdf.recording.records import Recording
 from skin2urdf.signals.encoders import corrected
 from skin2urdf.signals.publishers import all_that_are_off
 from skin2urdf.signals.sampling import Sampled
-from skin2urdf.signals.trajectory import Trajectory, trajectory
+from skin2urdf.signals.trajectory import ENOUGH_MOTION, Trajectory, trajectory
 from skin2urdf.vendor.description import describe
 from skin2urdf.vendor.explaining import explain
 from skin2urdf.vendor.fitting import REACH, Bench
@@ -146,7 +146,8 @@ def _trajectories(logs: Logs, chassis: Chassis, heard: Int) -> list[Trajectory]:
         InsufficientDataError: nothing is whole for long enough.
     """
     found = [chassis.along(trajectory(s, g, REACH), heard) for g, s in enumerate(logs.sampled)]
-    if not any(_whole(log, s) for log, s in zip(found, logs.sampled, strict=True)):
+    whole = any(_whole(log, s) for log, s in zip(found, logs.sampled, strict=True))
+    if not (whole or sum(log.in_motion for log in found) >= ENOUGH_MOTION):
         raise InsufficientDataError(
             "the log has no samples to compare along most of it, nor in most of its rests: it was "
             "recorded rest by rest, or has gaps everywhere",

@@ -73,7 +73,7 @@ def bending(
     square = np.zeros((len(parts), len(size), len(size)))
     count = 0
     for g, log in enumerate(logs):
-        for Y, _ in regressors(tree, state, g, gravity, coarser(log, _step(log)), base=base):
+        for Y, _ in regressors(tree, state, g, gravity, coarser(log, step_of(log)), base=base):
             deflection = Y[:, parts] * size * unit[:, None]
             square += np.einsum("nri,nrj->rij", deflection, deflection, optimize=True)
             count += len(Y)
@@ -147,7 +147,7 @@ def balanced(
     about = replace(about, origin=x)
     sizes, of_logs, bent, all_springs, every, holds = [], [], [], [], [], True
     for g, (log, beyond) in enumerate(zip(logs, before, strict=True)):
-        step = _step(log)
+        step = step_of(log)
         within = slice(int(log.kept[0]) // step, int(log.kept[-1]) // step + 1)
         of_log = Loaded(tree, state, g, gravity, coarser(log, step), about, within)
         beyond = beyond[::step]
@@ -225,7 +225,7 @@ class Balance:
         )
 
 
-def _step(log: Trajectory) -> int:
+def step_of(log: Trajectory) -> int:
     """Grid samples from one at which deflections are worked out to the next."""
     return max(1, int(log.rate / (_PER_CUTOFF * noise_bandwidth(log.taps, log.rate))))
 

@@ -27,6 +27,7 @@ from skin2urdf.estimation.trajectory.attempt import (
 from skin2urdf.estimation.trajectory.displaced import one_alone_changed
 from skin2urdf.estimation.trajectory.elastic import UnderKnown
 from skin2urdf.estimation.trajectory.fit import Fitted
+from skin2urdf.estimation.trajectory.gaps import fit_gaps
 from skin2urdf.estimation.trajectory.in_time import in_time
 from skin2urdf.estimation.trajectory.problem import MotionProblem
 from skin2urdf.estimation.trajectory.slack import CERTAIN, slack
@@ -194,7 +195,7 @@ def _with_physics(rigid: Attempt, without: Collection[str]) -> tuple[Attempt, li
         for cause in (*drifts, *best.likely(left)):
             further.append(best.adding(cause))
             if further[-1].has_play:
-                play = replace(further[-1], causes=(*best.causes, PLAY))
+                play = _with_play(best, further[-1])
                 return play, [*tried, play]
             tried.append(further[-1])
             if not further[-1].needs_a_cause and explains_most(further[-1], best):
@@ -209,6 +210,22 @@ def _with_physics(rigid: Attempt, without: Collection[str]) -> tuple[Attempt, li
         best = other
         left.remove(best.causes[-1])
     return best, tried
+
+
+def _with_play(before: Attempt, springs: Attempt) -> Attempt:
+    """Joints that lie in gaps, or yield like springs where these leave less.
+
+    Args:
+        before: the attempt without either.
+        springs: with joints that yield, whose deflections saturate.
+    """
+    causes = (*before.causes, PLAY)
+    found = fit_gaps(before.problem, springs.fitted)
+    if found is not None:
+        gaps = replace(before, problem=found[0], fitted=found[1], causes=causes)
+        if gaps.misfit < springs.misfit:
+            return gaps
+    return replace(springs, causes=causes)
 
 
 def _with_few_sizes(rigid: Attempt, by_bends: float, without: Collection[str]) -> Attempt:

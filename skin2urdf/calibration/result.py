@@ -47,6 +47,8 @@ HOPELESS_FIT = 1000.0
 yield by 3 mrad leave 11, so that a degree, which fits of all samples can follow, leaves 400; a
 joint whose encoder is bent by 0.2 rad leaves 9,000, and its samples lead nowhere."""
 
+CHIEF = 0.1
+"""Part of the largest error of an encoder from which a joint is named beside it."""
 UNDONE = 0.3
 """Part of a joint's accelerations that the last term of what undoes a smoothing may make up: with a
 tenth, of means over 120 ms in patterns, errors were as stated, with all of it, of 150 ms, six times
@@ -209,7 +211,7 @@ class Calibration(Record):
         known = "weak" not in verdicts and 2 * verdicts.count("determined") >= len(verdicts)
         known &= not self.mostly_open
         sound = not self.faults and not self.base_gives_way and not self.without_a_place
-        sound &= not (self.turn_of_base or self.tilt_of_base)
+        sound &= not (self.turn_of_base or self.tilt_of_base or self.wrong_ratios)
         sound &= not (self.of_two_places or self.open_orders or self.moved_alike)
         sound &= not self.moved_otherwise
         sound &= not self.implausible
@@ -299,6 +301,18 @@ class Calibration(Record):
     def base_gives_way(self) -> bool:
         """Whether the base was found to move under the robot's load."""
         return self.along is not None and "base" in self.along.causes
+
+    @property
+    def wrong_ratios(self) -> dict[str, float]:
+        """By how much further some joints move than their encoders say, over that [1].
+
+        Those are left out that do by a small part of what the one does that is most off.
+        """
+        if self.along is None:
+            return {}
+        ratios, names = self.along.ratios, self.along.problem.tree.joint_names
+        least = CHIEF * np.abs(ratios).max(initial=0.0)
+        return {n: float(x) for n, x in zip(names, ratios, strict=True) if abs(x) > least}
 
     @property
     def is_smoothed_away(self) -> bool:

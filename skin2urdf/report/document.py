@@ -314,13 +314,19 @@ def _samples(calibration: Calibration) -> dict[str, Any] | None:
         "joints": {
             name: {
                 "largest_deflection": e,
+                "ratio_error": ratio,
                 "compliance": c,
                 "compliance_sd": sd,
                 "age": age,
                 "smoothing": smoothing,
             }
-            for name, (e, c, sd), age, smoothing in zip(
-                along.problem.tree.joint_names, yields, along.ages, along.smoothing, strict=True
+            for name, (e, c, sd), ratio, age, smoothing in zip(
+                along.problem.tree.joint_names,
+                yields,
+                along.ratios,
+                along.ages,
+                along.smoothing,
+                strict=True,
             )
         },
         "sus": {

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from skin2urdf.arrays import F64
-from skin2urdf.calibration.result import Calibration
+from skin2urdf.calibration.result import CHIEF, Calibration
 from skin2urdf.estimation.trajectory.motion_estimate import MotionEstimate
 from skin2urdf.geometry.units import GRAVITY, MILLI_G
 from skin2urdf.recording.naming import shortened
@@ -24,8 +24,6 @@ from skin2urdf.signals.records import Features
 from skin2urdf.structure.records import KinematicTree
 
 _MM = 1e3
-_CHIEF = 0.1
-"""Part of the largest deflection from which a joint is named beside it."""
 _ZEROS = {"creep": "creep along the log", "homed": "are others in the next log"}
 _GEARS = {"harmonics": "once and twice per turn", "ripples": "many times per turn"}
 """How errors of gears are told."""
@@ -336,7 +334,7 @@ def sensor_notes(along: MotionEstimate | None, of: Sequence[str] | None = None) 
         )
     if moved := [_ZEROS[cause] for cause in along.causes if cause in _ZEROS]:
         off = along.deflections
-        most = _largest(along.problem.tree, np.where(off > _CHIEF * off.max(), off, 0.0))
+        most = _largest(along.problem.tree, np.where(off > CHIEF * off.max(), off, 0.0))
         notes.append(
             f"zeros of encoders {' and '.join(moved)}: links are off what they say by at most "
             f"{most}; it was followed, and joints are 0 in the URDF where encoders said so when "

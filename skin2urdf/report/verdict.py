@@ -29,19 +29,19 @@ _NAMED = 3
 DoubtKind = Literal[
     "faults", "SUs unplaced", "SUs moved otherwise", "SUs carried along", "SUs unexplained",
     "impossible slack", "smoothed away", "SUs of two places", "orders open", "joints alike",
-    "soft base", "moving base", "SUs misfit", "poses misfit", "prediction", "errors come back",
-    "not arrived", "sensors", "no such sensors", "weak joints", "open limbs", "joints open",
-    "SUs open",
+    "wrong ratios", "soft base", "moving base", "SUs misfit", "poses misfit", "prediction",
+    "errors come back", "not arrived", "sensors", "no such sensors", "weak joints", "open limbs",
+    "joints open", "SUs open",
 ]  # fmt: skip
 """What speaks against a result: things found wrong, SUs whose readings fit no place, that a joint
 moves otherwise than it goes, or carries along without turning them, or whose readings do not fit
-the place that they have, joints further off their encoders than any gear allows, fast motion
-that a driver smooths away, SUs that fit another place as well, joints that may follow each other
-in another order, or that moved alike all along, a base that gives way, or moves by itself, SUs
-and poses that fit worse than the rest, poses that are predicted worse than stated, what is left
-of the readings and comes back with the motion, a fit that ended before it arrived, sensors that
-are worse than the options say, or than any, axes that are known weakly, limbs whose places are
-open, and what of the joints and SUs the log does not determine."""
+the place that they have, joints further off their encoders than any gear allows, fast motion that a
+driver smooths away, SUs that fit another place as well, joints that may follow each other in
+another order, that moved alike all along, or by another share than they say, a base that gives way,
+or moves by itself, SUs and poses that fit worse than the rest, poses that are predicted worse than
+stated, what is left of the readings and comes back with the motion, a fit that ended before it
+arrived, sensors that are worse than the options say, or than any, axes that are known weakly, limbs
+whose places are open, and what of the joints and SUs the log does not determine."""
 
 
 @dataclass(frozen=True)
@@ -190,6 +190,13 @@ def _doubts(calibration: Calibration) -> list[Doubt]:
             "all along: the model holds as long as they do"
         )
         found.append(Doubt("joints alike", words, tuple(joints)))
+    if ratios := calibration.wrong_ratios:
+        shares = ", ".join(f"{name} by {number(100 * x)} %" for name, x in ratios.items())
+        words = (
+            f"joints move further than their positions say: {shares} (see that each driver has the "
+            "right gear ratio and encoder scale; the URDF holds for positions of the links)"
+        )
+        found.append(Doubt("wrong ratios", words, tuple(ratios)))
     if calibration.base_gives_way:
         words = (
             "the base gives way: lengths along the first axis may be off by more than is stated "

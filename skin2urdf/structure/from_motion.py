@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -124,59 +125,120 @@ def trees_of_both_kinds(
     Raises:
         StructureError: no SU feels any joint move, or no chain of joints explains what any feels.
     """
+    search = _Search(sampled, su_names, known, seed, tell)
     try:
-        trees = _of_both_kinds(sampled, su_names, None, known, seed, tell)
+        trees = search.on_still_base()
     except StructureError:
-        if (base := tilts_of_base(sampled)) is None:
+        if search.on_tilted_base is None:
             raise
-        return _of_both_kinds(sampled, su_names, base, known, seed, tell)
-    if _is_explained(trees[0][0], su_names) or (base := tilts_of_base(sampled)) is None:
+        return search.on_tilted_base
+    if _is_explained(trees[0][0], su_names) or search.on_tilted_base is None:
         return trees
-    try:
-        others = _of_both_kinds(sampled, su_names, base, known, seed, tell)
-    except StructureError:
-        return trees
-    # What the SU on the base feels is explained by itself, whatever carries it.
-    heard = [name for u, name in enumerate(su_names) if u != base.su]
-    samples = along(sampled)
-    left, there = (_unexplained(each[0][0], samples, su_names, heard) for each in (trees, others))
-    return others if there < left else trees
+    return search.on_tilted_base if search.tilts_leave_less(trees[0]) else trees
 
 
-def _of_both_kinds(
-    sampled: Sequence[Sampled],
-    su_names: Sequence[str],
-    base: Tilted | None,
-    known: KinematicTree | None,
-    seed: int,
-    tell: Callable[[float], None],
-) -> list[tuple[MotionTree, ...]]:
-    """Trees by rests and by moves on a base that stands still, or that tilts as an SU feels."""
-    spans = () if base is None else base.span
-    samples = along(sampled, spans)
-    grown: list[tuple[MotionTree, ...]] = []
-    missing: list[StructureError] = []
+@dataclass(frozen=True, eq=False)
+class _Search:
+    """Trees of both kinds, on a base that stands still and on one that tilts.
 
-    def add(i: int, windows: GravityWindows) -> None:
-        def part(share: float) -> None:
-            tell(min(1.0, (i + share) / 2))
+    Attributes are the arguments of :func:`trees_of_both_kinds`.
+    """
 
+    sampled: Sequence[Sampled]
+    su_names: Sequence[str]
+    known: KinematicTree | None
+    seed: int
+    tell: Callable[[float], None]
+
+    def on_still_base(self) -> list[tuple[MotionTree, ...]]:
+        """Trees on a base that stands; not by moves where rests show that it tilts.
+
+        What shakes a base is no gravity along moves: chains of any joints are then tried in vain.
+
+        Raises:
+            StructureError: no SU feels any joint move, or no chain explains what any feels.
+        """
+        return self._of_both_kinds(None, self._is_seen_to_tilt)
+
+    @cached_property
+    def on_tilted_base(self) -> list[tuple[MotionTree, ...]] | None:
+        """Trees on a base that tilts as an SU on it feels; None where none does, or shows."""
+        if self._base is None:
+            return None
         try:
-            grown.append(_grown_from(windows, samples, sampled, base, known, seed, part))
-        except StructureError as lack:
-            missing.append(lack)
-        grown.sort(key=lambda trees: _unexplained(trees[0], samples, su_names, su_names))
+            return self._of_both_kinds(self._base, self._explains_all)
+        except StructureError:
+            return None
 
-    of_moves = moments(sampled, su_names, spans)
-    add(0, gravity_windows(sampled, su_names, spans))
-    add(1, of_moves)
-    heard = {name for u, name in enumerate(su_names) if np.isfinite(of_moves.sd[:, u]).any()}
-    if not (grown and heard <= set(grown[0][0].tree.su_names)):
-        # An SU without a place may be off in time, or its axes be bent.
-        add(2, moments(sampled, su_names, spans, off=OFF_IN_TIME))
-    if not grown:
-        raise missing[0]
-    return grown
+    def tilts_leave_less(self, trees: tuple[MotionTree, ...]) -> bool:
+        """Whether a base that tilts leaves less of all SUs that are not on it than some trees."""
+        tilted, base = self.on_tilted_base, self._base
+        if tilted is None or base is None:
+            return False
+        # What the SU on the base feels is explained by itself, whatever carries it.
+        heard = [name for u, name in enumerate(self.su_names) if u != base.su]
+        left, there = (
+            _unexplained(each[0], self._samples, self.su_names, heard)
+            for each in (trees, tilted[0])
+        )
+        return there < left
+
+    @cached_property
+    def _base(self) -> Tilted | None:
+        return tilts_of_base(self.sampled)
+
+    @cached_property
+    def _samples(self) -> Along:
+        return along(self.sampled)
+
+    def _explains_all(self, trees: tuple[MotionTree, ...]) -> bool:
+        return _is_explained(trees[0], self.su_names)
+
+    def _is_seen_to_tilt(self, trees: tuple[MotionTree, ...]) -> bool:
+        """Whether all that rests leave on a base that stands is explained on one that tilts."""
+        if self._explains_all(trees) or self.on_tilted_base is None:
+            return False
+        return self._explains_all(self.on_tilted_base[0]) and self.tilts_leave_less(trees)
+
+    def _of_both_kinds(
+        self, base: Tilted | None, are_enough: Callable[[tuple[MotionTree, ...]], bool]
+    ) -> list[tuple[MotionTree, ...]]:
+        """Trees by rests and by moves on a base that stands still, or that tilts as an SU feels.
+
+        Args:
+            base: how it tilts; None where it stands.
+            are_enough: whether trees by rests make those by moves needless.
+        """
+        sampled, su_names = self.sampled, self.su_names
+        spans = () if base is None else base.span
+        samples = self._samples if base is None else along(sampled, spans)
+        grown: list[tuple[MotionTree, ...]] = []
+        missing: list[StructureError] = []
+
+        def add(i: int, windows: GravityWindows) -> None:
+            def part(share: float) -> None:
+                self.tell(min(1.0, (i + share) / 2))
+
+            try:
+                grown.append(
+                    _grown_from(windows, samples, sampled, base, self.known, self.seed, part)
+                )
+            except StructureError as lack:
+                missing.append(lack)
+            grown.sort(key=lambda trees: _unexplained(trees[0], samples, su_names, su_names))
+
+        add(0, gravity_windows(sampled, su_names, spans))
+        if grown and are_enough(grown[0]):
+            return grown
+        of_moves = moments(sampled, su_names, spans)
+        add(1, of_moves)
+        heard = {name for u, name in enumerate(su_names) if np.isfinite(of_moves.sd[:, u]).any()}
+        if not (grown and heard <= set(grown[0][0].tree.su_names)):
+            # An SU without a place may be off in time, or its axes be bent.
+            add(2, moments(sampled, su_names, spans, off=OFF_IN_TIME))
+        if not grown:
+            raise missing[0]
+        return grown
 
 
 def _grown_from(

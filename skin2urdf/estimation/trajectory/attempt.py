@@ -29,7 +29,7 @@ from skin2urdf.estimation.trajectory.curved import (
 )
 from skin2urdf.estimation.trajectory.elastic import UnderKnown
 from skin2urdf.estimation.trajectory.fit import Fitted, fit
-from skin2urdf.estimation.trajectory.gears import find_ripples, harmonics, ripples
+from skin2urdf.estimation.trajectory.gears import find_ripples, harmonics, ratios, ripples
 from skin2urdf.estimation.trajectory.known_torque import with_known_torque, yields
 from skin2urdf.estimation.trajectory.measured_torque import with_measured_torque
 from skin2urdf.estimation.trajectory.misfit import MOST_OF_IT, SPAN, misfit_of, span_means
@@ -72,6 +72,8 @@ LAGS, SMOOTHED = "lags", "smoothed"
 """Those of joints that are read one after another, and of joints whose driver smooths them."""
 TILTS = "tilts"
 """That of a base that is tilted otherwise from time to time."""
+RATIO = "ratio"
+"""That of joints that move by a share of what their encoders say more or less."""
 CREEP, HOMED = "creep", "homed"
 """Those of encoders whose zeros creep along a log, and are others in the next one."""
 _KNOTS = 15.0
@@ -290,6 +292,8 @@ class Attempt:
         """
         tree, logs = self.problem.tree, self.problem.logs
         kinds: list[tuple[str, Unseen | None]] = []
+        if RATIO not in self.causes:
+            kinds.append((RATIO, ratios(logs)))
         if "harmonics" not in self.causes:
             kinds.append(("harmonics", harmonics(tree, logs)))
         if "ripples" not in self.causes:

@@ -3,12 +3,14 @@
 Wheels out of centre and out of round make errors once and twice per turn of the joint, the wave of
 a strain wave gear (and the magnet of a motor's encoder) one or two hundred times. An error
 ``a sin(n q) + b cos(n q)`` is linear in a and b; which n beyond the first two a gear has is looked
-for: what the residuals pull at every n is a sum over samples, as a periodogram is.
+for: what the residuals pull at every n is a sum over samples, as a periodogram is. A driver that
+takes a gear for one of another ratio has positions that are off by a share of themselves.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -40,6 +42,20 @@ and ripples of 0.1 mrad have 35 to 300 where their joint carries much."""
 def harmonics(tree: KinematicTree, logs: Sequence[Trajectory]) -> Unseen | None:
     """Errors once and twice per turn of all joints that turn; None without any."""
     return ripples(logs, [(int(k), n) for k in np.flatnonzero(~tree.prismatic) for n in _TURNS])
+
+
+@dataclass(frozen=True, eq=False)
+class Ratios(Unseen):
+    """Links that are further by a share of what their encoders say: a number for each joint."""
+
+
+def ratios(logs: Sequence[Trajectory]) -> Ratios:
+    """Other shares of what the encoders of all joints say.
+
+    Args:
+        logs: trajectories.
+    """
+    return Ratios(np.arange(logs[0].q.shape[1]), tuple(log.q for log in logs))
 
 
 def ripples(logs: Sequence[Trajectory], which: Sequence[tuple[int, int]]) -> Unseen | None:

@@ -11,6 +11,7 @@ import numpy as np
 from skin2urdf.arrays import F64, Bool
 from skin2urdf.estimation.problem.state import State
 from skin2urdf.estimation.trajectory.ahead import Ahead, step_ahead
+from skin2urdf.estimation.trajectory.attempt import PLAY
 from skin2urdf.estimation.trajectory.carried_along import CarriedAlong, carried_along
 from skin2urdf.estimation.trajectory.deviations import su_covariances
 from skin2urdf.estimation.trajectory.elastic import UnderKnown
@@ -21,6 +22,7 @@ from skin2urdf.estimation.trajectory.encoder_noise import (
 from skin2urdf.estimation.trajectory.fit import Fitted
 from skin2urdf.estimation.trajectory.following import follow_motion
 from skin2urdf.estimation.trajectory.front_end import droop, droop_variance
+from skin2urdf.estimation.trajectory.gears import Ratios
 from skin2urdf.estimation.trajectory.information import MotionInformation, motion_information
 from skin2urdf.estimation.trajectory.leaning import with_leaning_base
 from skin2urdf.estimation.trajectory.misfit import (
@@ -34,7 +36,7 @@ from skin2urdf.estimation.trajectory.publishers import Late
 from skin2urdf.estimation.trajectory.records import Gyros
 from skin2urdf.estimation.trajectory.rounded import lost_in_averages, rounded_off_again
 from skin2urdf.estimation.trajectory.shaken_loads import ShakenLoads
-from skin2urdf.estimation.trajectory.slack import MOST_SLACK, lacking
+from skin2urdf.estimation.trajectory.slack import LEVER, MOST_SLACK, lacking
 from skin2urdf.estimation.trajectory.swaying import swaying
 from skin2urdf.estimation.trajectory.unseen import Unseen
 from skin2urdf.estimation.trajectory.unsure import unsure
@@ -53,9 +55,11 @@ class MotionEstimate:
         gyros: what was found of gyroscopes; None where no SU has one.
         causes: what was added to a rigid robot with steady sensors: ``elastic`` joints, a ``base``
             that gives way, ``tilts`` of one that moves by itself, ``play`` of joints, ``drift`` of
-            biases, ``nonlinearity`` of sensors, ``harmonics`` and ``ripples`` of gears, ``clock``
-            of joints and SUs that wander, ``lags`` of joints that are read one after another,
-            joints ``smoothed`` by their driver, ``slack`` from place to place.
+            biases and ``warming`` scales, ``nonlinearity`` of sensors, joints of another ``ratio``
+            than they are said to have, ``harmonics`` and ``ripples`` of gears, zeros that ``creep``
+            and those ``homed`` in between, ``clock`` of joints and SUs that wander, ``lags`` of
+            joints that are read one after another, joints ``smoothed`` by their driver, ``slack``
+            from place to place.
         tried: misfit with each cause that was tried, chosen or not.
         under_known: what joints yield under torques that are known, the first of what encoders do
             not see; None where none do, or torques are not known.
@@ -276,6 +280,17 @@ class MotionEstimate:
         return found, np.sqrt(variances.clip(0.0))
 
     @property
+    def ratios(self) -> F64:
+        """(D,) by how much further each joint moves than its encoder says, over that [1]."""
+        D, unseen = self.problem.tree.n_joints, self.problem.unseen
+        first = 0
+        for group in () if unseen is None else unseen.several or (unseen,):
+            if isinstance(group, Ratios):
+                return np.asarray(self.fitted.state.unseen[first : first + D])
+            first += group.n_numbers
+        return np.zeros(D)
+
+    @property
     def slack(self) -> float:
         """What encoders leave of a joint's position from place to place, its learnt size [rad]."""
         return float(self.problem.priors.unseen[-1]) if "slack" in self.causes else 0.0
@@ -283,7 +298,10 @@ class MotionEstimate:
     @property
     def slack_is_none(self) -> bool:
         """Whether joints would have to be off by more than any slack: something else is wrong."""
-        return self.slack >= MOST_SLACK
+        if PLAY not in self.causes:
+            return self.slack >= MOST_SLACK
+        unit = np.where(self.problem.tree.prismatic, LEVER, 1.0)
+        return max(self.slack, float((self.deflections / unit).max())) >= MOST_SLACK
 
     @cached_property
     def widest_slack(self) -> tuple[F64, ...]:

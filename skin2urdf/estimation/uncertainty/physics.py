@@ -8,8 +8,8 @@ from math import degrees
 STAND_STILL = "record while it stands still, or fix it"
 """What to do about a base that moves."""
 IMPOSSIBLE_SLACK = (
-    "joints off their encoders by two degrees, other in every place, which no gear allows: the "
-    "tree lacks a joint, or positions are commands",
+    "joints off their encoders by two degrees or more, other in every place, which no gear allows: "
+    "the tree lacks a joint, or positions are commands",
     "put an SU on every segment, move one joint at a time now and then, see that positions are "
     "measured ones",
 )
@@ -56,6 +56,10 @@ _PHYSICS = {
     "smoothed": (
         "positions that are smoothed before they are logged, as by a low-pass",
         "log positions as encoders have them",
+    ),
+    "ratio": (
+        "joints that move by another share than their positions say",
+        "see that each driver has the right gear ratio and encoder scale",
     ),
     "harmonics": (
         "uneven gears",

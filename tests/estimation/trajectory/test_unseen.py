@@ -55,6 +55,7 @@ def _moved(unseen: str) -> tuple[F64, F64]:
         "harmonics": 1.5e-3 * np.sin(theta + 0.3) + 8e-4 * np.sin(2 * theta + 2.0),
         "ripples": 2e-4 * np.sin(100 * theta + 0.3),
         "creep": _crept(theta),
+        "ratio": theta * np.array([0.0, -0.03]),
         "slack": stays(3e-4 * rng.standard_normal((_PLACES, 2)), _STAY, _MOVE),
     }
     return theta, beyond[unseen]
@@ -240,6 +241,15 @@ def test_ripples_are_found_by_their_number_per_turn() -> None:
     assert more.joint.tolist() == [1, 1]
     sliding = replace(_TREE, joint_types=("prismatic", "prismatic"))
     assert harmonics(sliding, [wavy]) is None
+
+
+def test_a_joint_that_moves_by_less_than_it_says_is_no_uneven_gear() -> None:
+    geared = _fit("ratio")
+    assert geared.causes == ("ratio",)
+    assert geared.ratios[1] == pytest.approx(-0.03, abs=3e-4)
+    assert geared.misfit < 1.5
+    # What the first joint does beyond its encoder hardly differs from longer arms.
+    assert abs(geared.ratios[0]) < 0.005
 
 
 def test_zeros_that_creep_are_those_that_joints_began_with() -> None:

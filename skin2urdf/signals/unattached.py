@@ -15,6 +15,7 @@ import numpy as np
 from skin2urdf.arrays import F64, Bool, Int
 from skin2urdf.geometry.units import GRAVITY
 from skin2urdf.recording.records import SuStream
+from skin2urdf.signals.clocks import LARGEST_OFFSET
 
 _SHORTEST = 0.3
 """Length [s] of a rest or a move from which its halves tell whether an SU changes in it."""
@@ -57,13 +58,27 @@ def unattached(
     in_motion, _ = _changes(sus, moving, noise)
     least = np.maximum(_OWN + digit, _OF_MOTION * _quantile(in_motion.T, _LARGE))[:, None]
     # Of what counts only where an SU changes by more than these, it is none itself.
-    others = _quantile(at_rest, 0.5, without=1)
-    stirred = (at_rest > np.maximum(least, _CHANCE * chance)) & (at_rest > _COMMON * others)
-    moved = in_motion > least
-    often = stirred.sum(axis=1) / np.maximum(np.isfinite(at_rest).sum(axis=1), 1)
-    as_often = moved.sum(axis=1) / np.maximum(np.isfinite(in_motion).sum(axis=1), 1)
-    in_rests = np.array([len(np.unique(rest[each])) for each in stirred])
-    return np.asarray((in_rests >= _FEWEST) & (often > _AS_OFTEN * as_often))
+    others = _COMMON * _quantile(at_rest, 0.5, without=1)
+
+    def move_as_often(at_rest: F64, chance: F64, in_motion: F64, least: F64) -> Bool:
+        stirred = (at_rest > np.maximum(least, _CHANCE * chance)) & (at_rest > others)
+        often, as_often = (
+            moved.sum(axis=1) / np.maximum(np.isfinite(changes).sum(axis=1), 1)
+            for moved, changes in ((stirred, at_rest), (in_motion > least, in_motion))
+        )
+        in_rests = np.array([len(np.unique(rest[each])) for each in stirred])
+        return np.asarray((in_rests >= _FEWEST) & (often > _AS_OFTEN * as_often))
+
+    found = move_as_often(at_rest, chance, in_motion, least)
+    for u in np.flatnonzero(found):
+        # On a clock of its own it may rest and move with the joints at other times than theirs.
+        for late in np.arange(-LARGEST_OFFSET, LARGEST_OFFSET + 1e-9, 0.5 * length):
+            there = _changes(sus[u : u + 1], still + late, noise[u : u + 1])
+            then, _ = _changes(sus[u : u + 1], moving + late, noise[u : u + 1])
+            if not move_as_often(*there, then, least[u : u + 1])[0]:
+                found[u] = False
+                break
+    return found
 
 
 def _long(spans: Sequence[tuple[float, float]]) -> F64:

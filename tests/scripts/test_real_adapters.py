@@ -132,3 +132,32 @@ def test_an_adapter_says_what_it_can_not_read(tmp_path: Path) -> None:
         assert run.returncode == 2
         assert "Traceback" not in run.stderr
         assert not (tmp_path / "log.mcap").exists()
+
+
+def test_baxter_hand_keeps_stamps_and_takes_fingers_from_messages_of_their_own(
+    tmp_path: Path,
+) -> None:
+    def messages(**fields: object) -> dict[str, object]:
+        return {
+            str(n): {"header": {"stamp": {"secs": 100, "nsecs": n * 10_000_000}}, **fields}
+            for n in range(30)
+        }
+
+    felt = messages(linear_acceleration={"x": 0.5, "y": -0.25, "z": 9.5})
+    arm = messages(name=["left_w1", "torso_t0"], position=[0.25, -12.5])
+    finger = messages(name=["finger"], position=[0.125])
+    arm |= {n: finger[n] for n in map(str, range(0, 30, 3))}
+    for kind, stream in (("accel", felt), ("jointstate", arm)):
+        (tmp_path / f"baxter_shake_{kind}_blue_1.json").write_text(json.dumps(stream))
+    log = tmp_path / "run.mcap"
+    assert adapt("baxter_hand.py", tmp_path / "baxter_shake_accel_blue_1.json", log).returncode == 0
+    run = read(log)
+    assert {joint.name: len(joint.time) for joint in run.joints} == {
+        "left_w1": 20, "torso_t0": 20, "finger": 10,
+    }  # fmt: skip
+    assert np.isclose(run.start, 100.0)
+    (hand,) = run.sus
+    np.testing.assert_allclose(hand.specific_force[3], (0.5, -0.25, 9.5))
+    other = adapt("baxter_hand.py", tmp_path / "baxter_shake_jointstate_blue_1.json", log)
+    assert other.returncode == 2
+    assert "Traceback" not in other.stderr

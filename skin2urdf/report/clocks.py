@@ -74,6 +74,8 @@ def _words(group: Sequence[SuClock]) -> str:
     whose = f"the clocks of {shortened([clock.su for clock in group], 4)} are"
     if len(group) == 1:
         whose = f"the clock of {best.su} is"
+    elif any((clock.latency, clock.drift) != (best.latency, best.drift) for clock in group):
+        whose = f"{whose} alike as far as each shows, and that of {best.su}, which shows best, is"
     return f"{whose} {_off(best, '')}"
 
 

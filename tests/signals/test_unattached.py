@@ -98,3 +98,13 @@ def test_an_su_on_the_base_that_is_shaken_for_a_while_is_on_the_robot() -> None:
         for joint in log.joints
     )
     assert unattached_in(replace(log, joints=joints)) == []
+
+
+def test_an_su_on_a_clock_of_its_own_is_on_the_robot() -> None:
+    """Patterns last as long as the rests between them, in which it moves by its clock."""
+    recording = simulation("ur5", excite="one", n_poses=3).recording
+
+    def early(su: SuStream) -> SuStream:
+        return replace(su, time=su.time - 0.5 * (su.name == recording.sus[4].name))
+
+    assert unattached_in(changed_sus(recording, early)) == []

@@ -136,7 +136,7 @@ def is_to_repair(calibration: Calibration) -> bool:
     of_use = found.positions_open == NO_POSITIONS and 2 * sum(turned) >= all_sus
     missing = calibration.mostly_open and not of_use
     faulty = any(fault.to_repair for fault in calibration.faults)
-    wrong = calibration.implausible or calibration.not_of_this_model
+    wrong = calibration.implausible or calibration.not_of_this_model or calibration.wrong_ratios
     return missing or faulty or bool(wrong or calibration.open_orders)
 
 

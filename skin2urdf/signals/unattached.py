@@ -70,7 +70,7 @@ def unattached(
         return np.asarray((in_rests >= _FEWEST) & (often > _AS_OFTEN * as_often))
 
     found = move_as_often(at_rest, chance, in_motion, least)
-    for u in np.flatnonzero(found):
+    for u in np.flatnonzero(found).tolist():
         # On a clock of its own it may rest and move with the joints at other times than theirs.
         for late in np.arange(-LARGEST_OFFSET, LARGEST_OFFSET + 1e-9, 0.5 * length):
             there = _changes(sus[u : u + 1], still + late, noise[u : u + 1])

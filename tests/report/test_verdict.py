@@ -18,7 +18,9 @@ from skin2urdf.calibration.refusal import check_fit
 from skin2urdf.calibration.result import BAD_MISFIT, Calibration
 from skin2urdf.errors import BadFitError
 from skin2urdf.estimation.trajectory.fit import held
+from skin2urdf.estimation.trajectory.gears import Ratios
 from skin2urdf.estimation.trajectory.motion_estimate import MotionEstimate
+from skin2urdf.estimation.trajectory.problem import MotionProblem
 from skin2urdf.estimation.trajectory.slack import MOST_SLACK
 from skin2urdf.estimation.uncertainty.goodness import Share
 from skin2urdf.estimation.uncertainty.health import why_bad
@@ -30,6 +32,7 @@ from skin2urdf.estimation.uncertainty.physics import (
 from skin2urdf.faults import Fault
 from skin2urdf.notes import Note
 from skin2urdf.output import not_to_be_saved
+from skin2urdf.report.document import as_document
 from skin2urdf.report.findings import findings, is_to_repair
 
 
@@ -142,6 +145,29 @@ def test_an_order_that_moves_no_su_elsewhere_does_not_matter() -> None:
     found = replace(calibration(), notes=(alike,))
     assert found.quality == "good"
     assert not is_to_repair(found)
+
+
+def test_a_joint_of_another_ratio_has_to_be_set_right() -> None:
+    along = calibration().along
+    assert along is not None
+    problem, state = along.problem, along.fitted.state
+    D = problem.tree.n_joints
+    of = Ratios(np.arange(D), tuple(log.q for log in problem.logs))
+    geared = MotionProblem(
+        problem.tree, problem.logs, replace(problem.priors, unseen=np.full(D, 0.01)), unseen=of
+    )
+    wrong = np.zeros(D)
+    wrong[:2] = -0.03, 1e-4
+    fitted = replace(along.fitted, problem=geared, state=replace(state, unseen=wrong))
+    causes = ("ratio",)
+    geared_too = replace(along, problem=geared, fitted=fitted, corrected=(), causes=causes)
+    found = replace(calibration(), along=geared_too)
+    first = problem.tree.joint_names[0]
+    assert found.quality == "fair"
+    assert against(found) == [("wrong ratios", (first,)), missing()]
+    assert is_to_repair(found)
+    assert as_document(found)["samples"]["joints"][first]["ratio_error"] == -0.03
+    assert not calibration().wrong_ratios
 
 
 def test_a_base_that_moves_by_itself_makes_a_good_fit_fair() -> None:

@@ -19,6 +19,7 @@ import numpy as np
 
 from skin2urdf.arrays import F64
 from skin2urdf.estimation.trajectory.balance import bending
+from skin2urdf.estimation.trajectory.bending import Bending
 from skin2urdf.estimation.trajectory.creeping import creeping, homed_anew
 from skin2urdf.estimation.trajectory.curved import (
     Curvature,
@@ -29,11 +30,12 @@ from skin2urdf.estimation.trajectory.curved import (
 )
 from skin2urdf.estimation.trajectory.elastic import UnderKnown
 from skin2urdf.estimation.trajectory.fit import Fitted, fit
+from skin2urdf.estimation.trajectory.gaps import fit_gaps
 from skin2urdf.estimation.trajectory.gears import find_ripples, harmonics, ratios, ripples
 from skin2urdf.estimation.trajectory.known_torque import with_known_torque, yields
 from skin2urdf.estimation.trajectory.measured_torque import with_measured_torque
 from skin2urdf.estimation.trajectory.misfit import MOST_OF_IT, SPAN, misfit_of, span_means
-from skin2urdf.estimation.trajectory.play import deflections_saturate
+from skin2urdf.estimation.trajectory.play import deflections_saturate, in_gaps, rms
 from skin2urdf.estimation.trajectory.problem import MotionProblem
 from skin2urdf.estimation.trajectory.reading_times import Read
 from skin2urdf.estimation.trajectory.rounded import rounded_off_again
@@ -48,6 +50,7 @@ from skin2urdf.estimation.trajectory.slack import (
     size_of,
     with_unseen,
 )
+from skin2urdf.estimation.trajectory.state import MotionState
 from skin2urdf.estimation.trajectory.tilting import tilts
 from skin2urdf.estimation.trajectory.unseen import Unseen
 from skin2urdf.estimation.trajectory.warming import fit_warming, with_steady_scales
@@ -292,6 +295,8 @@ class Attempt:
         """
         tree, logs = self.problem.tree, self.problem.logs
         kinds: list[tuple[str, Unseen | None]] = []
+        if self.problem.unseen is None:
+            kinds.append((PLAY, in_gaps(logs, self._bent_by_loads)))
         if RATIO not in self.causes:
             kinds.append((RATIO, ratios(logs)))
         if "harmonics" not in self.causes:
@@ -304,6 +309,36 @@ class Attempt:
         if HOMED not in self.causes:
             kinds.append((HOMED, homed_anew(tree, logs)))
         return [*kinds, (TILTS, self._tilting)]
+
+    @property
+    def _bent_by_loads(self) -> list[F64]:
+        """Per log (N, D) deflections of elastic joints that the readings show to first order."""
+        bends, numbers = self._loads(BENDS[0]), self.bends[BENDS[0]].numbers
+        logs, D = self.problem.logs, self.problem.tree.n_joints
+        return [bends.moved(log, g, numbers).q[:, :D] - log.q for g, log in enumerate(logs)]
+
+    def with_gaps(self) -> Attempt | None:
+        """With joints in gaps, by loads as they bend joints to first order; None as on springs."""
+        bends = self._loads(BENDS[0])
+        loads = self.bends[BENDS[0]].numbers[: len(bends.basis)]
+        return self.in_gaps(self.fitted.state, bends, loads, self._bent_by_loads)
+
+    def in_gaps(
+        self, begin: MotionState, bends: Bending, loads: F64, bent: Sequence[F64]
+    ) -> Attempt | None:
+        """With joints that lie in gaps; None where they hang within them, as on springs.
+
+        Args:
+            begin: a state to begin with.
+            bends: what would bend springs.
+            loads: (P,) by how much.
+            bent: per log (N, D or more) deflections of these springs [rad or m].
+        """
+        half = rms(bent)[: self.problem.tree.n_joints]
+        found = fit_gaps(self.problem, begin, bends, loads, half)
+        if found is None:
+            return None
+        return replace(self, problem=found[0], fitted=found[1], causes=(*self.causes, PLAY))
 
     def tilted(self) -> Attempt | None:
         """With tilts of the base of the size that is shown; None where none is for certain."""
@@ -360,7 +395,7 @@ class Attempt:
         kinds = BENDS[:1] if TILTS in self.causes else BENDS
         return {cause: size_of(self.problem, self.fitted, self._loads(cause)) for cause in kinds}
 
-    def _loads(self, cause: str) -> Unseen:
+    def _loads(self, cause: str) -> Bending:
         """The deflections that loads of one kind of what bends can make."""
         problem, state = self.problem, self.fitted.state
         return bending(

@@ -24,10 +24,10 @@ from skin2urdf.estimation.trajectory.attempt import (
     Explained,
     explains_most,
 )
+from skin2urdf.estimation.trajectory.bending import bends_of
 from skin2urdf.estimation.trajectory.displaced import one_alone_changed
 from skin2urdf.estimation.trajectory.elastic import UnderKnown
 from skin2urdf.estimation.trajectory.fit import Fitted
-from skin2urdf.estimation.trajectory.gaps import fit_gaps
 from skin2urdf.estimation.trajectory.in_time import in_time
 from skin2urdf.estimation.trajectory.problem import MotionProblem
 from skin2urdf.estimation.trajectory.slack import CERTAIN, slack
@@ -219,13 +219,13 @@ def _with_play(before: Attempt, springs: Attempt) -> Attempt:
         before: the attempt without either.
         springs: with joints that yield, whose deflections saturate.
     """
-    causes = (*before.causes, PLAY)
-    found = fit_gaps(before.problem, springs.fitted)
-    if found is not None:
-        gaps = replace(before, problem=found[0], fitted=found[1], causes=causes)
-        if gaps.misfit < springs.misfit:
+    bends, state = bends_of(springs.problem.unseen), springs.fitted.state
+    if bends is not None:
+        bent = springs.problem.deflections(state)
+        gaps = before.in_gaps(state, bends, state.unseen[: len(bends.basis)], bent)
+        if gaps is not None and gaps.misfit < springs.misfit:
             return gaps
-    return replace(springs, causes=causes)
+    return replace(springs, causes=(*before.causes, PLAY))
 
 
 def _with_few_sizes(rigid: Attempt, by_bends: float, without: Collection[str]) -> Attempt:
@@ -237,17 +237,23 @@ def _with_few_sizes(rigid: Attempt, by_bends: float, without: Collection[str]) -
         without: causes that need not be tried.
     """
     best = rigid
-    while (slack_size := best.certain_slack) is not None:
+    while best.needs_a_cause and (slack_size := best.certain_slack) is not None:
         proposed = {
             name: best.sized(more)
             for name, more in best.of_few_sizes()
             if more is not None and name not in without
         }
+        if BENDS[0] in without:
+            proposed.pop(PLAY, None)
         if not proposed:
             break
         name = max(proposed, key=lambda each: proposed[each][1].gain)
         more, size = proposed[name]
         if size.gain <= max(slack_size.gain, by_bends):
             break
-        best = best.with_more(name, more, size.size)
+        further = best.with_gaps() if name == PLAY else best.with_more(name, more, size.size)
+        if further is None:
+            without = {*without, name}
+            continue
+        best = further
     return best

@@ -15,9 +15,10 @@ import numpy as np
 
 from skin2urdf.arrays import F64
 from skin2urdf.estimation.trajectory.balance import step_of
-from skin2urdf.estimation.trajectory.bending import Bending, bends_of
+from skin2urdf.estimation.trajectory.bending import Bending
 from skin2urdf.estimation.trajectory.coarser import coarser, on_grid
 from skin2urdf.estimation.trajectory.fit import Fitted, Led, fit_following
+from skin2urdf.estimation.trajectory.play import rms
 from skin2urdf.estimation.trajectory.problem import MotionProblem
 from skin2urdf.estimation.trajectory.skeleton import N_HINGES
 from skin2urdf.estimation.trajectory.state import MotionState
@@ -70,42 +71,38 @@ class Gaps(Unseen):
         return replace(self, motions=tuple(motions), settled=tuple(settled), origin=x)
 
 
-def fit_gaps(problem: MotionProblem, springs: Fitted) -> tuple[MotionProblem, Fitted] | None:
+def fit_gaps(
+    problem: MotionProblem, begin: MotionState, bends: Bending, loads: F64, half: F64
+) -> tuple[MotionProblem, Fitted] | None:
     """The fit with joints that lie in gaps; None where links hang within them, as on springs.
 
     Args:
         problem: the rigid robot.
-        springs: its fit with joints that yield as springs do under loads that nobody knows.
+        begin: a state to begin with, whatever it has of unseen motion.
+        bends: what bends springs.
+        loads: (P,) loads, as far as they are known.
+        half: (D,) half of each gap to begin with [rad or m].
     """
-    bends = bends_of(springs.problem.unseen)
-    if bends is None:
-        return None
-    tree, logs, P, D = problem.tree, problem.logs, len(bends.basis), problem.tree.n_joints
-    loads = springs.state.unseen[:P]
-    bent = np.concatenate(springs.problem.deflections(springs.state))[:, :D]
-    # The spring that is nearest to a gap has the same mean square: half the gap's.
-    half = np.sqrt(np.mean(bent**2, axis=0))
+    logs, P, D = problem.logs, len(loads), problem.tree.n_joints
     wide = np.full(D, _WIDER * np.sqrt(np.mean(half**2)))
     priors = replace(problem.priors, unseen=np.concatenate([bends.spread[:P], wide]))
-    gaps = _gaps(springs, bends, loads)
+    gaps = _gaps(problem, begin, bends, loads)
 
     def follow(_: MotionProblem, at: MotionState) -> Led:
         there = gaps.about(logs, at.unseen)
-        about = MotionProblem(tree, logs, priors, problem.layout.n_knots, there)
+        about = MotionProblem(problem.tree, logs, priors, problem.layout.n_knots, there)
         return Led(about, at, lambda: about)
 
-    begin = follow(problem, replace(springs.state, unseen=np.concatenate([loads, half])))
-    about, fitted = fit_following(begin.problem, begin.state, follow, iterations=_STEPS)
-    bent = np.concatenate(about.deflections(fitted.state))[:, :D]
-    lies = np.linalg.norm(np.sqrt(np.mean(bent**2, axis=0)))
-    half = fitted.state.unseen[P:]
-    return (about, fitted) if lies > _ON_A_SIDE * np.linalg.norm(half) else None
+    first = follow(problem, replace(begin, unseen=np.concatenate([loads, half])))
+    about, fitted = fit_following(first.problem, first.state, follow, iterations=_STEPS)
+    lies = np.linalg.norm(rms(about.deflections(fitted.state))[:D])
+    found = np.linalg.norm(fitted.state.unseen[P:])
+    return (about, fitted) if lies > _ON_A_SIDE * found else None
 
 
-def _gaps(springs: Fitted, bends: Bending, loads: F64) -> Gaps:
+def _gaps(problem: MotionProblem, state: MotionState, bends: Bending, loads: F64) -> Gaps:
     """Gaps that links fall across by loads of their rms, of which no motion is known yet."""
-    problem, places = springs.problem, springs.state.placements
-    tree, gravity = problem.tree, springs.state.gravity
+    tree, places, gravity = problem.tree, state.placements, state.gravity
     P, D = len(loads), tree.n_joints
     every = tuple(step_of(log) for log in problem.logs)
     torques = []

@@ -8,6 +8,8 @@ would explain beside them is about as much as they are. Of springs it is a few h
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from skin2urdf.arrays import F64
@@ -16,6 +18,7 @@ from skin2urdf.estimation.trajectory.problem import MotionProblem
 from skin2urdf.estimation.trajectory.slack import size_of
 from skin2urdf.estimation.trajectory.unseen import Unseen
 from skin2urdf.signals.filters import filtered
+from skin2urdf.signals.trajectory import Trajectory
 
 _SHARE = 0.5
 """Part of the deflections that such a function has to explain. Springs have 0.003 to 0.06 of them
@@ -38,17 +41,33 @@ def deflections_saturate(problem: MotionProblem, fitted: Fitted, certain: float)
         problem.unseen.moved(log, g, x).q[:, :n_joints] - log.q[:, :n_joints]
         for g, log in enumerate(problem.logs)
     ]
-    size = np.sqrt(np.mean(np.concatenate(bent) ** 2, axis=0))
-    yields = np.flatnonzero(size > 0)
-    if not len(yields):
+    gaps = in_gaps(problem.logs, bent)
+    if not len(gaps.joint):
         return False
+    found = size_of(problem, fitted, gaps)
+    return found.gain > certain and _norm(found.numbers) > _SHARE * _norm(rms(bent))
+
+
+def in_gaps(logs: Sequence[Trajectory], bent: Sequence[F64]) -> Unseen:
+    """Motions of joints in gaps of half a radian or metre on either side, as loads bend springs.
+
+    Args:
+        logs: trajectories.
+        bent: per log (N, D) deflections of springs under the same loads [rad or m].
+    """
     # The spring that is nearest to a gap has the same mean square: half the gap's.
+    size = rms(bent)
+    yields = np.flatnonzero(size > 0)
     motions = tuple(
         filtered(np.tanh(each[:, yields] / size[yields]), log.taps)
-        for each, log in zip(bent, problem.logs, strict=True)
+        for each, log in zip(bent, logs, strict=True)
     )
-    found = size_of(problem, fitted, Unseen(yields, motions))
-    return found.gain > certain and _norm(found.numbers) > _SHARE * _norm(size[yields])
+    return Unseen(yields, motions)
+
+
+def rms(bent: Sequence[F64]) -> F64:
+    """(D,) root mean squares of deflections (N, D) of all logs."""
+    return np.asarray(np.sqrt(np.mean(np.concatenate(bent) ** 2, axis=0)))
 
 
 def _norm(x: F64) -> float:

@@ -25,12 +25,14 @@ from synthetic import (
 from skin2urdf.arrays import F64
 from skin2urdf.estimation.problem.cost import Priors
 from skin2urdf.estimation.problem.state import State
+from skin2urdf.estimation.trajectory.attempt import Attempt
 from skin2urdf.estimation.trajectory.balance import bending, followed
 from skin2urdf.estimation.trajectory.bending import Bending
 from skin2urdf.estimation.trajectory.estimate import estimate_along
 from skin2urdf.estimation.trajectory.motion_estimate import MotionEstimate
 from skin2urdf.estimation.trajectory.priors import motion_priors
 from skin2urdf.estimation.trajectory.problem import MotionProblem
+from skin2urdf.estimation.trajectory.slack import CERTAIN
 from skin2urdf.estimation.trajectory.state import MotionState
 from skin2urdf.model.kinematics import to_pinocchio
 from skin2urdf.model.specific_force import specific_forces
@@ -153,6 +155,23 @@ def test_play_is_told_from_springs() -> None:
     coarse = _fit(_from_place_to_place(0.0 * _SOFT, 3e-3, 1.5e-3))
     assert "play" in coarse.tried
     assert "elastic" not in coarse.tried
+
+
+def test_gaps_are_followed_from_what_one_look_says_of_loads() -> None:
+    """Where slack says more than springs do to first order, these are not followed at all."""
+    log = _from_place_to_place(0.0 * _SOFT, 2e-3)
+    priors = motion_priors(Priors(), gravity=0.0, front=(np.zeros(2), np.zeros(2)))
+    start = _truth(), priors, np.zeros(2)
+    found = estimate_along([log], _TREE, *start, look_further=False)
+    rigid = Attempt(found.problem, found.fitted, (), None)
+    gaps = rigid.with_gaps()
+    assert gaps is not None
+    assert gaps.causes == ("play",)
+    assert gaps.misfit < 0.5 * rigid.misfit
+    proposed, further = (dict(each.of_few_sizes()) for each in (rigid, gaps))
+    assert proposed["play"] is not None
+    assert rigid.sized(proposed["play"])[1].gain > CERTAIN
+    assert "play" not in further
 
 
 def test_what_yields_passes_the_low_pass_as_motion_does() -> None:

@@ -3,7 +3,7 @@
 On which side a link lies is the sense of the torque that its gear bears, ``e = -b tanh(tau / s)``
 with half a gap b of each joint, and torques that are linear in the masses of the links, as those
 that bend springs are. Only their sizes over s count, by which links fall across slowly or at once;
-springs that fit nearly tell the loads to begin with.
+what would bend springs, followed or to first order, tells the loads to begin with.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ _ON_A_SIDE = 0.5
 """Deflections, rms, over half of the gaps from which links lie on their sides: in gaps of 0.3 to
 3.5 mrad it is 0.9 and more, and 0.15 where a fit has ended in what is linear of them."""
 _WIDER = 3.0
-"""Standard deviation of half a gap, over that of springs that fit nearly."""
+"""Standard deviation of half a gap, over the rms of deflections to begin with."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -94,6 +94,19 @@ class SuSource:
     duration: float
 
 
+def wrong_ratios(along: MotionEstimate) -> dict[str, float]:
+    """By how much further joints move than their encoders say, over that [1], by their names.
+
+    Those are left out that do by a small part of what the one does that is most off.
+
+    Args:
+        along: the fit of all samples.
+    """
+    ratios, names = along.ratios, along.problem.tree.joint_names
+    least = CHIEF * np.abs(ratios).max(initial=0.0)
+    return {n: float(x) for n, x in zip(names, ratios, strict=True) if abs(x) > least}
+
+
 @dataclass(frozen=True, eq=False)
 class Calibration(Record):
     """A finished calibration.
@@ -304,15 +317,8 @@ class Calibration(Record):
 
     @property
     def wrong_ratios(self) -> dict[str, float]:
-        """By how much further some joints move than their encoders say, over that [1].
-
-        Those are left out that do by a small part of what the one does that is most off.
-        """
-        if self.along is None:
-            return {}
-        ratios, names = self.along.ratios, self.along.problem.tree.joint_names
-        least = CHIEF * np.abs(ratios).max(initial=0.0)
-        return {n: float(x) for n, x in zip(names, ratios, strict=True) if abs(x) > least}
+        """By how much further some joints move than their encoders say, over that [1]."""
+        return {} if self.along is None else wrong_ratios(self.along)
 
     @property
     def is_smoothed_away(self) -> bool:

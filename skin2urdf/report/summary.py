@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from skin2urdf.arrays import F64
-from skin2urdf.calibration.result import CHIEF, Calibration
+from skin2urdf.calibration.result import CHIEF, Calibration, wrong_ratios
 from skin2urdf.estimation.trajectory.motion_estimate import MotionEstimate
 from skin2urdf.geometry.units import GRAVITY, MILLI_G
 from skin2urdf.recording.naming import shortened
@@ -326,6 +326,13 @@ def sensor_notes(along: MotionEstimate | None, of: Sequence[str] | None = None) 
             f"the base tilts by itself, by {number(along.tilt_of_base * _MM)} mrad (rms) within a "
             "log; it was followed as turns of gravity, and what it accelerates by is in the stated "
             "errors: an SU on it tells its tilts from joints, one that stands still tells more"
+        )
+    if ratios := wrong_ratios(along):
+        shares = ", ".join(f"{name} by {number(100 * x)} %" for name, x in ratios.items())
+        notes.append(
+            f"joints move by more or less than their positions say, {shares}; it was followed, and "
+            "the URDF holds for positions of the links: see that each driver has the right gear "
+            "ratio and encoder scale"
         )
     if uneven := [_GEARS[cause] for cause in along.causes if cause in _GEARS]:
         notes.append(

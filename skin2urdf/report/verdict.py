@@ -193,8 +193,8 @@ def _doubts(calibration: Calibration) -> list[Doubt]:
     if ratios := calibration.wrong_ratios:
         shares = ", ".join(f"{name} by {number(100 * x)} %" for name, x in ratios.items())
         words = (
-            f"joints move further than their positions say: {shares} (see that each driver has the "
-            "right gear ratio and encoder scale; the URDF holds for positions of the links)"
+            f"joints move by more or less than their positions say, {shares} (see that each driver "
+            "has the right gear ratio and encoder scale; the URDF holds for positions of the links)"
         )
         found.append(Doubt("wrong ratios", words, tuple(ratios)))
     if calibration.base_gives_way:

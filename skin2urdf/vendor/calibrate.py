@@ -151,6 +151,6 @@ def _trajectories(logs: Logs, chassis: Chassis, heard: Int) -> list[Trajectory]:
         raise InsufficientDataError(
             "the log has no samples to compare along most of it, nor in most of its rests: it was "
             "recorded rest by rest, or has gaps everywhere",
-            "record ten seconds or more of motion in one go",
+            "record ten seconds or more of motion in all, in runs of several seconds each",
         )
     return found

@@ -382,18 +382,29 @@ def test_a_log_without_a_rest_does_and_what_it_leaves_open_is_named(toy: Recorde
     assert found.quality == "fair"
 
 
+def test_short_runs_with_longer_pauses_are_compared_where_they_move(
+    tmp_path_factory: pytest.TempPathFactory,
+) -> None:
+    long = recorded(tmp_path_factory.mktemp("long"), minutes=2.0)
+    runs = part(long.recording, lambda time: np.mod(time, 10.0) < 4.5)
+    found = calibrate_with_model(runs, model())
+    assert found.links == tuple(long.link[name] for name in found.tree.su_names)
+    assert found.quality == "good"
+
+
 def between(recording: Recording, begin: float, end: float) -> Recording:
-    """Part of a recording."""
+    """What was recorded between two times [s]."""
+    return part(recording, lambda time: (time >= begin) & (time <= end))
 
-    def part(time: F64) -> Bool:
-        return (time >= begin) & (time <= end)
 
+def part(recording: Recording, of: Callable[[F64], Bool]) -> Recording:
+    """What was recorded at some of the times (N,) [s]."""
     joints = [
-        replace(x, time=x.time[part(x.time)], position=x.position[part(x.time)])
+        replace(x, time=x.time[of(x.time)], position=x.position[of(x.time)])
         for x in recording.joints
     ]
     sus = [
-        replace(x, time=x.time[part(x.time)], specific_force=x.specific_force[part(x.time)])
+        replace(x, time=x.time[of(x.time)], specific_force=x.specific_force[of(x.time)])
         for x in recording.sus
     ]
     return replace(recording, joints=tuple(joints), sus=tuple(sus))

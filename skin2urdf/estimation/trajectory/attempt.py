@@ -35,7 +35,7 @@ from skin2urdf.estimation.trajectory.gears import find_ripples, harmonics, ratio
 from skin2urdf.estimation.trajectory.known_torque import with_known_torque, yields
 from skin2urdf.estimation.trajectory.measured_torque import with_measured_torque
 from skin2urdf.estimation.trajectory.misfit import MOST_OF_IT, SPAN, misfit_of, span_means
-from skin2urdf.estimation.trajectory.play import deflections_saturate, in_gaps, rms
+from skin2urdf.estimation.trajectory.play import deflections_saturate, gaps_like, rms
 from skin2urdf.estimation.trajectory.problem import MotionProblem
 from skin2urdf.estimation.trajectory.reading_times import Read
 from skin2urdf.estimation.trajectory.rounded import rounded_off_again
@@ -296,7 +296,7 @@ class Attempt:
         tree, logs = self.problem.tree, self.problem.logs
         kinds: list[tuple[str, Unseen | None]] = []
         if self.problem.unseen is None:
-            kinds.append((PLAY, in_gaps(logs, self._bent_by_loads)))
+            kinds.append((PLAY, gaps_like(logs, self._bent_by_loads)))
         if RATIO not in self.causes:
             kinds.append((RATIO, ratios(logs)))
         if "harmonics" not in self.causes:
@@ -310,7 +310,7 @@ class Attempt:
             kinds.append((HOMED, homed_anew(tree, logs)))
         return [*kinds, (TILTS, self._tilting)]
 
-    @property
+    @cached_property
     def _bent_by_loads(self) -> list[F64]:
         """Per log (N, D) deflections of elastic joints that the readings show to first order."""
         bends, numbers = self._loads(BENDS[0]), self.bends[BENDS[0]].numbers

@@ -237,14 +237,15 @@ def _with_few_sizes(rigid: Attempt, by_bends: float, without: Collection[str]) -
         without: causes that need not be tried.
     """
     best = rigid
+    if BENDS[0] in without:
+        # Links lie in gaps by the loads that bend springs.
+        without = {*without, PLAY}
     while best.needs_a_cause and (slack_size := best.certain_slack) is not None:
         proposed = {
             name: best.sized(more)
             for name, more in best.of_few_sizes()
             if more is not None and name not in without
         }
-        if BENDS[0] in without:
-            proposed.pop(PLAY, None)
         if not proposed:
             break
         name = max(proposed, key=lambda each: proposed[each][1].gain)

@@ -109,7 +109,7 @@ def _gaps(problem: MotionProblem, state: MotionState, bends: Bending, loads: F64
     for g, (log, step) in enumerate(zip(problem.logs, every, strict=True)):
         of_log = regressors(tree, places, g, gravity, coarser(log, step))
         torques.append(np.concatenate([Y @ bends.basis.T for Y, _ in of_log]))
-    size = np.sqrt(np.mean(np.concatenate([Y @ loads for Y in torques]) ** 2, axis=0))
+    size = rms([Y @ loads for Y in torques])
     across = np.where(size > 0, size, 1.0)[:, None]
     return Gaps(
         np.tile(np.arange(D), P + 1),

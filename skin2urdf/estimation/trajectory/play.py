@@ -41,14 +41,14 @@ def deflections_saturate(problem: MotionProblem, fitted: Fitted, certain: float)
         problem.unseen.moved(log, g, x).q[:, :n_joints] - log.q[:, :n_joints]
         for g, log in enumerate(problem.logs)
     ]
-    gaps = in_gaps(problem.logs, bent)
+    gaps = gaps_like(problem.logs, bent)
     if not len(gaps.joint):
         return False
     found = size_of(problem, fitted, gaps)
     return found.gain > certain and _norm(found.numbers) > _SHARE * _norm(rms(bent))
 
 
-def in_gaps(logs: Sequence[Trajectory], bent: Sequence[F64]) -> Unseen:
+def gaps_like(logs: Sequence[Trajectory], bent: Sequence[F64]) -> Unseen:
     """Motions of joints in gaps of half a radian or metre on either side, as loads bend springs.
 
     Args:

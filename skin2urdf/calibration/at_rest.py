@@ -16,9 +16,10 @@ from skin2urdf.estimation.start.from_rests import state_of
 from skin2urdf.estimation.trajectory.motion_estimate import MotionEstimate
 from skin2urdf.estimation.trajectory.slack import CERTAIN
 from skin2urdf.notes import of_kind
-from skin2urdf.structure.from_motion import MotionTree, doubt, trees_of_both_kinds
+from skin2urdf.structure.from_motion import MotionTree, trees_of_both_kinds
 from skin2urdf.structure.gravity import gravity_features, gravity_windows
 from skin2urdf.structure.still import turned_all_the_same
+from skin2urdf.structure.tree_notes import doubt
 
 
 def estimate_at_rest(logs: Logs, structure: Structure, clock: Clock) -> Solution:

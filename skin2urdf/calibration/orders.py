@@ -21,9 +21,9 @@ from skin2urdf.estimation.solve.estimate import estimate
 from skin2urdf.estimation.trajectory.motion_estimate import MotionEstimate
 from skin2urdf.estimation.trajectory.slack import CERTAIN
 from skin2urdf.notes import Note
-from skin2urdf.structure.from_motion import doubt
 from skin2urdf.structure.ordering import bare_neighbours
 from skin2urdf.structure.records import KinematicTree
+from skin2urdf.structure.tree_notes import doubt
 
 _ALIKE = 0.02
 """How differently two orders may carry SUs along a log that may not tell them apart, rms [rad, m]:

@@ -40,6 +40,7 @@ from skin2urdf.structure.hidden_joints import (
 from skin2urdf.structure.otherwise import that_move_otherwise
 from skin2urdf.structure.records import KinematicTree
 from skin2urdf.structure.tilted import Tilted, tilts_of_base
+from skin2urdf.structure.tree_notes import doubt, left_out
 from skin2urdf.structure.worth import QUIET
 
 _EXPLAINED = 2.0
@@ -458,7 +459,7 @@ def _motion_tree(
             continue
         pushed = that_move_otherwise(draft, samples, d) if moved[d] else []
         sus = tuple(windows.su_names[u] for u in pushed)
-        notes.append(_left_out(sampled, d, name, sus, moved=bool(moved[d])))
+        notes.append(left_out(sampled, d, name, sus, moved=bool(moved[d])))
     tree = KinematicTree(
         tuple(names[j.dof] for j in draft.joints),
         np.array(draft.parent, dtype=np.int64),
@@ -483,35 +484,3 @@ def _motion_tree(
         np.array(chi2),
         np.array([np.sqrt(j.loss.sum() / max(j.count.sum(), 1.0)) for j in judged]),
     )
-
-
-def doubt(tree: KinematicTree, other: KinematicTree) -> Note:
-    """A note on a tree that the log does not tell from the one that was taken."""
-    theirs = dict(_chains(other))
-    taken, instead = next(
-        ((chain, theirs[name]) for name, chain in _chains(tree) if chain != theirs[name]),
-        (tree.joint_names, other.joint_names),
-    )
-    if taken == instead:
-        return Note("sense unknown")
-    return Note("other order", joints=taken, instead=instead)
-
-
-def _chains(tree: KinematicTree) -> list[tuple[str, tuple[str, ...]]]:
-    """The SUs, and the joints before each."""
-    return [
-        (name, tuple(tree.joint_names[j] for j in tree.chain(int(joint))))
-        for name, joint in zip(tree.su_names, tree.su_joint, strict=True)
-    ]
-
-
-def _left_out(
-    sampled: Sequence[Sampled], dof: int, name: str, pushed: tuple[str, ...], *, moved: bool
-) -> Note:
-    """A note on a joint that is no part of the tree, and on SUs that it pushes all the same."""
-    if not moved:
-        return Note("joint left out", joints=(name,), detail="never moved")
-    span = max(float(np.ptp(s.motion.q[:, dof])) for s in sampled)
-    if pushed:
-        return Note("moves otherwise", pushed, (name,), size=span)
-    return Note("joint left out", joints=(name,), detail="not shown", size=span)

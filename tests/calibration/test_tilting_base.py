@@ -19,10 +19,13 @@ from skin2urdf.arrays import F64
 from skin2urdf.calibration.pipeline import calibrate
 from skin2urdf.calibration.result import Calibration
 from skin2urdf.estimation.uncertainty.observability import aligned_deviations
+from skin2urdf.recording.retiming import retimed
 from skin2urdf.report.verdict import doubts
+from skin2urdf.signals.sampling import sampled_together
 from skin2urdf.simulation import RobotSpec, SimulationSettings, simulate
 from skin2urdf.simulation.robots import GivenSu, SkinLayout
 from skin2urdf.simulation.settings import Excitation
+from skin2urdf.structure.from_motion import trees_of_both_kinds
 
 _STAND = """
 <link name="{parent}"><inertial><mass value="20"/>
@@ -123,3 +126,18 @@ def test_patterns_around_poses_are_no_obstacle(tmp_path: Path) -> None:
     assert found.along is not None
     assert found.along.moving_base is not None
     _hold(found, simulation.truth.urdf, tmp_path)
+
+
+def test_where_rests_show_that_a_base_tilts_no_moves_are_searched(tmp_path: Path) -> None:
+    """What shakes it is no gravity along moves: with ten joints that search took minutes."""
+    settings = SimulationSettings(
+        excite="none", minutes=1.0, upright=True, seed=3, imu_rate=100.0, joint_rate=50.0
+    )
+    simulation = simulate(_robot(tmp_path, 0, on_base=True), settings)
+    recording = retimed(on_a_tilting_base(simulation, Tilting(2e-2, 8.0), 1))
+    logs, _ = sampled_together([recording])
+    (of_rests,) = trees_of_both_kinds(logs, [su.name for su in recording.sus])
+    tree = of_rests[0].tree
+    assert tree.joint_names == ("j0", "j1", "j2")
+    assert tree.parent.tolist() == [-1, 0, 1]
+    assert sorted(tree.su_joint.tolist()) == [-1, 0, 1, 1, 2, 2]

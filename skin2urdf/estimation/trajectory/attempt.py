@@ -66,7 +66,9 @@ _HIDDEN = 0.05
 """Part of the noise that residuals show which springs or a base have to take where no more than
 noise is left: less would change stated errors by a fortieth. They take 0.07 to 0.8 of it in series
 on springs, and 0.03 in one synthetic log without."""
-BENDS, PLAY, CLOCK, DRIFT, CURVES = ("elastic", "base"), "play", "clock", "drift", "nonlinearity"
+BASE = "base"
+"""That of a base that gives way under loads."""
+BENDS, PLAY, CLOCK, DRIFT, CURVES = ("elastic", BASE), "play", "clock", "drift", "nonlinearity"
 """Causes of deflections, what is followed as the first of them and is none, and those of clocks
 that wander, of biases and of sensors' axes."""
 WARMING = "warming"
@@ -400,7 +402,7 @@ class Attempt:
         problem, state = self.problem, self.fitted.state
         return bending(
             problem.tree, problem.logs, state.placements, state.gravity,
-            joints=cause == "elastic", base=cause == "base",
+            joints=cause == "elastic", base=cause == BASE,
         )  # fmt: skip
 
     @cached_property

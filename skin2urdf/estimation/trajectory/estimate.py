@@ -9,7 +9,7 @@ import numpy as np
 
 from skin2urdf.arrays import F64
 from skin2urdf.estimation.problem.state import State
-from skin2urdf.estimation.trajectory.attempt import BENDS, DRIFT, Explained
+from skin2urdf.estimation.trajectory.attempt import BASE, BENDS, DRIFT, Explained
 from skin2urdf.estimation.trajectory.causes import explained
 from skin2urdf.estimation.trajectory.clocks import with_likely_clocks
 from skin2urdf.estimation.trajectory.doubtful_fronts import (
@@ -27,6 +27,7 @@ from skin2urdf.estimation.trajectory.impossible_fronts import with_possible_fron
 from skin2urdf.estimation.trajectory.in_time import how_joints_were_read, with_times_open
 from skin2urdf.estimation.trajectory.listening import found_gyros, listened
 from skin2urdf.estimation.trajectory.misfit import (
+    NOISE,
     SPAN,
     misfit,
     misfit_of,
@@ -111,7 +112,7 @@ def estimate_along(
     tell(0.7)
     moving_base = None
     if look_further and FELT not in without:
-        problem, fitted, moving_base = standing_still(problem, fitted)
+        problem, fitted, moving_base = standing_still(problem, fitted, yields=BASE not in without)
     mended = np.zeros_like(clock) if mended is None else mended
     about, there = with_likely_clocks(problem, fitted, begin, mended, iterations)
     if there is not fitted:
@@ -161,14 +162,13 @@ def estimate_along(
         found.wander, found.left_to_one, *how_joints_were_read(found), moving_base,
     )  # fmt: skip
     if moving_base is not None and DRIFT in found.causes:
-        # Sensors that warm up together all feel what one of them on the base does; up to a misfit
-        # of 1 no more than noise is left of either.
+        # Sensors that warm up together all feel what one of them on the base does.
         standing = estimate_along(
             logs, tree, start, priors, latency, tell, only_known=only_known,
             without={*asked_without, FELT}, most=most, unless_one_changed=unless_one_changed,
             iterations=iterations, lengths=lengths, alike=alike, mended=mended,
         )  # fmt: skip
-        if standing.misfit <= max(left, 1.0) and set(standing.causes) <= set(found.causes):
+        if standing.misfit <= max(left, NOISE) and set(standing.causes) <= set(found.causes):
             return standing
     return estimate
 

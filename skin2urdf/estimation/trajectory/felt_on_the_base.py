@@ -10,6 +10,10 @@ what few such points would have it turn by, one for each axis of both. Where it 
 
     d'' = s + cross(e, f) - cross(e'', r).
 
+What of `s` is motion and not noise is told by its power, and by the loads of a robot to which its
+base yields, where any are known: these go with the motion of its links, of which nothing is noise.
+What hides in the noise of a turn that goes with the links would be taken for their lengths.
+
 Few numbers make its motion: these shares, the place r, how much later the SU was read than the
 others, and what its sensor makes of ``s``.
 """
@@ -27,6 +31,7 @@ from skin2urdf.estimation.problem.cost import Priors
 from skin2urdf.estimation.problem.state import State
 from skin2urdf.estimation.trajectory.coarser import on_grid
 from skin2urdf.estimation.trajectory.skeleton import N_HINGES, shift, turn
+from skin2urdf.estimation.trajectory.state import MotionState
 from skin2urdf.estimation.trajectory.unseen import Unseen
 from skin2urdf.signals.filters import first_derivative, noise_bandwidth
 from skin2urdf.signals.trajectory import Trajectory
@@ -71,7 +76,8 @@ class Felt(Record):
 
     Attributes:
         s: (M, 3) in the base's frame, low-passed once [m/s^2].
-        likeliest: (M, 3) what of it is motion and not noise, as far as its power tells [m/s^2].
+        likeliest: (M, 3) what of it is motion and not noise, as far as loads and power tell
+            [m/s^2].
         rate: samples per second [Hz].
         step: grid samples of the log from one to the next.
         size: grid samples of the log.
@@ -109,7 +115,11 @@ class Felt(Record):
 
 
 def felt_on_the_base(
-    logs: Sequence[Trajectory], places: State, gravity: float, asked: Int
+    logs: Sequence[Trajectory],
+    places: State,
+    gravity: float,
+    asked: Int,
+    of_loads: Sequence[F64] | None = None,
 ) -> list[Felt]:
     """What SUs on the base feel, log by log, in the mean of them.
 
@@ -118,6 +128,8 @@ def felt_on_the_base(
         places: how they are turned.
         gravity: its magnitude [m/s^2].
         asked: (B,) which SUs.
+        of_loads: per log (N, 3) what would be felt of a base that yields to the robot's loads
+            alone; None where that is not known.
     """
     matrix = np.linalg.inv(places.sensor_matrix()[asked])
     into_base = places.T_joint_su[asked, :3, :3] @ matrix
@@ -126,8 +138,32 @@ def felt_on_the_base(
         step = max(1, int(log.rate / (_PER_CUTOFF * noise_bandwidth(log.taps, log.rate))))
         s = np.mean([x @ R.T for x, R in zip(_changes(log, asked), into_base, strict=True)], axis=0)
         f = places.up[g] * gravity
-        likeliest = _without_noise(s, log)
+        made = np.zeros_like(s) if of_loads is None else of_loads[g]
+        likeliest = made + _without_noise(s - made, log)
         out.append(Felt(s[::step], likeliest[::step], log.rate / step, step, len(log.q), f))
+    return out
+
+
+def felt_as_it_yields(
+    unseen: Unseen, logs: Sequence[Trajectory], state: MotionState, asked: Int
+) -> list[F64]:
+    """Per log (N, 3) what is felt beside gravity of a known motion of the base [m/s^2].
+
+    Args:
+        unseen: which makes it.
+        logs: trajectories.
+        state: numbers that make it, and where SUs are.
+        asked: (B,) SUs on the base, in the middle of which it is felt.
+    """
+    out = []
+    place = state.placements.T_joint_su[asked, :3, 3].mean(axis=0)
+    for g, log in enumerate(logs):
+        D = log.q.shape[1]
+        moved = unseen.moved(log, g, state.unseen)
+        turned, accelerates = moved.q[:, D + 3 :], moved.qdd[:, D:]
+        f = state.placements.up[g] * state.gravity
+        s = accelerates[:, :3] + np.cross(accelerates[:, 3:], place) - np.cross(turned, f)
+        out.append(s - s.mean(axis=0))
     return out
 
 

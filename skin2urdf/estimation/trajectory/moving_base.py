@@ -9,6 +9,8 @@ SUs on the base: with free numbers, of which nothing is known before. That what 
 read is explained as well then proves that it is the base which moves, and not sensors that warm up
 together. How these are turned is known from there on, and what they feel is what the base does
 (:mod:`felt_on_the_base`).
+
+Of a base that yields to the robot's loads and moves in no other way these say more than any SU.
 """
 
 from __future__ import annotations
@@ -25,16 +27,18 @@ from skin2urdf.estimation.trajectory.felt_on_the_base import (
     Felt,
     Numbers,
     about,
+    felt_as_it_yields,
     felt_on_the_base,
     free_motion,
 )
 from skin2urdf.estimation.trajectory.fit import Fitted, Led, fit, fit_following, held, leading
-from skin2urdf.estimation.trajectory.misfit import SPAN
+from skin2urdf.estimation.trajectory.misfit import NOISE, SPAN, misfit_of
 from skin2urdf.estimation.trajectory.on_the_base import turned_as_the_base
 from skin2urdf.estimation.trajectory.problem import MotionProblem
 from skin2urdf.estimation.trajectory.slack import CERTAIN, lacking, with_unseen
 from skin2urdf.estimation.trajectory.state import MotionState
 from skin2urdf.estimation.trajectory.unseen import Unseen
+from skin2urdf.estimation.trajectory.yielding import fit_yielding
 from skin2urdf.signals.filters import Spline
 from skin2urdf.signals.trajectory import Trajectory
 
@@ -98,16 +102,18 @@ class MovingBase(Record):
 
 
 def standing_still(
-    problem: MotionProblem, fitted: Fitted
+    problem: MotionProblem, fitted: Fitted, *, yields: bool = True
 ) -> tuple[MotionProblem, Fitted, MovingBase | None]:
     """What was fitted, with readings as they would be if the base stood still.
 
     Args:
         problem: the logs, of a robot on a base that stands still.
         fitted: its fit.
+        yields: whether the base may yield to the robot's loads.
 
     Returns:
-        The same, and None, where no SU on the base feels anything that the others do as well.
+        The same, and None, where no SU on the base feels anything that the others do as well, and
+        where loads explain more of what all feel.
     """
     asked = _asked(problem)
     if not len(asked) or problem.unseen is not None:
@@ -116,7 +122,11 @@ def standing_still(
     state, asked = _with_sus_turned(whole, fitted, asked)
     if not len(asked):
         return problem, fitted, None
-    felt = felt_on_the_base(whole.logs, state.placements, state.gravity, asked)
+    loads = fit_yielding(problem, fitted, elastic=False, base=True) if yields else None
+    of_loads = None
+    if loads is not None and loads[0].unseen is not None:
+        of_loads = felt_as_it_yields(loads[0].unseen, whole.logs, loads[1].state, asked)
+    felt = felt_on_the_base(whole.logs, state.placements, state.gravity, asked, of_loads)
     none = Numbers.none(problem.priors.sensors)
     others = whole.again(logs=_of_others(whole.logs, asked))
 
@@ -145,10 +155,36 @@ def standing_still(
         one.readings - two.readings
         for one, two in zip(still, _taken_off(whole, state, otherwise, other.unseen), strict=True)
     )
-    problem = problem.again(logs=[_told_by_gravity(log, asked) for log in still])
+    about_it = problem.again(logs=[_told_by_gravity(log, asked) for log in still])
+    there = fit(about_it, state, near=True)
+    if loads is not None and of_loads is not None and _explains_more(*loads, there):
+        return problem, fitted, None
     names = tuple(problem.tree.su_names[u] for u in asked)
-    found = MovingBase(asked, names, motion, _rms(whole.logs, asked), by_noise)
-    return problem, fit(problem, state, near=True), found
+    return about_it, there, MovingBase(asked, names, motion, _rms(whole.logs, asked), by_noise)
+
+
+def _explains_more(yielding: MotionProblem, by_loads: Fitted, as_felt: Fitted) -> bool:
+    """Whether loads explain all that SUs on joints feel, and more than what is felt on the base.
+
+    Args:
+        yielding: a base that yields to loads alone.
+        by_loads: its fit.
+        as_felt: the fit of readings as they would be if the base stood still, of which all are
+            weighed as in that.
+    """
+    if misfit_of(yielding, by_loads, SPAN) > NOISE:
+        return False
+    on_joints = yielding.tree.su_joint >= 0
+    left = np.zeros(2)
+    for g, (log, w) in enumerate(zip(as_felt.problem.logs, as_felt.weights, strict=True)):
+        # What swings when a log begins is not followed from there on.
+        followed = np.isin(log.kept, yielding.logs[g].kept)
+        loads, felt = by_loads.predicted[g], as_felt.predicted[g]
+        counts = loads.measured & felt.measured[followed] & on_joints
+        weight = np.where(counts[:, :, None], w[followed, :, :3], 0.0)
+        residuals = loads.residual, felt.residual[followed]
+        left += [float((weight * residual**2).sum()) for residual in residuals]
+    return bool(left[0] <= left[1])
 
 
 def _with_sus_turned(whole: MotionProblem, fitted: Fitted, asked: Int) -> tuple[MotionState, Int]:

@@ -5,13 +5,24 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from synthetic import serial_tree
+from synthetic import RATE, motion_state, sampled_trajectory, serial_tree
 
 from skin2urdf.arrays import F64
 from skin2urdf.estimation.problem.cost import Priors
-from skin2urdf.estimation.trajectory.felt_on_the_base import UNIT, Felt, Numbers, about, motion_of
+from skin2urdf.estimation.problem.state import State
+from skin2urdf.estimation.trajectory.felt_on_the_base import (
+    UNIT,
+    Felt,
+    Numbers,
+    about,
+    felt_as_it_yields,
+    felt_on_the_base,
+    motion_of,
+)
+from skin2urdf.estimation.trajectory.unseen import Unseen
 from skin2urdf.geometry.so3 import rotation_exp
-from skin2urdf.signals.filters import second_derivative
+from skin2urdf.signals.filters import filtered, low_pass, second_derivative
+from skin2urdf.signals.trajectory import Trajectory
 
 _RATE, _DEPTH, _G = 50.0, 0.8, 9.81
 _TIME = np.arange(0.0, 40.0, 1 / _RATE)
@@ -21,6 +32,17 @@ _EDGE = slice(200, -200)
 
 def _felt(s: F64) -> Felt:
     return Felt(s, s, _RATE, 1, len(s), np.array([0.0, 0.0, _G]))
+
+
+def _standing() -> State:
+    """Two joints and an SU on the base."""
+    T = np.tile(np.eye(4), (2, 1, 1))
+    return State(T, T[:1], np.array([[0.0, 0.0, 1.0]]), np.zeros((1, 3)), np.zeros((1, 6)))
+
+
+def _log(s: F64) -> Trajectory:
+    """Of two joints that stand and an SU on the base that feels this beside gravity."""
+    return sampled_trajectory(np.zeros((len(s), 2)), s[:, None] + [0.0, 0.0, _G])
 
 
 def _rocking() -> tuple[F64, F64]:
@@ -58,6 +80,39 @@ def test_what_an_su_on_the_base_feels_is_what_its_motion_makes() -> None:
     there = second_derivative(d, _RATE) + tilted
     there += np.cross(second_derivative(e, _RATE), numbers.place)
     np.testing.assert_allclose(there[_EDGE], s[_EDGE], atol=0.01 * np.abs(s).max())
+
+
+def test_what_a_known_motion_of_the_base_is_felt_as() -> None:
+    """The frame rocks about a point below, and one SU is on it."""
+    e, s = _rocking()
+    d = np.cross(e, [0.0, 0.0, _DEPTH])
+    unseen = Unseen(
+        np.array([2]), (np.zeros((len(e), 1)),), settled=(np.hstack([0 * e[:, :2], d, e]),)
+    )
+    log = replace(_log(np.zeros_like(s)), rate=_RATE)
+    state = motion_state(_standing(), np.zeros(1))
+    (made,) = felt_as_it_yields(unseen, [log], state, np.array([0]))
+    np.testing.assert_allclose(
+        made[_EDGE], (s - s.mean(axis=0))[_EDGE], atol=0.02 * np.abs(s).max()
+    )
+
+
+def test_what_loads_explain_is_whole_though_it_hides_in_noise() -> None:
+    """A base moves with the robot, in the middle of the band by half as much as an SU has noise."""
+    rng = np.random.default_rng(4)
+    noise = 0.05 * rng.standard_normal((len(_TIME), 3))
+    s = filtered(0.025 * rng.standard_normal(noise.shape), low_pass(2.0, RATE))
+    log = _log(s + noise)
+
+    def share(of_loads: list[F64] | None) -> float:
+        (felt,) = felt_on_the_base([log], _standing(), _G, np.array([0]), of_loads)
+        true = s[:: felt.step][20:-20]
+        return float(np.sum(felt.likeliest[20:-20] * true) / np.sum(true**2))
+
+    assert share(None) < 0.7
+    assert abs(share([s]) - 1.0) < 0.1
+    # What moves it besides is heard as well as it was.
+    assert share([0.0 * s]) == share(None)
 
 
 def test_slopes_are_those_of_differences() -> None:

@@ -75,7 +75,9 @@ def test_sensors_that_warm_up_together_are_no_base_that_moves(
 ) -> None:
     """One of them on the base may seem to feel what all others do, and be explained as well."""
 
-    def felt(problem: MotionProblem, fitted: Fitted) -> tuple[MotionProblem, Fitted, MovingBase]:
+    def felt(
+        problem: MotionProblem, fitted: Fitted, **_: bool
+    ) -> tuple[MotionProblem, Fitted, MovingBase]:
         motion = creeping(problem.tree, problem.logs)
         assert motion is not None
         none = tuple(np.zeros_like(log.readings) for log in problem.logs)

@@ -12,7 +12,7 @@ from typing import Any
 from skin2urdf.calibration.result import Calibration
 from skin2urdf.errors import BadFitError, UsageError
 from skin2urdf.files import check_target, write_atomically
-from skin2urdf.report.carried import carried_without_turning
+from skin2urdf.report.carried import carried_without_turning, recoils
 from skin2urdf.report.document import as_document
 from skin2urdf.report.findings import findings
 from skin2urdf.report.model_document import as_document as model_document
@@ -165,7 +165,7 @@ def not_to_be_saved(calibration: Calibration, path: str | Path) -> BadFitError:
     what = f"the result is bad, and {path} was not written{stays}"
     remedy = "record more poses and moves with the default method"
     found, unexplained = calibration.physics, calibration.unexplained
-    if (carried := carried_without_turning(calibration)) is not None:
+    if (carried := recoils(calibration) or carried_without_turning(calibration)) is not None:
         what, remedy = f"{what}; {carried[0]}", carried[1]
     elif unexplained:
         feel = "feels" if len(unexplained) == 1 else "feel"

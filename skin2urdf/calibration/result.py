@@ -277,14 +277,43 @@ class Calibration(Record):
     @property
     def carried_along(self) -> tuple[tuple[str, str], ...]:
         """Pairs of an SU and a joint that carries it along, although it does not turn it."""
+        tree = self.model.tree
+        return tuple(
+            (tree.su_names[u], tree.joint_names[j])
+            for u, j in self._not_turned
+            if (u, j) not in self._pushed_back
+        )
+
+    @property
+    def recoiling(self) -> tuple[tuple[str, str], ...]:
+        """Pairs of an SU and a joint beyond it, from which it recoils; on the base one does."""
+        tree = self.model.tree
+        return tuple((tree.su_names[u], tree.joint_names[j]) for u, j in self._pushed_back)
+
+    @cached_property
+    def _not_turned(self) -> tuple[tuple[int, int], ...]:
+        """Pairs of an SU and a joint whose accelerations it follows, and that does not turn it."""
         if self.along is None:
             return ()
         tree, joint = self.model.tree, self.along.carried_along.joint
         return tuple(
-            (tree.su_names[u], tree.joint_names[joint[u]])
+            (int(u), int(joint[u]))
             for u in np.flatnonzero(joint >= 0)
             if tree.su_names[u] in self.unexplained and joint[u] not in tree.chain(tree.su_joint[u])
         )
+
+    @cached_property
+    def _pushed_back(self) -> tuple[tuple[int, int], ...]:
+        """Those of them whose joint comes after the SU, where one of these SUs is on the base.
+
+        No joint carries along what is on the base: it gives way. Without any such SU what is pushed
+        back looks like the plate of a parallelogram.
+        """
+        tree = self.model.tree
+        before = tuple(
+            (u, j) for u, j in self._not_turned if tree.su_joint[u] in (-1, *tree.chain(j)[:-1])
+        )
+        return before if any(tree.su_joint[u] < 0 for u, _ in before) else ()
 
     @property
     def feel_more(self) -> tuple[str, ...]:

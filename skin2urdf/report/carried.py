@@ -1,4 +1,4 @@
-"""What it means where a joint carries SUs along that it does not turn."""
+"""What it means where SUs follow the motion of a joint that does not turn them."""
 
 from __future__ import annotations
 
@@ -6,6 +6,23 @@ from skin2urdf.calibration.result import Calibration
 from skin2urdf.recording.naming import shortened
 
 _NAMED = 3
+
+
+def recoils(calibration: Calibration) -> tuple[str, str] | None:
+    """What was found of a base that recoils, and what to do about it; None where none does.
+
+    Args:
+        calibration: a finished calibration.
+    """
+    pairs = dict(calibration.recoiling)
+    if not pairs:
+        return None
+    joints = list(dict.fromkeys(pairs.values()))
+    return (
+        f"the base recoils from what the robot does: {shortened(list(pairs), _NAMED)} move with "
+        f"{shortened(joints, _NAMED)}, which lie beyond them",
+        "fix the base more stiffly, or move more slowly, from pose to pose without patterns",
+    )
 
 
 def carried_without_turning(calibration: Calibration) -> tuple[str, str] | None:
@@ -25,5 +42,5 @@ def carried_without_turning(calibration: Calibration) -> tuple[str, str] | None:
         "parallelogram",
         "where an encoder reads the sum of two joints, log the angle between the two links, which "
         f"is its reading less, or plus, that of {names}; see otherwise whether these SUs sit "
-        f"beyond {names}",
+        f"beyond {names}, and whether the base stands firmly",
     )

@@ -18,7 +18,7 @@ from skin2urdf.estimation.uncertainty.physics import (
 )
 from skin2urdf.notes import Note
 from skin2urdf.recording.naming import shortened
-from skin2urdf.report.carried import carried_without_turning
+from skin2urdf.report.carried import carried_without_turning, recoils
 from skin2urdf.report.limbs import OpenLimb
 from skin2urdf.report.tables import count, number
 
@@ -27,21 +27,23 @@ _NAMED = 3
 
 
 DoubtKind = Literal[
-    "faults", "SUs unplaced", "SUs moved otherwise", "SUs carried along", "SUs unexplained",
+    "faults", "SUs unplaced", "SUs moved otherwise", "SUs carried along", "base recoils",
+    "SUs unexplained",
     "impossible slack", "smoothed away", "SUs of two places", "orders open", "joints alike",
     "wrong ratios", "soft base", "moving base", "SUs misfit", "poses misfit", "prediction",
     "errors come back", "not arrived", "sensors", "no such sensors", "weak joints", "open limbs",
     "joints open", "SUs open",
 ]  # fmt: skip
 """What speaks against a result: things found wrong, SUs whose readings fit no place, that a joint
-moves otherwise than it goes, or carries along without turning them, or whose readings do not fit
-the place that they have, joints further off their encoders than any gear allows, fast motion that a
-driver smooths away, SUs that fit another place as well, joints that may follow each other in
-another order, that moved alike all along, or by another share than they say, a base that gives way,
-or moves by itself, SUs and poses that fit worse than the rest, poses that are predicted worse than
-stated, what is left of the readings and comes back with the motion, a fit that ended before it
-arrived, sensors that are worse than the options say, or than any, axes that are known weakly, limbs
-whose places are open, and what of the joints and SUs the log does not determine."""
+moves otherwise than it goes, or carries along without turning them, a base that recoils from what
+joints do by more than can be followed, SUs whose readings do not fit the place that they have,
+joints further off their encoders than any gear allows, fast motion that a driver smooths away, SUs
+that fit another place as well, joints that may follow each other in another order, that moved alike
+all along, or by another share than they say, a base that gives way, or moves by itself, SUs and
+poses that fit worse than the rest, poses that are predicted worse than stated, what is left of the
+readings and comes back with the motion, a fit that ended before it arrived, sensors that are worse
+than the options say, or than any, axes that are known weakly, limbs whose places are open, and what
+of the joints and SUs the log does not determine."""
 
 
 @dataclass(frozen=True)
@@ -147,7 +149,11 @@ def _doubts(calibration: Calibration) -> list[Doubt]:
     if (why := carried_without_turning(calibration)) is not None:
         names = (*carried, *dict.fromkeys(carried.values()))
         found.append(Doubt("SUs carried along", "{} ({})".format(*why), names))
-    unexplained = [su for su in calibration.unexplained if su not in carried]
+    recoiling = dict(calibration.recoiling)
+    if (why := recoils(calibration)) is not None:
+        names = (*recoiling, *dict.fromkeys(recoiling.values()))
+        found.append(Doubt("base recoils", "{} ({})".format(*why), names))
+    unexplained = [su for su in calibration.unexplained if su not in {*carried, *recoiling}]
     if unexplained:
         feel = "feels" if len(unexplained) == 1 else "feel"
         words = (

@@ -10,25 +10,67 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pytest
 from joint_paths import JointPath
-from mujoco_robot import random_arm, record, truth_urdf, upright
+from mujoco_robot import Arm, random_arm, record, truth_urdf, upright
 from simulated import held_against
 
 from skin2urdf.calibration.pipeline import calibrate
+from skin2urdf.estimation.trajectory import estimate
+from skin2urdf.estimation.trajectory.attempt import Explained
 from skin2urdf.estimation.uncertainty.observability import aligned_deviations
+from skin2urdf.recording.records import Recording
 from skin2urdf.report.document import as_document
 from skin2urdf.report.verdict import doubts
 
 
-def test_what_a_base_recoils_by_makes_no_lengths(tmp_path: Path) -> None:
-    arm = replace(upright(random_arm(2, 4)), slab=(150.0, 1.5))
+def _recorded(mass: float, others: float = 1.0) -> tuple[Arm, Recording]:
+    """An arm on a slab, and what it records.
+
+    Args:
+        mass: of the slab [kg].
+        others: by how much joints move beyond the first, over what that does.
+    """
+    arm = replace(upright(random_arm(2, 4)), slab=(mass, 1.5))
     rng = np.random.default_rng(3)
     path = JointPath([0.0] * arm.n_joints).rest(1.0)
+    share = np.where(np.arange(arm.n_joints) == 0, 1.0, others)
     for pose in rng.uniform(-1.2, 1.2, (16, arm.n_joints)):
-        path.move(pose, 1.3).rest(0.7)
-    sus = [f"skin_{n}" for n in range(arm.n_joints + 1)]
-    joints = [f"motor_{n}" for n in range(arm.n_joints)]
-    found = calibrate(record(arm, path, sus, joints, rng))
+        path.move(share * pose, 1.3).rest(0.7)
+    sus, joints = _names(arm)
+    return arm, record(arm, path, sus, joints, rng)
+
+
+def _names(arm: Arm) -> tuple[list[str], list[str]]:
+    """Names of the SUs, the first of which is on the base, and of the joints."""
+    return (
+        [f"skin_{n}" for n in range(arm.n_joints + 1)],
+        [f"motor_{n}" for n in range(arm.n_joints)],
+    )
+
+
+def test_a_base_that_recoils_by_more_than_is_followed_is_told(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """What no joint can carry moves with one: the base does, and it is no parallelogram."""
+    monkeypatch.setattr(
+        estimate, "standing_still", lambda problem, fitted, **_: (problem, fitted, None)
+    )
+    monkeypatch.setattr(
+        estimate, "explained", lambda problem, fitted, *_, **__: Explained(problem, fitted)
+    )
+    arm, recording = _recorded(4.0, others=0.25)
+    found = calibrate(recording)
+    assert _names(arm)[0][0] in dict(found.recoiling)
+    assert not {su for su, _ in found.recoiling} & {su for su, _ in found.carried_along}
+    assert found.quality == "bad"
+    assert "base recoils" in [doubt.kind for doubt in doubts(found)]
+
+
+def test_what_a_base_recoils_by_makes_no_lengths(tmp_path: Path) -> None:
+    arm, recording = _recorded(150.0)
+    sus, joints = _names(arm)
+    found = calibrate(recording)
     compared = held_against(found, truth_urdf(arm, sus, joints), tmp_path)
     assert compared.tree_equal
     assert found.along is not None

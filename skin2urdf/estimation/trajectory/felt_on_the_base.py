@@ -113,6 +113,17 @@ class Felt(Record):
         """(M, 3 K) what it may turn by, kind by kind."""
         return np.hstack(_turns(self.likeliest, self.rate, float(np.linalg.norm(self.f))))
 
+    @property
+    def later_turns(self) -> tuple[F64, F64]:
+        """Twice (M, 3 K): what it may turn by if it was felt later, and ever later in the log."""
+        later = first_derivative(self.turns, self.rate)
+        return later, np.linspace(-1.0, 1.0, len(later))[:, None] * later
+
+    def turns_read(self, late: F64) -> F64:
+        """(M, 3 K) what it may turn by if it was felt later by such times, as in `Numbers` [s]."""
+        once, ever = self.later_turns
+        return np.asarray(self.turns + late[0] * once + late[1] * ever)
+
 
 def felt_on_the_base(
     logs: Sequence[Trajectory],
@@ -179,16 +190,18 @@ def free_motion(
         asked: (B,) SUs on the base.
 
     Returns:
-        Shifts as they feel them, and later; turns as gravity turns, and as it is shifted.
+        Shifts as they feel them, turns as gravity turns, and turns as it is shifted; and the same
+        later, which a shake of a few hertz tells from at once by a tenth of what there is.
     """
     columns = []
     for log in logs:
         s = np.hstack(_changes(log, asked))
         shifts = integral(s, log.rate, 2), _LATE * integral(s, log.rate, 1)
         tilts, *_, far = _turns(s, log.rate, gravity)
-        columns.append(np.hstack([*shifts, tilts, far]))
+        later = [_LATE * first_derivative(each, log.rate) for each in (tilts, far)]
+        columns.append(np.hstack([*shifts, tilts, far, *later]))
     B = 3 * len(asked)
-    kinds = [shift, shift, turn, turn]
+    kinds = [shift, shift, turn, turn, turn, turn]
     moved = [np.repeat([of(tree, axis) for axis in range(3)], B) for of in kinds]
     column = np.concatenate([np.tile(kind * B + np.arange(B), 3) for kind in range(len(kinds))])
     return Unseen(
@@ -258,7 +271,7 @@ class Numbers(Record):
 def motion_of(felt: Felt, numbers: Numbers) -> F64:
     """(M, 6) shifts and turns of the base [m, rad]."""
     late, ever_later = felt.later
-    e = felt.turns @ numbers.turns.T
+    e = felt.turns_read(numbers.late) @ numbers.turns.T
     d = felt.shifted + felt.more @ numbers.sensor.T
     d += numbers.late[0] * late + numbers.late[1] * ever_later
     d += integral(np.cross(e, felt.f), felt.rate, 2) - np.cross(e, numbers.place)
@@ -293,10 +306,17 @@ def about(tree: KinematicTree, felt: Sequence[Felt], numbers: Numbers) -> Unseen
 def _slopes(felt: Felt, numbers: Numbers) -> F64:
     """(M, 6, S) what the base does by a standard deviation of each number."""
     out = np.zeros((len(felt.s), N_HINGES, len(numbers.x)))
-    more, turns = felt.more, felt.turns
+    more, turns = felt.more, felt.turns_read(numbers.late)
     for axis in range(3):
         out[:, axis, 3 * axis : 3 * axis + 3] = more
-    out[:, :3, 9], out[:, :3, 10] = felt.later
+
+    def frame(e: F64) -> F64:
+        """(M, 3) how the frame moves that turns by e (M, 3)."""
+        return integral(np.cross(e, felt.f), felt.rate, 2) - np.cross(e, numbers.place)
+
+    for n, (shifted, turned) in enumerate(zip(felt.later, felt.later_turns, strict=True)):
+        e = turned @ numbers.turns.T
+        out[:, :3, 9 + n], out[:, 3:, 9 + n] = shifted + frame(e), e
     for kind in range(N_TURNS):
         by = turns[:, 3 * kind : 3 * kind + 3]
         pushed = integral(by, felt.rate, 2)

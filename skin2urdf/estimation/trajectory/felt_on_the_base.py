@@ -149,7 +149,7 @@ def felt_on_the_base(
         step = max(1, int(log.rate / (_PER_CUTOFF * noise_bandwidth(log.taps, log.rate))))
         s = np.mean([x @ R.T for x, R in zip(_changes(log, asked), into_base, strict=True)], axis=0)
         f = places.up[g] * gravity
-        made = np.zeros_like(s) if of_loads is None else of_loads[g]
+        made = np.zeros_like(s) if of_loads is None else _as_far_as_felt(of_loads[g], s, log.rate)
         likeliest = made + _without_noise(s - made, log)
         out.append(Felt(s[::step], likeliest[::step], log.rate / step, step, len(log.q), f))
     return out
@@ -345,6 +345,21 @@ def _low_passed_once(x: F64, taps: F64) -> F64:
     """(N, C) what low-passed twice is x (N, C): readings are, motions are not."""
     gain = _gain(taps, 2 * len(x))
     return _passed(x, gain / (gain**2 + _LEAST**2))
+
+
+def _as_far_as_felt(made: F64, s: F64, rate: float) -> F64:
+    """(N, C) what loads make of a base's motion, as far as what is felt (N, C) goes with it.
+
+    Of what is felt the part that goes with it is told without noise, band by band: none is where a
+    base is moved by something else, and loads stand for that at other frequencies.
+    """
+    both = [np.fft.rfft(np.concatenate([x, x[::-1]]), axis=0) for x in (made, s)]
+    wide = max(1, int(_BAND * 2 * len(s) / rate))
+    together, alone = (
+        uniform_filter1d((both[0].conj() * x).real, wide, axis=0, mode="reflect")
+        for x in both[::-1]
+    )
+    return _passed(made, (together / np.maximum(alone, 1e-300)).clip(0.0, 1.0))
 
 
 def _without_noise(s: F64, log: Trajectory) -> F64:

@@ -27,7 +27,6 @@ from skin2urdf.estimation.trajectory.impossible_fronts import with_possible_fron
 from skin2urdf.estimation.trajectory.in_time import how_joints_were_read, with_times_open
 from skin2urdf.estimation.trajectory.listening import found_gyros, listened
 from skin2urdf.estimation.trajectory.misfit import (
-    NOISE,
     SPAN,
     misfit,
     misfit_of,
@@ -162,13 +161,14 @@ def estimate_along(
         found.wander, found.left_to_one, *how_joints_were_read(found), moving_base,
     )  # fmt: skip
     if moving_base is not None and DRIFT in found.causes:
-        # Sensors that warm up together all feel what one of them on the base does.
+        # Sensors that warm up together all feel what one of them on the base does; up to a misfit
+        # of 1 no more than noise is left of either.
         standing = estimate_along(
             logs, tree, start, priors, latency, tell, only_known=only_known,
             without={*asked_without, FELT}, most=most, unless_one_changed=unless_one_changed,
             iterations=iterations, lengths=lengths, alike=alike, mended=mended,
         )  # fmt: skip
-        if standing.misfit <= max(left, NOISE) and set(standing.causes) <= set(found.causes):
+        if standing.misfit <= max(left, 1.0) and set(standing.causes) <= set(found.causes):
             return standing
     return estimate
 

@@ -22,10 +22,6 @@ and after a first look at one that is to be followed further. Links that bend le
 joints, with which positions are four times better; a base that gives way 0.37 as a drift of biases,
 so that causes are held against each other before one is taken."""
 
-NOISE = 1.0
-"""Misfit up to which no more than noise is left of one explanation or of another: recordings with
-nothing but noise have 0.6 to 0.9."""
-
 
 def span_edges(log: Trajectory, seconds: float) -> Int:
     """(n + 1,) first sample of each of the n spans of a log, and the number of samples.

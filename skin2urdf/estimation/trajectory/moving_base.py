@@ -10,7 +10,7 @@ read is explained as well then proves that it is the base which moves, and not s
 together. How these are turned is known from there on, and what they feel is what the base does
 (:mod:`felt_on_the_base`).
 
-Of a base that yields to the robot's loads and moves in no other way these say more than any SU.
+Of a base that yields to the robot's loads these tell what the noise of such an SU hides.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from skin2urdf.estimation.trajectory.felt_on_the_base import (
     free_motion,
 )
 from skin2urdf.estimation.trajectory.fit import Fitted, Led, fit, fit_following, held, leading
-from skin2urdf.estimation.trajectory.misfit import NOISE, SPAN, misfit_of
+from skin2urdf.estimation.trajectory.misfit import SPAN
 from skin2urdf.estimation.trajectory.on_the_base import turned_as_the_base
 from skin2urdf.estimation.trajectory.problem import MotionProblem
 from skin2urdf.estimation.trajectory.slack import CERTAIN, lacking, with_unseen
@@ -112,8 +112,7 @@ def standing_still(
         yields: whether the base may yield to the robot's loads.
 
     Returns:
-        The same, and None, where no SU on the base feels anything that the others do as well, and
-        where loads explain more of what all feel.
+        The same, and None, where no SU on the base feels anything that the others do as well.
     """
     asked = _asked(problem)
     if not len(asked) or problem.unseen is not None:
@@ -122,10 +121,11 @@ def standing_still(
     state, asked = _with_sus_turned(whole, fitted, asked)
     if not len(asked):
         return problem, fitted, None
-    loads = fit_yielding(problem, fitted, elastic=False, base=True) if yields else None
     of_loads = None
-    if loads is not None and loads[0].unseen is not None:
-        of_loads = felt_as_it_yields(loads[0].unseen, whole.logs, loads[1].state, asked)
+    if yields:
+        yielding, there = fit_yielding(problem, fitted, elastic=False, base=True)
+        if yielding.unseen is not None:
+            of_loads = felt_as_it_yields(yielding.unseen, whole.logs, there.state, asked)
     felt = felt_on_the_base(whole.logs, state.placements, state.gravity, asked, of_loads)
     none = Numbers.none(problem.priors.sensors)
     others = whole.again(logs=_of_others(whole.logs, asked))
@@ -155,36 +155,10 @@ def standing_still(
         one.readings - two.readings
         for one, two in zip(still, _taken_off(whole, state, otherwise, other.unseen), strict=True)
     )
-    about_it = problem.again(logs=[_told_by_gravity(log, asked) for log in still])
-    there = fit(about_it, state, near=True)
-    if loads is not None and of_loads is not None and _explains_more(*loads, there):
-        return problem, fitted, None
+    problem = problem.again(logs=[_told_by_gravity(log, asked) for log in still])
     names = tuple(problem.tree.su_names[u] for u in asked)
-    return about_it, there, MovingBase(asked, names, motion, _rms(whole.logs, asked), by_noise)
-
-
-def _explains_more(yielding: MotionProblem, by_loads: Fitted, as_felt: Fitted) -> bool:
-    """Whether loads explain all that SUs on joints feel, and more than what is felt on the base.
-
-    Args:
-        yielding: a base that yields to loads alone.
-        by_loads: its fit.
-        as_felt: the fit of readings as they would be if the base stood still, of which all are
-            weighed as in that.
-    """
-    if misfit_of(yielding, by_loads, SPAN) > NOISE:
-        return False
-    on_joints = yielding.tree.su_joint >= 0
-    left = np.zeros(2)
-    for g, (log, w) in enumerate(zip(as_felt.problem.logs, as_felt.weights, strict=True)):
-        # What swings when a log begins is not followed from there on.
-        followed = np.isin(log.kept, yielding.logs[g].kept)
-        loads, felt = by_loads.predicted[g], as_felt.predicted[g]
-        counts = loads.measured & felt.measured[followed] & on_joints
-        weight = np.where(counts[:, :, None], w[followed, :, :3], 0.0)
-        residuals = loads.residual, felt.residual[followed]
-        left += [float((weight * residual**2).sum()) for residual in residuals]
-    return bool(left[0] <= left[1])
+    found = MovingBase(asked, names, motion, _rms(whole.logs, asked), by_noise)
+    return problem, fit(problem, state, near=True), found
 
 
 def _with_sus_turned(whole: MotionProblem, fitted: Fitted, asked: Int) -> tuple[MotionState, Int]:

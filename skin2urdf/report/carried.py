@@ -18,9 +18,10 @@ def recoils(calibration: Calibration) -> tuple[str, str] | None:
     if not pairs:
         return None
     joints = list(dict.fromkeys(pairs.values()))
+    follow = "follows" if len(pairs) == 1 else "follow"
     return (
-        f"the base recoils from what the robot does: {shortened(list(pairs), _NAMED)} move with "
-        f"{shortened(joints, _NAMED)}, which lie beyond them",
+        f"the base recoils from what the robot does: {shortened(list(pairs), _NAMED)} {follow} the "
+        f"accelerations of {shortened(joints, _NAMED)}, further out on the robot",
         "fix the base more stiffly, or move more slowly, from pose to pose without patterns",
     )
 

@@ -10,6 +10,10 @@ import numpy as np
 from skin2urdf.faults import Fault
 
 _CHECK_SENSOR = "check its cable and its driver"
+_CHECK_CONSTANT = (
+    f"{_CHECK_SENSOR}; where it stands still and its digits are coarser than its noise, nothing is "
+    "wrong with it, but it tells nothing either"
+)
 _NAMED = 4
 """SUs that are named at most; others are counted."""
 
@@ -106,7 +110,7 @@ def _of_a_stream(fault: Fault) -> Words:
             )
             return Words(f"{su} {what}", _CHECK_SENSOR)
         case "frozen":
-            return Words(f"{su} repeats one value all the time and is left out", _CHECK_SENSOR)
+            return Words(f"{su} repeats one value all the time and is left out", _CHECK_CONSTANT)
     if fault.detail == "silent":
         times = [f"until {fault.begin:.1f} s"] if math.isfinite(fault.begin) else []
         times += [f"from {fault.end:.1f} s on"] if math.isfinite(fault.end) else []

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Container, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -106,6 +106,7 @@ def checked(
     pauses: Sequence[tuple[float, float]] = (),
     *,
     still: bool = True,
+    cut: Container[str] = (),
 ) -> list[Checked]:
     """Look through all streams of a log.
 
@@ -115,6 +116,7 @@ def checked(
         span: begin and end of the joints' streams [s].
         pauses: begin and end of the times at which no joints were recorded either [s].
         still: False where the robot moves slowly at these times, and never rests.
+        cut: SUs of which a part is in use, so that nothing is known of when they send.
     """
 
     def resting(su: SuStream) -> tuple[Bool, float, float, float]:
@@ -150,7 +152,7 @@ def checked(
             whole = su.at(kept)
         if not faults:
             faults = [
-                *_silences(su, span),
+                *(_silences(su, span) if su.name not in cut else ()),
                 *_losses(su, pauses),
                 *_noisiness(su.name, u, noise, digit),
             ]

@@ -12,7 +12,7 @@ from skin2urdf.arrays import F64, Bool, frozen
 from skin2urdf.errors import InsufficientDataError
 from skin2urdf.faults import Fault
 from skin2urdf.geometry.units import FORCE_UNITS, GRAVITY, IN_UNITS
-from skin2urdf.notes import Note, Noted
+from skin2urdf.notes import Note, Noted, of_reading
 from skin2urdf.recording.credibility import spikes
 from skin2urdf.recording.holding import as_measured
 from skin2urdf.recording.naming import shortened
@@ -147,9 +147,10 @@ def sample_recording(
     measured, held = as_measured(list(each(_without_spikes, recording.sus, n_sus)))
     clocks = {clock.su: clock for clock in su_clocks(measured, motion)}
     sus = [_on_time(su, clocks.get(su.name)) for su in measured]
-    streams = {
-        c.stream.name: c for c in checked(sus, spans, span, _pauses(motion), still=rests[0].still)
-    }
+    looked_at = checked(
+        sus, spans, span, _pauses(motion), still=rests[0].still, cut=_cut(recording)
+    )
+    streams = {look.stream.name: look for look in looked_at}
     readings = room_for_streams(grid.size, len(su_names))
     valid = np.zeros((grid.size, len(su_names)), dtype=bool)
     period, quiet = np.zeros(len(su_names)), np.full(len(su_names), np.nan)
@@ -211,6 +212,16 @@ def _without_spikes(su: SuStream) -> SuStream:
     """The stream without single samples that no motion made; a log's are left out as it is read."""
     alone = spikes(su.specific_force)
     return su.at(~alone) if alone.any() else su
+
+
+def _cut(recording: Recording) -> set[str]:
+    """SUs of which one stretch is in use, since their clock jumped by itself."""
+    jumped = {
+        source.partition(" ")[0]
+        for note in of_reading(recording.notes, "own clock jump")
+        for source in note.sources
+    }
+    return {su.name for su in recording.sus if su.topic in jumped}
 
 
 def _pauses(motion: Motion) -> list[tuple[float, float]]:

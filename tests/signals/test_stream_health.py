@@ -32,6 +32,19 @@ def test_sensors_without_noise_are_not_frozen_while_the_robot_rests() -> None:
     assert kinds(still, still, still) == [[], [], []]
 
 
+def test_an_su_that_ends_early_is_dead_unless_a_part_of_it_was_left_out() -> None:
+    ends = stream(noise(3000), "ends")
+    others = [stream(noise(seed=1), "b"), stream(noise(seed=2), "c")]
+
+    def faults_of(cut: tuple[str, ...]) -> list[tuple[str, str]]:
+        found = checked([ends, *others], [(0.0, 20.0)], (0.0, 20.0), cut=cut)
+        return [(f.kind, f.subject) for c in found for f in c.faults]
+
+    assert faults_of(()) == [("dead", "ends")]
+    assert faults_of(("b",)) == [("dead", "ends")]
+    assert faults_of(("ends",)) == []
+
+
 def test_a_constant_stream_among_noisy_ones_is_frozen() -> None:
     constant = np.full((5000, 3), 5.7)  # gravity may be in it
     assert kinds(stream(constant), stream(noise()), stream(noise(seed=1))) == [["frozen"], [], []]

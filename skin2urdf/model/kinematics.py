@@ -19,7 +19,8 @@ class PinocchioTree:
     Attributes:
         tree: the tree it was built from.
         model: the ``pinocchio.Model``; joint i + 1 of it is joint i of the tree, and frame
-            ``frame_ids[u]`` is SU u.
+            ``frame_ids[u]`` is SU u. Kinematics and torques are right in any order of joints,
+            Pinocchio's inertias in that of :attr:`KinematicTree.depth_first` alone.
         frame_ids: Pinocchio frame index of each SU.
     """
 

@@ -53,6 +53,15 @@ class KinematicTree(Record):
             joint = int(self.parent[joint])
         return tuple(reversed(path))
 
+    @property
+    def depth_first(self) -> Int:
+        """(D,) joints in an order in which those that one carries follow it in a row.
+
+        Pinocchio's algorithms for inertias and for derivatives of torques ask for that.
+        """
+        chains = [self.chain(joint) for joint in range(self.n_joints)]
+        return np.array(sorted(range(self.n_joints), key=chains.__getitem__), dtype=np.int64)
+
     def is_like(self, other: KinematicTree) -> bool:
         """Whether both have the same joints before the same SUs, in the same order."""
         return self.chains() == other.chains()

@@ -9,7 +9,9 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
+from simulated import sampled_of, simulation
 
+from skin2urdf.notes import ReadingNote
 from skin2urdf.recording.records import SuStream
 from skin2urdf.signals.health import checked, clipping, rest_noise
 
@@ -43,6 +45,16 @@ def test_an_su_that_ends_early_is_dead_unless_a_part_of_it_was_left_out() -> Non
     assert faults_of(()) == [("dead", "ends")]
     assert faults_of(("b",)) == [("dead", "ends")]
     assert faults_of(("ends",)) == []
+
+
+def test_an_su_whose_clock_jumped_is_not_dead_where_it_was_cut() -> None:
+    whole = simulation("so101").recording
+    first, *others = whole.sus
+    half = first.at(slice(len(first.time) // 2, None))
+    begins_late = replace(whole, sus=(half, *others))
+    jumped = ReadingNote("own clock jump", "", (f"{first.topic} ({first.name})",), 1)
+    assert [fault.kind for fault in sampled_of(begins_late).faults] == ["dead"]
+    assert not sampled_of(replace(begins_late, notes=(jumped,))).faults
 
 
 def test_a_constant_stream_among_noisy_ones_is_frozen() -> None:

@@ -7,11 +7,12 @@ in the order of Pinocchio's regressors: ten numbers for what each joint carries.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from skin2urdf.arrays import F64
+from skin2urdf.arrays import F64, Int
 from skin2urdf.estimation.problem.state import State
 from skin2urdf.estimation.trajectory.skeleton import N_HINGES, Skeleton
 from skin2urdf.model.kinematics import PinocchioTree
@@ -124,19 +125,23 @@ def joint_inertias(
     """
     import pinocchio as pin
 
+    # Pinocchio takes it for granted that what a joint carries follows it in a row.
+    order = tree.depth_first
+    tree, state, log = _ordered(tree, state, log, order)
     model, skeleton, (q, _, _) = _dynamics(tree, state, 0, 0.0, log, base=base)
     # Pinocchio adds up bodies, of which none may weigh nothing: what is added is taken off again.
-    heavy = np.zeros((tree.n_joints, N_INERTIAL))
-    heavy[:, 0] = _HEAVY * np.abs(parameters.reshape(-1, N_INERTIAL)[:, :4]).max(initial=1e-300)
+    parameters = parameters.reshape(-1, N_INERTIAL)[order]
+    heavy = np.zeros_like(parameters)
+    heavy[:, 0] = _HEAVY * np.abs(parameters[:, :4]).max(initial=1e-300)
     upper = np.zeros((len(q), model.nv, model.nv))
-    for sign, added in ((1, heavy.ravel() + parameters), (-1, heavy.ravel())):
-        _load(model, bodies(added))
+    for sign, added in ((1, heavy + parameters), (-1, heavy)):
+        _load(model, bodies(added.ravel()))
         data = model.createData()
         for n, x in enumerate(q):
             upper[n] += sign * pin.crba(model, data, x)
     upper = np.triu(upper)
     out = np.empty_like(upper)
-    numbers = skeleton.numbers
+    numbers = np.append(order, tree.n_joints + np.arange(N_HINGES))[skeleton.numbers]
     out[:, numbers[:, None], numbers] = upper + np.triu(upper, 1).swapaxes(1, 2)
     return out
 
@@ -177,6 +182,25 @@ def _dynamics(
         for x in (log.q, log.qd, log.qdd)
     )
     return built.model, skeleton, (q, qd, qdd)
+
+
+def _ordered(
+    tree: KinematicTree, state: State, log: Trajectory, order: Int
+) -> tuple[KinematicTree, State, Trajectory]:
+    """The same with joints in another order (D,); the base's hinges stay where they are."""
+    rank = np.append(np.argsort(order), -1)
+    columns = np.append(order, tree.n_joints + np.arange(N_HINGES))[: log.q.shape[1]]
+    return (
+        replace(
+            tree,
+            joint_names=tuple(tree.joint_names[j] for j in order),
+            parent=rank[tree.parent[order]],
+            joint_types=tuple(tree.joint_types[j] for j in order),
+            su_joint=rank[tree.su_joint],
+        ),
+        replace(state, T_parent_joint=state.T_parent_joint[order]),
+        replace(log, q=log.q[:, columns], qd=log.qd[:, columns], qdd=log.qdd[:, columns]),
+    )
 
 
 def inertial_sizes(state: State) -> F64:

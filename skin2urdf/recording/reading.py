@@ -61,7 +61,8 @@ def read(
         *(f"{topic} ({shortened(joints)})" for topic, joints in positions),
         *(f"{topic} ({frame})" if frame else topic for topic, frame in forces),
     ]
-    samples, clock_notes = on_one_clock([*positions.values(), *forces.values()], names)
+    topics = [topic for topic, _ in (*positions, *forces)]
+    samples, clock_notes = on_one_clock([*positions.values(), *forces.values()], names, topics)
     joints, joint_notes = timed_joints(dict(zip(positions, samples, strict=False)))
     forces = dict(zip(forces, samples[len(positions) :], strict=True))
     del samples

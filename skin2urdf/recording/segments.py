@@ -62,13 +62,14 @@ class Jump(NamedTuple):
 
 
 def on_one_clock(
-    streams: Sequence[Samples], names: Sequence[str]
+    streams: Sequence[Samples], names: Sequence[str], topics: Sequence[str]
 ) -> tuple[list[Samples], list[ReadingNote]]:
     """Join the stretches of a clock that jumped.
 
     Args:
         streams: samples of all joints and SUs in the order of their arrival.
-        names: what each is called in notes.
+        names: what each is called in the words of notes.
+        topics: on which each is.
 
     Returns:
         The samples on a clock that runs on, and notes for the user.
@@ -88,7 +89,9 @@ def on_one_clock(
         shifts.append(shifts[-1] + pause - gap)
     notes = [ReadingNote("clock jump", _words(event, pause)) for event in common]
     out = []
-    for samples, clock, found, own, name in zip(streams, clocks, jumps, events, names, strict=True):
+    for samples, clock, found, own, name, topic in zip(
+        streams, clocks, jumps, events, names, topics, strict=True
+    ):
         bounds = _bounds(clock, own, common, origin)
         moved = _moved(samples, clock, bounds, shifts)
         alone = [j for j in found if j not in own and not j.follows]
@@ -98,9 +101,10 @@ def on_one_clock(
             sizes = ", ".join(f"{jump.size:+.3g} s" for jump in alone[:3])
             words = (
                 f"the clock of {name} jumps by itself ({sizes}): the longest stretch, "
-                f"{100 * (end - begin) / len(clock):.0f} % of the samples, was used"
+                f"{100 * (end - begin) / len(clock):.0f} % of the samples, was used (set clocks "
+                "before a recording, not during it)"
             )
-            notes.append(ReadingNote("own clock jump", words, (name,), len(alone)))
+            notes.append(ReadingNote("own clock jump", words, (topic,), len(alone)))
             moved = moved.at(np.arange(begin, end))
         out.append(moved)
     clocks = [stamped_clock(s.stamp, s.log_time)[0] for s in out]

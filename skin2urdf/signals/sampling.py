@@ -217,9 +217,7 @@ def _without_spikes(su: SuStream) -> SuStream:
 def _cut(recording: Recording) -> set[str]:
     """SUs of which one stretch is in use, since their clock jumped by itself."""
     jumped = {
-        source.partition(" ")[0]
-        for note in of_reading(recording.notes, "own clock jump")
-        for source in note.sources
+        topic for note in of_reading(recording.notes, "own clock jump") for topic in note.sources
     }
     return {su.name for su in recording.sus if su.topic in jumped}
 

@@ -52,7 +52,7 @@ def test_an_su_whose_clock_jumped_is_not_dead_where_it_was_cut() -> None:
     first, *others = whole.sus
     half = first.at(slice(len(first.time) // 2, None))
     begins_late = replace(whole, sus=(half, *others))
-    jumped = ReadingNote("own clock jump", "", (f"{first.topic} ({first.name})",), 1)
+    jumped = ReadingNote("own clock jump", "", (first.topic,), 1)
     assert [fault.kind for fault in sampled_of(begins_late).faults] == ["dead"]
     assert not sampled_of(replace(begins_late, notes=(jumped,))).faults
 

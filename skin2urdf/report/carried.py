@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from skin2urdf.calibration.result import Calibration
 from skin2urdf.recording.naming import shortened
 
@@ -14,13 +16,12 @@ def recoils(calibration: Calibration) -> tuple[str, str] | None:
     Args:
         calibration: a finished calibration.
     """
-    pairs = dict(calibration.recoiling)
-    if not pairs:
+    sus, joints = _each_once(calibration.recoiling)
+    if not sus:
         return None
-    joints = list(dict.fromkeys(pairs.values()))
-    follow = "follows" if len(pairs) == 1 else "follow"
+    follow = "follows" if len(sus) == 1 else "follow"
     return (
-        f"the base recoils from what the robot does: {shortened(list(pairs), _NAMED)} {follow} the "
+        f"the base recoils from what the robot does: {shortened(sus, _NAMED)} {follow} the "
         f"accelerations of {shortened(joints, _NAMED)}, further out on the robot",
         "fix the base more stiffly, or move more slowly, from pose to pose without patterns",
     )
@@ -32,16 +33,21 @@ def carried_without_turning(calibration: Calibration) -> tuple[str, str] | None:
     Args:
         calibration: a finished calibration.
     """
-    carried = dict(calibration.carried_along)
-    if not carried:
+    sus, joints = _each_once(calibration.carried_along)
+    if not sus:
         return None
-    joints = list(dict.fromkeys(carried.values()))
     carry = "carries" if len(joints) == 1 else "carry"
-    sus, names = shortened(list(carried), _NAMED), " and ".join(joints)
+    names = " and ".join(joints)
     return (
-        f"{names} {carry} {sus} along, which do not turn with it against gravity, as on a "
-        "parallelogram",
+        f"{names} {carry} {shortened(sus, _NAMED)} along, which do not turn with it against "
+        "gravity, as on a parallelogram",
         "where an encoder reads the sum of two joints, log the angle between the two links, which "
         f"is its reading less, or plus, that of {names}; see otherwise whether these SUs sit "
         f"beyond {names}, and whether the base stands firmly",
     )
+
+
+def _each_once(pairs: Sequence[tuple[str, str]]) -> tuple[list[str], list[str]]:
+    """The SUs and the joints of pairs of both, each once, in their order."""
+    sus, joints = ([pair[i] for pair in pairs] for i in (0, 1))
+    return list(dict.fromkeys(sus)), list(dict.fromkeys(joints))

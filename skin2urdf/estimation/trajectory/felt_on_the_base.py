@@ -353,11 +353,11 @@ def _as_far_as_felt(made: F64, s: F64, rate: float) -> F64:
     Of what is felt the part that goes with it is told without noise, band by band: none is where a
     base is moved by something else, and loads stand for that at other frequencies.
     """
-    both = [np.fft.rfft(np.concatenate([x, x[::-1]]), axis=0) for x in (made, s)]
+    of_loads, of_felt = (np.fft.rfft(np.concatenate([x, x[::-1]]), axis=0) for x in (made, s))
     wide = max(1, int(_BAND * 2 * len(s) / rate))
     together, alone = (
-        uniform_filter1d((both[0].conj() * x).real, wide, axis=0, mode="reflect")
-        for x in both[::-1]
+        uniform_filter1d((of_loads.conj() * x).real, wide, axis=0, mode="reflect")
+        for x in (of_felt, of_loads)
     )
     return _passed(made, (together / np.maximum(alone, 1e-300)).clip(0.0, 1.0))
 

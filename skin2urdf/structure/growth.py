@@ -47,6 +47,8 @@ _LIKELY = 8
 _TRIPLES = 120
 """Chains of three that are searched for an SU beyond each of these segments, at least: as many as
 there are orders of six joints. More would take longer than all else."""
+_FINALISTS = 8
+"""Chains of several joints, of all that are searched for an SU, that are fitted to all windows."""
 _LEFT = 0.1
 """Share of an SU's log-likelihood that a chain may leave without a joint being missing: where one
 is, 0.79 to 0.99 are left (29 simulated recordings of panda, ur5 and z1 with a bare segment)."""
@@ -59,6 +61,8 @@ _Promise = tuple[float, int, int, int]
 """What gravity alone leaves per measurement, of an SU beyond a known segment by one joint."""
 _Problem = tuple[int, int, tuple[int, ...]]
 """An SU, the known segment, and the joints beyond it."""
+_Found = tuple[float, F64]
+"""Chi-squared that a chain leaves of an SU in few windows, and (m, 3) its axes."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,7 +158,7 @@ class _Search:
         self.tree = tree
         self._losses: dict[tuple[int, int], F64] = {}
         self._fitted: dict[tuple[int, int, int], tuple[float, F64]] = {}
-        self._by_pairs: dict[int, list[_Chain]] = {}
+        self._searched: dict[int, dict[_Chain, _Found]] = {}
 
     def grow(self, tell: Callable[[float], None]) -> None:
         """Add joints, see :func:`grow`."""
@@ -417,36 +421,45 @@ class _Search:
     def _longer_chain(
         self, su: int, length: int, free: Sequence[int], now: float
     ) -> _Extension | None:
-        """The best extension by several joints of one SU: from random axes, in two rounds."""
-        beyond = self._pairs(su, free) if length == 2 else self._triples(su, free)
-        problems: list[_Problem] = [
-            (su, s, dofs)
-            for s, dofs in beyond
+        """The best extension by several joints of one SU, of those that few windows rank first."""
+        chains = [
+            (s, dofs)
+            for s, dofs in (self._pairs(su, free) if length == 2 else self._triples(su, free))
             if self._may_carry(dofs[-1], su)
             and all(self._may_follow(a, b) for a, b in pairwise((self.tree.segments[s].dof, *dofs)))
-            for _ in range(_RANDOM_STARTS[length])
         ]
-        if not problems:
+        if not chains:
             return None
-        axes = self._rng.standard_normal((len(problems), length, 3))
+        self._search(su, length, chains)
+        found = self._searched[su]
+        best = sorted(chains, key=lambda chain: found[chain][0])[:_FINALISTS]
+        some: list[_Problem] = [(su, *chain) for chain in best]
+        chi2, axes = self._fit(some, np.array([found[chain][1] for chain in best]))
+        i = int(np.argmin(chi2))
+        left = float(self.tree.misfit(chi2[i], np.array(su)))
+        gain = now - left - self._price(su, length, len(chains))
+        return _Extension(su, *best[i], axes[i], left, gain) if gain > 0 else None
+
+    def _search(self, su: int, length: int, chains: Sequence[_Chain]) -> None:
+        """Fit chains of as many joints to an SU in few windows, from random axes, in two rounds.
+
+        What was searched before stays so, as long as no segment that is known changes: chains
+        beyond those that have been added since are new.
+        """
+        searched = self._searched.setdefault(su, {})
+        new = [chain for chain in chains if chain not in searched]
+        if not new:
+            return
+        starts = _RANDOM_STARTS[length]
+        axes = self._rng.standard_normal((len(new) * starts, length, 3))
         axes /= np.linalg.norm(axes, axis=-1, keepdims=True)
         heaviest = np.argsort(-self.tree.rough[:, su], kind="stable")[: 2 * _SEARCHED]
         few = heaviest[:: max(1, len(heaviest) // _SEARCHED)]
+        problems: list[_Problem] = [(su, *chain) for chain in new for _ in range(starts)]
         chi2, axes = self._fit(problems, axes, windows=few, iterations=4, roughly=True)
-        if length == 2:
-            starts = chi2.reshape(-1, _RANDOM_STARTS[length]).min(axis=1)
-            chains = [(s, dofs) for _, s, dofs in problems[:: _RANDOM_STARTS[length]]]
-            self._by_pairs[su] = [chains[i] for i in np.argsort(starts, kind="stable")]
-        kept = np.argsort(chi2, kind="stable")[: max(16, len(chi2) // 10)]
-        some = [problems[i] for i in kept]
-        chi2, axes = self._fit(some, axes[kept], windows=few)
-        kept = np.argsort(chi2, kind="stable")[:8]
-        some = [some[i] for i in kept]
-        chi2, axes = self._fit(some, axes[kept])
-        i = int(np.argmin(chi2))
-        left = float(self.tree.misfit(chi2[i], np.array(su)))
-        gain = now - left - self._price(su, length, len(problems) // _RANDOM_STARTS[length])
-        return _Extension(su, some[i][1], some[i][2], axes[i], left, gain) if gain > 0 else None
+        first = np.arange(len(new)) * starts + chi2.reshape(-1, starts).argmin(axis=1)
+        chi2, axes = self._fit([problems[i] for i in first], axes[first], windows=few)
+        searched |= {chain: (float(c), k) for chain, c, k in zip(new, chi2, axes, strict=True)}
 
     def _pairs(self, su: int, free: Sequence[int]) -> list[_Chain]:
         """Two joints in a row beyond the segments on which an SU fits best."""
@@ -466,8 +479,10 @@ class _Search:
         if self._known is not None:
             return [(s, dofs) for s in self._near(su) for dofs in permutations(free, 3)]
         found: dict[_Chain, None] = {}
-        most = _TRIPLES * len(self._near(su))
-        for s, (a, b) in self._by_pairs.get(su, []):
+        near, searched = self._near(su), self._searched.get(su, {})
+        most = _TRIPLES * len(near)
+        pairs = [(s, dofs) for s, dofs in searched if len(dofs) == 2 and s in near]
+        for s, (a, b) in sorted(pairs, key=lambda pair: searched[pair][0]):
             if a in free and b in free:
                 for c in set(free) - {a, b}:
                     found |= dict.fromkeys(((s, (c, a, b)), (s, (a, c, b)), (s, (a, b, c))))

@@ -68,6 +68,8 @@ class Arm:
         friction: dry friction of every joint [N m or N].
         slab: mass [kg] of a slab below that slides on springs in its plane, and at how many hertz
             it would swing alone; None for a base that stands.
+        rocks: stiffness about two level axes [N m / rad] of what carries the slab, and how far
+            below the base these lie [m]; None where the slab does not rock.
     """
 
     joints: tuple[ArmJoint, ...]
@@ -76,11 +78,12 @@ class Arm:
     stiffness: float = 3000.0
     friction: float = 0.4
     slab: tuple[float, float] | None = None
+    rocks: tuple[float, float] | None = None
 
     @property
     def n_slides(self) -> int:
         """Joints below the base."""
-        return 0 if self.slab is None else 2
+        return 0 if self.slab is None else 2 if self.rocks is None else 4
 
     @property
     def n_joints(self) -> int:
@@ -297,7 +300,8 @@ def _mjcf(arm: Arm) -> str:
     (xyz, rpy) = arm.base_su
     base = f'<site name="su0" pos="{_text(xyz)}" quat="{_quat(rpy)}"/>'
     if arm.slab is not None:
-        base, body = f"<body>{_slides(*arm.slab)}{base}", f"{body}</body>"
+        rocks = "" if arm.rocks is None else _rocks(arm.slab[0], *arm.rocks)
+        base, body = f"<body>{_slides(*arm.slab)}{rocks}{base}", f"{body}</body>"
     return (
         f'<mujoco><option timestep="{STEP}" gravity="{_text(arm.gravity_base)}"'
         ' integrator="Euler"><flag eulerdamp="disable"/></option>'
@@ -317,6 +321,16 @@ def _slides(mass: float, hertz: float) -> str:
     ]
     geom = f'<geom type="box" size="0.3 0.3 0.05" mass="{mass}" contype="0" conaffinity="0"/>'
     return "".join([*joints, geom])
+
+
+def _rocks(mass: float, stiffness: float, depth: float) -> str:
+    """Two level hinges below a slab, with a thirtieth of the critical damping."""
+    damping = 2 / 30 * depth * np.sqrt(stiffness * mass)
+    return "".join(
+        f'<joint name="rock {axis}" type="hinge" pos="0 0 {-depth}" axis="{axis}"'
+        f' stiffness="{stiffness}" damping="{damping}"/>'
+        for axis in ("1 0 0", "0 1 0")
+    )
 
 
 def _quat(rpy: Sequence[float]) -> str:

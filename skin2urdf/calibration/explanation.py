@@ -15,6 +15,7 @@ import numpy as np
 
 from skin2urdf.calibration.at_rest import estimate_at_rest
 from skin2urdf.calibration.beginning import Beginning
+from skin2urdf.calibration.by_loads import by_loads_or_felt
 from skin2urdf.calibration.by_physics import (
     differs_by_physics,
     is_explained_by_physics,
@@ -25,7 +26,11 @@ from skin2urdf.calibration.by_physics import (
 from skin2urdf.calibration.clock import Clock
 from skin2urdf.calibration.moments import stands_out
 from skin2urdf.calibration.orders import in_told_order
-from skin2urdf.calibration.places import in_told_place, is_told
+from skin2urdf.calibration.places import (
+    in_told_place,
+    is_told,
+    with_one_on_the_base,
+)
 from skin2urdf.calibration.refusal import check_hope
 from skin2urdf.calibration.result import (
     BAD_FIT,
@@ -63,10 +68,15 @@ def explain_readings(begun: Beginning, clock: Clock) -> tuple[Solution, MotionEs
     solution, along = _explained(begun, clock)
     if along is None:
         return solution, along
+    on_base = with_one_on_the_base(solution, along, clock)
+    fitted = _of_another_tree(solution, along, on_base, clock) if on_base else None
+    if on_base and fitted and is_told(along, fitted):
+        solution, along = with_sus_apart(on_base, fitted, clock, of_patterns=begun.of_patterns)
     # What a first look at the structure says of a single SU, or of joints without any, is little.
     placed = in_told_place(solution, along, clock, of_patterns=begun.of_patterns)
     if (fitted := _of_another_tree(solution, along, placed, clock)) and is_told(along, fitted):
         solution, along = with_sus_apart(placed, fitted, clock, of_patterns=begun.of_patterns)
+    along = by_loads_or_felt(solution, along, clock)
     ordered = in_told_order(solution, along, clock)
     if fitted := _of_another_tree(solution, along, ordered, clock):
         return with_sus_apart(ordered, fitted, clock, of_patterns=begun.of_patterns)

@@ -25,6 +25,7 @@ from skin2urdf.estimation.problem.state import State
 from skin2urdf.estimation.trajectory.misfit import MOST_OF_IT
 from skin2urdf.estimation.trajectory.motion_estimate import MotionEstimate
 from skin2urdf.estimation.trajectory.slack import CERTAIN
+from skin2urdf.estimation.trajectory.vertical import arms
 from skin2urdf.model.poses import joint_poses
 from skin2urdf.structure.records import KinematicTree
 
@@ -66,6 +67,47 @@ def in_told_place(
             if rigid is not None and there is not None and _is_certain(rigid, there):
                 found, rigid = other, there
     return found
+
+
+def with_one_on_the_base(
+    solution: Solution, along: MotionEstimate, clock: Clock
+) -> Solution | None:
+    """The robot with an SU on the base that seemed to sit on the first joint.
+
+    A base that sways as its first joint moves is felt as that joint is. Where all samples are not
+    explained, and SUs on that joint fit worse than others, or it is vertical and does not tell, the
+    one that feels least may sit on the base. Whether the base sways shows with all that robots
+    have: to a rigid one the SU sits where it feels the same.
+
+    Args:
+        solution: the robot.
+        along: what all samples say of it.
+        clock: runs the stages.
+
+    Returns:
+        None where no SU is in such doubt.
+    """
+    tree = along.problem.tree
+    if along.misfit <= GOOD_FIT or tree.su_names != solution.found.tree.su_names:
+        return None
+    first = {u for u, j in enumerate(tree.su_joint) if j >= 0 and tree.parent[j] < 0}
+    in_doubt = {arm.su for arm in arms(along) if arm.on_joint and not arm.shown}
+    doubtful = first.intersection(_that_fit_worse(solution, along))
+    doubtful |= {tree.su_names.index(su) for su in in_doubt}
+    if not doubtful:
+        return None
+    felt = _felt(along)
+    least = min(doubtful, key=lambda u: felt[u])
+    q = along.positions.mean(axis=0)
+    return solved_anew(solution, *hung_on(tree, along.state, least, -1, q), clock)
+
+
+def _felt(along: MotionEstimate) -> F64:
+    """(U,) what SUs feel beside the mean of each log, rms [m/s^2]; NaN of those without samples."""
+    logs = along.problem.logs
+    x = [np.where(log.valid[..., None], log.readings[log.kept], np.nan) for log in logs]
+    left = np.concatenate([each - np.nanmean(each, axis=0) for each in x])
+    return np.asarray(np.sqrt(np.nanmean((left**2).sum(axis=2), axis=0)))
 
 
 def is_told(along: MotionEstimate, other: MotionEstimate) -> bool:

@@ -13,6 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from skin2urdf.estimation.trajectory.attempt import (
+    BASE,
     BENDS,
     CURVES,
     DRIFT,
@@ -136,6 +137,13 @@ def _of_any_cause(rigid: Attempt, without: Collection[str]) -> tuple[Attempt, li
         attempts.append(drifts)
         if drifts.misfit <= min(EXPLAINED, best.misfit):
             best = drifts
+    if TILTS in best.causes and BASE not in without and rigid.gains[BASE] > CERTAIN:
+        # And what it does under loads, which shake it near a resonance more than they say to first
+        # order. That it is pushed as well is known of loads alone.
+        yields = rigid.adding(BASE)
+        attempts.append(yields)
+        if not yields.needs_a_cause:
+            best = yields
     if best.lacks:
         other, more = _with_physics(rigid, without)
         attempts += more

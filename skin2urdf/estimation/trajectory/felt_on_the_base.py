@@ -5,8 +5,9 @@ whether the base is pushed or tilted. What turns is felt to accelerate besides, 
 away from the SU on the base, at ``r``. A base that tilts about a point h below the SU is felt to
 tilt and to be pushed at once, ``s = g e + h w^2 e`` at the angular frequency w, so that it turns by
 ``e = s / (g + h w^2)``; one that is pushed alone does not turn at all. So a base turns by shares of
-what few such points would have it turn by, one for each axis of both. Where it turns, gravity's
-``f`` turns in it, and its frame moves so that the SU feels what it feels:
+what few such points would have it turn by, one for each axis of both, and of what the loads of a
+robot to which its base yields would, where any are known. Where it turns, gravity's ``f`` turns in
+it, and its frame moves so that the SU feels what it feels:
 
     d'' = s + cross(e, f) - cross(e'', r).
 
@@ -66,8 +67,8 @@ _PER_CUTOFF = 7.0
 """Samples per second over the cutoff that motions are worked out at, as those of what bends are."""
 
 
-N_TURNS = len(_DEPTHS) + 1
-"""K, kinds of turns."""
+N_TURNS = len(_DEPTHS) + 2
+"""K, kinds of turns: about points below, about one far away, and by loads."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,6 +79,7 @@ class Felt(Record):
         s: (M, 3) in the base's frame, low-passed once [m/s^2].
         likeliest: (M, 3) what of it is motion and not noise, as far as loads and power tell
             [m/s^2].
+        by_loads: (M, 3) turns that loads make [rad]; zero where none are known.
         rate: samples per second [Hz].
         step: grid samples of the log from one to the next.
         size: grid samples of the log.
@@ -86,6 +88,7 @@ class Felt(Record):
 
     s: F64
     likeliest: F64
+    by_loads: F64
     rate: float
     step: int
     size: int
@@ -111,12 +114,17 @@ class Felt(Record):
     @property
     def turns(self) -> F64:
         """(M, 3 K) what it may turn by, kind by kind."""
-        return np.hstack(_turns(self.likeliest, self.rate, float(np.linalg.norm(self.f))))
+        gravity = float(np.linalg.norm(self.f))
+        return np.hstack([*_turns(self.likeliest, self.rate, gravity), self.by_loads])
 
     @property
     def later_turns(self) -> tuple[F64, F64]:
-        """Twice (M, 3 K): what it may turn by if it was felt later, and ever later in the log."""
+        """Twice (M, 3 K): what it may turn by if it was felt later, and ever later in the log.
+
+        Loads are not felt, and so no later.
+        """
         later = first_derivative(self.turns, self.rate)
+        later[:, -3:] = 0.0
         return later, np.linspace(-1.0, 1.0, len(later))[:, None] * later
 
     def turns_read(self, late: F64) -> F64:
@@ -130,7 +138,7 @@ def felt_on_the_base(
     places: State,
     gravity: float,
     asked: Int,
-    of_loads: Sequence[F64] | None = None,
+    by_loads: Sequence[tuple[F64, F64]] | None = None,
 ) -> list[Felt]:
     """What SUs on the base feel, log by log, in the mean of them.
 
@@ -139,8 +147,9 @@ def felt_on_the_base(
         places: how they are turned.
         gravity: its magnitude [m/s^2].
         asked: (B,) which SUs.
-        of_loads: per log (N, 3) what would be felt of a base that yields to the robot's loads
-            alone; None where that is not known.
+        by_loads: per log (N, 3) what would be felt of a base that yields to the robot's loads
+            alone, and (N, 3) what it turns by, as :func:`felt_as_it_yields` has them; None where
+            that is not known.
     """
     matrix = np.linalg.inv(places.sensor_matrix()[asked])
     into_base = places.T_joint_su[asked, :3, :3] @ matrix
@@ -149,16 +158,22 @@ def felt_on_the_base(
         step = max(1, int(log.rate / (_PER_CUTOFF * noise_bandwidth(log.taps, log.rate))))
         s = np.mean([x @ R.T for x, R in zip(_changes(log, asked), into_base, strict=True)], axis=0)
         f = places.up[g] * gravity
-        made = np.zeros_like(s) if of_loads is None else _as_far_as_felt(of_loads[g], s, log.rate)
+        made = turned = np.zeros_like(s)
+        if by_loads is not None:
+            made, turned = by_loads[g]
+            made = _as_far_as_felt(made, s, log.rate)
         likeliest = made + _without_noise(s - made, log)
-        out.append(Felt(s[::step], likeliest[::step], log.rate / step, step, len(log.q), f))
+        s, likeliest, turned = s[::step], likeliest[::step], turned[::step]
+        out.append(Felt(s, likeliest, turned, log.rate / step, step, len(log.q), f))
     return out
 
 
 def felt_as_it_yields(
     unseen: Unseen, logs: Sequence[Trajectory], state: MotionState, asked: Int
-) -> list[F64]:
-    """Per log (N, 3) what is felt beside gravity of a known motion of the base [m/s^2].
+) -> list[tuple[F64, F64]]:
+    """Per log (N, 3) what is felt beside gravity of a known motion of the base, and what it turns.
+
+    In m/s^2 and rad, both beside their means.
 
     Args:
         unseen: which makes it.
@@ -174,7 +189,7 @@ def felt_as_it_yields(
         turned, accelerates = moved.q[:, D + 3 :], moved.qdd[:, D:]
         f = state.placements.up[g] * state.gravity
         s = accelerates[:, :3] + np.cross(accelerates[:, 3:], place) - np.cross(turned, f)
-        out.append(s - s.mean(axis=0))
+        out.append((s - s.mean(axis=0), turned - turned.mean(axis=0)))
     return out
 
 
@@ -233,6 +248,7 @@ class Numbers(Record):
                 np.full(2, _LATE),
                 np.ones(9 * len(_DEPTHS)),
                 np.full(9, _PER_SHIFT),
+                np.ones(9),
                 np.full(3, _LEVER),
             ]
         )
@@ -259,7 +275,7 @@ class Numbers(Record):
 
     @property
     def turns(self) -> F64:
-        """(3, 3 K) shares of turns about each axis, kind by kind; of the last kind [rad/m]."""
+        """(3, 3 K) shares of turns about each axis, kind by kind; of those far away [rad/m]."""
         return np.hstack(list(self.x[11:-3].reshape(-1, 3, 3)))
 
     @property

@@ -35,7 +35,7 @@ from skin2urdf.estimation.trajectory.fit import Fitted, Led, fit, fit_following,
 from skin2urdf.estimation.trajectory.misfit import SPAN
 from skin2urdf.estimation.trajectory.on_the_base import turned_as_the_base
 from skin2urdf.estimation.trajectory.problem import MotionProblem
-from skin2urdf.estimation.trajectory.slack import CERTAIN, lacking, with_unseen
+from skin2urdf.estimation.trajectory.slack import CERTAIN, Size, lacking, with_unseen
 from skin2urdf.estimation.trajectory.state import MotionState
 from skin2urdf.estimation.trajectory.unseen import Unseen
 from skin2urdf.estimation.trajectory.yielding import fit_yielding
@@ -66,6 +66,7 @@ class MovingBase(Record):
         felt: (B,) by how much they feel it accelerate, or tilt, rms [m/s^2].
         by_noise: per log (N, U, 3) by how much readings would be others if the noise of what is
             felt had a part in the numbers [m/s^2].
+        goes_with_loads: whether loads of the robot explain all that others feel of it.
     """
 
     sus: Int
@@ -73,6 +74,7 @@ class MovingBase(Record):
     motion: Unseen
     felt: F64
     by_noise: tuple[F64, ...]
+    goes_with_loads: bool
 
     def unsure(self, problem: MotionProblem, fitted: Fitted) -> list[tuple[F64, F64]]:
         """Parts (J,) and (U, n) of the gradient by which the base's motion may be off.
@@ -121,12 +123,13 @@ def standing_still(
     state, asked = _with_sus_turned(whole, fitted, asked)
     if not len(asked):
         return problem, fitted, None
-    of_loads = None
+    by_loads, goes_with_loads = None, False
     if yields:
         yielding, there = fit_yielding(problem, fitted, elastic=False, base=True)
         if yielding.unseen is not None:
-            of_loads = felt_as_it_yields(yielding.unseen, whole.logs, there.state, asked)
-    felt = felt_on_the_base(whole.logs, state.placements, state.gravity, asked, of_loads)
+            goes_with_loads = not _shown(yielding, there, asked).gain > CERTAIN
+            by_loads = felt_as_it_yields(yielding.unseen, whole.logs, there.state, asked)
+    felt = felt_on_the_base(whole.logs, state.placements, state.gravity, asked, by_loads)
     none = Numbers.none(problem.priors.sensors)
     others = whole.again(logs=_of_others(whole.logs, asked))
 
@@ -157,7 +160,7 @@ def standing_still(
     )
     problem = problem.again(logs=[_told_by_gravity(log, asked) for log in still])
     names = tuple(problem.tree.su_names[u] for u in asked)
-    found = MovingBase(asked, names, motion, _rms(whole.logs, asked), by_noise)
+    found = MovingBase(asked, names, motion, _rms(whole.logs, asked), by_noise, goes_with_loads)
     return problem, fit(problem, state, near=True), found
 
 
@@ -172,12 +175,11 @@ def _with_sus_turned(whole: MotionProblem, fitted: Fitted, asked: Int) -> tuple[
     Returns:
         The state, and which of these SUs it explains; none where the others feel none of it.
     """
-    free = free_motion(whole.tree, whole.logs, fitted.state.gravity, asked)
     few = leading(whole)
-    some = (whole, fitted) if few is None else (few, held(few, fitted.state))
-    size = lacking(*_without(*some, asked), [free]).size(0)
+    size = _shown(*((whole, fitted) if few is None else (few, held(few, fitted.state))), asked)
     if size.gain <= CERTAIN:
         return fitted.state, asked[:0]
+    free = free_motion(whole.tree, whole.logs, fitted.state.gravity, asked)
     others = whole.again(logs=_of_others(whole.logs, asked))
     begin = replace(fitted.state, unseen=size.numbers)
     state = fit(with_unseen(others, free, size.size), begin, near=True).state
@@ -185,6 +187,18 @@ def _with_sus_turned(whole: MotionProblem, fitted: Fitted, asked: Int) -> tuple[
     still = _taken_off(whole, replace(state, unseen=np.zeros(0)), free, state.unseen)
     before, after = (_rms(logs, asked) for logs in (whole.logs, still))
     return replace(state, unseen=np.zeros(0)), asked[after**2 < _ITS_OWN * before**2]
+
+
+def _shown(problem: MotionProblem, fitted: Fitted, asked: Int) -> Size:
+    """What other SUs show, beyond a fit, of motion of the base that SUs on it feel.
+
+    Args:
+        problem: the logs.
+        fitted: their fit.
+        asked: (B,) SUs on the base.
+    """
+    free = free_motion(problem.tree, problem.logs, fitted.state.gravity, asked)
+    return lacking(*_without(problem, fitted, asked), [free]).size(0)
 
 
 def _asked(problem: MotionProblem) -> Int:

@@ -30,8 +30,8 @@ _EDGE = slice(200, -200)
 """What is far from the ends, where filters are mirrored."""
 
 
-def _felt(s: F64) -> Felt:
-    return Felt(s, s, _RATE, 1, len(s), np.array([0.0, 0.0, _G]))
+def _felt(s: F64, by_loads: F64 | float = 0.0) -> Felt:
+    return Felt(s, s, np.zeros_like(s) + by_loads, _RATE, 1, len(s), np.array([0.0, 0.0, _G]))
 
 
 def _standing() -> State:
@@ -91,7 +91,8 @@ def test_what_a_known_motion_of_the_base_is_felt_as() -> None:
     )
     log = replace(_log(np.zeros_like(s)), rate=_RATE)
     state = motion_state(_standing(), np.zeros(1))
-    (made,) = felt_as_it_yields(unseen, [log], state, np.array([0]))
+    ((made, turned),) = felt_as_it_yields(unseen, [log], state, np.array([0]))
+    np.testing.assert_allclose(turned, e - e.mean(axis=0), atol=1e-12)
     np.testing.assert_allclose(
         made[_EDGE], (s - s.mean(axis=0))[_EDGE], atol=0.02 * np.abs(s).max()
     )
@@ -106,20 +107,31 @@ def test_what_loads_explain_is_heard_though_it_hides_in_noise() -> None:
     # Motions are low-passed once.
     s = filtered(s, log.taps)
 
-    def share(of_loads: list[F64] | None) -> float:
-        (felt,) = felt_on_the_base([log], _standing(), _G, np.array([0]), of_loads)
+    def share(of_loads: F64 | None) -> float:
+        by_loads = None if of_loads is None else [(of_loads, np.zeros_like(s))]
+        (felt,) = felt_on_the_base([log], _standing(), _G, np.array([0]), by_loads)
         true = s[:: felt.step][20:-20]
         return float(np.sum(felt.likeliest[20:-20] * true) / np.sum(true**2))
 
-    assert share([s]) > 0.8 > share(None) + 0.15
+    assert share(s) > 0.8 > share(None) + 0.15
     # Loads that stand for what moves it besides say nothing of it.
     other = filtered(0.025 * rng.standard_normal(noise.shape), low_pass(2.0, RATE))
-    assert abs(share([other]) - share(None)) < 0.1
+    assert abs(share(other) - share(None)) < 0.1
+
+
+def test_turns_by_loads_are_taken_whatever_is_felt_and_when() -> None:
+    """Two shifts and a turn hide it in what one SU feels; loads make it without noise."""
+    e, s = _rocking()
+    felt, none = _felt(0.1 * s[::-1], e), Numbers.none(Priors())
+    x = np.zeros(none.n_numbers)
+    x[9:11] = 0.01, 0.02
+    x[-12:-3] = np.eye(3).ravel()
+    np.testing.assert_allclose(motion_of(felt, replace(none, x=x))[:, 3:], e, atol=1e-12)
 
 
 def test_slopes_are_those_of_differences() -> None:
-    _, s = _rocking()
-    felt, none, tree = _felt(s), Numbers.none(Priors()), serial_tree(2)
+    e, s = _rocking()
+    felt, none, tree = _felt(s, e), Numbers.none(Priors()), serial_tree(2)
     rng = np.random.default_rng(2)
     numbers = none.at(0.3 * UNIT * rng.standard_normal(none.n_numbers))
     motion = about(tree, [felt], numbers)

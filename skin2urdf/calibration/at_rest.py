@@ -7,26 +7,32 @@ from dataclasses import replace
 
 from skin2urdf.calibration.by_physics import gained
 from skin2urdf.calibration.clock import Clock
+from skin2urdf.calibration.result import GOOD_FIT
 from skin2urdf.calibration.rounds import Logs, Solution, Structure
 from skin2urdf.calibration.samples import fit_samples
-from skin2urdf.errors import StructureError
+from skin2urdf.errors import Skin2UrdfError, StructureError
 from skin2urdf.estimation.problem.reordered import elsewhere
 from skin2urdf.estimation.solve.estimate import estimate
 from skin2urdf.estimation.start.from_rests import state_of
 from skin2urdf.estimation.trajectory.motion_estimate import MotionEstimate
 from skin2urdf.estimation.trajectory.slack import CERTAIN
+from skin2urdf.estimation.uncertainty.health import mirrored_sus
+from skin2urdf.faults import Fault
+from skin2urdf.hypotheses.alone import negated
 from skin2urdf.notes import of_kind
 from skin2urdf.structure.from_motion import MotionTree, trees_of_both_kinds
 from skin2urdf.structure.gravity import gravity_features, gravity_windows
+from skin2urdf.structure.records import KinematicTree
 from skin2urdf.structure.still import turned_all_the_same
 from skin2urdf.structure.tree_notes import doubt
 
 
 def estimate_at_rest(logs: Logs, structure: Structure, clock: Clock) -> Solution:
-    """The tree and the directions that gravity shows; positions stay open.
+    """The tree and the directions that gravity shows, with mirrored SUs set right.
 
-    Where rests and moves show different trees, or several that they do not tell apart, all of these
-    are followed, and all samples decide.
+    An SU that is negated, or left-handed, bends the axes of those next to it: as long as fewer look
+    mirrored against the others than not, and less is left once they are negated, more are looked
+    for.
 
     Args:
         logs: the logs.
@@ -36,6 +42,50 @@ def estimate_at_rest(logs: Logs, structure: Structure, clock: Clock) -> Solution
     Raises:
         InsufficientDataError: the logs lack what directions need.
         StructureError: no SU feels any joint move, or one turns that every tree says does not.
+    """
+    best, mirrored = _as_read(logs, structure, clock), frozenset[str]()
+
+    def of_negated(names: frozenset[str]) -> Solution | None:
+        """An estimate with some SUs negated that explains as many as the best; None without."""
+        try:
+            other = _as_read(negated(logs, names), structure, clock)
+        except Skin2UrdfError:
+            return None
+        return other if len(other.found.tree.su_names) >= len(best.found.tree.su_names) else None
+
+    while best.found.misfit > GOOD_FIT:
+        also = frozenset(best.found.tree.su_names[u] for u in mirrored_sus(best.found))
+        other = of_negated(mirrored ^ also) if also else None
+        if other is None or other.found.misfit >= best.found.misfit:
+            break
+        best, mirrored = other, mirrored ^ also
+    # Of an SU that gravity meets from one side nothing shows, and all beyond one that is mirrored
+    # are mirror images of it.
+    fewer = [_right_before(best.found.tree, mirrored), *(mirrored - {su} for su in mirrored)]
+    for names in fewer:
+        if not 0 < len(names) < len(mirrored):
+            continue
+        other = of_negated(names)
+        if other is None or other.found.misfit > GOOD_FIT:
+            continue
+        one, there = fit_rigid(best, clock), fit_rigid(other, clock)
+        if one is None or there is None or not is_likelier(there, one):
+            best, mirrored = other, names
+    return replace(best, faults=tuple(Fault("mirrored", su) for su in sorted(mirrored)))
+
+
+def _right_before(tree: KinematicTree, names: frozenset[str]) -> frozenset[str]:
+    """The SUs on the joints right before those that carry some SUs, but for these."""
+    joints = {int(tree.su_joint[tree.su_names.index(su)]) for su in names & set(tree.su_names)}
+    before = {int(tree.parent[j]) for j in joints if j >= 0} - joints
+    return frozenset(su for su, j in zip(tree.su_names, tree.su_joint, strict=True) if j in before)
+
+
+def _as_read(logs: Logs, structure: Structure, clock: Clock) -> Solution:
+    """The tree and the directions that gravity shows; positions stay open.
+
+    Where rests and moves show different trees, or several that they do not tell apart, all of these
+    are followed, and all samples decide.
     """
     found = clock.run(
         "structure", lambda tell: trees_of_both_kinds(logs.sampled, logs.su_names, tell=tell)

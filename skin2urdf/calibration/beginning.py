@@ -173,6 +173,7 @@ def _without_leaps(
         structure = find_structure(logs, features, clock)
         if settings.method != "paper":
             first, of_patterns = _first_estimate(logs, features, structure, clock)
+            logs = logs if first is None or of_patterns else first.logs
     return Beginning(
         tuple(on_time), publishers, tuple(leaps), logs, features, structure, first, of_patterns
     )

@@ -49,6 +49,23 @@ def at_rest(n_joints: int = 3, poses: int = 14, seconds: float = 1.0) -> tuple[R
     return Recording(joints=joints, sus=tuple(sus), start=0.0, source="rests"), axes
 
 
+@pytest.mark.parametrize("sus", [[1], [2], [0, 2]], ids=["middle", "tip", "all but one"])
+def test_mirrored_sus_are_named_without_patterns(sus: list[int]) -> None:
+    """A left-handed frame is a turn of negated readings; which of two kinds is right none tells."""
+    recording, _ = at_rest(poses=24)
+    streams = list(recording.sus)
+    for u in sus:
+        streams[u] = replace(
+            streams[u], specific_force=streams[u].specific_force * [1.0, -1.0, 1.0]
+        )
+    found = calibrate(replace(recording, sus=tuple(streams)))
+    tree = found.model.tree
+    assert [tree.joint_names[j] for j in tree.chain(2)] == ["joint0", "joint1", "joint2"]
+    assert tree.su_joint.tolist() == [0, 1, 2]
+    named = {fault.subject for fault in found.faults if fault.kind == "mirrored"}
+    assert named == ({f"su{u}" for u in sus} if len(sus) == 1 else {"su1"})
+
+
 def test_rests_show_tree_and_directions_and_leave_positions_open() -> None:
     recording, axes = at_rest()
     found = calibrate(recording, CalibrationSettings(motion="patterns"))

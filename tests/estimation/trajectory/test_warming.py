@@ -81,7 +81,7 @@ def test_sensors_that_warm_up_together_are_no_base_that_moves(
         motion = creeping(problem.tree, problem.logs)
         assert motion is not None
         none = tuple(np.zeros_like(log.readings) for log in problem.logs)
-        seeming = MovingBase(np.array([0]), ("su0",), motion, np.array([0.02]), none)
+        seeming = MovingBase(np.array([0]), ("su0",), motion, np.array([0.02]), none, False)
         return problem, fitted, seeming
 
     monkeypatch.setattr(estimate, "standing_still", felt)

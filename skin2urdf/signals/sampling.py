@@ -45,6 +45,10 @@ _FARTHEST, _FASTEST = 15.0, 20.0
 together: two turns and a half, at three turns a second. In degrees a quarter turn a second has
 both."""
 _G_UNITS = (0.5, 2.0)
+"""Norm at rest of a sensor that reports g, whatever its bias is."""
+_TURNED = 0.1
+"""Scatter over the rests, as a part of the norm, from which an SU feels gravity turn: that of less
+than 6 deg. What stands still may be a bias alone."""
 _UNIT_IS_KNOWN = 0.1
 """Part by which gravity in a unit may be off in every SU: biases of 0.1 g."""
 _FEWEST = 5
@@ -261,7 +265,9 @@ def _unit(static: F64) -> float:
     if not len(static):
         return 1.0
     size = float(np.median(np.linalg.norm(static, axis=1)))
-    return GRAVITY if _G_UNITS[0] < size < _G_UNITS[1] else 1.0
+    turns = np.linalg.norm(static.std(axis=0)) > _TURNED * size
+    least, most = _G_UNITS if turns else (1 - _UNIT_IS_KNOWN, 1 + _UNIT_IS_KNOWN)
+    return GRAVITY if least < size < most else 1.0
 
 
 def sampled_together(

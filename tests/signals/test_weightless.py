@@ -10,6 +10,7 @@ from simulated import changed_sus, simulation
 
 from skin2urdf.errors import InsufficientDataError
 from skin2urdf.geometry.units import FORCE_UNITS
+from skin2urdf.notes import Note
 from skin2urdf.recording.records import SuStream
 from skin2urdf.signals.sampling import sampled_together
 
@@ -18,6 +19,23 @@ def weightless(su: SuStream) -> SuStream:
     """What is left of readings where a driver subtracts nearly all that is slow."""
     force = su.specific_force
     return replace(su, specific_force=0.02 * (force - force.mean(axis=0)))
+
+
+def test_a_bias_as_large_as_gravity_in_g_is_no_gravity() -> None:
+    """It keeps its direction however the SU is turned; what a sensor in g reads does not."""
+    recording = simulation().recording
+    names = [su.name for su in recording.sus]
+
+    def changed(su: SuStream) -> SuStream:
+        if su.name == names[-1]:
+            return replace(su, specific_force=0.1 * weightless(su).specific_force + 0.47)
+        in_g = su.name == names[-2]
+        return replace(su, specific_force=su.specific_force / 9.81) if in_g else su
+
+    ((sampled,), _) = sampled_together([changed_sus(recording, changed)])
+    assert [(fault.kind, fault.subject) for fault in sampled.faults] == [("wrong unit", names[-1])]
+    converted = [note.sus for note in sampled.notes if isinstance(note, Note)]
+    assert (names[-2],) in converted
 
 
 def test_readings_without_gravity_are_refused_by_that_name() -> None:

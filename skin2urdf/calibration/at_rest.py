@@ -61,8 +61,8 @@ def estimate_at_rest(logs: Logs, structure: Structure, clock: Clock) -> Solution
         best, mirrored = other, mirrored ^ also
     # Of an SU that gravity meets from one side nothing shows, and all beyond one that is mirrored
     # are mirror images of it.
-    fewer = [_right_before(best.found.tree, mirrored), *(mirrored - {su} for su in mirrored)]
-    for names in fewer:
+    for su in (None, *sorted(mirrored)):
+        names = mirrored - {su} if su else _right_before(best.found.tree, mirrored)
         if not 0 < len(names) < len(mirrored):
             continue
         other = of_negated(names)

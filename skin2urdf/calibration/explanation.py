@@ -68,14 +68,11 @@ def explain_readings(begun: Beginning, clock: Clock) -> tuple[Solution, MotionEs
     solution, along = _explained(begun, clock)
     if along is None:
         return solution, along
-    on_base = with_one_on_the_base(solution, along, clock)
-    fitted = _of_another_tree(solution, along, on_base, clock) if on_base else None
-    if on_base and fitted and is_told(along, fitted):
-        solution, along = with_sus_apart(on_base, fitted, clock, of_patterns=begun.of_patterns)
     # What a first look at the structure says of a single SU, or of joints without any, is little.
-    placed = in_told_place(solution, along, clock, of_patterns=begun.of_patterns)
-    if (fitted := _of_another_tree(solution, along, placed, clock)) and is_told(along, fitted):
-        solution, along = with_sus_apart(placed, fitted, clock, of_patterns=begun.of_patterns)
+    for place in (with_one_on_the_base, partial(in_told_place, of_patterns=begun.of_patterns)):
+        placed = place(solution, along, clock)
+        if (fitted := _of_another_tree(solution, along, placed, clock)) and is_told(along, fitted):
+            solution, along = with_sus_apart(placed, fitted, clock, of_patterns=begun.of_patterns)
     along = by_loads_or_felt(solution, along, clock)
     ordered = in_told_order(solution, along, clock)
     if fitted := _of_another_tree(solution, along, ordered, clock):

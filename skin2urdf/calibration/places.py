@@ -69,9 +69,7 @@ def in_told_place(
     return found
 
 
-def with_one_on_the_base(
-    solution: Solution, along: MotionEstimate, clock: Clock
-) -> Solution | None:
+def with_one_on_the_base(solution: Solution, along: MotionEstimate, clock: Clock) -> Solution:
     """The robot with an SU on the base that seemed to sit on the first joint.
 
     A base that sways as its first joint moves is felt as that joint is. Where all samples are not
@@ -85,17 +83,17 @@ def with_one_on_the_base(
         clock: runs the stages.
 
     Returns:
-        None where no SU is in such doubt.
+        What was given where no SU is in such doubt.
     """
     tree = along.problem.tree
     if along.misfit <= GOOD_FIT or tree.su_names != solution.found.tree.su_names:
-        return None
+        return solution
     first = {u for u, j in enumerate(tree.su_joint) if j >= 0 and tree.parent[j] < 0}
     in_doubt = {arm.su for arm in arms(along) if arm.on_joint and not arm.shown}
     doubtful = first.intersection(_that_fit_worse(solution, along))
     doubtful |= {tree.su_names.index(su) for su in in_doubt}
     if not doubtful:
-        return None
+        return solution
     felt = _felt(along)
     least = min(doubtful, key=lambda u: felt[u])
     q = along.positions.mean(axis=0)

@@ -45,8 +45,8 @@ def estimate_at_rest(logs: Logs, structure: Structure, clock: Clock) -> Solution
     """
     best, mirrored = _as_read(logs, structure, clock), frozenset[str]()
 
-    def of_negated(names: frozenset[str]) -> Solution | None:
-        """An estimate with some SUs negated that explains as many as the best; None without."""
+    def explained_by(names: frozenset[str]) -> Solution | None:
+        """The estimate with some SUs negated; None where it has a place for fewer than the best."""
         try:
             other = _as_read(negated(logs, names), structure, clock)
         except Skin2UrdfError:
@@ -55,7 +55,7 @@ def estimate_at_rest(logs: Logs, structure: Structure, clock: Clock) -> Solution
 
     while best.found.misfit > GOOD_FIT:
         also = frozenset(best.found.tree.su_names[u] for u in mirrored_sus(best.found))
-        other = of_negated(mirrored ^ also) if also else None
+        other = explained_by(mirrored ^ also) if also else None
         if other is None or other.found.misfit >= best.found.misfit:
             break
         best, mirrored = other, mirrored ^ also
@@ -65,7 +65,7 @@ def estimate_at_rest(logs: Logs, structure: Structure, clock: Clock) -> Solution
         names = mirrored - {su} if su else _right_before(best.found.tree, mirrored)
         if not 0 < len(names) < len(mirrored):
             continue
-        other = of_negated(names)
+        other = explained_by(names)
         if other is None or other.found.misfit > GOOD_FIT:
             continue
         one, there = fit_rigid(best, clock), fit_rigid(other, clock)

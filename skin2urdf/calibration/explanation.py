@@ -26,11 +26,7 @@ from skin2urdf.calibration.by_physics import (
 from skin2urdf.calibration.clock import Clock
 from skin2urdf.calibration.moments import stands_out
 from skin2urdf.calibration.orders import in_told_order
-from skin2urdf.calibration.places import (
-    in_told_place,
-    is_told,
-    with_one_on_the_base,
-)
+from skin2urdf.calibration.places import in_told_place, is_told, with_one_on_the_base
 from skin2urdf.calibration.refusal import check_hope
 from skin2urdf.calibration.result import (
     BAD_FIT,

@@ -24,6 +24,7 @@ from skin2urdf.estimation.problem.reordered import branched, hung_on
 from skin2urdf.estimation.problem.state import State
 from skin2urdf.estimation.trajectory.misfit import MOST_OF_IT
 from skin2urdf.estimation.trajectory.motion_estimate import MotionEstimate
+from skin2urdf.estimation.trajectory.moving_base import felt_beside_the_mean
 from skin2urdf.estimation.trajectory.slack import CERTAIN
 from skin2urdf.estimation.trajectory.vertical import arms
 from skin2urdf.model.poses import joint_poses
@@ -94,18 +95,10 @@ def with_one_on_the_base(solution: Solution, along: MotionEstimate, clock: Clock
     doubtful |= {tree.su_names.index(su) for su in in_doubt}
     if not doubtful:
         return solution
-    felt = _felt(along)
-    least = min(doubtful, key=lambda u: felt[u])
+    logs = along.problem.logs
+    least = min(doubtful, key=lambda u: felt_beside_the_mean(logs, np.array([u]))[0])
     q = along.positions.mean(axis=0)
     return solved_anew(solution, *hung_on(tree, along.state, least, -1, q), clock)
-
-
-def _felt(along: MotionEstimate) -> F64:
-    """(U,) what SUs feel beside the mean of each log, rms [m/s^2]; NaN of those without samples."""
-    logs = along.problem.logs
-    x = [np.where(log.valid[..., None], log.readings[log.kept], np.nan) for log in logs]
-    left = np.concatenate([each - np.nanmean(each, axis=0) for each in x])
-    return np.asarray(np.sqrt(np.nanmean((left**2).sum(axis=2), axis=0)))
 
 
 def is_told(along: MotionEstimate, other: MotionEstimate) -> bool:

@@ -171,15 +171,17 @@ def felt_on_the_base(
 def felt_as_it_yields(
     unseen: Unseen, logs: Sequence[Trajectory], state: MotionState, asked: Int
 ) -> list[tuple[F64, F64]]:
-    """Per log (N, 3) what is felt beside gravity of a known motion of the base, and what it turns.
-
-    In m/s^2 and rad, both beside their means.
+    """What is felt of a known motion of the base, and what it turns by.
 
     Args:
         unseen: which makes it.
         logs: trajectories.
         state: numbers that make it, and where SUs are.
         asked: (B,) SUs on the base, in the middle of which it is felt.
+
+    Returns:
+        Per log (N, 3) specific force beside gravity [m/s^2], and (N, 3) turns [rad], both in the
+        base's frame and beside their means.
     """
     out = []
     place = state.placements.T_joint_su[asked, :3, 3].mean(axis=0)

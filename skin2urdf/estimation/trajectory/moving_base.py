@@ -160,7 +160,9 @@ def standing_still(
     )
     problem = problem.again(logs=[_told_by_gravity(log, asked) for log in still])
     names = tuple(problem.tree.su_names[u] for u in asked)
-    found = MovingBase(asked, names, motion, _rms(whole.logs, asked), by_noise, goes_with_loads)
+    found = MovingBase(
+        asked, names, motion, felt_beside_the_mean(whole.logs, asked), by_noise, goes_with_loads
+    )
     return problem, fit(problem, state, near=True), found
 
 
@@ -185,7 +187,7 @@ def _with_sus_turned(whole: MotionProblem, fitted: Fitted, asked: Int) -> tuple[
     state = fit(with_unseen(others, free, size.size), begin, near=True).state
     state = turned_as_the_base(with_unseen(whole, free, size.size), state, SPAN)
     still = _taken_off(whole, replace(state, unseen=np.zeros(0)), free, state.unseen)
-    before, after = (_rms(logs, asked) for logs in (whole.logs, still))
+    before, after = (felt_beside_the_mean(logs, asked) for logs in (whole.logs, still))
     return replace(state, unseen=np.zeros(0)), asked[after**2 < _ITS_OWN * before**2]
 
 
@@ -310,11 +312,21 @@ def _at_all_samples(log: Trajectory) -> Trajectory:
     )
 
 
-def _rms(logs: Sequence[Trajectory], asked: Int) -> F64:
-    """(B,) what SUs on the base feel beside gravity, rms [m/s^2]."""
+def felt_beside_the_mean(logs: Sequence[Trajectory], asked: Int) -> F64:
+    """What SUs feel beside its mean in each log, while all of them read.
+
+    Args:
+        logs: trajectories, in some of which they read.
+        asked: (B,) which SUs.
+
+    Returns:
+        (B,) of each, rms [m/s^2].
+    """
     felt = []
     for log in logs:
         known = log.valid[:, asked].all(axis=1)
+        if not known.any():
+            continue
         x = log.readings[log.kept[known]][:, asked]
         felt.append(x - x.mean(axis=0))
     return np.asarray(np.sqrt((np.concatenate(felt) ** 2).sum(axis=2).mean(axis=0)))

@@ -97,7 +97,7 @@ def timed_joints(
         credible = np.abs(samples.values) < LARGEST_VALUE
         if not credible.all():
             samples = samples._replace(values=np.where(credible, samples.values, np.nan))
-        if several_publishers(samples.values, POSITIONS_APART):
+        if several_publishers(samples.values, POSITIONS_APART, of_forces=False):
             words = (
                 f"the positions of {shortened(names)} on {topic} were left out: several publishers "
                 "send them in turn, and they contradict each other; record only one of them"
@@ -228,7 +228,7 @@ def _sound(
         )
         notes.append(ReadingNote("absurd values", words, (name, topic), n))
         samples = samples.at(~bad)
-    if several_publishers(samples.values, FORCES_APART):
+    if several_publishers(samples.values, FORCES_APART, of_forces=True):
         words = (
             f"{what} was left out: several publishers send as {frame!r} on {topic}, and "
             "nothing tells whose a message is; give each SU a frame_id or a topic of its own"

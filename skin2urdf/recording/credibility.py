@@ -31,6 +31,10 @@ _CLOSE = 0.3
 # [m/s^2], encoders not from one of 10 bits between two digits [rad or m].
 FORCES_APART = 0.5
 POSITIONS_APART = 6e-3
+# What accelerometers of several publishers read is as long as gravity, but for their errors (biases
+# of 60 mg, scales of 3 %) and what the robot accelerates them by; what shakes one of them changes
+# the length as well as the direction. Their deviation, over their median.
+_LENGTHS_APART = 0.1
 
 
 def absurd(force: F64) -> Bool:
@@ -123,15 +127,18 @@ def spikes(values: F64) -> Bool:
     return found
 
 
-def several_publishers(values: F64, least: float) -> bool:
+def several_publishers(values: F64, least: float, *, of_forces: bool) -> bool:
     """Whether samples (N, C) of one name come from several sensors in turn.
 
     A sensor's next sample is the one most like the last. Where those of several are mixed, the next
-    is another's, and the one like the last comes some samples later.
+    is another's, and the one like the last comes some samples later. So it does where what shakes a
+    sensor is slower after sampling than it was, which accelerometers show by the lengths of what
+    they read.
 
     Args:
         values: the samples in the order of their arrival.
         least: distance of samples in a row that one sensor may have.
+        of_forces: whether they are what accelerometers read (C = 3), not positions of joints.
     """
     count, channels = values.shape
     if count < 4 * _LAGS:
@@ -150,4 +157,10 @@ def several_publishers(values: F64, least: float) -> bool:
     following = float(np.median(distance[0, whole]))
     closest = float(np.median(distance[1:, whole].min(axis=0)))
     like = _CLOSE * (_LAGS - 1) ** (-1 / channels)
-    return following > least and closest < like * following
+    if not (following > least and closest < like * following):
+        return False
+    if not of_forces:
+        return True
+    differ = start[whole & (distance[0] > least)]
+    lengths = np.linalg.norm(values[differ[:, None] + np.arange(_LAGS + 1)], axis=2)
+    return bool(np.median(lengths.std(axis=1)) < _LENGTHS_APART * np.median(lengths))

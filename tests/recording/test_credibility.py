@@ -6,6 +6,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from skin2urdf.arrays import F64
 from skin2urdf.errors import UnreadableInputError
@@ -99,17 +101,31 @@ def test_several_sensors_under_one_name_are_seen(publishers: int, shuffled: bool
     )
     if shuffled:
         mixed = np.stack([each[rng.permutation(publishers)] for each in mixed])
-    assert several_publishers(mixed.reshape(-1, 3), FORCES_APART)
-    assert not several_publishers(single, FORCES_APART)
+    assert several_publishers(mixed.reshape(-1, 3), FORCES_APART, of_forces=True)
+    assert not several_publishers(single, FORCES_APART, of_forces=True)
 
 
 def test_one_sensor_that_shakes_or_is_coarse_is_one() -> None:
     rng = np.random.default_rng(5)
     shaking = moving(5000, rng, noise=3.0)
     coarse = moving(5000, rng, noise=0.05, digit=0.3)
-    assert not several_publishers(shaking, FORCES_APART)
-    assert not several_publishers(coarse, FORCES_APART)
-    assert not several_publishers(np.tile([0.0, 0.0, 9.81], (5000, 1)), FORCES_APART)
+    assert not several_publishers(shaking, FORCES_APART, of_forces=True)
+    assert not several_publishers(coarse, FORCES_APART, of_forces=True)
+    assert not several_publishers(
+        np.tile([0.0, 0.0, 9.81], (5000, 1)), FORCES_APART, of_forces=True
+    )
+
+
+@given(st.floats(0.1, 0.45), st.floats(3.0, 8.0))
+@settings(max_examples=20, deadline=None)
+def test_what_sampling_makes_slow_of_a_vibration_is_one_sensor(folded: float, size: float) -> None:
+    # A spindle of 230 Hz shakes samples of 100 Hz by 0.3 turns from each to the next.
+    rng = np.random.default_rng(6)
+    count = 6000
+    turns = 2 * np.pi * folded * np.arange(count)[:, None] + rng.uniform(0, 6, 3)
+    runs = (np.arange(count) // 1000 % 3 > 0)[:, None]
+    shaken = moving(count, rng) + size * runs * np.sin(turns) * np.array([0.6, 1.0, 0.8])
+    assert not several_publishers(shaken, FORCES_APART, of_forces=True)
 
 
 def test_publishers_that_share_a_name_are_refused_by_it(ros_log: Any) -> None:

@@ -60,7 +60,12 @@ def leaves_only_noise(along: MotionEstimate) -> bool:
 
 
 def without_false_hits(
-    solution: Solution, along: MotionEstimate, whole: Logs, first: Solution | None, tell: Tell
+    solution: Solution,
+    along: MotionEstimate,
+    whole: Logs,
+    first: Solution | None,
+    tell: Tell,
+    plain: MotionEstimate | None = None,
 ) -> tuple[Solution, MotionEstimate]:
     """Hits that all samples explain, those that were left out included, are none.
 
@@ -73,6 +78,7 @@ def without_false_hits(
         whole: the logs with them.
         first: the estimate before anything was taken to be wrong; None where there is none.
         tell: told the share of the work that is done.
+        plain: the fit of all samples of that estimate, where there is one.
     """
     kinds = {fault.kind for fault in solution.faults}
     if not kinds or not kinds <= {"contact", "loose"}:
@@ -86,8 +92,10 @@ def without_false_hits(
     # the logs without the hits leave only noise to a stiff robot on steady clocks: what yields or
     # wanders shows there as well.
     stiff = not set(along.causes) & _FELT_IN_HITS and (loose or leaves_only_noise(along))
-    most = 0.0 if stiff else np.inf
-    again = fit_samples(everything, tell, without=rejected(along), most=most)
+    again = None if stiff or first is None or not _is_of(first, everything) else plain
+    if again is None:
+        most = 0.0 if stiff else np.inf
+        again = fit_samples(everything, tell, without=rejected(along), most=most)
     if again is None:
         return solution, along
     if loose and not leaves_only_noise(again) and not differs_by_physics(solution, along, again):
@@ -100,6 +108,12 @@ def without_false_hits(
     if real:
         return (solution if loose else replace(solution, faults=real)), along
     return replace(everything, faults=()), again
+
+
+def _is_of(first: Solution, other: Solution) -> bool:
+    """Whether two estimates are of the same logs and tree, so that all samples say the same."""
+    same_logs = first.logs.sampled is other.logs.sampled
+    return same_logs and first.found.tree.is_like(other.found.tree)
 
 
 def names_what_differs_by_place(solution: Solution) -> bool:

@@ -195,7 +195,8 @@ def _fit_along(
         solution, along = first, plain
     fitted = along
     solution, along = clock.run(
-        "all samples", lambda tell: without_false_hits(solution, fitted, begun.logs, first, tell)
+        "all samples",
+        lambda tell: without_false_hits(solution, fitted, begun.logs, first, tell, plain),
     )
     solution, along = with_sus_together(solution, along, clock)
     solution, along = with_sus_apart(

@@ -98,6 +98,7 @@ ReadingKind = Literal[
     "no list of parts",
     "passed over",
     "several topics",
+    "joints of one name",
     "several publishers",
     "absurd values",
     "spikes",

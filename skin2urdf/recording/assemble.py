@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from skin2urdf.arrays import F64, Int
+from skin2urdf.arrays import F64
 from skin2urdf.notes import ReadingNote
 from skin2urdf.recording.credibility import (
     FORCES_APART,
@@ -18,12 +18,13 @@ from skin2urdf.recording.credibility import (
     spikes,
 )
 from skin2urdf.recording.holding import held_notes, measurements
+from skin2urdf.recording.namesakes import told_apart
 from skin2urdf.recording.naming import shortened, su_names, writable
 from skin2urdf.recording.records import JointStream, Recording, SuStream
 from skin2urdf.recording.shelf import Shelf, put_away
 from skin2urdf.recording.silence import silence_notes, silences, through
 from skin2urdf.recording.streams import Samples
-from skin2urdf.recording.timing import Chosen, SampleTimes, Stamped, sample_times_of
+from skin2urdf.recording.timing import SampleTimes, Stamped, TimedStream, sample_times_of
 from skin2urdf.threads import each
 
 # Streams whose stamps differ from the log time this much more than others' were stamped by a
@@ -47,35 +48,6 @@ class Source(NamedTuple):
     name: str
     topic: str
     samples: Samples
-
-
-class TimedStream(NamedTuple):
-    """One joint or SU with the times of its samples.
-
-    Attributes:
-        name: joint or SU name.
-        topic: where it came from.
-        time: (N,) strictly increasing times [ns]; the same array for joints that share times.
-        values: (N,) positions or (N, 3) readings.
-        clock_offset: the clock's lead on the log time [ns], None if unknown.
-        stamped: False where log times stand in for stamps.
-        chosen: whether the times are the stamps or were made regular.
-        contradicting: samples left out because of their stamps.
-        stamp_noise: scatter of the stamps about the times [s].
-        beside: (N, 3) angular velocities of an SU with a gyroscope [rad/s], or (N,) efforts of a
-            joint [N m or N].
-    """
-
-    name: str
-    topic: str
-    time: Int
-    values: F64
-    clock_offset: int | None
-    stamped: bool
-    chosen: Chosen
-    contradicting: int
-    stamp_noise: float = 0.0
-    beside: F64 | None = None
 
 
 def timed_joints(
@@ -119,20 +91,13 @@ def timed_joints(
             notes.extend(note)
             if stream is not None:
                 found.setdefault(name, []).append(stream)
-    names_found = sorted(found)
+    single, namesakes = told_apart(found)
+    names_found = sorted(single)
     called, renamed = writable(names_found, "joint")
-    notes += [*held_notes(repeating, "position"), *silence_notes(on_change), *renamed]
-    chosen = []
-    for name, streams in zip(called, (found[name] for name in names_found), strict=True):
-        best = max(streams, key=lambda stream: stream.time.size)
-        chosen.append(best._replace(name=name))
-        others = sorted(stream.topic for stream in streams if stream is not best)
-        if others:
-            words = (
-                f"joint {name} is on several topics; {best.topic} has most samples and was used, "
-                f"{', '.join(others)} passed over"
-            )
-            notes.append(ReadingNote("several topics", words, (name, *others)))
+    notes += [*held_notes(repeating, "position"), *silence_notes(on_change), *renamed, *namesakes]
+    chosen = [
+        single[name]._replace(name=new) for name, new in zip(names_found, called, strict=True)
+    ]
     return sorted(chosen, key=lambda stream: stream.name), notes
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 from skin2urdf.notes import ReadingNote
 
@@ -39,9 +39,26 @@ def su_names(sources: Sequence[tuple[str, str]]) -> list[str]:
     return _unique(names)
 
 
-def _unique(names: list[str]) -> list[str]:
-    """Number names that are still alike."""
-    taken: set[str] = set()
+def told_by_topic(name: str, topics: Sequence[str], taken: Collection[str]) -> list[str]:
+    """Names for joints of one name on several topics.
+
+    Args:
+        name: the name that all have.
+        topics: their topics, no two alike.
+        taken: names that other joints have.
+
+    Returns:
+        As many names, no two alike: what a topic does not end with as all do, before the name.
+    """
+    parts = [topic.strip("/").split("/") for topic in topics]
+    while all(parts) and len({own[-1] for own in parts}) == 1:
+        parts = [own[:-1] for own in parts]
+    return _unique(["_".join([*own, name]) for own in parts], taken)
+
+
+def _unique(names: list[str], others: Collection[str] = ()) -> list[str]:
+    """Number names that are still alike, or that others have."""
+    taken: set[str] = set(others)
     given = set(names)
     following: Counter[str] = Counter()
     result = []

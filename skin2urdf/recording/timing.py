@@ -51,6 +51,35 @@ class Stamped(NamedTuple):
     signal: F64
 
 
+class TimedStream(NamedTuple):
+    """One joint or SU with the times of its samples.
+
+    Attributes:
+        name: joint or SU name.
+        topic: where it came from.
+        time: (N,) strictly increasing times [ns]; the same array for joints that share times.
+        values: (N,) positions or (N, 3) readings.
+        clock_offset: the clock's lead on the log time [ns], None if unknown.
+        stamped: False where log times stand in for stamps.
+        chosen: whether the times are the stamps or were made regular.
+        contradicting: samples left out because of their stamps.
+        stamp_noise: scatter of the stamps about the times [s].
+        beside: (N, 3) angular velocities of an SU with a gyroscope [rad/s], or (N,) efforts of a
+            joint [N m or N].
+    """
+
+    name: str
+    topic: str
+    time: Int
+    values: F64
+    clock_offset: int | None
+    stamped: bool
+    chosen: Chosen
+    contradicting: int
+    stamp_noise: float = 0.0
+    beside: F64 | None = None
+
+
 class SampleTimes(NamedTuple):
     """Times of the samples of one stream.
 

@@ -155,6 +155,49 @@ def test_a_joint_on_two_topics_is_read_from_the_busier_one(ros_log: Any) -> None
     assert note.sources == ("a", "/joint_states")
 
 
+@pytest.mark.parametrize(
+    ("topics", "called"),
+    [
+        (("/left/joint_states", "/right/joint_states"), ["left_a", "left_b", "right_a", "right_b"]),
+        (("/joint_states", "/two/joint_states"), ["a", "b", "two_a", "two_b"]),
+    ],
+)
+def test_joints_of_one_name_that_go_their_own_ways_are_told_apart(
+    topics: tuple[str, str], called: list[str], ros_log: Any
+) -> None:
+    rng = np.random.default_rng(3)
+    ways = rng.uniform(-1, 1, (2, 2, 12)).repeat(50, axis=2)
+    for k in range(600):
+        for topic, (a, b) in zip(topics, ways[:, :, k], strict=True):
+            ros_log.joints(EPOCH + 4 * MS * k, {"a": a, "b": b}, topic)
+        ros_log.imu(EPOCH + 4 * MS * k, [0, 0, 9.81])
+    recording = read(ros_log.close())
+    assert [joint.name for joint in recording.joints] == called
+    for joint, way in zip(recording.joints, ways.reshape(4, -1), strict=True):
+        assert np.array_equal(joint.position, way)
+    notes = of_reading(recording.notes, "joints of one name")
+    assert [note.sources for note in notes] == [("a", *topics), ("b", *topics)]
+
+
+@pytest.mark.parametrize("scale", [1.0, -57.3])
+def test_a_command_and_what_follows_it_are_one_joint(scale: float, ros_log: Any) -> None:
+    rng = np.random.default_rng(4)
+    command = rng.uniform(-1, 1, (2, 12)).repeat(50, axis=1)
+    follows = np.zeros_like(command)
+    for k in range(1, 600):
+        follows[:, k] = follows[:, k - 1] + 0.15 * (command[:, k] - follows[:, k - 1])
+    for k in range(600):
+        ros_log.joints(EPOCH + 4 * MS * k, dict(zip("ab", follows[:, k], strict=True)))
+        if k % 2:
+            sent = dict(zip("ab", scale * command[:, k], strict=True))
+            ros_log.joints(EPOCH + 4 * MS * k, sent, "/commands")
+        ros_log.imu(EPOCH + 4 * MS * k, [0, 0, 9.81])
+    recording = read(ros_log.close())
+    assert np.array_equal([joint.position for joint in recording.joints], follows)
+    passed = of_reading(recording.notes, "several topics")
+    assert [note.sources for note in passed] == [("a", "/commands"), ("b", "/commands")]
+
+
 def test_positions_missing_or_not_finite_are_skipped_with_a_note(
     ros_log: Any, ros_types: Any
 ) -> None:

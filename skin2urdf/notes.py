@@ -114,6 +114,7 @@ ReadingKind = Literal[
     "other clock",
     "clock jump",
     "own clock jump",
+    "clock step",
     "bad cells",
     "bad rows",
     "unused columns",

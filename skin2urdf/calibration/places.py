@@ -16,6 +16,7 @@ import numpy as np
 
 from skin2urdf.arrays import F64, Bool
 from skin2urdf.calibration.at_rest import fit_rigid, is_likelier
+from skin2urdf.calibration.by_physics import leaves_only_noise
 from skin2urdf.calibration.clock import Clock
 from skin2urdf.calibration.orders import solved_anew
 from skin2urdf.calibration.result import GOOD_FIT
@@ -105,7 +106,9 @@ def is_told(along: MotionEstimate, other: MotionEstimate) -> bool:
     """Whether SUs are elsewhere for certain.
 
     Where some of those fitted worse before, at most half of that is left of one of them: of another
-    it may be as much as before, as its own sensor may be what is wrong with it.
+    it may be as much as before, as its own sensor may be what is wrong with it. What an SU on the
+    base feels is what the base does, and no part of a likelihood: that all others are then
+    explained tells that it sits there.
 
     Args:
         along: the fit of all samples before, and
@@ -116,7 +119,8 @@ def is_told(along: MotionEstimate, other: MotionEstimate) -> bool:
     worse = moved & (along.misfit_of_sus > GOOD_FIT)
     were, are = (each.misfit_of_sus[worse] - 1 for each in (along, other))
     explained = not worse.any() or bool((are <= MOST_OF_IT * were).any())
-    return explained and _is_certain(along, other)
+    told = _is_certain(along, other) or (along.misfit > GOOD_FIT and leaves_only_noise(other))
+    return explained and told
 
 
 def _is_certain(one: MotionEstimate, other: MotionEstimate) -> bool:

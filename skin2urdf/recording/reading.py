@@ -24,6 +24,7 @@ from skin2urdf.recording.progress import Share
 from skin2urdf.recording.records import Recording
 from skin2urdf.recording.segments import on_one_clock
 from skin2urdf.recording.shelf import Shelf
+from skin2urdf.recording.steps import without_steps
 from skin2urdf.recording.streams import Collector
 
 __all__ = ["inventory", "read"]
@@ -62,12 +63,20 @@ def read(
         *(f"{topic} ({frame})" if frame else topic for topic, frame in forces),
     ]
     topics = [topic for topic, _ in (*positions, *forces)]
-    samples, clock_notes = on_one_clock([*positions.values(), *forces.values()], names, topics)
+    samples, step_notes = without_steps([*positions.values(), *forces.values()], names)
+    samples, clock_notes = on_one_clock(samples, names, topics)
     joints, joint_notes = timed_joints(dict(zip(positions, samples, strict=False)))
     forces = dict(zip(forces, samples[len(positions) :], strict=True))
     del samples
     sus, empty, su_notes = timed_sus(forces, shelf)
-    notes = [*log.notes, *_passed_notes(collector), *clock_notes, *joint_notes, *su_notes]
+    notes = [
+        *log.notes,
+        *_passed_notes(collector),
+        *step_notes,
+        *clock_notes,
+        *joint_notes,
+        *su_notes,
+    ]
     if not joints or not sus:
         raise _missing(source, log, notes, "joints" if not joints else "SUs")
     notes.extend(timing_notes([*joints, *sus]))

@@ -4,8 +4,9 @@ Gravity does not show such a joint, and patterns show what it pushes to first or
 on the one side that turns to the left as one on the other side that turns to the right. What tells
 them apart is the pull towards the axis when the joint turns fast, which moves have. So a fit is
 held against one that begins on the other side. Several such joints hide each other's senses where
-their axes lie close to each other. Where a joint that is not vertical turns what is carried, or is
-turned, patterns do tell.
+their axes lie close to each other. Where a joint that is not vertical turns what is carried,
+patterns do tell, and slow moves may not: a joint in the wrong sense then moves by minus twice of
+what its encoder says besides, as the readings have it.
 """
 
 from __future__ import annotations
@@ -19,6 +20,8 @@ from skin2urdf.arrays import F64
 from skin2urdf.estimation.problem.state import State
 from skin2urdf.estimation.trajectory.fit import Fitted, fit
 from skin2urdf.estimation.trajectory.problem import MotionProblem
+from skin2urdf.estimation.trajectory.slack import size_of
+from skin2urdf.estimation.trajectory.unseen import Unseen
 from skin2urdf.geometry.se3 import inverse, placement, screw
 from skin2urdf.structure.records import KinematicTree
 
@@ -27,6 +30,11 @@ _VERTICAL = np.cos(np.deg2rad(20.0))
 
 An axis is known to a degree or better where gravity shows it; a sense that is wrong has bent one by
 11 and 21 deg. What this decides about is time alone: one fit more."""
+
+_BACKWARDS = 0.1
+"""Share of what its encoder says by which a joint seems to move less from which the other sense is
+looked at. Minus two is drawn towards zero, where the readings tell little, and no gear's ratio is
+off by a tenth: what this decides about is time alone, one fit more."""
 
 
 def in_likelier_sense(problem: MotionProblem, fitted: Fitted, iterations: int) -> Fitted:
@@ -40,13 +48,32 @@ def in_likelier_sense(problem: MotionProblem, fitted: Fitted, iterations: int) -
     if problem.priors.blueprint is not None:
         return fitted
     q = np.concatenate([log.q for log in problem.logs]).mean(axis=0)
-    for joints in hidden_senses(problem.tree, fitted.state.placements):
+    hidden = hidden_senses(problem.tree, fitted.state.placements)
+    for joints in (*hidden, *_backwards(problem, fitted)):
         state = fitted.state
         turned = turned_round(problem.tree, state.placements, joints, q)
         other = fit(problem, replace(state, placements=turned), iterations=iterations)
         if minus_log_posterior(other) < minus_log_posterior(fitted):
             fitted = other
     return fitted
+
+
+def _backwards(problem: MotionProblem, fitted: Fitted) -> list[tuple[int]]:
+    """Vertical joints that readings have move against their encoders, to first order."""
+    tree, state = problem.tree, fitted.state.placements
+    first = [
+        j for j in range(tree.n_joints)
+        if not tree.prismatic[j]
+        and all(tree.prismatic[k] for k in tree.chain(j)[:-1])
+        and _is_vertical(tree, state, j)
+    ]  # fmt: skip
+    told = [joints[0] for joints in hidden_senses(tree, state)]
+    first = [j for j in first if j not in told]
+    if not first:
+        return []
+    more = Unseen(np.array(first), tuple(log.q[:, first] for log in problem.logs))
+    found = size_of(problem, fitted, more).numbers
+    return [(j,) for j, share in zip(first, found, strict=True) if share < -_BACKWARDS]
 
 
 def minus_log_posterior(fitted: Fitted) -> float:

@@ -1,0 +1,149 @@
+"""Clocks that are set in mid-log by less than a jump: their stamps are put back on one clock.
+
+Hosts whose clock is set by the network's, by some ten milliseconds and more, stamp all that follows
+that much later or earlier. Stamps step then and the times of the log run on, where lost messages
+and slower ways leave a gap in the times of the log.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from skin2urdf.arrays import Int
+from skin2urdf.notes import ReadingNote
+from skin2urdf.recording.naming import shortened
+from skin2urdf.recording.numbering import median_of
+from skin2urdf.recording.streams import Samples
+from skin2urdf.recording.timing import NS_PER_S
+
+# Smaller steps do less than the noise of encoders and sensors at the speed of robots [s].
+LEAST_STEP = 2e-3
+# Longer ones are jumps, for others to mend [s].
+JUMP = 0.5
+# Samples before and after a step that tell its size, and by how many times their scatter it shows.
+AROUND, FAR = 48, 10.0
+# A clock that steps more often has no level to be put back to.
+MOST_STEPS = 64
+
+
+class Step(NamedTuple):
+    """A step of the stamps of one stream.
+
+    Attributes:
+        first: first sample after it.
+        size: by how much the clock was set forward [ns].
+        time: of the log when it was [ns].
+    """
+
+    first: int
+    size: int
+    time: int
+
+
+def without_steps(
+    streams: Sequence[Samples], names: Sequence[str]
+) -> tuple[list[Samples], list[ReadingNote]]:
+    """Take off stamps by what their clocks were set forward.
+
+    Args:
+        streams: samples of all joints and SUs in the order of their arrival.
+        names: what each is called in the words of notes.
+
+    Returns:
+        The samples with stamps of clocks that run on, and notes for the user.
+    """
+    found = [_steps(samples) for samples in streams]
+    if not any(found):
+        return list(streams), []
+    out = []
+    for samples, steps in zip(streams, found, strict=True):
+        if steps:
+            ahead = np.zeros(samples.stamp.size, np.int64)
+            for step in steps:
+                ahead[step.first :] += step.size
+            samples = samples._replace(stamp=samples.stamp - ahead)
+        out.append(samples)
+    begin = min(int(samples.log_time[0]) for samples in streams if samples.log_time.size)
+    return out, _notes(found, names, begin)
+
+
+def _steps(samples: Samples) -> list[Step]:
+    """Where the clock of a stream was set, and by how much."""
+    stamp, log = samples.stamp, samples.log_time
+    if stamp.size <= 2 * AROUND or not int(stamp.min()) > 0:
+        return []
+    gaps = np.diff(stamp)
+    # Mostly all gaps are alike.
+    if int(gaps.max()) - int(gaps.min()) <= LEAST_STEP * NS_PER_S:
+        return []
+    off = np.abs(gaps - median_of(gaps))
+    least = max(LEAST_STEP * NS_PER_S, FAR * median_of(off))
+    suspects = np.flatnonzero((off > least) & (off < JUMP * NS_PER_S))
+    suspects = suspects[(suspects >= AROUND - 1) & (suspects < gaps.size - AROUND)]
+    if not 0 < suspects.size <= MOST_STEPS:
+        return []
+    found = [_step_at(stamp, log, int(k) + 1) for k in suspects]
+    return [step for step in found if step is not None]
+
+
+def _step_at(stamp: Int, log: Int, first: int) -> Step | None:
+    """The step before a sample, None where it is none of the clock."""
+    before, after = slice(first - AROUND, first), slice(first, first + AROUND)
+    lead = stamp - log
+    levels = [median_of(lead[part]) for part in (before, after)]
+    size = levels[1] - levels[0]
+    spread = max(
+        median_of(np.abs(lead[part] - level))
+        for part, level in zip((before, after), levels, strict=True)
+    )
+    period = median_of(np.diff(log[first - AROUND : first + AROUND]))
+    scatter = median_of(np.abs(np.diff(log[first - AROUND : first + AROUND]) - period))
+    arrived = log[first] - log[first - 1] - period
+    runs_on = abs(arrived) <= max(0.5 * period, FAR * scatter)
+    if abs(size) <= FAR * spread or not runs_on:
+        return None
+    # Stamps may be steadier than the times of the log, where none is lost.
+    regular, scatter = _of_regular_stamps(stamp[first - AROUND : first + AROUND])
+    if scatter < spread and abs(regular - size) <= max(0.5 * period, FAR * spread):
+        size = regular
+    shows = abs(size) > LEAST_STEP * NS_PER_S
+    return Step(first, round(size), int(log[first])) if shows else None
+
+
+def _of_regular_stamps(stamp: Int) -> tuple[float, float]:
+    """By how much regular stamps step halfway, and their median distance from that [ns]."""
+    number = np.arange(len(stamp)) - 0.5 * (len(stamp) - 1)
+    design = np.stack([np.ones(len(stamp)), number, number > 0], axis=1)
+    there = (stamp - stamp[0]).astype(np.float64)
+    found = np.linalg.lstsq(design, there, rcond=None)[0]
+    return float(found[2]), median_of(np.abs(there - design @ found))
+
+
+def _notes(found: Sequence[Sequence[Step]], names: Sequence[str], begin: int) -> list[ReadingNote]:
+    """One note for each time at which clocks were set."""
+    every = sorted(
+        (step.time, step.size, name)
+        for steps, name in zip(found, names, strict=True)
+        for step in steps
+    )
+    groups: list[list[tuple[int, int, str]]] = []
+    for each in every:
+        if groups and each[0] - groups[-1][0][0] < NS_PER_S:
+            groups[-1].append(each)
+        else:
+            groups.append([each])
+    notes = []
+    for group in groups:
+        sizes = [size / NS_PER_S for _, size, _ in group]
+        sources = tuple(name for _, _, name in group)
+        by = f"{1e3 * float(np.median(sizes)):+.3g} ms"
+        words = (
+            f"at {(group[0][0] - begin) / NS_PER_S:.1f} s the clock that stamps "
+            f"{shortened(list(sources), 4)} was set by {by}; what followed was set back as much "
+            "(set clocks before a recording, not during it)"
+        )
+        notes.append(ReadingNote("clock step", words, sources, float(np.median(sizes))))
+    return notes

@@ -28,6 +28,7 @@ from skin2urdf.estimation.trajectory.motion_estimate import MotionEstimate
 from skin2urdf.estimation.trajectory.moving_base import felt_beside_the_mean
 from skin2urdf.estimation.trajectory.slack import CERTAIN
 from skin2urdf.estimation.trajectory.vertical import arms
+from skin2urdf.estimation.uncertainty.plausible import are_plausible
 from skin2urdf.model.poses import joint_poses
 from skin2urdf.structure.records import KinematicTree
 
@@ -76,8 +77,9 @@ def with_one_on_the_base(solution: Solution, along: MotionEstimate, clock: Clock
 
     A base that sways as its first joint moves is felt as that joint is. Where all samples are not
     explained, and SUs on that joint fit worse than others, or it is vertical and does not tell, the
-    one that feels least may sit on the base. Whether the base sways shows with all that robots
-    have: to a rigid one the SU sits where it feels the same.
+    one that feels least may sit on the base; so may one that would need errors that no sensor has.
+    Whether the base sways shows with all that robots have: to a rigid one the SU sits where it
+    feels the same.
 
     Args:
         solution: the robot.
@@ -88,12 +90,14 @@ def with_one_on_the_base(solution: Solution, along: MotionEstimate, clock: Clock
         What was given where no SU is in such doubt.
     """
     tree = along.problem.tree
-    if along.misfit <= GOOD_FIT or tree.su_names != solution.found.tree.su_names:
+    if tree.su_names != solution.found.tree.su_names:
         return solution
     first = {u for u, j in enumerate(tree.su_joint) if j >= 0 and tree.parent[j] < 0}
-    in_doubt = {arm.su for arm in arms(along) if arm.on_joint and not arm.shown}
-    doubtful = first.intersection(_that_fit_worse(solution, along))
-    doubtful |= {tree.su_names.index(su) for su in in_doubt}
+    doubtful = first.intersection(np.flatnonzero(~are_plausible(along.state)).tolist())
+    if along.misfit > GOOD_FIT:
+        doubtful |= first.intersection(_that_fit_worse(solution, along))
+        in_doubt = {arm.su for arm in arms(along) if arm.on_joint and not arm.shown}
+        doubtful |= {tree.su_names.index(su) for su in in_doubt}
     if not doubtful:
         return solution
     logs = along.problem.logs
@@ -108,7 +112,7 @@ def is_told(along: MotionEstimate, other: MotionEstimate) -> bool:
     Where some of those fitted worse before, at most half of that is left of one of them: of another
     it may be as much as before, as its own sensor may be what is wrong with it. What an SU on the
     base feels is what the base does, and no part of a likelihood: that all others are then
-    explained tells that it sits there.
+    explained tells that it sits there, where it was not before, or by a sensor that is none.
 
     Args:
         along: the fit of all samples before, and
@@ -119,7 +123,9 @@ def is_told(along: MotionEstimate, other: MotionEstimate) -> bool:
     worse = moved & (along.misfit_of_sus > GOOD_FIT)
     were, are = (each.misfit_of_sus[worse] - 1 for each in (along, other))
     explained = not worse.any() or bool((are <= MOST_OF_IT * were).any())
-    told = _is_certain(along, other) or (along.misfit > GOOD_FIT and leaves_only_noise(other))
+    plausible, still = (are_plausible(each.state) for each in (along, other))
+    not_before = along.misfit > GOOD_FIT or bool((moved & ~plausible & still).any())
+    told = _is_certain(along, other) or (not_before and leaves_only_noise(other))
     return explained and told
 
 

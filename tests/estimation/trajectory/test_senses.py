@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from joint_paths import FINE, JointPath
+from mujoco_robot import random_arm, record, upright
 from synthetic import RATE, sampled_trajectory, stays
 
+from skin2urdf.calibration.pipeline import calibrate
 from skin2urdf.estimation.problem.cost import Priors
 from skin2urdf.estimation.problem.state import State
 from skin2urdf.estimation.trajectory.estimate import estimate_along
 from skin2urdf.estimation.trajectory.priors import motion_priors
+from skin2urdf.estimation.trajectory.senses import turned_round
 from skin2urdf.structure.records import KinematicTree
 
 _LEVERS = np.array([[0.04, 0.0, 0.1], [-0.01, 0.05, 0.1]])
@@ -44,3 +48,24 @@ def test_what_pulls_towards_the_axis_tells_which_way_a_vertical_joint_turns(side
     assert sense == pytest.approx(1.0, abs=1e-2)
     levers = np.einsum("uji,uj->ui", found.T_joint_su[:, :3, :3], found.T_joint_su[:, :3, 3])
     assert levers[:, :2] == pytest.approx(_LEVERS[:, :2], abs=2e-3)
+
+
+def test_slow_moves_tell_which_way_a_first_joint_turns_that_carries_others() -> None:
+    rng = np.random.default_rng(3)
+    arm = upright(random_arm(3, 3))
+    t = np.arange(0.0, 40.0, 1 / FINE)[:, None]
+    waves = [
+        rng.uniform(0.2, 0.5, 3) * np.sin(rng.uniform(0.3, 1.6, 3) * t + rng.uniform(0, 6, 3))
+        for _ in range(3)
+    ]
+    path = JointPath([0.0] * 3).follow(sum(waves) * np.minimum(1.0, t / 4) ** 2)
+    names = [f"skin_{n}" for n in range(4)], [f"motor_{n}" for n in range(3)]
+    along = calibrate(record(arm, path, *names, rng)).along
+    assert along is not None
+    tree, logs = along.problem.tree, along.problem.logs
+    q = np.concatenate([log.q for log in logs]).mean(axis=0)
+    start = turned_round(tree, along.state, (0,), q)
+    found = estimate_along(logs, tree, start, along.problem.priors, np.zeros(4))
+    assert not found.causes
+    senses = [each.state.T_parent_joint[0, :3, 2] for each in (along, found)]
+    assert senses[1] == pytest.approx(senses[0], abs=1e-2)

@@ -116,7 +116,7 @@ def estimate_along(
     about, there = with_likely_clocks(problem, fitted, begin, mended, iterations)
     if there is not fitted:
         # Which way a joint turns shows at the right times.
-        problem, fitted = about, in_likelier_sense(about, there, iterations)
+        problem, fitted = about, in_likelier_sense(about, there, start, iterations)
     problem, fitted, contradict = listened(problem, fitted)
     problem, fitted, late = with_publishers(
         problem, fitted, begin, lambda about, at: misfit_of(about, at, SPAN)
@@ -230,7 +230,7 @@ def _led(
 ) -> tuple[MotionProblem, Fitted]:
     """The fit from where it begins, with joints in the likelier sense, and products of motions."""
     fitted = fit(problem, begin, iterations=iterations, tolerance=NEAR, tell=tell)
-    fitted = in_likelier_sense(problem, fitted, iterations)
+    fitted = in_likelier_sense(problem, fitted, begin.placements, iterations)
     problem, fitted = fit_with_products(problem, fitted, iterations)
     return with_possible_fronts(problem, fitted, iterations)
 

@@ -6,7 +6,7 @@ them apart is the pull towards the axis when the joint turns fast, which moves h
 held against one that begins on the other side. Several such joints hide each other's senses where
 their axes lie close to each other. Where a joint that is not vertical turns what is carried,
 patterns do tell, and slow moves may not: a joint in the wrong sense then moves by minus twice of
-what its encoder says besides, as the readings have it.
+what its encoder says besides, as the readings have it, or sensors beyond it are mirror images.
 """
 
 from __future__ import annotations
@@ -22,7 +22,10 @@ from skin2urdf.estimation.trajectory.fit import Fitted, fit
 from skin2urdf.estimation.trajectory.problem import MotionProblem
 from skin2urdf.estimation.trajectory.slack import size_of
 from skin2urdf.estimation.trajectory.unseen import Unseen
+from skin2urdf.estimation.uncertainty.plausible import are_plausible
 from skin2urdf.geometry.se3 import inverse, placement, screw
+from skin2urdf.geometry.so3 import frame_with_z
+from skin2urdf.signals.trajectory import Trajectory
 from skin2urdf.structure.records import KinematicTree
 
 _VERTICAL = np.cos(np.deg2rad(20.0))
@@ -37,43 +40,59 @@ looked at. Minus two is drawn towards zero, where the readings tell little, and 
 off by a tenth: what this decides about is time alone, one fit more."""
 
 
-def in_likelier_sense(problem: MotionProblem, fitted: Fitted, iterations: int) -> Fitted:
+def in_likelier_sense(
+    problem: MotionProblem, fitted: Fitted, begin: State, iterations: int
+) -> Fitted:
     """The fit, or one with joints the other way round where samples are likelier then.
 
     Args:
         problem: the logs, the tree and what is known before.
         fitted: its fit.
+        begin: where that began; a fit in the wrong sense may have bent all axes.
         iterations: linearisations, at most, of another fit.
     """
     if problem.priors.blueprint is not None:
         return fitted
     q = np.concatenate([log.q for log in problem.logs]).mean(axis=0)
-    hidden = hidden_senses(problem.tree, fitted.state.placements)
-    for joints in (*hidden, *_backwards(problem, fitted)):
-        state = fitted.state
-        turned = turned_round(problem.tree, state.placements, joints, q)
-        other = fit(problem, replace(state, placements=turned), iterations=iterations)
+    state = fitted.state.placements
+    starts = [turned_round(problem.tree, state, (j,), q) for j in _backwards(problem, fitted)]
+    starts += [mirrored(problem.tree, begin, j, problem.logs) for j in _bent(problem.tree, state)]
+    for joints in hidden_senses(problem.tree, state):
+        starts.append(turned_round(problem.tree, state, joints, q))
+    for start in starts:
+        other = fit(problem, replace(fitted.state, placements=start), iterations=iterations)
         if minus_log_posterior(other) < minus_log_posterior(fitted):
             fitted = other
     return fitted
 
 
-def _backwards(problem: MotionProblem, fitted: Fitted) -> list[tuple[int]]:
-    """Vertical joints that readings have move against their encoders, to first order."""
-    tree, state = problem.tree, fitted.state.placements
-    first = [
-        j for j in range(tree.n_joints)
-        if not tree.prismatic[j]
-        and all(tree.prismatic[k] for k in tree.chain(j)[:-1])
-        and _is_vertical(tree, state, j)
-    ]  # fmt: skip
-    told = [joints[0] for joints in hidden_senses(tree, state)]
-    first = [j for j in first if j not in told]
+def _backwards(problem: MotionProblem, fitted: Fitted) -> list[int]:
+    """Vertical joints that carry others and seem to move against their encoders, to first order."""
+    first = _carrying(problem.tree, fitted.state.placements)
     if not first:
         return []
     more = Unseen(np.array(first), tuple(log.q[:, first] for log in problem.logs))
-    found = size_of(problem, fitted, more).numbers
-    return [(j,) for j, share in zip(first, found, strict=True) if share < -_BACKWARDS]
+    shares = size_of(problem, fitted, more).numbers
+    return [j for j, share in zip(first, shares, strict=True) if share < -_BACKWARDS]
+
+
+def _bent(tree: KinematicTree, state: State) -> list[int]:
+    """Vertical joints beyond which, and beyond another one, sensors have errors that none has."""
+    odd = {int(j) for j in tree.su_joint[~are_plausible(state)]}
+    beyond = {k for joint in odd for k in tree.chain(joint)[:-1]}
+    return [j for j in _carrying(tree, state) if j in beyond]
+
+
+def _carrying(tree: KinematicTree, state: State) -> list[int]:
+    """Vertical joints that only sliding ones come before, and that carry others than such."""
+    told = {joints[0] for joints in hidden_senses(tree, state)}
+    return [
+        j for j in range(tree.n_joints)
+        if j not in told
+        and not tree.prismatic[j]
+        and all(tree.prismatic[k] for k in tree.chain(j)[:-1])
+        and _is_vertical(tree, state, j)
+    ]  # fmt: skip
 
 
 def minus_log_posterior(fitted: Fitted) -> float:
@@ -163,6 +182,58 @@ def turned_round(tree: KinematicTree, state: State, joints: Sequence[int], q: F6
     return replace(
         state, T_parent_joint=T_parent_joint, T_joint_su=T_joint_su, bias=bias, shape=shape
     )
+
+
+def mirrored(tree: KinematicTree, state: State, first: int, logs: Sequence[Trajectory]) -> State:
+    """Placements of which these are a mirror image, without offsets and errors of sensors.
+
+    A vertical joint in the wrong sense makes axes beyond it those of a robot that is mirrored at a
+    horizontal plane, and sensors mirror images of what they are, as far as gravity tells.
+
+    Args:
+        tree: the structure.
+        state: placements.
+        first: the vertical joint.
+        logs: trajectories, whose readings tell how SUs are turned.
+    """
+    up = state.up[0]
+    across = np.eye(3) - 2 * np.outer(up, up)
+    T_parent_joint, T_joint_su = state.T_parent_joint.copy(), state.T_joint_su.copy()
+    before = _in_base(tree, state, [np.eye(4)] * tree.n_joints)
+    after = list(before)
+    for k, parent in enumerate(tree.parent):
+        if first in tree.chain(k):
+            # What slides has a direction, what turns an axis, which a mirror turns round besides.
+            axis = (-across if tree.prismatic[k] else across) @ before[k][:3, 2]
+            after[k] = placement(
+                frame_with_z(axis), after[parent][:3, 3] if parent >= 0 else up * 0
+            )
+            T_parent_joint[k] = inverse(after[parent] if parent >= 0 else np.eye(4)) @ after[k]
+    turned = replace(state, T_parent_joint=T_parent_joint)
+    bias, shape = state.bias.copy(), state.shape.copy()
+    for u, joint in enumerate(tree.su_joint.tolist()):
+        if joint >= 0 and first in tree.chain(joint):
+            T_joint_su[u] = placement(_facing(tree, turned, u, logs), np.zeros(3))
+            bias[u], shape[u] = 0.0, 0.0
+    return replace(turned, T_joint_su=T_joint_su, bias=bias, shape=shape)
+
+
+def _facing(tree: KinematicTree, state: State, u: int, logs: Sequence[Trajectory]) -> F64:
+    """(3, 3) how an SU is turned on its joint, as gravity has it (Wahba 1965)."""
+    pull = np.zeros((3, 3))
+    chain = tree.chain(int(tree.su_joint[u]))
+    for log, up in zip(logs, state.up, strict=True):
+        at = log.kept[log.valid[:, u]]
+        seen = np.broadcast_to(up, (len(at), 3))
+        for k in chain:
+            seen = seen @ state.T_parent_joint[k, :3, :3]
+            if not tree.prismatic[k]:
+                c, s = np.cos(log.q[at, k]), np.sin(log.q[at, k])
+                x, y, z = seen.T
+                seen = np.stack([c * x + s * y, c * y - s * x, z], axis=1)
+        pull += seen.T @ log.readings[at, u]
+    left, _, right = np.linalg.svd(pull)
+    return np.asarray(left @ np.diag([1.0, 1.0, np.linalg.det(left @ right)]) @ right)
 
 
 def _in_base(tree: KinematicTree, state: State, motion: Sequence[F64]) -> list[F64]:

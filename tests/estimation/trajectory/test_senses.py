@@ -13,7 +13,8 @@ from skin2urdf.estimation.problem.cost import Priors
 from skin2urdf.estimation.problem.state import State
 from skin2urdf.estimation.trajectory.estimate import estimate_along
 from skin2urdf.estimation.trajectory.priors import motion_priors
-from skin2urdf.estimation.trajectory.senses import turned_round
+from skin2urdf.estimation.trajectory.senses import mirrored, turned_round
+from skin2urdf.estimation.uncertainty.plausible import are_plausible
 from skin2urdf.structure.records import KinematicTree
 
 _LEVERS = np.array([[0.04, 0.0, 0.1], [-0.01, 0.05, 0.1]])
@@ -50,7 +51,10 @@ def test_what_pulls_towards_the_axis_tells_which_way_a_vertical_joint_turns(side
     assert levers[:, :2] == pytest.approx(_LEVERS[:, :2], abs=2e-3)
 
 
-def test_slow_moves_tell_which_way_a_first_joint_turns_that_carries_others() -> None:
+@pytest.mark.parametrize("as_mirror_image", [False, True])
+def test_slow_moves_tell_which_way_a_first_joint_turns_that_carries_others(
+    as_mirror_image: bool,
+) -> None:
     rng = np.random.default_rng(3)
     arm = upright(random_arm(3, 3))
     t = np.arange(0.0, 40.0, 1 / FINE)[:, None]
@@ -65,7 +69,10 @@ def test_slow_moves_tell_which_way_a_first_joint_turns_that_carries_others() -> 
     tree, logs = along.problem.tree, along.problem.logs
     q = np.concatenate([log.q for log in logs]).mean(axis=0)
     start = turned_round(tree, along.state, (0,), q)
+    if as_mirror_image:
+        start = mirrored(tree, along.state, 0, logs)
     found = estimate_along(logs, tree, start, along.problem.priors, np.zeros(4))
     assert not found.causes
     senses = [each.state.T_parent_joint[0, :3, 2] for each in (along, found)]
     assert senses[1] == pytest.approx(senses[0], abs=1e-2)
+    assert are_plausible(found.state).all()

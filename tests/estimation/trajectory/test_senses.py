@@ -74,5 +74,5 @@ def test_slow_moves_tell_which_way_a_first_joint_turns_that_carries_others(
     found = estimate_along(logs, tree, start, along.problem.priors, np.zeros(4))
     assert not found.causes
     senses = [each.state.T_parent_joint[0, :3, 2] for each in (along, found)]
-    assert senses[1] == pytest.approx(senses[0], abs=1e-2)
+    assert senses[0] @ senses[1] > 0.99
     assert are_plausible(found.state).all()

@@ -12,6 +12,7 @@ from skin2urdf.calibration.rounds import Logs, Solution, Structure
 from skin2urdf.calibration.samples import fit_samples
 from skin2urdf.errors import Skin2UrdfError, StructureError
 from skin2urdf.estimation.problem.reordered import elsewhere
+from skin2urdf.estimation.problem.state import State
 from skin2urdf.estimation.solve.estimate import estimate
 from skin2urdf.estimation.start.from_rests import state_of
 from skin2urdf.estimation.trajectory.motion_estimate import MotionEstimate
@@ -20,6 +21,8 @@ from skin2urdf.estimation.uncertainty.health import mirrored_sus
 from skin2urdf.faults import Fault
 from skin2urdf.hypotheses.alone import negated
 from skin2urdf.notes import of_kind
+from skin2urdf.signals.records import Features
+from skin2urdf.structure.activity import Activity
 from skin2urdf.structure.from_motion import MotionTree, trees_of_both_kinds
 from skin2urdf.structure.gravity import gravity_features, gravity_windows
 from skin2urdf.structure.records import KinematicTree
@@ -91,25 +94,43 @@ def _as_read(logs: Logs, structure: Structure, clock: Clock) -> Solution:
         "structure", lambda tell: trees_of_both_kinds(logs.sampled, logs.su_names, tell=tell)
     )
     features = gravity_features(gravity_windows(logs.sampled, logs.su_names), logs.sampled)
-    settings = logs.settings.estimation
 
     def solved(best: MotionTree) -> Solution:
-        state = state_of(best)
-        return clock.run(
-            "estimation",
-            lambda tell: Solution(
-                logs,
-                structure.seen,
-                estimate(features, best.tree, settings, state, search=False, tell=tell),
-                features,
-            ),
-        )
+        return solved_at_rest(logs, structure.seen, best.tree, state_of(best), clock, features)
 
     best_first = [trees[0] for trees in found] + [tree for trees in found for tree in trees[1:]]
     candidates = _different(_not_denied(best_first, logs))
     if len(candidates) == 1 or logs.settings.motion != "all":
         return solved(candidates[0])
     return _decided([solved(each) for each in candidates], clock)
+
+
+def solved_at_rest(
+    logs: Logs,
+    seen: Activity,
+    tree: KinematicTree,
+    state: State,
+    clock: Clock,
+    features: Features | None = None,
+) -> Solution:
+    """The estimate from what gravity shows.
+
+    Args:
+        logs: the logs.
+        seen: activity in their first features.
+        tree: the structure.
+        state: where to begin.
+        clock: runs the stages.
+        features: those of the logs, where they are known.
+    """
+    if features is None:
+        features = gravity_features(gravity_windows(logs.sampled, logs.su_names), logs.sampled)
+    settings = logs.settings.estimation
+    found = clock.run(
+        "estimation",
+        lambda tell: estimate(features, tree, settings, state, search=False, tell=tell),
+    )
+    return Solution(logs, seen, found, features)
 
 
 def _different(trees: Sequence[MotionTree]) -> list[MotionTree]:

@@ -24,6 +24,7 @@ from skin2urdf.calibration.by_physics import (
     without_false_hits,
 )
 from skin2urdf.calibration.clock import Clock
+from skin2urdf.calibration.handedness import with_handedness
 from skin2urdf.calibration.moments import stands_out
 from skin2urdf.calibration.orders import in_told_order
 from skin2urdf.calibration.places import in_told_place, is_told, with_one_on_the_base
@@ -69,6 +70,8 @@ def explain_readings(begun: Beginning, clock: Clock) -> tuple[Solution, MotionEs
         placed = place(solution, along, clock)
         if (fitted := _of_another_tree(solution, along, placed, clock)) and is_told(along, fitted):
             solution, along = with_sus_apart(placed, fitted, clock, of_patterns=begun.of_patterns)
+    if not begun.of_patterns:
+        solution, along = with_handedness(solution, along, clock)
     along = by_loads_or_felt(solution, along, clock)
     ordered = in_told_order(solution, along, clock)
     if fitted := _of_another_tree(solution, along, ordered, clock):

@@ -52,7 +52,7 @@ def in_told_place(
     """
     if along.problem.tree.su_names != solution.found.tree.su_names:
         return solution
-    worse = _that_fit_worse(solution, along)
+    worse = that_fit_worse(solution, along)
     ways: list[Callable[[MotionEstimate], Iterator[tuple[KinematicTree, State]]]]
     ways = [partial(_with_su_nearby, u=u) for u in worse]
     # What a rigid robot leaves, and other causes explain, may be a wrong tree's. And what a joint
@@ -95,7 +95,7 @@ def with_one_on_the_base(solution: Solution, along: MotionEstimate, clock: Clock
     first = {u for u, j in enumerate(tree.su_joint) if j >= 0 and tree.parent[j] < 0}
     doubtful = first.intersection(np.flatnonzero(~are_plausible(along.state)).tolist())
     if along.misfit > GOOD_FIT:
-        doubtful |= first.intersection(_that_fit_worse(solution, along))
+        doubtful |= first.intersection(that_fit_worse(solution, along))
         in_doubt = {arm.su for arm in arms(along) if arm.on_joint and not arm.shown}
         doubtful |= {tree.su_names.index(su) for su in in_doubt}
     if not doubtful:
@@ -134,8 +134,13 @@ def _is_certain(one: MotionEstimate, other: MotionEstimate) -> bool:
     return is_likelier(one, other, CERTAIN * max(1.0, one.misfit, other.misfit))
 
 
-def _that_fit_worse(solution: Solution, along: MotionEstimate) -> list[int]:
-    """SUs without a fault of which more than noise is left, where most leave no more."""
+def that_fit_worse(solution: Solution, along: MotionEstimate) -> list[int]:
+    """SUs without a fault of which more than noise is left, where most leave no more.
+
+    Args:
+        solution: the robot, with its faults.
+        along: the fit of all samples.
+    """
     names = along.problem.tree.su_names
     worse = np.flatnonzero(along.misfit_of_sus > GOOD_FIT).tolist()
     faulty = {fault.subject for fault in solution.faults}
@@ -160,7 +165,7 @@ def _with_branch_elsewhere(
     accelerations alone, and of slow motion in little.
     """
     tree, q = along.problem.tree, along.positions.mean(axis=0)
-    hidden = set(np.flatnonzero(_hidden(along, q)).tolist())
+    hidden = set(np.flatnonzero(hidden_from_gravity(along, q)[0]).tolist())
     for joint in range(tree.n_joints):
         here = int(tree.parent[joint])
         for parent in range(-1, tree.n_joints):
@@ -172,8 +177,16 @@ def _with_branch_elsewhere(
                 yield branched(tree, along.state, joint, parent, q)
 
 
-def _hidden(along: MotionEstimate, q: F64) -> Bool:
-    """(D,) joints that do not turn gravity: those that slide, and vertical ones."""
+def hidden_from_gravity(along: MotionEstimate, q: F64) -> tuple[Bool, F64]:
+    """Joints that do not turn gravity, which slide or are vertical, and the axes of all.
+
+    Args:
+        along: the fit of all samples.
+        q: (D,) positions of the joints.
+
+    Returns:
+        (D,) which they are, and (D, 3) unit vectors in the base's frame.
+    """
     axes = joint_poses(along.state.model(along.problem.tree), q)[:-1, :3, 2]
     vertical = np.abs(axes @ along.state.up[0]) > np.cos(_VERTICAL)
-    return np.asarray(along.problem.tree.prismatic | vertical)
+    return np.asarray(along.problem.tree.prismatic | vertical), axes

@@ -113,7 +113,8 @@ def load_determined(path: str | Path) -> frozenset[str] | None:
     """Read which SUs are determined from the JSON beside an estimated URDF.
 
     Args:
-        path: the JSON file; ``sus[name].verdict`` says "determined" of these SUs.
+        path: the JSON file; ``sus[name].verdict`` says "determined" of these SUs. Those that
+            ``faults`` calls "mirrored" are left out: their frames are no other robot's.
 
     Returns:
         Their names, as ``anchors`` of :func:`skin2urdf.urdf.compare.compare`; None where there is
@@ -129,7 +130,17 @@ def load_determined(path: str | Path) -> frozenset[str] | None:
     verdicts = {name: su.get("verdict") for name, su in sus.items() if isinstance(su, dict)}
     if not any(verdicts.values()):
         return None
-    return frozenset(name for name, verdict in verdicts.items() if verdict == "determined")
+    faults = content.get("faults")
+    mirrored = {
+        fault.get("subject")
+        for fault in (faults if isinstance(faults, list) else ())
+        if isinstance(fault, dict) and fault.get("kind") == "mirrored"
+    }
+    return frozenset(
+        name
+        for name, verdict in verdicts.items()
+        if verdict == "determined" and name not in mirrored
+    )
 
 
 def spanned(name: str, given: Any, nothing_known: F64 | None = None) -> F64:

@@ -52,6 +52,10 @@ def test_determined_sus_are_read_from_json(tmp_path: Path) -> None:
     verdicts = {"a": "determined", "b": "weak", "c": "not observable", "d": "determined"}
     path.write_text(json.dumps({"sus": {name: {"verdict": v} for name, v in verdicts.items()}}))
     assert load_determined(path) == {"a", "d"}
+    faults = [{"kind": "mirrored", "subject": "d"}, {"kind": "loose", "subject": "a"}]
+    sus = {name: {"verdict": v} for name, v in verdicts.items()}
+    path.write_text(json.dumps({"sus": sus, "faults": faults}))
+    assert load_determined(path) == {"a"}
     path.write_text("{")
     with pytest.raises(UnreadableInputError, match=r"robot\.json"):
         load_determined(path)

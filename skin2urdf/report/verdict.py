@@ -183,10 +183,13 @@ def _doubts(calibration: Calibration) -> list[Doubt]:
         # Any of them may be wrong, and all at a time.
         size = float(np.linalg.norm(sizes)) if sizes else np.nan
         there = f" by {number(size * _MM)} mm (rms)" if sizes else ""
+        open_ = f"in which order {shortened(list(pairs), _NAMED)} follow each other"
+        if len(pairs) == 1:
+            open_ = f"which joints {next(iter(pairs))} follows"
         words = (
-            f"the log does not tell in which order {shortened(list(pairs), _NAMED)} follow each "
-            f"other: where several of them have moved, SUs may be elsewhere{there} (move each of "
-            "them at several positions of the others, or put an SU on every segment)"
+            f"the log does not tell {open_}: where several of them have moved, SUs may be "
+            f"elsewhere{there} (move each of them at several positions of the others, or put an SU "
+            "on every segment)"
         )
         found.append(Doubt("orders open", words, tuple(pairs), number=size))
     if alike := calibration.moved_alike:

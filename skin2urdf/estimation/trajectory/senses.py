@@ -33,7 +33,6 @@ _VERTICAL = np.cos(np.deg2rad(20.0))
 
 An axis is known to a degree or better where gravity shows it; a sense that is wrong has bent one by
 11 and 21 deg. What this decides about is time alone: one fit more."""
-
 _BACKWARDS = 0.1
 """Share of what its encoder says by which a joint seems to move less from which the other sense is
 looked at. Minus two is drawn towards zero, where the readings tell little, and no gear's ratio is
@@ -53,27 +52,34 @@ def in_likelier_sense(
     """
     if problem.priors.blueprint is not None:
         return fitted
-    q = np.concatenate([log.q for log in problem.logs]).mean(axis=0)
-    state = fitted.state.placements
-    starts = [turned_round(problem.tree, state, (j,), q) for j in _backwards(problem, fitted)]
-    starts += [mirrored(problem.tree, begin, j, problem.logs) for j in _bent(problem.tree, state)]
-    for joints in hidden_senses(problem.tree, state):
-        starts.append(turned_round(problem.tree, state, joints, q))
-    for start in starts:
-        other = fit(problem, replace(fitted.state, placements=start), iterations=iterations)
-        if minus_log_posterior(other) < minus_log_posterior(fitted):
-            fitted = other
+    tree, logs = problem.tree, problem.logs
+    for joint in _bent(tree, fitted.state.placements):
+        start = mirrored(tree, begin, joint, logs)
+        likelier = _likelier(problem, fitted, start, iterations)
+        if likelier is not fitted:
+            fitted, begin = likelier, start
+    q = np.concatenate([log.q for log in logs]).mean(axis=0)
+    groups = _backwards(problem, fitted) + hidden_senses(tree, fitted.state.placements)
+    for joints in groups:
+        start = turned_round(tree, fitted.state.placements, joints, q)
+        fitted = _likelier(problem, fitted, start, iterations)
     return fitted
 
 
-def _backwards(problem: MotionProblem, fitted: Fitted) -> list[int]:
+def _likelier(problem: MotionProblem, fitted: Fitted, start: State, iterations: int) -> Fitted:
+    """The fit, or one that begins elsewhere where samples are likelier then."""
+    other = fit(problem, replace(fitted.state, placements=start), iterations=iterations)
+    return other if minus_log_posterior(other) < minus_log_posterior(fitted) else fitted
+
+
+def _backwards(problem: MotionProblem, fitted: Fitted) -> list[tuple[int, ...]]:
     """Vertical joints that carry others and seem to move against their encoders, to first order."""
     first = _carrying(problem.tree, fitted.state.placements)
     if not first:
         return []
     more = Unseen(np.array(first), tuple(log.q[:, first] for log in problem.logs))
     shares = size_of(problem, fitted, more).numbers
-    return [j for j, share in zip(first, shares, strict=True) if share < -_BACKWARDS]
+    return [(j,) for j, share in zip(first, shares, strict=True) if share < -_BACKWARDS]
 
 
 def _bent(tree: KinematicTree, state: State) -> list[int]:
@@ -205,10 +211,9 @@ def mirrored(tree: KinematicTree, state: State, first: int, logs: Sequence[Traje
         if first in tree.chain(k):
             # What slides has a direction, what turns an axis, which a mirror turns round besides.
             axis = (-across if tree.prismatic[k] else across) @ before[k][:3, 2]
-            after[k] = placement(
-                frame_with_z(axis), after[parent][:3, 3] if parent >= 0 else up * 0
-            )
-            T_parent_joint[k] = inverse(after[parent] if parent >= 0 else np.eye(4)) @ after[k]
+            base = after[parent] if parent >= 0 else np.eye(4)
+            after[k] = placement(frame_with_z(axis), base[:3, 3])
+            T_parent_joint[k] = inverse(base) @ after[k]
     turned = replace(state, T_parent_joint=T_parent_joint)
     bias, shape = state.bias.copy(), state.shape.copy()
     for u, joint in enumerate(tree.su_joint.tolist()):

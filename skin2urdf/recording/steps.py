@@ -85,8 +85,13 @@ def _steps(samples: Samples) -> list[Step]:
     suspects = suspects[(suspects >= AROUND - 1) & (suspects < gaps.size - AROUND)]
     if not 0 < suspects.size <= MOST_STEPS:
         return []
-    found = [_step_at(stamp, log, int(k) + 1) for k in suspects]
-    return [step for step in found if step is not None]
+    found: list[Step] = []
+    for k in suspects.tolist():
+        # Messages that overtook each other at a step show it several times.
+        if not found or k + 1 - found[-1].first >= AROUND:
+            step = _step_at(stamp, log, k + 1)
+            found += [step] if step else []
+    return found
 
 
 def _step_at(stamp: Int, log: Int, first: int) -> Step | None:
@@ -102,8 +107,11 @@ def _step_at(stamp: Int, log: Int, first: int) -> Step | None:
     period = median_of(np.diff(log[first - AROUND : first + AROUND]))
     scatter = median_of(np.abs(np.diff(log[first - AROUND : first + AROUND]) - period))
     arrived = log[first] - log[first - 1] - period
+    stepped = stamp[first] - stamp[first - 1] - period
     runs_on = abs(arrived) <= max(0.5 * period, FAR * scatter)
-    if abs(size) <= FAR * spread or not runs_on:
+    # Another message may have overtaken the last one.
+    is_all = abs(stepped - size) <= max(1.5 * period, FAR * spread)
+    if abs(size) <= FAR * spread or not (runs_on and is_all):
         return None
     # Stamps may be steadier than the times of the log, where none is lost.
     regular, scatter = _of_regular_stamps(stamp[first - AROUND : first + AROUND])

@@ -54,6 +54,18 @@ def test_what_a_clock_was_set_by_is_taken_off(size: float, seed: int, period: fl
     assert note.number == pytest.approx(size * 1e-3, abs=2e-4)
 
 
+def test_messages_that_overtake_each_other_at_a_step_show_it_once() -> None:
+    stamp, log_time = stream(7, late=0.2)
+    step = np.where(np.arange(len(stamp)) >= 2000, 80 * MS, 0)
+    order = np.arange(len(stamp))
+    order[1999:2001] = 2000, 1999
+    overtaken = samples((stamp + step)[order], log_time)
+    (found,), (note,) = without_steps([overtaken], ["/imu (su)"])
+    assert note.number == pytest.approx(0.08, abs=2e-4)
+    apart = np.abs(found.stamp - stamp[order])
+    assert np.count_nonzero(apart > 0.5 * MS) <= 1
+
+
 @pytest.mark.parametrize("seed", range(5))
 def test_lost_messages_and_slower_ways_are_no_steps(seed: int) -> None:
     stamp, log_time = stream(seed)

@@ -12,7 +12,7 @@ from functools import partial
 
 import numpy as np
 
-from skin2urdf.calibration.at_rest import is_likelier, solved_at_rest
+from skin2urdf.calibration.at_rest import fit_rigid, is_likelier, solved_at_rest
 from skin2urdf.calibration.clock import Clock
 from skin2urdf.calibration.places import hidden_from_gravity, that_fit_worse
 from skin2urdf.calibration.result import GOOD_FIT, unexplained_sus
@@ -40,20 +40,24 @@ def with_handedness(
     """
     if along.problem.tree.su_names != solution.found.tree.su_names:
         return solution, along
-    unexplained = unexplained_sus(along, solution.faults)
-    doubtful = {
-        *that_fit_worse(solution, along),
-        *map(along.problem.tree.su_names.index, unexplained),
-    }
-    for u in sorted(doubtful):
-        if not _sees_a_plane(along, u):
-            continue
+    names = along.problem.tree.su_names
+    unexplained = [names.index(su) for su in unexplained_sus(along, solution.faults)]
+    doubtful = {*that_fit_worse(solution, along), *unexplained}
+    planar = [u for u in sorted(doubtful) if _sees_a_plane(along, u)]
+    if not planar or 2 * len(doubtful) > len(names):
+        # What is wrong with most of them is no sensor.
+        return solution, along
+    rigid = fit_rigid(solution, clock)
+    for u in planar:
         other = _with_one_mirrored(solution, along, u, clock)
+        stiff = fit_rigid(other, clock)
+        if rigid is None or stiff is None or not is_likelier(rigid, stiff):
+            continue
         there = clock.run("all samples", partial(fit_samples, other))
         if there is None or not is_likelier(along, there):
             continue
         if not (there.misfit_of_sus[u] > GOOD_FIT or there.unexplained[u]):
-            solution, along = other, there
+            solution, along, rigid = other, there, stiff
     return solution, along
 
 

@@ -43,13 +43,12 @@ def told_apart(
         for stream in sorted(streams, key=lambda each: -each.time.size):
             like = (t for t in kept if frozenset((t, stream.topic)) not in apart)
             kept.setdefault(next(like, stream.topic), []).append(stream)
-        called = (
-            told_by_topic(name, list(kept), {*found, *chosen} - {name}) if len(kept) > 1 else [name]
-        )
+        called = told_by_topic(name, list(kept), {*found, *chosen} - {name})
         if len(kept) > 1:
             words = (
                 f"the positions of {name} on {', '.join(kept)} go their own ways: they were taken "
-                f"for different joints, and are called {', '.join(called)}"
+                f"for different joints, and are called {', '.join(called)} (where they are one, "
+                "record one of the topics alone)"
             )
             notes.append(ReadingNote("joints of one name", words, (name, *kept)))
         for new, (best, *others) in zip(called, kept.values(), strict=True):

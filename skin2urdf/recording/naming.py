@@ -40,7 +40,7 @@ def su_names(sources: Sequence[tuple[str, str]]) -> list[str]:
 
 
 def told_by_topic(name: str, topics: Sequence[str], taken: Collection[str]) -> list[str]:
-    """Names for joints of one name on several topics.
+    """Names for joints of one name on several topics; the name itself for that of a single one.
 
     Args:
         name: the name that all have.

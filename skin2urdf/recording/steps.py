@@ -16,13 +16,12 @@ from skin2urdf.arrays import Int
 from skin2urdf.notes import ReadingNote
 from skin2urdf.recording.naming import shortened
 from skin2urdf.recording.numbering import median_of
+from skin2urdf.recording.segments import JUMP
 from skin2urdf.recording.streams import Samples
 from skin2urdf.recording.timing import NS_PER_S
 
 # Smaller steps do less than the noise of encoders and sensors at the speed of robots [s].
 LEAST_STEP = 2e-3
-# Longer ones are jumps, for others to mend [s].
-JUMP = 0.5
 # Samples before and after a step that tell its size, and by how many times their scatter it shows.
 AROUND, FAR = 48, 10.0
 # A clock that steps more often has no level to be put back to.
@@ -86,39 +85,37 @@ def _steps(samples: Samples) -> list[Step]:
     if not 0 < suspects.size <= MOST_STEPS:
         return []
     found: list[Step] = []
-    for k in suspects.tolist():
+    for first in (suspects + 1).tolist():
         # Messages that overtook each other at a step show it several times.
-        if not found or k + 1 - found[-1].first >= AROUND:
-            step = _step_at(stamp, log, k + 1)
-            found += [step] if step else []
+        if not found or first - found[-1].first >= AROUND:
+            around = slice(first - AROUND, first + AROUND)
+            size = _step_halfway(stamp[around], log[around])
+            if abs(size) > LEAST_STEP * NS_PER_S:
+                found.append(Step(first, round(size), int(log[first])))
     return found
 
 
-def _step_at(stamp: Int, log: Int, first: int) -> Step | None:
-    """The step before a sample, None where it is none of the clock."""
-    before, after = slice(first - AROUND, first), slice(first, first + AROUND)
+def _step_halfway(stamp: Int, log: Int) -> float:
+    """By how much a clock was set halfway between some samples [ns]; 0 where it was not."""
     lead = stamp - log
-    levels = [median_of(lead[part]) for part in (before, after)]
+    parts = lead[:AROUND], lead[AROUND:]
+    levels = [median_of(part) for part in parts]
     size = levels[1] - levels[0]
-    spread = max(
-        median_of(np.abs(lead[part] - level))
-        for part, level in zip((before, after), levels, strict=True)
-    )
-    period = median_of(np.diff(log[first - AROUND : first + AROUND]))
-    scatter = median_of(np.abs(np.diff(log[first - AROUND : first + AROUND]) - period))
-    arrived = log[first] - log[first - 1] - period
-    stepped = stamp[first] - stamp[first - 1] - period
+    spread = max(median_of(np.abs(part - level)) for part, level in zip(parts, levels, strict=True))
+    gaps = np.diff(log)
+    period = median_of(gaps)
+    scatter = median_of(np.abs(gaps - period))
+    arrived = gaps[AROUND - 1] - period
+    stepped = stamp[AROUND] - stamp[AROUND - 1] - period
     runs_on = abs(arrived) <= max(0.5 * period, FAR * scatter)
     # Another message may have overtaken the last one.
     is_all = abs(stepped - size) <= max(1.5 * period, FAR * spread)
     if abs(size) <= FAR * spread or not (runs_on and is_all):
-        return None
+        return 0.0
     # Stamps may be steadier than the times of the log, where none is lost.
-    regular, scatter = _of_regular_stamps(stamp[first - AROUND : first + AROUND])
-    if scatter < spread and abs(regular - size) <= max(0.5 * period, FAR * spread):
-        size = regular
-    shows = abs(size) > LEAST_STEP * NS_PER_S
-    return Step(first, round(size), int(log[first])) if shows else None
+    regular, scatter = _of_regular_stamps(stamp)
+    steadier = scatter < spread and abs(regular - size) <= max(0.5 * period, FAR * spread)
+    return regular if steadier else size
 
 
 def _of_regular_stamps(stamp: Int) -> tuple[float, float]:

@@ -119,7 +119,7 @@ def test_one_sensor_that_shakes_or_is_coarse_is_one() -> None:
 @given(st.floats(0.1, 0.45), st.floats(3.0, 8.0))
 @settings(max_examples=20, deadline=None)
 def test_what_sampling_makes_slow_of_a_vibration_is_one_sensor(folded: float, size: float) -> None:
-    # A spindle of 230 Hz shakes samples of 100 Hz by 0.3 turns from each to the next.
+    # So many turns from each sample to the next: 0.3 of a spindle of 230 Hz in samples of 100 Hz.
     rng = np.random.default_rng(6)
     count = 6000
     turns = 2 * np.pi * folded * np.arange(count)[:, None] + rng.uniform(0, 6, 3)

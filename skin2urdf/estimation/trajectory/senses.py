@@ -24,7 +24,7 @@ from skin2urdf.estimation.trajectory.slack import size_of
 from skin2urdf.estimation.trajectory.unseen import Unseen
 from skin2urdf.estimation.uncertainty.plausible import are_plausible
 from skin2urdf.geometry.se3 import inverse, placement, screw
-from skin2urdf.geometry.so3 import frame_with_z
+from skin2urdf.geometry.so3 import axis_rotation, frame_with_z, wahba
 from skin2urdf.signals.trajectory import Trajectory
 from skin2urdf.structure.records import KinematicTree
 
@@ -224,21 +224,20 @@ def mirrored(tree: KinematicTree, state: State, first: int, logs: Sequence[Traje
 
 
 def _facing(tree: KinematicTree, state: State, u: int, logs: Sequence[Trajectory]) -> F64:
-    """(3, 3) how an SU is turned on its joint, as gravity has it (Wahba 1965)."""
-    pull = np.zeros((3, 3))
-    chain = tree.chain(int(tree.su_joint[u]))
+    """(3, 3) how an SU is turned on its joint, as gravity has it."""
+    read, seen = [], []
     for log, up in zip(logs, state.up, strict=True):
         at = log.kept[log.valid[:, u]]
-        seen = np.broadcast_to(up, (len(at), 3))
-        for k in chain:
-            seen = seen @ state.T_parent_joint[k, :3, :3]
+        there = np.broadcast_to(up, (len(at), 3))
+        for k in tree.chain(int(tree.su_joint[u])):
+            there = there @ state.T_parent_joint[k, :3, :3]
             if not tree.prismatic[k]:
-                c, s = np.cos(log.q[at, k]), np.sin(log.q[at, k])
-                x, y, z = seen.T
-                seen = np.stack([c * x + s * y, c * y - s * x, z], axis=1)
-        pull += seen.T @ log.readings[at, u]
-    left, _, right = np.linalg.svd(pull)
-    return np.asarray(left @ np.diag([1.0, 1.0, np.linalg.det(left @ right)]) @ right)
+                turns = axis_rotation(np.array([0.0, 0.0, 1.0]), log.q[at, k])
+                there = np.einsum("ni,nij->nj", there, turns)
+        read.append(log.readings[at, u])
+        seen.append(there)
+    body = np.concatenate(read)
+    return wahba(body, np.concatenate(seen), np.ones(len(body)))[0]
 
 
 def _in_base(tree: KinematicTree, state: State, motion: Sequence[F64]) -> list[F64]:

@@ -76,7 +76,7 @@ def timed_joints(
             )
             notes.append(ReadingNote("several publishers", words, (topic, *names)))
             continue
-        held = measurements(samples.values, _span(samples))
+        held = measurements(samples.values, _clock(samples))
         if held.times > 1.0:
             repeating.update(dict.fromkeys(names, held.times))
             samples = samples.at(held.kept)
@@ -103,8 +103,7 @@ def timed_joints(
 
 def _through_silence(samples: Samples) -> tuple[Samples, bool]:
     """Positions that go on where none is sent as none changes, and whether they do anywhere."""
-    clock = samples.stamp if (samples.stamp > 0).any() else samples.log_time
-    since = (clock - clock[:1]) / 1e9
+    since = _clock(samples)
     gaps = silences(since, samples.values)
     if not len(gaps):
         return samples, False
@@ -149,7 +148,7 @@ def timed_sus(
                 else:
                     few.append(f"SU {name} ({topic})")
             elif samples is not None:
-                held = measurements(samples.values, _span(samples))
+                held = measurements(samples.values, _clock(samples))
                 if held.times > 1.0:
                     repeating[name] = held.times
                     samples = samples.at(held.kept)
@@ -173,10 +172,10 @@ def timed_sus(
     return sorted(streams, key=lambda stream: stream.name), empty, notes
 
 
-def _span(samples: Samples) -> float:
-    """Time from the first to the last of some samples [s], by their stamps if they have any."""
+def _clock(samples: Samples) -> F64:
+    """(N,) times of some samples since the first [s], by their stamps if they have any."""
     clock = samples.stamp if (samples.stamp > 0).any() else samples.log_time
-    return float(np.ptp(clock)) / 1e9
+    return np.asarray((clock - clock[:1]) / 1e9)
 
 
 def _sound(

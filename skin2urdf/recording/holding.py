@@ -46,18 +46,19 @@ class Held(NamedTuple):
     times: float
 
 
-def measurements(values: F64, span: float) -> Held:
+def measurements(values: F64, time: F64) -> Held:
     """Find the samples that are measurements and no repetitions of the one before.
 
     Values stand still where nothing moves and the digits are coarse; that is no repetition. But one
     that came by several digits, and goes by several digits, stood for a single measurement. How
     many samples such values last says how many measurements the others are. A shaking at a quarter
     of the rate makes such pairs of equal values, too, where digits are coarser than noise; but then
-    values change with every sample elsewhere.
+    values change with every sample elsewhere. Messages that were lost are counted: what is left of
+    a measurement lasts no shorter for that. One whose first message was lost is left out.
 
     Args:
         values: (N, C) samples in their order.
-        span: time from the first to the last [s].
+        time: (N,) when each was sent [s].
 
     Returns:
         The measurements; all samples where the sensor's digits explain what repeats, or where each
@@ -69,7 +70,8 @@ def measurements(values: F64, span: float) -> Held:
     everything = Held(np.arange(count), 1.0)
     if count - start.size < _SHARE * count or start.size < _FEWEST:
         return everything
-    length = np.diff(start, append=count)
+    sent = _numbers_sent(time)
+    length = np.diff(sent[start], append=sent[-1] + 1)
     step = np.abs(np.diff(values[start], axis=0))
     digit = np.array([np.quantile(s[s > 0], 0.02) if s.any() else np.inf for s in step.T])
     large = (step > _DIGITS * digit).any(axis=1)
@@ -78,20 +80,38 @@ def measurements(values: F64, span: float) -> Held:
         return everything
     one &= length <= _FROZEN * np.median(length[one])
     times = float(length[one].mean())
-    if _are_as_short(start, times, float(length[one].std())):
+    if _are_as_short(sent[start], times, float(length[one].std())):
         return everything
-    number = np.where(one, 1, np.maximum(np.rint(length / times), 1)).astype(np.int64)
-    if number.sum() < _SLOWEST * span:
+    received = np.diff(start, append=count)
+    number = np.where(one, 1, np.maximum(np.rint(received / times), 1)).astype(np.int64)
+    if number.sum() < _SLOWEST * float(np.ptp(time)):
         return everything
     within = np.arange(number.sum()) - np.repeat(np.cumsum(number) - number, number)
-    return Held(np.repeat(start, number) + np.rint(times * within).astype(np.int64), times)
+    kept = np.repeat(start, number) + np.rint(times * within).astype(np.int64)
+    # One whose first message may have been lost came earlier than it appears, nobody knows by what.
+    first_lost = sent[start] > sent[start - 1] + 1
+    return Held(kept[~(np.repeat(first_lost, number) & (within == 0))], times)
+
+
+def _numbers_sent(time: F64) -> Int:
+    """(N,) numbers of messages among all that were sent, those that were lost included.
+
+    Args:
+        time: (N,) when each was sent, or arrived after delays [s].
+    """
+    index = np.arange(len(time))
+    step = np.diff(time)
+    period = float(np.median(step[step > 0])) if (step > 0).any() else np.inf
+    # One that arrives late takes no number of those that follow it.
+    lost = np.rint((time - time[0]) / period).astype(np.int64) - index
+    return np.asarray(index + np.maximum.accumulate(lost))
 
 
 def _are_as_short(start: Int, times: float, deviation: float) -> bool:
     """Say whether values come in closer succession than measurements sent several times can.
 
     Args:
-        start: (R,) number of the sample at which each value appears.
+        start: (R,) number of the message in which each value appears.
         times: how often each measurement was sent, in the mean.
         deviation: of that from one measurement to the next.
 
@@ -118,7 +138,7 @@ def as_measured(sus: Sequence[SuStream]) -> tuple[list[SuStream], list[ReadingNo
     """
 
     def once(su: SuStream) -> tuple[SuStream, float]:
-        held = measurements(su.specific_force, float(np.ptp(su.time)) if len(su.time) else 0.0)
+        held = measurements(su.specific_force, su.time)
         measured = su.at(held.kept) if held.times > 1.0 else su
         measured.put_away()
         return measured, held.times
@@ -142,7 +162,7 @@ def joints_as_measured(recording: Recording) -> Recording:
     for members in recording.joints_together:
         time = members[0].time
         values = np.stack([joint.position for joint in members], axis=1)
-        held = measurements(values, float(np.ptp(time)) if len(time) else 0.0)
+        held = measurements(values, time)
         for joint in members:
             joints[joint.name] = joint.at(held.kept) if held.times > 1.0 else joint
         if held.times > 1.0:

@@ -100,7 +100,7 @@ def _measured(time: F64, rates: F64) -> tuple[F64, F64]:
     time, values = time[known], rates[known]
     alone = spikes(values)
     time, values = time[~alone], values[~alone]
-    held = measurements(values, float(np.ptp(time)) if len(time) else 0.0)
+    held = measurements(values, time)
     return time[held.kept], values[held.kept]
 
 

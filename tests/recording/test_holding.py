@@ -14,7 +14,7 @@ from skin2urdf.recording.reading import read
 from skin2urdf.recording.records import JointStream, Recording
 
 N = 6000
-SPAN = N / 500.0
+TIME = np.arange(N) / 500.0
 
 
 def signal(noise: float, digit: float, seed: int = 0) -> F64:
@@ -30,7 +30,7 @@ def signal(noise: float, digit: float, seed: int = 0) -> F64:
     ("noise", "digit"), [(0.01, 0.0), (0.01, 1e-3), (0.08, 0.077), (0.0, 0.077), (0.0, 1e-3)]
 )
 def test_a_sensor_that_sends_each_reading_once_is_left_alone(noise: float, digit: float) -> None:
-    assert measurements(signal(noise, digit), SPAN).kept.size == N
+    assert measurements(signal(noise, digit), TIME).kept.size == N
 
 
 @pytest.mark.parametrize(("noise", "digit"), [(0.01, 0.0), (0.01, 1e-3), (0.08, 0.02)])
@@ -39,7 +39,7 @@ def test_each_measurement_is_kept_where_it_first_appears(
     times: int, noise: float, digit: float
 ) -> None:
     values = signal(noise, digit)[np.arange(N) // times * times]
-    held = measurements(values, SPAN)
+    held = measurements(values, TIME)
     assert held.times == pytest.approx(times, rel=0.02)
     first = np.arange(0, N, times)
     assert np.isin(first, held.kept).mean() > 0.99
@@ -49,7 +49,7 @@ def test_each_measurement_is_kept_where_it_first_appears(
 def test_where_digits_are_coarse_equal_measurements_stay() -> None:
     """At rest the readings of a coarse sensor repeat; dropping those would shift their mean."""
     values = signal(0.08, 0.077)[np.arange(N) // 5 * 5]
-    held = measurements(values, SPAN)
+    held = measurements(values, TIME)
     rest = (np.arange(N) % 3000) >= 1500
     kept = values[held.kept[rest[held.kept]]]
     np.testing.assert_allclose(kept.mean(axis=0), values[rest].mean(axis=0), atol=3e-3)
@@ -58,7 +58,7 @@ def test_where_digits_are_coarse_equal_measurements_stay() -> None:
 
 def test_a_sensor_polled_out_of_step_gives_its_own_measurements() -> None:
     at = np.floor(np.arange(N) * 0.37).astype(int)
-    held = measurements(signal(0.01, 0.0)[at], SPAN)
+    held = measurements(signal(0.01, 0.0)[at], TIME)
     assert held.times == pytest.approx(1 / 0.37, rel=0.02)
     assert np.array_equal(held.kept, np.flatnonzero(np.diff(at, prepend=-1)))
 
@@ -68,20 +68,35 @@ def test_a_shaking_at_a_quarter_of_the_rate_is_no_repetition() -> None:
     t = np.arange(N) / 500.0
     shaking = np.outer(np.sin(2 * np.pi * 125.0 * t + 0.8) * (t % 6 < 3), [0.35, 0.1, -0.2])
     values = np.round((signal(0.0, 0.0) + shaking) / 0.038) * 0.038
-    assert measurements(values, SPAN).kept.size == N
+    assert measurements(values, TIME).kept.size == N
 
 
 def test_a_sensor_that_freezes_for_a_while_is_left_to_others() -> None:
     values = signal(0.01, 0.0)
     values[2000:3000] = values[2000]
-    assert measurements(values, SPAN).kept.size == N
+    assert measurements(values, TIME).kept.size == N
 
 
 def test_one_value_for_each_rest_holds_as_long_as_it_was_sent() -> None:
     """A table of rests has a value for each, and no sensor measures every three seconds."""
     values = np.repeat(signal(0.01, 0.0)[:: N // 60], 100, axis=0)
-    assert measurements(values, 60 * 3.0).kept.size == len(values)
-    assert measurements(values, 60 * 0.1).kept.size == 60
+    sent = np.linspace(0.0, 60.0, len(values))
+    assert measurements(values, 3.0 * sent).kept.size == len(values)
+    assert measurements(values, 0.1 * sent).kept.size == 60
+
+
+@pytest.mark.parametrize("share", [0.005, 0.02, 0.1])
+def test_lost_messages_make_no_measurement_late(share: float) -> None:
+    """What comes first of one then is not when it was measured, and counts for nothing."""
+    rng = np.random.default_rng(3)
+    first = np.arange(N) // 5 * 5
+    arrived = np.flatnonzero(rng.random(N) >= share)
+    held = measurements(signal(0.01, 1e-3)[first][arrived], TIME[arrived])
+    assert held.times == pytest.approx(5, rel=0.02)
+    # Nobody knows what came before the log.
+    at = arrived[held.kept[1:]]
+    assert (at == first[at]).mean() > 0.999
+    assert at.size == pytest.approx((1 - share) ** 2 * N / 5, rel=0.05)
 
 
 def test_the_rate_of_a_log_is_that_of_its_measurements(ros_log: Any) -> None:

@@ -314,7 +314,7 @@ def _moved_by_one(
     Args:
         logs: the logs.
         found: an estimate, and
-        refined: its features, whose activity is taken for all other SUs.
+        refined: its features.
         features: those to begin with.
         sus: which SUs to move, one at a time.
         accept: tells of an estimate whether it explains more.
@@ -322,7 +322,8 @@ def _moved_by_one(
     """
     if not sus:
         return None
-    seen = activity(refined, logs.settings.static_threshold)
+    # What moves one SU otherwise than it seemed tells nothing of the others.
+    seen = activity(refined, logs.settings.static_threshold).as_in(found.tree)
     for place in _next_to(found.tree, sus):
         try:
             again = ordered(kinematic_tree(seen.moved_by(*place), refined), refined)

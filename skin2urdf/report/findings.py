@@ -137,7 +137,8 @@ def is_to_repair(calibration: Calibration) -> bool:
     missing = calibration.mostly_open and not of_use
     faulty = any(fault.to_repair for fault in calibration.faults)
     wrong = calibration.implausible or calibration.not_of_this_model or calibration.wrong_ratios
-    return missing or faulty or bool(wrong or calibration.open_orders)
+    untold = calibration.open_orders or calibration.moved_alike
+    return missing or faulty or bool(wrong or untold)
 
 
 def _no_place(rows: F64) -> bool:

@@ -196,7 +196,7 @@ def _doubts(calibration: Calibration) -> list[Doubt]:
         joints = list(dict.fromkeys(name for group in alike for name in group))
         words = (
             f"the log does not tell {shortened(joints, _NAMED)} from each other, which moved alike "
-            "all along: the model holds as long as they do"
+            "all along: the model holds as long as they do (move each of them by itself)"
         )
         found.append(Doubt("joints alike", words, tuple(joints)))
     if ratios := calibration.wrong_ratios:

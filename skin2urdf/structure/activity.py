@@ -7,9 +7,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from skin2urdf.arrays import F64, Bool, Record
+from skin2urdf.arrays import F64, Bool, Int, Record
 from skin2urdf.geometry.units import GRAVITY
 from skin2urdf.signals.records import Features, StaticMoves, Turns
+from skin2urdf.structure.records import KinematicTree
 
 STATIC_THRESHOLD = 0.05 * GRAVITY
 """Change of a static reading that makes an SU active, 0.05 g [m/s^2] (paper III)."""
@@ -139,15 +140,27 @@ class Activity(Record):
             dynamic[u, d] = np.fmax(dynamic[u, d], 1.01)
         return replace(self, dynamic=dynamic)
 
+    def as_in(self, tree: KinematicTree) -> Activity:
+        """The same evidence, with all SUs of a tree certainly moved by what moves them there."""
+        at = np.ix_(
+            [self.su_names.index(name) for name in tree.su_names],
+            [self.dof_names.index(name) for name in tree.joint_names],
+        )
+        return self._told(at, tree.activity())
+
     def moved_by(self, su: str, dof: str, moved: bool) -> Activity:
         """The same evidence, with one SU certainly moved by a DoF, or certainly not."""
-        u, d = self.su_names.index(su), self.dof_names.index(dof)
+        at = np.ix_([self.su_names.index(su)], [self.dof_names.index(dof)])
+        return self._told(at, np.array([[moved]]))
+
+    def _told(self, at: tuple[Int, ...], moved: Bool) -> Activity:
+        """The same evidence, where some of it ``at`` is for certain that SUs are moved, or not."""
         static, dynamic = np.array(self.static), np.array(self.dynamic)
-        static[u, d] = np.nan
-        dynamic[u, d] = np.exp(2 * CERTAIN if moved else -2 * CERTAIN)
+        static[at] = np.nan
+        dynamic[at] = np.exp(2 * CERTAIN * np.where(moved, 1.0, -1.0))
         turned = None if self.turned is None else np.array(self.turned)
         if turned is not None:
-            turned[u, d] = np.nan
+            turned[at] = np.nan
         return replace(self, static=static, dynamic=dynamic, turned=turned)
 
 

@@ -23,7 +23,7 @@ from skin2urdf.geometry.so3 import frame_with_z
 from skin2urdf.geometry.units import GRAVITY
 from skin2urdf.notes import Note
 from skin2urdf.signals.sampling import Sampled
-from skin2urdf.structure.accelerations import Along, ChainJoint, along
+from skin2urdf.structure.accelerations import PARALLEL, Along, ChainJoint, along
 from skin2urdf.structure.anew import that_slide_elsewhere, with_joints_elsewhere
 from skin2urdf.structure.draft import Draft
 from skin2urdf.structure.elsewhere import with_sus_elsewhere
@@ -78,6 +78,11 @@ class MotionTree(Record):
     shape: F64
     chi2: F64
     left: F64
+
+    @property
+    def turns_gravity(self) -> bool:
+        """Whether each joint turns gravity: none slides or is vertical."""
+        return not (self.tree.prismatic | (np.abs(self.axes[:, 2]) > PARALLEL)).any()
 
     @property
     def misfit(self) -> float:
@@ -216,23 +221,38 @@ class _Search:
         grown: list[tuple[MotionTree, ...]] = []
         missing: list[StructureError] = []
 
-        def add(i: int, windows: GravityWindows) -> None:
+        def add(i: int, windows: GravityWindows, *, bare: bool = True) -> None:
             def part(share: float) -> None:
                 self.tell(min(1.0, (i + share) / 2))
 
             try:
-                grown.append(
-                    _grown_from(windows, samples, sampled, base, self.known, self.seed, part)
+                trees = _grown_from(
+                    windows, samples, sampled, base, self.known, self.seed, part, bare=bare
                 )
             except StructureError as lack:
                 missing.append(lack)
+                return
+            if trees:
+                grown.append(trees)
             grown.sort(key=lambda trees: _unexplained(trees[0], samples, su_names, su_names))
 
-        add(0, gravity_windows(sampled, su_names, spans))
+        # Where few poses are at rest, all joints may be ones that gravity does not show there. That
+        # is looked into, among all there are, only where it does not show all of them in moves.
+        of_rests = gravity_windows(sampled, su_names, spans)
+        add(0, of_rests, bare=False)
         if grown and are_enough(grown[0]):
             return grown
+        turned = bool(grown)
         of_moves = moments(sampled, su_names, spans)
-        add(1, of_moves)
+        add(1, of_moves, bare=turned)
+        shown = bool(grown)
+        all_shown = shown and self._explains_all(grown[0]) and grown[0][0].turns_gravity
+        if not (turned or all_shown):
+            add(0, of_rests)
+            if grown and are_enough(grown[0]):
+                return grown
+            if not shown:
+                add(1, of_moves)
         heard = {name for u, name in enumerate(su_names) if np.isfinite(of_moves.sd[:, u]).any()}
         if not (grown and heard <= set(grown[0][0].tree.su_names)):
             # An SU without a place may be off in time, or its axes be bent.
@@ -252,6 +272,8 @@ def _grown_from(
     tell: Callable[[float], None],
     sliding: tuple[int, ...] = (),
     hidden: tuple[int, ...] = (),
+    *,
+    bare: bool = True,
 ) -> tuple[MotionTree, ...]:
     """Trees that some windows show, best first.
 
@@ -265,6 +287,7 @@ def _grown_from(
         tell: told the share of the work that is done.
         sliding: what joints are, among those of the logs, that are taken to slide, and
         hidden: those that are taken to turn no gravity, as sliding and upright ones.
+        bare: whether to go on where gravity shows no joint at all; () is returned else.
 
     Raises:
         StructureError: they show none.
@@ -278,6 +301,8 @@ def _grown_from(
         up = None if base is None else base.up
         pushed = windows.pushed_by(unfelt)
         grown = grow(pushed, turning, np.random.default_rng(seed), tree, up, tell)
+        if not bare and len(grown.segments) == 1:
+            return ()
         drafts = _drafted(grown, samples, moved, sliding)
         more = () if known else _that_slide(drafts[0], samples)
         if not more:

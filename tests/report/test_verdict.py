@@ -112,6 +112,7 @@ def test_a_base_that_gives_way_makes_a_good_fit_fair() -> None:
 def test_joints_that_moved_alike_make_a_good_fit_fair() -> None:
     found = replace(calibration(), notes=(Note("moved alike", joints=("j_1", "j_2")),))
     assert found.quality == "fair"
+    assert is_to_repair(found)
     assert against(found) == [("joints alike", ("j_1", "j_2")), missing()]
 
 

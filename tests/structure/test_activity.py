@@ -67,6 +67,17 @@ def test_what_is_certain_outweighs_the_evidence(moved: bool) -> None:
     assert abs(told.evidence[su, dof]) > CERTAIN
 
 
+def test_a_tree_outweighs_the_evidence() -> None:
+    rng = np.random.default_rng(3)
+    tree, other = random_tree(rng, 5, 5), serial_tree(5)
+    features = random_features(rng, tree, random_state(rng, tree), 6, noise=0.02)
+    told = activity(features).as_in(other)
+    su = [told.su_names.index(name) for name in other.su_names]
+    dof = [told.dof_names.index(name) for name in other.joint_names]
+    np.testing.assert_array_equal(told.matrix[np.ix_(su, dof)], other.activity())
+    assert (np.abs(told.evidence) > CERTAIN).all()
+
+
 def _joint(sim: Simulation, name: str) -> int:
     return next(su.joint for su in sim.truth.sus if su.name == name)
 

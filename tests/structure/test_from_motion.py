@@ -22,7 +22,7 @@ from skin2urdf.simulation import SimulationSettings, load_robot, simulate
 from skin2urdf.simulation.motion_settings import MotionSettings
 from skin2urdf.simulation.robots import GivenSu, SkinLayout
 from skin2urdf.structure.activity import activity
-from skin2urdf.structure.from_motion import MotionTree, trees_from_motion
+from skin2urdf.structure.from_motion import MotionTree, trees_from_motion, trees_of_both_kinds
 from skin2urdf.structure.still import turned_all_the_same
 
 SQUARE = (np.pi / 2, 0.0, 0.0)
@@ -322,6 +322,16 @@ def test_what_a_linkage_moves_is_told_from_what_nothing_moves(arm: float, tmp_pa
     notes = trees_from_motion(both, names)[0].tree.notes
     moved = [(note.sus, note.joints) for note in of_kind(notes, "moves otherwise")]
     assert moved == ([((finger,), ("drive",))] if arm else [])
+
+
+def test_joints_that_gravity_shows_in_moves_alone_are_sought_in_no_rests() -> None:
+    """At rest in one pose all of them may be vertical or slide: twelve took ten minutes to try."""
+    path = JointPath([0.0] * 4).rest(2.0)
+    path.swing({d: 0.8 * (-1) ** d for d in range(4)}, seconds=40.0, hertz=1.5).rest(2.0)
+    sus, joints = [f"skin_{k}" for k in range(5)], [f"m{d}" for d in range(4)]
+    recording = record(random_arm(3, 4), path, sus, joints, np.random.default_rng(3))
+    ((found,),) = trees_of_both_kinds([sampled(recording)], [su.name for su in recording.sus])
+    assert found.tree.chains() == {su: joints[:k] for k, su in enumerate(sus)}
 
 
 def test_fingers_that_close_on_each_other_are_slides_of_their_own() -> None:

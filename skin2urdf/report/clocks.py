@@ -51,7 +51,8 @@ def _of_joints(clock: JointClock) -> str:
 def _of_one_log(clocks: Sequence[SuClock]) -> list[str]:
     """SUs with the same clock in one sentence."""
     groups: list[list[SuClock]] = []
-    for clock in clocks:
+    # One that hardly shows is like several that differ: the one that shows best leads each group.
+    for clock in sorted(clocks, key=lambda each: each.latency_sd):
         for group in groups:
             if _alike(clock, group[0]):
                 group.append(clock)
@@ -69,8 +70,8 @@ def _alike(a: SuClock, b: SuClock) -> bool:
 
 
 def _words(group: Sequence[SuClock]) -> str:
-    """Latency and drift of a group, of the SU that shows them best."""
-    best = min(group, key=lambda clock: clock.latency_sd)
+    """Latency and drift of a group, of its first SU, which shows them best."""
+    best = group[0]
     whose = f"the clocks of {shortened([clock.su for clock in group], 4)} are"
     if len(group) == 1:
         whose = f"the clock of {best.su} is"

@@ -207,3 +207,16 @@ def test_slow_swings_that_are_alike_confirm_each_other_by_little(late: float, to
     su = SuStream("su", time, felt + noise)
     clocks = su_clocks([su], joint_motion(path.recording(100.0, [su])))
     assert [abs(clock.latency - late) < 2e-3 for clock in clocks] == [True] * told
+
+
+def test_a_clock_that_hardly_shows_makes_no_others_alike() -> None:
+    """It may be either of two that differ for certain."""
+    vague = SuClock("su_v", 0.018, 2e-3, 0.0, 3e-5, 40.0)
+    one = SuClock("su_a", 0.0173, 3e-5, 0.0, 1e-6, 40.0)
+    other = replace(one, su="su_b", latency=0.0226)
+    groups = [
+        {su for su in ("su_v", "su_a", "su_b") if su in x}
+        for x in clock_notes([[vague, one, other]])
+    ]
+    assert {"su_b"} in groups
+    assert {"su_v", "su_a"} in groups

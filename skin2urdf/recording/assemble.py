@@ -15,11 +15,11 @@ from skin2urdf.recording.credibility import (
     absurd,
     real_efforts,
     several_publishers,
-    spikes,
 )
 from skin2urdf.recording.holding import held_notes, measurements
 from skin2urdf.recording.namesakes import told_apart
 from skin2urdf.recording.naming import shortened, su_names, writable
+from skin2urdf.recording.pulses import Read, lonely_spikes
 from skin2urdf.recording.records import JointStream, Recording, SuStream
 from skin2urdf.recording.shelf import Shelf, put_away
 from skin2urdf.recording.silence import silence_notes, silences, through
@@ -204,8 +204,9 @@ def _sound(
 def _put(waiting: list[Source], shelf: Shelf) -> tuple[list[TimedStream], list[ReadingNote]]:
     """Time the samples of some SUs, without spikes, and put them on the shelf; none waits then."""
     streams, notes = [], []
-    for stream in _timed(waiting):
-        alone = spikes(stream.values)
+    timed = _timed(waiting)
+    spiked = lonely_spikes([Read(stream.time / 1e9, stream.values) for stream in timed])
+    for stream, alone in zip(timed, spiked, strict=True):
         if alone.any():
             n = int(np.count_nonzero(alone))
             words = (

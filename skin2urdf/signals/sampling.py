@@ -13,9 +13,9 @@ from skin2urdf.errors import InsufficientDataError
 from skin2urdf.faults import Fault
 from skin2urdf.geometry.units import FORCE_UNITS, GRAVITY, IN_UNITS
 from skin2urdf.notes import Note, Noted, of_reading
-from skin2urdf.recording.credibility import spikes
 from skin2urdf.recording.holding import as_measured
 from skin2urdf.recording.naming import shortened
+from skin2urdf.recording.pulses import Read, lonely_spikes
 from skin2urdf.recording.records import Recording, SuStream
 from skin2urdf.recording.shelf import STREAMS_IN_MEMORY, put_away, room_for_streams
 from skin2urdf.signals.band import quietness, suitable_cutoffs
@@ -148,7 +148,7 @@ def sample_recording(
     spans = [(grid.start + r.begin / grid.rate, grid.start + r.end / grid.rate) for r in rests]
     span = (grid.start, grid.start + grid.size / grid.rate)
     n_sus = len(recording.sus)
-    measured, held = as_measured(list(each(_without_spikes, recording.sus, n_sus)))
+    measured, held = as_measured(_without_spikes(recording))
     clocks = {clock.su: clock for clock in su_clocks(measured, motion)}
     sus = [_on_time(su, clocks.get(su.name)) for su in measured]
     looked_at = checked(
@@ -212,10 +212,13 @@ def sample_recording(
     )  # fmt: skip
 
 
-def _without_spikes(su: SuStream) -> SuStream:
-    """The stream without single samples that no motion made; a log's are left out as it is read."""
-    alone = spikes(su.specific_force)
-    return su.at(~alone) if alone.any() else su
+def _without_spikes(recording: Recording) -> list[SuStream]:
+    """Streams without single samples that no motion made; a log's are left out as it is read."""
+    if recording.digest:
+        return list(recording.sus)
+    spiked = lonely_spikes([Read(su.time, su.specific_force) for su in recording.sus])
+    found = zip(recording.sus, spiked, strict=True)
+    return [su.at(~alone) if alone.any() else su for su, alone in found]
 
 
 def _cut(recording: Recording) -> set[str]:

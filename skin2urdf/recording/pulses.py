@@ -21,8 +21,9 @@ from skin2urdf.recording.credibility import spikes
 # By how much clocks of two SUs may differ [s]: those of hosts without a common one are set to a
 # tenth of a second, and what differs by more leaves pulses to be spikes.
 _APART = 0.3
-# Lags [s] from which it is known how much an SU is shaken at any time.
+# Lags up to which it is asked how much an SU is shaken at any time [s], and how many each way.
 _USUAL = 3.0
+_LAGS = 10
 # Samples of another SU that are about one moment: clocks fall in between.
 _NEARBY = 3
 # Logarithm of the odds from which it is certain that samples come when another SU is shaken.
@@ -114,11 +115,14 @@ def _when(at: F64, time: F64, shaken: F64, certain: float) -> F64 | None:
         None where it is shaken by no more than at other times, for certain, at any lag.
     """
     step = max(float(np.median(np.diff(time))), _APART / 100)
-    lags = np.arange(-_USUAL, _USUAL + step, step)
-    there = shaken[np.searchsorted(time, at[:, None] + lags).clip(max=len(time) - 1)]
-    total, near = there.sum(axis=0), np.abs(lags) <= _APART
-    usual = total[~near].mean()
-    best = int(np.argmax(np.where(near, total, -np.inf)))
-    more = (total[best] - usual) / max(float(shaken.std()), 1e-12)
-    chance = gamma.logsf(len(at) + more, len(at)) + np.log(near.sum())
-    return there[:, best] - usual / len(at) if chance < -certain else None
+    near = np.arange(-_APART, _APART + step, step)
+    far = np.linspace(_APART, _USUAL, _LAGS)
+
+    def about(lags: F64) -> F64:
+        return np.asarray(shaken[np.searchsorted(time, at[:, None] + lags).clip(max=len(time) - 1)])
+
+    there, usual = about(near), float(about(np.concatenate([-far, far])).mean())
+    best = int(np.argmax(there.sum(axis=0)))
+    more = (there[:, best] - usual).sum() / max(float(shaken.std()), 1e-12)
+    chance = gamma.logsf(len(at) + more, len(at)) + np.log(len(near))
+    return there[:, best] - usual if chance < -certain else None

@@ -311,3 +311,14 @@ def test_one_value_throughout_is_dead_unless_gravity_may_be_in_it(value: float, 
     whole = stream(noise())
     same = replace(whole, specific_force=np.full_like(whole.specific_force, value))
     assert kinds(same, whole, whole)[0] == [kind]
+
+
+def test_slow_motion_is_no_noise() -> None:
+    """Where a robot never rests, its slowest moments stand for rests."""
+    rng = np.random.default_rng(5)
+    t = np.arange(4000)[:, None] / 100.0
+    swing = 4.0 * np.sin(2 * np.pi * np.array([0.5, 0.9, 0.3]) * t)
+    samples = swing + 0.02 * rng.standard_normal((4000, 3))
+    everywhere = np.ones(4000, dtype=bool)
+    assert rest_noise(samples, everywhere, 3) == pytest.approx(0.02, rel=0.05)
+    assert rest_noise(samples, everywhere) > 0.1

@@ -34,7 +34,13 @@ from skin2urdf.estimation.trajectory.gaps import fit_gaps
 from skin2urdf.estimation.trajectory.gears import find_ripples, harmonics, ratios, ripples
 from skin2urdf.estimation.trajectory.known_torque import with_known_torque, yields
 from skin2urdf.estimation.trajectory.measured_torque import with_measured_torque
-from skin2urdf.estimation.trajectory.misfit import MOST_OF_IT, SPAN, misfit_of, span_means
+from skin2urdf.estimation.trajectory.misfit import (
+    MOST_OF_IT,
+    SPAN,
+    misfit_of,
+    span_means,
+    variance_beyond,
+)
 from skin2urdf.estimation.trajectory.play import deflections_saturate, gaps_like, rms
 from skin2urdf.estimation.trajectory.problem import MotionProblem
 from skin2urdf.estimation.trajectory.reading_times import Read
@@ -536,11 +542,9 @@ def _with_drifting_biases(problem: MotionProblem, fitted: Fitted) -> tuple[Motio
     The mean square of a walk of s per root of a second, about its mean over a time T, is
     ``s^2 T / 6``.
     """
-    means, variances = span_means(problem, fitted.predicted, fitted.weights, SPAN)
-    known = np.isfinite(variances)
-    slow = float((means[known] ** 2 - variances[known]).mean())
+    slow = variance_beyond(*span_means(problem, fitted.predicted, fitted.weights, SPAN))
     lengths = [float(log.time[-1] - log.time[0]) for log in problem.logs]
-    walk = np.sqrt(max(slow, 0.0) * 6 / max(lengths))
+    walk = np.sqrt(slow * 6 / max(lengths))
     n_knots = [max(2, round(length / _KNOTS) + 1) for length in lengths]
     state = replace(
         fitted.state, knots=tuple(np.zeros((n, problem.tree.n_sus, 3)) for n in n_knots)

@@ -16,6 +16,8 @@ from skin2urdf.threads import MANY
 SPAN = 2.0
 """Length of the spans of time whose errors count as independent [s]: far longer than the low-pass,
 and than a pattern's period."""
+_ROUNDS = 20
+"""Times weights are taken again; after ten nothing changes by a hundredth."""
 MOST_OF_IT = 0.5
 """Part of a misfit, above the 1 of noise, or of slack's gain, that may stay where a cause is added,
 and after a first look at one that is to be followed further. Links that bend leave 0.24 as elastic
@@ -85,6 +87,25 @@ def part_means(predicted: Predicted, weights: F64, within: slice, n: int) -> tup
         moment[:, sus] = np.add.reduceat(w[:, sus] * r, first, axis=0)
     means = np.divide(moment, total, out=np.zeros_like(total), where=known)
     return means, np.divide(1.0, total, out=np.full_like(total, np.inf), where=known)
+
+
+def variance_beyond(means: F64, variances: F64) -> float:
+    """What means over spans vary by beyond noise, in the mean of all spans and SUs [m^2/s^4].
+
+    Those with much noise hide what those with little show: each counts by how well it shows a
+    variance as large as that (Paule and Mandel 1982, with the weights of the likelihood).
+
+    Args:
+        means: mean residuals over spans, and
+        variances: their variances, see :func:`span_means`.
+    """
+    known = np.isfinite(variances)
+    square, noise = means[known] ** 2, variances[known]
+    beyond = 0.0
+    for _ in range(_ROUNDS):
+        weights = 1 / np.maximum(noise + beyond, 1e-300) ** 2
+        beyond = max(float(np.average(square - noise, weights=weights)), 0.0)
+    return beyond
 
 
 def misfit_of_sus(means: F64, variances: F64) -> F64:

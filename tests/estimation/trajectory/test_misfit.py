@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from skin2urdf.estimation.trajectory.misfit import misfit, misfit_of_links
+from skin2urdf.estimation.trajectory.misfit import misfit, misfit_of_links, variance_beyond
 
 
 def test_what_one_su_of_a_link_does_not_show_is_not_due_to_the_link() -> None:
@@ -26,3 +26,14 @@ def test_what_one_su_of_a_link_does_not_show_is_not_due_to_the_link() -> None:
     # An SU that is the only one of its link may owe all to it.
     only = misfit_of_links(alone, variances, np.array([0, 1, 2, 2]))
     assert only == pytest.approx(misfit(alone, variances), rel=0.1)
+
+
+@pytest.mark.parametrize("beyond", [0.0, 1e-5, 1e-3])
+def test_noisy_sus_do_not_hide_what_quiet_ones_show(beyond: float) -> None:
+    rng = np.random.default_rng(0)
+    noise = np.broadcast_to(10.0 ** np.linspace(-7.0, -3.0, 7)[:, None], (60, 7, 3)).copy()
+    means = rng.standard_normal(noise.shape) * np.sqrt(noise + beyond)
+    # A spectrum that is not white makes what is left of the noisiest one less than its weights say.
+    means[:, -1] *= 0.3
+    noise[0, 0] = np.inf
+    assert variance_beyond(means, noise) == pytest.approx(beyond, rel=0.15, abs=1e-7)

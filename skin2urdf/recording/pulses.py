@@ -54,14 +54,14 @@ def lonely_spikes(read: Sequence[Read]) -> list[Bool]:
     alone = [spikes(each.values) for each in read]
     if not any(found.any() for found in alone):
         return alone
-    shaken = [
-        (each.time, _shaken(each.values, found))
-        for each, found in zip(read, alone, strict=True)
+    shaken = {
+        u: (each.time, _shaken(each.values, found))
+        for u, (each, found) in enumerate(zip(read, alone, strict=True))
         if len(each.time) > 2
-    ]
+    }
     return [
-        _not_felt(one.time, found, [other for other in shaken if other[0] is not one.time])
-        for one, found in zip(read, alone, strict=True)
+        _not_felt(read[u].time, found, [other for v, other in shaken.items() if v != u])
+        for u, found in enumerate(alone)
     ]
 
 

@@ -49,7 +49,7 @@ Writes robot.urdf, and robot.json with all that a URDF has no place for.
 If it fails, look at the log with `skin2urdf info` and at the structure with `skin2urdf explore`."""
 
 _TO_REPAIR = 3
-"""The URDF was written, but an SU or an encoder has to be set right before it fits the robot."""
+"""The URDF was written, but an SU, an encoder or the log has to be set right before it fits."""
 
 
 def declare(command: Parser) -> None:

@@ -93,7 +93,7 @@ def variance_beyond(means: F64, variances: F64) -> float:
     """What means over spans vary by beyond noise, in the mean of all spans and SUs [m^2/s^4].
 
     Those with much noise hide what those with little show: each counts by how well it shows a
-    variance as large as that (Paule and Mandel 1982, with the weights of the likelihood).
+    variance as large as that, which makes them most likely.
 
     Args:
         means: mean residuals over spans, and

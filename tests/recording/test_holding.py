@@ -77,6 +77,16 @@ def test_a_sensor_that_freezes_for_a_while_is_left_to_others() -> None:
     assert measurements(values, TIME).kept.size == N
 
 
+@pytest.mark.parametrize("burst", [2, 4, 7])
+def test_messages_that_come_in_bursts_are_none_that_were_lost(burst: int) -> None:
+    arrived = np.arange(N) // burst * burst / 500.0 + np.arange(N) % burst * 2e-4
+    q = np.round(signal(0.0, 0.0), 2)
+    assert measurements(q, arrived).kept.size == N
+    held = measurements(signal(0.01, 1e-3)[np.arange(N) // 5 * 5], arrived)
+    assert held.times == pytest.approx(5, rel=0.02)
+    assert held.kept.size == pytest.approx(N / 5, rel=0.01)
+
+
 def test_one_value_for_each_rest_holds_as_long_as_it_was_sent() -> None:
     """A table of rests has a value for each, and no sensor measures every three seconds."""
     values = np.repeat(signal(0.01, 0.0)[:: N // 60], 100, axis=0)

@@ -24,7 +24,8 @@ FaultKind = Literal[
     "encoder jump",
     "contact",
 ]
-"""Of SUs: no readings at all or zeros; one value repeated; readings cut off at the end of the
+"""Of SUs: no readings at all or zeros; one value repeated (of an encoder as well, while its joint
+moves); readings cut off at the end of the
 range; samples missing again and again; far noisier than the others, or values among
 its readings that no motion made; motion of its own while all joints rest; another placement from
 some time on, or another bias; two names exchanged between logs; negated or left-handed; a unit that
@@ -45,6 +46,7 @@ Detail = Literal[
     "no samples at rest",
     "silent",
     "always",
+    "encoder",
     "x axis",
     "y axis",
     "z axis",

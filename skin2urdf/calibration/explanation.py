@@ -40,6 +40,7 @@ from skin2urdf.calibration.rounds import Solution
 from skin2urdf.calibration.samples import fit_samples, rejected
 from skin2urdf.calibration.taken_apart import retold, with_sus_apart, with_sus_together
 from skin2urdf.errors import BadFitError, Skin2UrdfError, StructureError
+from skin2urdf.estimation.trajectory.attempt import BASE, BENDS, DRIFT, TILTS, WARMING
 from skin2urdf.estimation.trajectory.motion_estimate import MotionEstimate
 from skin2urdf.hypotheses.attempts import StandsOut
 from skin2urdf.hypotheses.encoder import named_leaps
@@ -94,7 +95,10 @@ def _explained(begun: Beginning, clock: Clock) -> tuple[Solution, MotionEstimate
     """The same with joints in the order, and SUs in the places, that were found first."""
     first = begun.first
     unexplained = first is not None and first.found.cost_per_dof > GOOD_FIT
-    looked = _look(first, clock) if begun.of_patterns and unexplained else None
+    looked = None
+    if begun.of_patterns and first is not None and unexplained:
+        first, looked = _look(first, clock)
+        begun = replace(begun, first=first)
     trusted = not begun.of_patterns or (looked is not None and is_explained_by_physics(looked))
     if first is not None and trusted:
         first = _naming_leaps(begun, first)
@@ -128,7 +132,7 @@ def _explained(begun: Beginning, clock: Clock) -> tuple[Solution, MotionEstimate
     if not unexplained and names_what_differs_by_place(solution) and not begun.leaps:
         # Features that leave hardly more than noise did not ask for a look: coarse encoders do.
         # Leaps are off these logs already, and certain.
-        looked = _look(first, clock)
+        looked = None if first is None else _look(first, clock)[1]
     return _fit_along(begun, solution, known, looked, rejected(looked), clock)
 
 
@@ -138,13 +142,46 @@ def _naming_leaps(begun: Beginning, solution: Solution) -> Solution:
     return replace(solution, faults=(*solution.faults, *named_leaps(errors, solution)))
 
 
-def _look(first: Solution | None, clock: Clock) -> MotionEstimate | None:
-    """What all samples say of a first estimate; None if there is none or it explains too little."""
-    if first is None or first.logs.settings.motion != "all" or first.found.misfit > BAD_FIT:
-        return None
+def _look(first: Solution, clock: Clock) -> tuple[Solution, MotionEstimate | None]:
+    """What all samples say of a first estimate; None where it explains too little."""
+    if first.logs.settings.motion != "all" or first.found.misfit > BAD_FIT:
+        return first, None
     # What is bent by more is first to be mended.
-    along = clock.run("all samples", lambda tell: fit_samples(first, tell, most=BAD_MISFIT))
-    return along if along is not None and along.misfit <= BAD_MISFIT else None
+    first, along = _fit_placed(first, clock, most=BAD_MISFIT)
+    return first, along if along is not None and along.misfit <= BAD_MISFIT else None
+
+
+def _fit_placed(
+    solution: Solution,
+    clock: Clock,
+    *,
+    most: float = np.inf,
+    without: frozenset[str] = frozenset(),
+    unless_one_changed: bool = False,
+) -> tuple[Solution, MotionEstimate | None]:
+    """What all samples say, with an SU on the base where that is what a vertical joint lacks.
+
+    Arguments are those of :func:`fit_samples`.
+
+    Returns:
+        The robot with the SU where it is, and the fit.
+    """
+    fitting = partial(
+        fit_samples, solution, most=most, without=without, unless_one_changed=unless_one_changed
+    )
+    along = clock.run("all samples", partial(fitting, unless_on_the_base=True))
+    if along is None or not along.left_to_place:
+        return solution, along
+    placed = with_one_on_the_base(solution, along, clock)
+    if not placed.found.tree.is_like(solution.found.tree):
+        # What else robots have takes long to be tried, and does not tell where an SU sits.
+        others = frozenset({*BENDS, DRIFT, WARMING, TILTS} - {BASE}) | without
+        there = clock.run("all samples", partial(fit_samples, placed, without=others))
+        if there is not None and leaves_only_noise(there):
+            if "slack" not in there.causes:
+                return placed, there
+            return placed, clock.run("all samples", partial(fit_samples, placed, without=without))
+    return solution, clock.run("all samples", fitting)
 
 
 def _what_stands_out(along: MotionEstimate | None, sampled: Sequence[Sampled]) -> StandsOut:
@@ -182,15 +219,18 @@ def _fit_along(
         return solution, None
     # No physics leaves so much in the features of any SU, be it weighed down or not.
     most = np.inf if solution.found.misfit <= HOPELESS_FIT else 0.0
-    fitting = partial(fit_samples, solution, without=in_vain, most=most)
-    # On an SU that slipped, or whose bias stepped, physics would be tried in vain.
-    at_first = partial(fitting, unless_one_changed=not solution.faults)
-    along = known or clock.run("all samples", at_first)
+    along = known
+    if along is None:
+        # On an SU that slipped, or whose bias stepped, physics would be tried in vain.
+        solution, along = _fit_placed(
+            solution, clock, most=most, without=in_vain, unless_one_changed=not solution.faults
+        )
     if along is not None and along.left_to_one:
         apart = with_sus_apart(solution, along, clock, of_patterns=begun.of_patterns)
         if apart[1] is not along and not apart[1].causes and leaves_only_noise(apart[1]):
             return apart
-        along = clock.run("all samples", fitting)
+        again = partial(fit_samples, solution, without=in_vain, most=most)
+        along = clock.run("all samples", again)
     if along is None:
         return solution, None
     first = begun.first

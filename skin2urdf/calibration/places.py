@@ -27,7 +27,7 @@ from skin2urdf.estimation.trajectory.misfit import MOST_OF_IT
 from skin2urdf.estimation.trajectory.motion_estimate import MotionEstimate
 from skin2urdf.estimation.trajectory.moving_base import felt_beside_the_mean
 from skin2urdf.estimation.trajectory.slack import CERTAIN
-from skin2urdf.estimation.trajectory.vertical import arms
+from skin2urdf.estimation.trajectory.vertical import NEAREST, may_sit_on_the_base
 from skin2urdf.estimation.uncertainty.plausible import are_plausible
 from skin2urdf.model.poses import joint_poses
 from skin2urdf.structure.records import KinematicTree
@@ -77,7 +77,8 @@ def with_one_on_the_base(solution: Solution, along: MotionEstimate, clock: Clock
 
     A base that sways as its first joint moves is felt as that joint is. Where all samples are not
     explained, and SUs on that joint fit worse than others, or it is vertical and does not tell, the
-    one that feels least may sit on the base; so may one that would need errors that no sensor has.
+    one that feels least may sit on the base; so may one that would need errors that no sensor has,
+    or would sit on the axis itself.
     Whether the base sways shows with all that robots have: to a rigid one the SU sits where it
     feels the same.
 
@@ -94,10 +95,12 @@ def with_one_on_the_base(solution: Solution, along: MotionEstimate, clock: Clock
         return solution
     first = {u for u, j in enumerate(tree.su_joint) if j >= 0 and tree.parent[j] < 0}
     doubtful = first.intersection(np.flatnonzero(~are_plausible(along.state)).tolist())
-    if along.misfit > GOOD_FIT:
+    unexplained = along.misfit > GOOD_FIT
+    if unexplained:
         doubtful |= first.intersection(that_fit_worse(solution, along))
-        in_doubt = {arm.su for arm in arms(along) if arm.on_joint and not arm.shown}
-        doubtful |= {tree.su_names.index(su) for su in in_doubt}
+    within = np.inf if unexplained else NEAREST
+    in_doubt = may_sit_on_the_base(along.problem, along.state, within)
+    doubtful |= {tree.su_names.index(su) for su in in_doubt}
     if not doubtful:
         return solution
     logs = along.problem.logs
@@ -112,7 +115,8 @@ def is_told(along: MotionEstimate, other: MotionEstimate) -> bool:
     Where some of those fitted worse before, at most half of that is left of one of them: of another
     it may be as much as before, as its own sensor may be what is wrong with it. What an SU on the
     base feels is what the base does, and no part of a likelihood: that all others are then
-    explained tells that it sits there, where it was not before, or by a sensor that is none.
+    explained tells that it sits there, where it was not before, or by a sensor that is none, or on
+    the axis itself.
 
     Args:
         along: the fit of all samples before, and
@@ -125,6 +129,9 @@ def is_told(along: MotionEstimate, other: MotionEstimate) -> bool:
     explained = not worse.any() or bool((are <= MOST_OF_IT * were).any())
     plausible, still = (are_plausible(each.state) for each in (along, other))
     not_before = along.misfit > GOOD_FIT or bool((moved & ~plausible & still).any())
+    if other.moving_base is not None:
+        near = may_sit_on_the_base(along.problem, along.state, NEAREST)
+        not_before |= bool(moved[[along.problem.tree.su_names.index(su) for su in near]].any())
     told = _is_certain(along, other) or (not_before and leaves_only_noise(other))
     return explained and told
 

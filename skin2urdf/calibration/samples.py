@@ -39,6 +39,7 @@ def fit_samples(
     without: Collection[str] = (),
     look_further: bool = True,
     unless_one_changed: bool = False,
+    unless_on_the_base: bool = False,
 ) -> MotionEstimate | None:
     """Fit all samples of mended logs, starting from what the features around poses say.
 
@@ -49,6 +50,7 @@ def fit_samples(
         without: causes that need not be tried, see :func:`rejected`.
         look_further: whether any is tried.
         unless_one_changed: whether none is where the change of a single SU explains what is left.
+        unless_on_the_base: whether none is where an SU on a vertical joint may sit on the base.
 
     Returns:
         None where most moments are around poses that have no samples to compare, as rests that were
@@ -84,7 +86,8 @@ def fit_samples(
     return estimate_along(
         independent(trajectories), tree, found.state, priors, latency, tell,
         most=most, without=without, look_further=look_further,
-        unless_one_changed=unless_one_changed, alike=settings.estimation.intrinsics,
+        unless_one_changed=unless_one_changed, unless_on_the_base=unless_on_the_base,
+        alike=settings.estimation.intrinsics,
         mended=_mended(logs.sampled, tree.su_names),
     )  # fmt: skip
 

@@ -100,6 +100,13 @@ def _of_a_stream(fault: Fault) -> Words:
             what = f"reads {fault.size:.2g} g at rest and is left out"
             check = "check its unit and its scale, and whether its driver takes gravity off"
             return Words(f"{su} {what}", check)
+        case "frozen" if fault.detail == "encoder":
+            what = (
+                f"{su}'s encoder repeats one value for {fault.size:.1f} s between "
+                f"{fault.begin:.1f} and {fault.end:.1f} s, while {su} moves; these times were left "
+                "out"
+            )
+            return Words(what, _CHECK_SENSOR)
         case "frozen" if fault.detail in ("x axis", "y axis", "z axis"):
             what = f"has one value on its {fault.detail} all the time and is left out"
             return Words(f"{su} {what}", _CHECK_SENSOR)

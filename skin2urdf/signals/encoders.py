@@ -9,7 +9,8 @@ from itertools import pairwise
 import numpy as np
 from scipy.ndimage import median_filter
 
-from skin2urdf.arrays import F64, Bool
+from skin2urdf.arrays import F64, Bool, Int
+from skin2urdf.faults import Fault
 from skin2urdf.recording.records import JointStream, Recording
 from skin2urdf.signals.records import EncoderError, Features
 
@@ -43,9 +44,99 @@ def leaps(recording: Recording, log: int) -> tuple[EncoderError, ...]:
 
 def _leaps(joint: JointStream, log: int) -> list[EncoderError]:
     x, t = joint.position, joint.time
+    at, sudden, limit = _sudden(joint)
+    for i, j in pairwise(at):
+        # What comes back at once comes back all the way: less than a leap is seen as none.
+        if j - i <= _NEARBY and abs(sudden[i] + sudden[j]) < limit:
+            away = (sudden[i] - sudden[j]) / 2
+            sudden[i], sudden[j] = away, -away
+    stood = {end for _, end in _standing(x, at, limit)}
+    return [
+        EncoderError("offset", joint.name, float(sudden[i]), log, float((t[i] + t[i + 1]) / 2))
+        for i in at.tolist()
+        if i not in stood
+    ]
+
+
+def without_what_stood(recording: Recording) -> tuple[Recording, tuple[Fault, ...]]:
+    """A recording without positions that stood still while joints moved on.
+
+    A driver that hears nothing of an encoder sends its last position again and again. No joint
+    stops from one sample to the next, nor is it elsewhere and on its way a sample later: where it
+    was meanwhile nothing tells. Times are left out for all joints alike, as what one of them does
+    is felt beyond the others.
+
+    Args:
+        recording: the log.
+
+    Returns:
+        What is left of it, and a fault for each joint that stood.
+    """
+    stood = {joint.name: _times_of_standing(joint) for joint in recording.joints}
+    times = [span for spans in stood.values() for span in spans]
+    if not times:
+        return recording, ()
+    joints = [joint.at(~_is_within(joint.time, times)) for joint in recording.joints]
+    faults = tuple(
+        Fault(
+            "frozen", name, "encoder", begin=spans[0][0], end=spans[-1][1],
+            size=sum(end - begin for begin, end in spans), unit="s",
+        )
+        for name, spans in stood.items()
+        if spans
+    )  # fmt: skip
+    return replace(recording, joints=tuple(joints)), faults
+
+
+def _times_of_standing(joint: JointStream) -> list[tuple[float, float]]:
+    """Times after which, and up to which, a joint's positions stood still while it moved [s]."""
+    at, _, limit = _sudden(joint)
+    t = joint.time
+    return [(float(t[begin]), float(t[end])) for begin, end in _standing(joint.position, at, limit)]
+
+
+def _is_within(time: F64, spans: Sequence[tuple[float, float]]) -> Bool:
+    """(N,) which times are within any of the spans, without their beginnings."""
+    out = np.zeros(len(time), dtype=bool)
+    for begin, end in spans:
+        out |= (time > begin) & (time <= end)
+    return out
+
+
+def _standing(x: F64, at: Int, limit: float) -> list[tuple[int, int]]:
+    """First and last samples of what stood still while the joint moved, of a track (N,).
+
+    Args:
+        x: the track.
+        at: samples after which it leaps.
+        limit: change of a step that no motion makes.
+    """
+    out = []
+    least = _STEPS * _finest(np.diff(x))
+    for end in at.tolist():
+        differs = np.flatnonzero(x[: end + 1] != x[end])
+        begin = int(differs[-1]) + 1 if len(differs) else 0
+        if end - begin < _NEARBY:
+            continue
+        # What leaps back at once is not on its way.
+        behind = np.diff(x[end + 1 : end + 2 + _NEARBY])
+        stops = begin > 0 and abs(x[begin] - x[begin - 1]) > limit
+        if stops or len(behind) * abs(np.median(behind)) > least:
+            out.append((begin, end))
+    return out
+
+
+def _sudden(joint: JointStream) -> tuple[Int, F64, float]:
+    """Where a joint leaps.
+
+    Returns:
+        (L,) samples after which it does, (N - 1,) by how much steps differ from those around them,
+        and the least that is a leap.
+    """
+    x, t = joint.position, joint.time
     step, period = np.diff(x), np.diff(t)
     if len(step) < 100:
-        return []
+        return np.zeros(0, dtype=np.int64), step, np.inf
     sudden = step - _middle(step)
     # A sample that was sent twice is no stop: by their times, such steps are none.
     speed = np.divide(step, period, out=np.zeros_like(step), where=period > 0)
@@ -59,17 +150,7 @@ def _leaps(joint: JointStream, log: int) -> list[EncoderError]:
     # Nor do the few samples before the first steps, at which a drive may as well set out.
     near[:_NEARBY] = near[len(near) - _NEARBY :] = False
     at = np.flatnonzero((size > limit) & (period < 1.5 * usual) & near)
-    if not 0 < len(at) <= _MOST:
-        return []
-    for i, j in pairwise(at):
-        # What comes back at once comes back all the way: less than a leap is seen as none.
-        if j - i <= _NEARBY and abs(sudden[i] + sudden[j]) < limit:
-            away = (sudden[i] - sudden[j]) / 2
-            sudden[i], sudden[j] = away, -away
-    return [
-        EncoderError("offset", joint.name, float(sudden[i]), log, float(t[i] + period[i] / 2))
-        for i in at
-    ]
+    return at if len(at) <= _MOST else at[:0], sudden, limit
 
 
 def _middle(values: F64) -> F64:

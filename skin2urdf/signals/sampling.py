@@ -21,6 +21,7 @@ from skin2urdf.recording.shelf import STREAMS_IN_MEMORY, put_away, room_for_stre
 from skin2urdf.signals.band import quietness, suitable_cutoffs
 from skin2urdf.signals.clocks import su_clocks
 from skin2urdf.signals.digits import alike, left_by_averages
+from skin2urdf.signals.encoders import without_what_stood
 from skin2urdf.signals.filters import sample, spread
 from skin2urdf.signals.health import WEIGHTLESS, checked, is_within, unusable
 from skin2urdf.signals.mending import computed
@@ -130,6 +131,7 @@ def sample_recording(
     Raises:
         InsufficientDataError: too few samples, or the robot never rests and has to.
     """
+    recording, stood = without_what_stood(recording)
     motion = joint_motion(recording, dof_names)
     odd = _in_odd_units(motion, recording.source)
     rests = find_rests(motion)
@@ -160,7 +162,7 @@ def sample_recording(
     period, quiet = np.zeros(len(su_names)), np.full(len(su_names), np.nan)
     digits = np.zeros((len(su_names), 2))
     notes: list[Noted] = [*recording.notes, *held, *odd]
-    faults: list[Fault] = []
+    faults: list[Fault] = [*stood]
     still = np.zeros(grid.size, dtype=bool)
     for r in rests:
         still[r.begin : r.end] = True

@@ -105,6 +105,7 @@ class Explained:
         wander: per log (N,) by how much later its readings were taken as clocks wander [s]; ()
             where they do not.
         left_to_one: whether nothing was tried, as what is left is the change of a single SU.
+        left_to_place: whether nothing was, as an SU may sit on the base instead.
         read: by cause, how joints are read otherwise than their stamps say.
     """
 
@@ -115,6 +116,7 @@ class Explained:
     under_known: UnderKnown | None = None
     wander: tuple[F64, ...] = ()
     left_to_one: bool = False
+    left_to_place: bool = False
     read: Mapping[str, Read] = field(default_factory=dict)
 
 

@@ -32,6 +32,7 @@ from skin2urdf.estimation.trajectory.fit import Fitted
 from skin2urdf.estimation.trajectory.in_time import in_time
 from skin2urdf.estimation.trajectory.problem import MotionProblem
 from skin2urdf.estimation.trajectory.slack import CERTAIN, slack
+from skin2urdf.estimation.trajectory.vertical import may_sit_on_the_base
 
 _BEYOND = 200.0
 """Misfit beyond which no cause is looked for: gears that yield by 3 mrad leave 11, a joint whose
@@ -47,6 +48,7 @@ def explained(
     only_known: bool = False,
     without: Collection[str] = (),
     unless_one_changed: bool = False,
+    unless_on_the_base: bool = False,
 ) -> Explained:
     """Try what a rigid robot with steady sensors has not, where it does not explain the readings.
 
@@ -58,12 +60,17 @@ def explained(
         without: causes that need not be tried.
         unless_one_changed: whether nothing is tried, either, where the change of a single SU
             explains what the rigid robot leaves.
+        unless_on_the_base: whether nothing is tried, either, where an SU on a vertical first joint
+            may as well sit on the base: none of it would explain what it feels there.
     """
     given = problem.priors.blueprint is not None
     places = slack(problem.tree, problem.logs, zeros_given=given)
     rigid = Attempt(problem, fitted, (), places)
     if rigid.misfit > min(most, _BEYOND):
         return Explained(problem, fitted)
+    asks = unless_on_the_base and rigid.misfit > EXPLAINED
+    if asks and may_sit_on_the_base(problem, fitted.state.placements):
+        return Explained(problem, fitted, left_to_place=True)
     if unless_one_changed and one_alone_changed(problem, fitted, EXPLAINED):
         return Explained(problem, fitted, left_to_one=True)
     rigid = in_time(rigid)

@@ -68,6 +68,7 @@ def estimate_along(
     without: Collection[str] = (),
     most: float = np.inf,
     unless_one_changed: bool = False,
+    unless_on_the_base: bool = False,
     iterations: int = 30,
     lengths: bool = True,
     alike: bool = False,
@@ -89,6 +90,7 @@ def estimate_along(
             the base that SUs on it feel.
         most: misfit beyond which they are not tried either.
         unless_one_changed: nor, if so, where the change of one SU explains what is left.
+        unless_on_the_base: nor, if so, where an SU on a vertical first joint may sit on the base.
         iterations: linearisations, at most, of a first fit and of the last.
         lengths: whether what the noise of encoders does to lengths is taken off.
         alike: whether what the samples show of some sensors tells how good the others are.
@@ -122,19 +124,21 @@ def estimate_along(
         problem, fitted, begin, lambda about, at: misfit_of(about, at, SPAN)
     )
 
-    def look(without: Collection[str], unless_one_changed: bool = False) -> Explained:
+    def look(without: Collection[str], *, unless: bool = False) -> Explained:
         found = Explained(problem, fitted)
         if look_further:
             found = explained(
                 problem, fitted, most, only_known=only_known, without=without,
-                unless_one_changed=unless_one_changed,
+                unless_one_changed=unless and unless_one_changed,
+                unless_on_the_base=unless and unless_on_the_base,
             )  # fmt: skip
         return with_likely_sensors(with_times_open(found), iterations)
 
     asked_without = without
     if look_further and not _links_may_explain(problem, fitted):
         without = {*without, *BENDS}
-    found = look(without, unless_one_changed)
+    found = look(without, unless=True)
+    lengths = lengths and not (found.left_to_one or found.left_to_place)
     if found.causes and not are_plausible(found.fitted.state.placements).all():
         # What no sensor is has stood for another cause.
         others = {*without, *found.causes}
@@ -158,7 +162,8 @@ def estimate_along(
     what = found.causes, found.tried, found.under_known
     estimate = MotionEstimate(
         problem, fitted, left, gyros, *what, late, ended.corrected, ended.hidden, ended.loads,
-        found.wander, found.left_to_one, *how_joints_were_read(found), moving_base,
+        found.wander, found.left_to_one, found.left_to_place, *how_joints_were_read(found),
+        moving_base,
     )  # fmt: skip
     if moving_base is not None and DRIFT in found.causes:
         # Sensors that warm up together all feel what one of them on the base does; up to a misfit

@@ -71,6 +71,7 @@ class MotionEstimate:
         wander: per log (N,) by how much later its readings were taken as clocks wander [s]; ()
             where they do not.
         left_to_one: whether no cause was tried, as what is left is the change of a single SU.
+        left_to_place: whether none was, as an SU on a vertical joint may sit on the base instead.
         ages: (D,) by how much older the positions of each joint are than those of all in the mean,
             under one stamp [s]; 0 where all are as old as each other.
         smoothing: (D,) by how much each joint is further per acceleration than it was read [s^2];
@@ -94,6 +95,7 @@ class MotionEstimate:
     loads: ShakenLoads | None = None
     wander: tuple[F64, ...] = ()
     left_to_one: bool = False
+    left_to_place: bool = False
     ages: F64 = field(default_factory=lambda: np.zeros(0))
     smoothing: F64 = field(default_factory=lambda: np.zeros(0))
     unreached: float = 0.0

@@ -22,6 +22,7 @@ import numpy as np
 
 from skin2urdf.arrays import F64, Bool, Int, Record
 from skin2urdf.estimation.trajectory.arrow import eliminated, joint_inverse
+from skin2urdf.estimation.trajectory.base_clock import read_with_others
 from skin2urdf.estimation.trajectory.felt_on_the_base import (
     UNIT,
     Felt,
@@ -47,8 +48,8 @@ FELT = "felt"
 _MOST_SUS = 3
 """SUs on the base that are asked, those with most samples: three tell all motion of a body."""
 _COVERED = 0.9
-"""Part of a log in which an SU has to read so that it is asked: where it does not, nothing is known
-of the base, and no SU is compared."""
+"""Part of the time in which any SU is compared for which an SU has to read so that it is asked:
+where it does not, nothing is known of the base, and no SU is compared."""
 _STEPS = 12
 """Steps at most until the motion of the base is found."""
 _ITS_OWN = 0.5
@@ -119,10 +120,12 @@ def standing_still(
     asked = _asked(problem)
     if not len(asked) or problem.unseen is not None:
         return problem, fitted, None
+    given = problem, fitted, None
+    problem, fitted = read_with_others(problem, fitted, asked)
     whole = problem.again(logs=[_where_known(log, asked) for log in problem.logs])
     state, asked = _with_sus_turned(whole, fitted, asked)
     if not len(asked):
-        return problem, fitted, None
+        return given
     by_loads, goes_with_loads = None, False
     if yields:
         yielding, there = fit_yielding(problem, fitted, elastic=False, base=True)
@@ -204,9 +207,10 @@ def _shown(problem: MotionProblem, fitted: Fitted, asked: Int) -> Size:
 
 
 def _asked(problem: MotionProblem) -> Int:
-    """(B,) SUs on the base that read nearly all the time, those that do most first."""
+    """(B,) SUs on the base that read nearly whenever any SU does, those that do most first."""
     on_base = np.flatnonzero(problem.tree.su_joint < 0)
-    read = np.min([log.valid[:, on_base].mean(axis=0) for log in problem.logs], axis=0)
+    compared = [log.valid[log.valid.any(axis=1)] for log in problem.logs]
+    read = np.min([each[:, on_base].mean(axis=0) for each in compared if len(each)], axis=0)
     order = np.argsort(-read, kind="stable")[:_MOST_SUS]
     return np.asarray(on_base[order[read[order] >= _COVERED]])
 

@@ -16,6 +16,7 @@ import numpy as np
 from skin2urdf.arrays import F64, Bool, Int
 from skin2urdf.estimation.problem.state import State
 from skin2urdf.estimation.trajectory.motion_estimate import MotionEstimate
+from skin2urdf.estimation.trajectory.problem import MotionProblem
 from skin2urdf.geometry.so3 import skew
 from skin2urdf.notes import Note
 from skin2urdf.structure.records import KinematicTree
@@ -70,7 +71,7 @@ def notes_on_vertical_joints(
         return tuple(Note("vertical axis", tuple(on_base), (j,), detail="inactive") for j in joints)
     several = int((tree.su_joint < 0).sum()) > 1
     groups: dict[tuple[str, bool, bool], list[Arm]] = {}
-    for arm in arms(along):
+    for arm in arms(along.problem, along.state):
         # Of several on the base one may always sit on the axis itself.
         if not arm.shown or (several and not arm.on_joint):
             groups.setdefault((arm.joint, arm.on_joint, arm.shown), []).append(arm)
@@ -97,28 +98,43 @@ def _vertical(tree: KinematicTree, state: State) -> list[int]:
     ]
 
 
-def arms(along: MotionEstimate) -> tuple[Arm, ...]:
+def may_sit_on_the_base(
+    problem: MotionProblem, state: State, within: float = np.inf
+) -> tuple[str, ...]:
+    """SUs on a vertical first joint whose arms do not show that they sit there.
+
+    Args:
+        problem: the logs and the structure.
+        state: the estimate.
+        within: distance from the axis that they may not be beyond [m].
+    """
+    found = arms(problem, state)
+    return tuple(a.su for a in found if a.on_joint and not a.shown and a.reach < within)
+
+
+def arms(problem: MotionProblem, state: State) -> tuple[Arm, ...]:
     """The arms of SUs that sit on the base, or on a first joint that is vertical in all logs.
 
     Args:
-        along: the fit of all samples.
+        problem: the logs and the structure.
+        state: the estimate.
 
     Returns:
         Those of SUs without a gyroscope, which would tell; none of SUs without samples.
     """
-    tree = along.problem.tree
+    tree = problem.tree
     pairs = [
         (u, j)
-        for j in _vertical(tree, along.state)
+        for j in _vertical(tree, state)
         for u in np.flatnonzero((tree.su_joint < 0) | (tree.su_joint == j)).tolist()
     ]
-    found = [_arm(along, u, j) for u, j in pairs]
+    found = [_arm(problem, u, j) for u, j in pairs]
     return tuple(arm for arm in found if arm is not None)
 
 
-def _arm(along: MotionEstimate, u: int, j: int) -> Arm | None:
+def _arm(problem: MotionProblem, u: int, j: int) -> Arm | None:
     """The arm of SU u about the axis of joint j."""
-    logs, tree = along.problem.logs, along.problem.tree
+    logs, tree = problem.logs, problem.tree
     if any(log.turning is not None and log.turning[:, u].any() for log in logs):
         return None
     columns, left, functions, stretch = [], [], [], []
@@ -151,7 +167,8 @@ def _arm(along: MotionEstimate, u: int, j: int) -> Arm | None:
     if on_joint:
         explained, rest = _foretold(A.reshape(-1, 2), y.reshape(-1, 1), np.repeat(part, 3))
         beside, _ = _foretold(F, rest.reshape(y.shape), part)
-        shown = length > _SIGNIFICANT * sd and explained > beside
+        # So near the axis hardly any case fits on a segment, and a base that shakes does as much.
+        shown = length > _SIGNIFICANT * sd and explained > beside and reach >= NEAREST
     else:
         shown = reach < NEAREST
     return Arm(tree.su_names[u], tree.joint_names[j], on_joint, reach, shown)

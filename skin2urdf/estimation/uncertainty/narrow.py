@@ -6,6 +6,7 @@ import numpy as np
 
 from skin2urdf.arrays import F64, Bool
 from skin2urdf.estimation.solve.estimate import Estimate
+from skin2urdf.estimation.uncertainty.plausible import are_plausible
 from skin2urdf.geometry.units import MILLI_G
 
 _BEYOND = 3.0
@@ -20,13 +21,17 @@ def narrow_priors(found: Estimate) -> tuple[str, ...]:
 
     Estimated biases and scales are held against the deviations that were given. Where an error was
     denied altogether, so that none was estimated, the magnitude of the readings at rest shows it:
-    it is gravity's, whatever the robot is.
+    it is gravity's, whatever the robot is. Where most come out worse than any sensor is, it is the
+    robot that is wrong, and nothing is known of them.
 
     Args:
         found: an estimate, however bad.
     """
     told, state = found.given, found.state
-    on = found.tree.su_joint >= 0  # an SU on the base may lean on its prior alone
+    moved = found.tree.su_joint >= 0  # an SU on the base may lean on its prior alone
+    on = moved & are_plausible(state)
+    if 2 * on.sum() < moved.sum():
+        return ()
     estimated = _estimated(found)
     words = []
     if estimated[:3].any() and told.bias > 0:

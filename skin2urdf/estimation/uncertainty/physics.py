@@ -78,9 +78,9 @@ _PHYSICS = {
         "home them once, before the first log, and see that couplings and belts do not slip",
     ),
     "slack": (
-        "joints off their encoders by other amounts in every place, as play and a base that gives "
-        "way make them",
-        "put an SU on the base, fix it more stiffly, and check the joints for play",
+        "joints off their encoders by other amounts in every place, as play, a base that gives way "
+        "and loads that are taken up and put down make them",
+        "put an SU on the base, fix it more stiffly, carry nothing, and check the joints for play",
     ),
 }
 """What causes are called, and what to do about them."""

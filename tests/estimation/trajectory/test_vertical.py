@@ -53,7 +53,7 @@ def noisy(recording: Recording, noise: float) -> Recording:
 
 def told(found: Calibration) -> list[Arm]:
     assert found.along is not None
-    return sorted(arms(found.along), key=lambda arm: arm.on_joint)
+    return sorted(arms(found.along.problem, found.along.state), key=lambda arm: arm.on_joint)
 
 
 def test_moves_show_which_sus_a_vertical_joint_carries(log: Recording) -> None:

@@ -28,6 +28,17 @@ def test_priors_far_below_what_was_found_are_named(name: str, option: str) -> No
     assert option in why_bad(narrow, 50.0)[1]
 
 
+def test_sensors_that_are_none_say_nothing_of_what_was_given() -> None:
+    """Of a robot with another tree most SUs come out with scale errors as none has."""
+    found = calibration().estimate
+    shape = np.zeros_like(found.state.shape)
+    shape[found.tree.su_joint >= 0] = 0.3
+    shape[np.argmax(found.tree.su_joint >= 0)] = 0.0
+    wrong = replace(found, state=replace(found.state, shape=shape))
+    assert narrow_priors(wrong) == ()
+    assert "--scale" not in why_bad(wrong, 50.0)[1]
+
+
 def test_the_worst_sus_are_those_of_all_samples_where_these_decide() -> None:
     """Features of a log without patterns are rests, which leave nothing of what moves show."""
     found = calibration().estimate

@@ -128,7 +128,7 @@ def test_an_su_on_a_table_that_rocks_is_on_no_joint(
 
 def test_an_su_on_the_axis_of_a_vertical_joint_sits_on_a_table_that_rocks(tmp_path: Path) -> None:
     """Slow moves fit it as a base that yields and joints read late, with no place for its case."""
-    arm, recording = _recorded(40.0, hertz=14.0, rocks=(20000.0, 0.7), poses=20, vertical=True)
+    arm, recording = _recorded(40.0, hertz=14.0, rocks=(20000.0, 0.7), poses=24, vertical=True)
     sus, joints = _names(arm)
     found = calibrate(recording)
     compared = held_against(found, truth_urdf(arm, sus, joints), tmp_path)

@@ -23,6 +23,8 @@ from skin2urdf.signals.trajectory import Trajectory
 _LONGEST, _STEP = 0.15, 0.01
 """Lags that are compared, and from one to the next [s]: what a base does at 7 Hz, faster than any
 log is compared at, goes through a fifteenth of its swing in between."""
+_DEVIATIONS = 3.0
+"""Standard deviations of what chi-squared scatters by that chance does not make of any lag."""
 
 
 def read_with_others(
@@ -53,7 +55,7 @@ def read_later(problem: MotionProblem, fitted: Fitted, asked: Int) -> F64:
 
     For each lag every other SU's residuals, in the base's frame, are regressed on what was felt on
     the base: the sum of what chi-squared falls by is largest where they were read at once. Lags
-    that say no more than none does, or of which the longest says most, are none.
+    that say no more than chance makes of none, or of which the longest says most, are none.
 
     Args:
         problem: the logs, of a robot on a base that stands still.
@@ -76,15 +78,18 @@ def read_later(problem: MotionProblem, fitted: Fitted, asked: Int) -> F64:
         for b, u in enumerate(asked):
             felt = Spline(_beside_its_mean(log.readings[:, u]))
             gains = [_fall(_at(felt, log, lag), left, weight) for lag in lags]
-            out[g, b] = _peak(lags, np.array(gains, dtype=np.float64))
+            # Chi-squared of so many numbers scatters by twice the root of them from lag to lag.
+            n_numbers = 9 * int((weight > 0).any(axis=0).sum())
+            chance = 2 * CERTAIN + _DEVIATIONS * 2 * np.sqrt(n_numbers)
+            out[g, b] = _peak(lags, np.array(gains, dtype=np.float64), chance)
     return out
 
 
-def _peak(lags: F64, gains: F64) -> float:
-    """The lag of the largest gain, between those compared; 0 where none gains more for certain."""
+def _peak(lags: F64, gains: F64, chance: float) -> float:
+    """The lag of the largest gain, between those compared; 0 where chance makes as much."""
     best = int(np.argmax(gains))
     none = len(lags) // 2
-    if best in (0, len(lags) - 1) or gains[best] - gains[none] < 2 * CERTAIN:
+    if best in (0, len(lags) - 1) or gains[best] - gains[none] < chance:
         return 0.0
     before, here, behind = gains[best - 1 : best + 2]
     return float(lags[best] + 0.5 * _STEP * (before - behind) / (before - 2 * here + behind))

@@ -209,8 +209,14 @@ def _shown(problem: MotionProblem, fitted: Fitted, asked: Int) -> Size:
 def _asked(problem: MotionProblem) -> Int:
     """(B,) SUs on the base that read nearly whenever any SU does, those that do most first."""
     on_base = np.flatnonzero(problem.tree.su_joint < 0)
-    compared = [log.valid[log.valid.any(axis=1)] for log in problem.logs]
-    read = np.min([each[:, on_base].mean(axis=0) for each in compared if len(each)], axis=0)
+    compared = [max(1, int(log.valid.any(axis=1).sum())) for log in problem.logs]
+    read = np.min(
+        [
+            log.valid[:, on_base].sum(axis=0) / n
+            for log, n in zip(problem.logs, compared, strict=True)
+        ],
+        axis=0,
+    )
     order = np.argsort(-read, kind="stable")[:_MOST_SUS]
     return np.asarray(on_base[order[read[order] >= _COVERED]])
 

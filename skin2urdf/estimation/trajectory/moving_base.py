@@ -48,8 +48,8 @@ FELT = "felt"
 _MOST_SUS = 3
 """SUs on the base that are asked, those with most samples: three tell all motion of a body."""
 _COVERED = 0.9
-"""Part of the time in which any SU is compared for which an SU has to read so that it is asked:
-where it does not, nothing is known of the base, and no SU is compared."""
+"""Part of a log in which an SU has to read so that it is asked: where it does not, nothing is known
+of the base, and no SU is compared."""
 _STEPS = 12
 """Steps at most until the motion of the base is found."""
 _ITS_OWN = 0.5
@@ -207,16 +207,9 @@ def _shown(problem: MotionProblem, fitted: Fitted, asked: Int) -> Size:
 
 
 def _asked(problem: MotionProblem) -> Int:
-    """(B,) SUs on the base that read nearly whenever any SU does, those that do most first."""
+    """(B,) SUs on the base that read nearly all the time, those that do most first."""
     on_base = np.flatnonzero(problem.tree.su_joint < 0)
-    compared = [max(1, int(log.valid.any(axis=1).sum())) for log in problem.logs]
-    read = np.min(
-        [
-            log.valid[:, on_base].sum(axis=0) / n
-            for log, n in zip(problem.logs, compared, strict=True)
-        ],
-        axis=0,
-    )
+    read = np.min([log.valid[:, on_base].mean(axis=0) for log in problem.logs], axis=0)
     order = np.argsort(-read, kind="stable")[:_MOST_SUS]
     return np.asarray(on_base[order[read[order] >= _COVERED]])
 

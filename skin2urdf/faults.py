@@ -24,14 +24,13 @@ FaultKind = Literal[
     "encoder jump",
     "contact",
 ]
-"""Of SUs: no readings at all or zeros; one value repeated (of an encoder as well, while its joint
-moves); readings cut off at the end of the
+"""Of SUs: no readings at all or zeros; one value repeated; readings cut off at the end of the
 range; samples missing again and again; far noisier than the others, or values among
 its readings that no motion made; motion of its own while all joints rest; another placement from
 some time on, or another bias; two names exchanged between logs; negated or left-handed; a unit that
 is no m/s^2.
-Of joints: an encoder that counts the other way; by another factor; from another zero from some
-time on; a joint that something touched."""
+Of joints: one value repeated while it moves; an encoder that counts the other way; by another
+factor; from another zero from some time on; a joint that something touched."""
 
 
 _TO_REPAIR: tuple[FaultKind, ...] = (

@@ -118,10 +118,13 @@ def _standing(x: F64, at: Int, limit: float) -> list[tuple[int, int]]:
         begin = int(differs[-1]) + 1 if len(differs) else 0
         if end - begin < _NEARBY:
             continue
-        # What leaps back at once is not on its way.
-        behind = np.diff(x[end + 1 : end + 2 + _NEARBY])
-        stops = begin > 0 and abs(x[begin] - x[begin - 1]) > limit
-        if stops or len(behind) * abs(np.median(behind)) > least:
+        # What leaps back at once is not on its way, nor are setpoints that go in leaps.
+        before, behind = (
+            _NEARBY * abs(float(np.median(np.diff(x[first : first + _NEARBY + 1]))))
+            for first in (max(0, begin - 1 - _NEARBY), end + 1)
+        )
+        stops = before > least and abs(x[begin] - x[begin - 1]) > limit
+        if stops or behind > least:
             out.append((begin, end))
     return out
 

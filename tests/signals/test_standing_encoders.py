@@ -71,6 +71,20 @@ def test_an_encoder_that_leaps_at_rest_or_on_its_way_did_not_stand(at: float) ->
     assert leap.size == pytest.approx(0.1, abs=0.01)
 
 
+def test_setpoints_that_go_in_leaps_do_not_stand() -> None:
+    places = np.random.default_rng(2).uniform(-1.0, 1.0, 10)
+    x = places[(_TIME // 4.0).astype(int)]
+    recording = _recording(x, _track(0.7))
+    assert without_what_stood(recording) == (recording, ())
+
+
+def test_what_stood_until_the_joint_rested_is_left_out() -> None:
+    """It ends in a leap at rest, and began on the way: no joint stops from sample to sample."""
+    x = _standing(8.0 * _track(0.0), 9.9, 11.3)
+    _, (fault,) = without_what_stood(_recording(x, _track(0.7)))
+    assert fault.end == pytest.approx(11.3, abs=0.02)
+
+
 def test_a_leap_besides_what_stood_is_still_one() -> None:
     x = _standing(_track(0.0), 9.9, 10.9) + 0.1 * (_TIME >= 26.5)
     recording = _recording(x, _track(0.7))

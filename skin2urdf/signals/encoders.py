@@ -12,6 +12,7 @@ from scipy.ndimage import median_filter
 from skin2urdf.arrays import F64, Bool, Int
 from skin2urdf.faults import Fault
 from skin2urdf.recording.records import JointStream, Recording
+from skin2urdf.signals.health import is_within
 from skin2urdf.signals.records import EncoderError, Features
 
 _LEAP = 10.0
@@ -76,7 +77,7 @@ def without_what_stood(recording: Recording) -> tuple[Recording, tuple[Fault, ..
     times = [span for spans in stood.values() for span in spans]
     if not times:
         return recording, ()
-    joints = [joint.at(~_is_within(joint.time, times)) for joint in recording.joints]
+    joints = [joint.at(~is_within(joint.time, times)) for joint in recording.joints]
     faults = tuple(
         Fault(
             "frozen", name, "encoder", begin=spans[0][0], end=spans[-1][1],
@@ -89,18 +90,10 @@ def without_what_stood(recording: Recording) -> tuple[Recording, tuple[Fault, ..
 
 
 def _times_of_standing(joint: JointStream) -> list[tuple[float, float]]:
-    """Times after which, and up to which, a joint's positions stood still while it moved [s]."""
+    """Times of a joint's first repetition, and of its next position, where it moved between [s]."""
     at, _, limit = _sudden(joint)
-    t = joint.time
-    return [(float(t[begin]), float(t[end])) for begin, end in _standing(joint.position, at, limit)]
-
-
-def _is_within(time: F64, spans: Sequence[tuple[float, float]]) -> Bool:
-    """(N,) which times are within any of the spans, without their beginnings."""
-    out = np.zeros(len(time), dtype=bool)
-    for begin, end in spans:
-        out |= (time > begin) & (time <= end)
-    return out
+    stood = _standing(joint.position, at, limit)
+    return [(float(joint.time[begin + 1]), float(joint.time[end + 1])) for begin, end in stood]
 
 
 def _standing(x: F64, at: Int, limit: float) -> list[tuple[int, int]]:

@@ -196,10 +196,10 @@ def unusable(name: str, readings: F64, still: Bool, valid: Bool, gravity: float)
     return None
 
 
-def is_within(time: F64, rests: Sequence[tuple[float, float]]) -> Bool:
-    """(M,) True for times inside one of the intervals."""
+def is_within(time: F64, spans: Sequence[tuple[float, float]]) -> Bool:
+    """(M,) True for times inside one of the intervals, their beginnings included [s]."""
     inside = np.zeros(len(time), dtype=bool)
-    for begin, end in rests:
+    for begin, end in spans:
         a, b = np.searchsorted(time, [begin, end])
         inside[a:b] = True
     return inside

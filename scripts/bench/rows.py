@@ -60,6 +60,7 @@ ROWS: Mapping[str, tuple[Defect, ...]] = MappingProxyType(
         "gear error 0.5 arcmin": (_gear(0.5),),
         "gear error 1.5 arcmin": (_gear(1.5),),
         "strain wave 0.1 mrad": (GearHarmonics(once=0.0, twice=0.0, motor=0.1e-3),),
+        "planets 0.3 mrad": (GearHarmonics(once=0.0, twice=0.0, between=0.3e-3),),
         "coupling slips by 0.02 %": (SlippingCoupling(2e-4),),
         "low-pass 94 Hz": (LowPass(94.0),),
         "low-pass 44 Hz": (LowPass(44.0),),

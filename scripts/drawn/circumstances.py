@@ -176,7 +176,9 @@ _SIZES: Mapping[str, Callable[[np.random.Generator, float], Defect]] = MappingPr
     "base": lambda rng, _: real.YieldingBase(_between(rng, 20e3, 200e3)),
     "backlash": lambda rng, _: real.Backlash(_between(rng, 1e-4, 1e-3)),
     "gear error": lambda rng, _: real.GearHarmonics(
-        *_and_half(_between(rng, 0.2, 1.5) * _ARCMIN)),
+        *_and_half(_between(rng, 0.2, 1.5) * _ARCMIN),
+        between=_between(rng, 1e-4, 1e-3) * float(rng.random() < 0.5),
+        stage=_between(rng, 3.0, 40.0)),
     "slip": lambda rng, _: real.SlippingCoupling(_between(rng, 3e-5, 3e-4)),
     "low-pass": lambda rng, _: real.LowPass(_between(rng, 10.0, 94.0), int(rng.integers(1, 3))),
     "gravity": lambda rng, _: real.LocalGravity(float(rng.uniform(9.764, 9.834))),

@@ -279,19 +279,19 @@ def test_straight_hinges_leave_the_robot_as_it_is() -> None:
 
 
 def test_ripples_of_gears_are_functions_of_their_positions() -> None:
-    simulation = recorded(GearHarmonics(once=1e-3, twice=5e-4))
+    simulation = recorded(GearHarmonics(once=1e-3, twice=5e-4, between=3e-4, stage=7.4))
     moved = simulation.moved
     time = moved.motion.time
     motor = moved.motor.at(time)[0]
     ahead = moved.motion.position - motor
     for d in range(6):
-        angles = np.outer(motor[:, d], [1.0, 2.0])
+        angles = np.outer(motor[:, d], [1.0, 2.0, 7.4])
         waves = np.hstack([np.sin(angles), np.cos(angles)])
         fit, *_ = np.linalg.lstsq(waves, ahead[:, d], rcond=None)
         np.testing.assert_allclose(waves @ fit, ahead[:, d], atol=1e-9)
         # A joint that turns little tells no sine from its neighbour; one that turns far does.
         if np.ptp(motor[:, d]) > 1.5:
-            np.testing.assert_allclose(np.hypot(fit[:2], fit[2:]), [1e-3, 5e-4], rtol=1e-3)
+            np.testing.assert_allclose(np.hypot(fit[:3], fit[3:]), [1e-3, 5e-4, 3e-4], rtol=1e-3)
 
 
 def test_backlash_is_half_a_gap_where_the_load_is_clear() -> None:

@@ -273,7 +273,7 @@ class Attempt:
         found = self.certain_curvature
         if found is None:
             return self
-        others = [self.sized(more)[1].gain for _, more in self.of_few_sizes() if more is not None]
+        others = [self.sized(more)[1].gain for _, more in self.of_few_sizes if more is not None]
         return self if found.gain <= max([*self.gains.values(), *others]) else self.curved()
 
     def curved(self) -> Attempt:
@@ -298,6 +298,7 @@ class Attempt:
         causes = tuple(cause for cause in self.causes if cause != CURVES)
         return replace(self, problem=problem, fitted=fit(problem, state, near=True), causes=causes)
 
+    @cached_property
     def of_few_sizes(self) -> list[tuple[str, Unseen | None]]:
         """What has as many numbers as slack, or fewer, by name: what it has not yet.
 

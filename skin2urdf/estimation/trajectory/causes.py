@@ -258,7 +258,7 @@ def _with_few_sizes(rigid: Attempt, by_bends: float, without: Collection[str]) -
     while best.needs_a_cause and (slack_size := best.certain_slack) is not None:
         proposed = {
             name: best.sized(more)
-            for name, more in best.of_few_sizes()
+            for name, more in best.of_few_sizes
             if more is not None and name not in without
         }
         if not proposed:

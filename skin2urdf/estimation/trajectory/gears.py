@@ -1,10 +1,12 @@
 """Gears whose output is ahead and behind by turns, as functions of their joint's position.
 
 Wheels out of centre and out of round make errors once and twice per turn of the joint, the wave of
-a strain wave gear (and the magnet of a motor's encoder) one or two hundred times. An error
-``a sin(n q) + b cos(n q)`` is linear in a and b; which n beyond the first two a gear has is looked
-for: what the residuals pull at every n is a sum over samples, as a periodogram is. A driver that
-takes a gear for one of another ratio has positions that are off by a share of themselves.
+a strain wave gear (and the magnet of a motor's encoder) one or two hundred times, and wheels in
+between, as planets and the cranks of cycloids are, as often as they turn, which need not be a whole
+number. An error ``a sin(n q) + b cos(n q)`` is linear in a and b; which n beyond the first two a
+gear has is looked for: what the residuals pull at every n is a sum over samples, as a periodogram
+is. A driver that takes a gear for one of another ratio has positions that are off by a share of
+themselves.
 """
 
 from __future__ import annotations
@@ -24,9 +26,15 @@ from skin2urdf.structure.records import KinematicTree
 
 _TURNS = (1, 2)
 """Errors per turn that any gear has."""
-_RIPPLES = np.arange(20, 642)
-"""Errors per turn that are looked for: once and twice per turn of motors that are geared down by up
-to 320; below 20 there is no such gear."""
+_FEWEST, _MOST = 3.0, 642.0
+"""Errors per turn that are looked for: from what once and twice per turn do not follow to twice per
+turn of motors that are geared down by up to 320."""
+_APART = 0.5
+"""Errors in a joint's whole range from one that is looked for to the next, where that is a turn or
+more: of one midway between two, either takes four fifths of what the right one would."""
+_FINER = 8
+"""Parts of the way to the next one in which the likeliest is looked for: the right one is then
+less than a hundredth of a period off by the ends of the range."""
 _AT_ONCE = 32
 """Ripples that are looked at together; it decides about memory alone."""
 _BETWEEN = 8
@@ -58,7 +66,7 @@ def ratios(logs: Sequence[Trajectory]) -> Ratios:
     return Ratios(np.arange(logs[0].q.shape[1]), tuple(log.q for log in logs))
 
 
-def ripples(logs: Sequence[Trajectory], which: Sequence[tuple[int, int]]) -> Unseen | None:
+def ripples(logs: Sequence[Trajectory], which: Sequence[tuple[int, float]]) -> Unseen | None:
     """Errors of some joints, so many times per turn: a sine and a cosine each; None without any.
 
     Args:
@@ -67,18 +75,19 @@ def ripples(logs: Sequence[Trajectory], which: Sequence[tuple[int, int]]) -> Uns
     """
     if not which:
         return None
-    joint, n = np.array(which).T
+    joint = np.array([k for k, _ in which])
+    n = np.array([per_turn for _, per_turn in which], dtype=float)
     return Unseen(np.repeat(joint, 2), tuple(_waves(log, joint, n) for log in logs))
 
 
-def _waves(log: Trajectory, joint: Int, n: Int) -> F64:
+def _waves(log: Trajectory, joint: Int, n: F64) -> F64:
     """(N, 2 S) sines and cosines of S joints' positions, low-passed as these."""
     phase = log.q[:, joint] * n
     waves = np.stack([np.sin(phase), np.cos(phase)], axis=2).reshape(len(phase), -1)
     return filtered(waves, log.taps)
 
 
-def find_ripples(problem: MotionProblem, fitted: Fitted) -> list[tuple[int, int]]:
+def find_ripples(problem: MotionProblem, fitted: Fitted) -> list[tuple[int, float]]:
     """The ripple of every joint that stands out most, if it does.
 
     Args:
@@ -92,56 +101,76 @@ def find_ripples(problem: MotionProblem, fitted: Fitted) -> list[tuple[int, int]
     found = []
     for k in np.flatnonzero(~problem.tree.prismatic).tolist():
         of_joint = [(G[k], H[k]) for G, H in parts]
-        about = _about(problem.logs, of_joint, k)
+        several = _looked_for(problem.logs, k)
+        about = _about(problem.logs, of_joint, k, several)
         usual = float(np.median(about))
-        likely = _RIPPLES[about > 0.5 * _STANDS_OUT * usual]
+        likely = several[about > 0.5 * _STANDS_OUT * usual]
         if not usual > 0 or not len(likely):
             continue
-        split = np.array_split(likely, -(-len(likely) // _AT_ONCE))
-        pulls = np.concatenate([_pulls(problem.logs, of_joint, k, n) for n in split])
-        best = int(np.argmax(pulls))
-        if pulls[best] > _STANDS_OUT * usual:
-            found.append((k, int(likely[best])))
+        best, pull = _best(problem.logs, of_joint, k, likely)
+        if pull > _STANDS_OUT * usual:
+            between = (several[1] - several[0]) / _FINER
+            nearby = best + between * np.arange(1 - _FINER, _FINER)
+            found.append((k, _best(problem.logs, of_joint, k, nearby)[0]))
     return found
 
 
-def _about(logs: Sequence[Trajectory], parts: Sequence[tuple[F64, F64]], joint: int) -> F64:
-    """(n,) nearly the chi-squared that every ripple would take.
+def _looked_for(logs: Sequence[Trajectory], joint: int) -> F64:
+    """(n,) evenly spaced errors per turn: the closer, the further the joint turns."""
+    positions = np.concatenate([log.q[:, joint] for log in logs])
+    turns = np.ceil(np.ptp(positions) / (2 * np.pi))
+    return np.arange(_FEWEST, _MOST, _APART / turns)
+
+
+def _best(
+    logs: Sequence[Trajectory], parts: Sequence[tuple[F64, F64]], joint: int, n: F64
+) -> tuple[float, float]:
+    """Which of some ripples would take the most of chi-squared, and how much."""
+    split = np.array_split(n, -(-len(n) // _AT_ONCE))
+    pulls = np.concatenate([_pulls(logs, parts, joint, few) for few in split])
+    best = int(np.argmax(pulls))
+    return float(n[best]), float(pulls[best])
+
+
+def _about(
+    logs: Sequence[Trajectory], parts: Sequence[tuple[F64, F64]], joint: int, several: F64
+) -> F64:
+    """(n,) nearly the chi-squared that each of several ripples would take, evenly spaced.
 
     Gradients are exact, by sums over samples of what residuals pull at; information is that of some
     ripples between which it changes little, the same on sines and cosines.
     """
-    gradient = np.zeros(len(_RIPPLES), dtype=np.complex128)
+    gradient = np.zeros(len(several), dtype=np.complex128)
     for log, (G, _) in zip(logs, parts, strict=True):
         pull = np.zeros((3, len(log.q)))
         pull[:, log.kept] = G
         position, speed, push = pull
         position = position - first_derivative(speed, log.rate)  # which is antisymmetric
         pull_of_wave = filtered(position + second_derivative(push, log.rate), log.taps)
-        turned = np.exp(1j * log.q[:, joint])
-        near = turned[:, None] ** np.arange(_AT_ONCE)
-        for begin in range(0, len(_RIPPLES), _AT_ONCE):
-            far = pull_of_wave * turned ** _RIPPLES[begin]
+        q = log.q[:, joint]
+        near = np.exp(1j * q[:, None] * (several[:_AT_ONCE] - several[0]))
+        for begin in range(0, len(several), _AT_ONCE):
+            far = pull_of_wave * np.exp(1j * q * several[begin])
             some = gradient[begin : begin + _AT_ONCE]
             some += (far @ near)[: len(some)]
-    at = np.unique(np.append(_RIPPLES[::_BETWEEN], _RIPPLES[-1]))
+    at = np.unique(np.append(several[::_BETWEEN], several[-1]))
     information = np.concatenate(
         [
             np.trace(_sums(logs, parts, joint, n)[1], axis1=1, axis2=2)
             for n in np.array_split(at, -(-len(at) // _AT_ONCE))
         ]
     )
-    return np.asarray(2 * np.abs(gradient) ** 2 / np.interp(_RIPPLES, at, information))
+    return np.asarray(2 * np.abs(gradient) ** 2 / np.interp(several, at, information))
 
 
-def _pulls(logs: Sequence[Trajectory], parts: Sequence[tuple[F64, F64]], joint: int, n: Int) -> F64:
+def _pulls(logs: Sequence[Trajectory], parts: Sequence[tuple[F64, F64]], joint: int, n: F64) -> F64:
     """(n,) chi-squared that a ripple would take, all else as it is."""
     g, h = _sums(logs, parts, joint, n)
     return np.asarray(np.einsum("na,na->n", g, np.linalg.solve(h, g[..., None])[..., 0]))
 
 
 def _sums(
-    logs: Sequence[Trajectory], parts: Sequence[tuple[F64, F64]], joint: int, n: Int
+    logs: Sequence[Trajectory], parts: Sequence[tuple[F64, F64]], joint: int, n: F64
 ) -> tuple[F64, F64]:
     """(n, 2) gradient in sines and cosines of ripples, and (n, 2, 2) information on them."""
     g, h = np.zeros((len(n), 2)), np.zeros((len(n), 2, 2))

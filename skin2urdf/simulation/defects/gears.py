@@ -80,18 +80,28 @@ class GearHarmonics(Defect):
         twice: amplitude twice per turn of the joint (a wheel out of round) [rad].
         motor: amplitude twice per turn of the motor (the wave of a strain wave gear) [rad].
         reduction: turns of the motor in one of the joint.
+        between: amplitude once per turn of a wheel between these, as planets and the cranks of
+            cycloids are [rad].
+        stage: turns of that wheel in one of the joint, which need not be a whole number.
     """
 
     once: float = 1.5 / 60 * pi / 180
     twice: float = 0.75 / 60 * pi / 180
     motor: float = 0.0
     reduction: float = 100.0
+    between: float = 0.0
+    stage: float = 5.3
 
     def loosen(
         self, flexibility: Flexibility, mechanism: Mechanism, rng: np.random.Generator
     ) -> Flexibility:
         """Ripples of random phase in the gears of all joints that turn."""
-        sizes = ((1.0, self.once), (2.0, self.twice), (2.0 * self.reduction, self.motor))
+        sizes = (
+            (1.0, self.once),
+            (2.0, self.twice),
+            (2.0 * self.reduction, self.motor),
+            (self.stage, self.between),
+        )
         phases = rng.uniform(0.0, 2 * pi, (mechanism.n_joints, len(sizes)))
         ripples = tuple(
             Ripple(d, per_turn, size, float(phases[d, i]))

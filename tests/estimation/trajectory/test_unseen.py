@@ -54,6 +54,7 @@ def _moved(unseen: str) -> tuple[F64, F64]:
         "nothing": 0 * theta,
         "harmonics": 1.5e-3 * np.sin(theta + 0.3) + 8e-4 * np.sin(2 * theta + 2.0),
         "ripples": 2e-4 * np.sin(100 * theta + 0.3),
+        "planets": 1e-3 * np.sin(5.3 * theta + 0.3),
         "creep": _crept(theta),
         "ratio": theta * np.array([0.0, -0.03]),
         "slack": stays(3e-4 * rng.standard_normal((_PLACES, 2)), _STAY, _MOVE),
@@ -218,10 +219,13 @@ def test_what_is_no_larger_than_noise_of_its_own_kind_is_not_shown() -> None:
     assert loose.size(0, Shared(draws=1, loads=0, load=1e-5)).gain > 10
 
 
-@pytest.mark.parametrize("unseen", ["harmonics", "ripples"])
-def test_uneven_gears_are_found_and_followed(unseen: str) -> None:
+@pytest.mark.parametrize(
+    ("unseen", "cause"),
+    [("harmonics", "harmonics"), ("ripples", "ripples"), ("planets", "ripples")],
+)
+def test_uneven_gears_are_found_and_followed(unseen: str, cause: str) -> None:
     uneven, log = _fit(unseen), _log(unseen)
-    assert unseen in uneven.causes
+    assert cause in uneven.causes
     theta, beyond = (filtered(x, log.taps)[log.kept, 0] for x in _moved(unseen))
     off = uneven.problem.deflections(uneven.fitted.state)[0][:, 0] - beyond
     # Its zero is a free choice of the first joint, and its gain hardly differs from lengths.
@@ -231,11 +235,17 @@ def test_uneven_gears_are_found_and_followed(unseen: str) -> None:
     assert uneven.misfit < 1.5
 
 
-def test_ripples_are_found_by_their_number_per_turn() -> None:
-    wavy, sound = _log("ripples"), _fit("nothing")
+@pytest.mark.parametrize(("unseen", "per_turn"), [("ripples", 100.0), ("planets", 5.3)])
+def test_ripples_are_found_by_their_number_per_turn(unseen: str, per_turn: float) -> None:
+    wavy, sound = _log(unseen), _fit("nothing")
     problem = MotionProblem(_TREE, [wavy], sound.problem.priors)
     predicted = (problem.predict(sound.fitted.state, 0),)
-    assert (0, 100) in find_ripples(problem, replace(sound.fitted, predicted=predicted))
+    found = dict(find_ripples(problem, replace(sound.fitted, predicted=predicted)))
+    assert found[0] == pytest.approx(per_turn, abs=0.2)
+
+
+def test_ripples_are_of_joints_that_turn() -> None:
+    wavy = _log("ripples")
     more = ripples([wavy], [(1, 100)])
     assert more is not None
     assert more.joint.tolist() == [1, 1]

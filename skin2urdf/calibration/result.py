@@ -374,9 +374,10 @@ class Calibration(Record):
     def mostly_open(self) -> bool:
         """Whether more than half of the SUs that a recording could place are not determined.
 
-        Those that no place in the tree explains are among them.
+        Those that no place in the tree explains are among them. Where all axes are parallel, none
+        could be placed, and more than half of all are held against it.
         """
-        placed = self._placed
+        placed = self._placed or list(self.observability.su_verdict)
         return 2 * placed.count("determined") < len(placed) + len(self.without_a_place)
 
     @property

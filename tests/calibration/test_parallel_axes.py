@@ -42,6 +42,13 @@ def test_joints_on_one_vertical_axis_turn_the_right_way(coaxial: Calibration) ->
     assert coaxial.quality != "bad"
 
 
+def test_a_robot_of_which_no_su_is_placed_is_not_good(coaxial: Calibration) -> None:
+    """No other recording would tell where SUs are along axes that are all parallel."""
+    assert "determined" not in coaxial.observability.su_verdict
+    assert coaxial.mostly_open
+    assert coaxial.quality == "fair"
+
+
 def test_what_no_sensor_is_makes_a_result_bad(coaxial: Calibration) -> None:
     """Also where no recording could place any SU."""
     state, tree = coaxial.estimate.state, coaxial.model.tree

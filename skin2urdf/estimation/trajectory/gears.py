@@ -26,15 +26,16 @@ from skin2urdf.structure.records import KinematicTree
 
 _TURNS = (1, 2)
 """Errors per turn that any gear has."""
-_FEWEST, _MOST = 3.0, 642.0
+_APART = 0.5
+"""Errors per turn from one that is looked for to the next: over a whole turn, either takes four
+fifths of what one midway between two would. Over several turns, whole and half numbers alone are
+seen as well; more would take time with every turn that a wheel makes."""
+_RIPPLES = np.arange(3.0, 642.0, _APART)
 """Errors per turn that are looked for: from what once and twice per turn do not follow to twice per
 turn of motors that are geared down by up to 320."""
-_APART = 0.5
-"""Errors in a joint's whole range from one that is looked for to the next, where that is a turn or
-more: of one midway between two, either takes four fifths of what the right one would."""
 _FINER = 8
-"""Parts of the way to the next one in which the likeliest is looked for: the right one is then
-less than a hundredth of a period off by the ends of the range."""
+"""Parts of the way to the next one in which the likeliest is looked for: the right one is then at
+most a sixtieth of a period off by the ends of a whole turn."""
 _AT_ONCE = 32
 """Ripples that are looked at together; it decides about memory alone."""
 _BETWEEN = 8
@@ -101,25 +102,16 @@ def find_ripples(problem: MotionProblem, fitted: Fitted) -> list[tuple[int, floa
     found = []
     for k in np.flatnonzero(~problem.tree.prismatic).tolist():
         of_joint = [(G[k], H[k]) for G, H in parts]
-        several = _looked_for(problem.logs, k)
-        about = _about(problem.logs, of_joint, k, several)
+        about = _about(problem.logs, of_joint, k)
         usual = float(np.median(about))
-        likely = several[about > 0.5 * _STANDS_OUT * usual]
+        likely = _RIPPLES[about > 0.5 * _STANDS_OUT * usual]
         if not usual > 0 or not len(likely):
             continue
         best, pull = _best(problem.logs, of_joint, k, likely)
         if pull > _STANDS_OUT * usual:
-            between = (several[1] - several[0]) / _FINER
-            nearby = best + between * np.arange(1 - _FINER, _FINER)
+            nearby = best + _APART / _FINER * np.arange(1.0 - _FINER, _FINER)
             found.append((k, _best(problem.logs, of_joint, k, nearby)[0]))
     return found
-
-
-def _looked_for(logs: Sequence[Trajectory], joint: int) -> F64:
-    """(n,) evenly spaced errors per turn: the closer, the further the joint turns."""
-    positions = np.concatenate([log.q[:, joint] for log in logs])
-    turns = np.ceil(np.ptp(positions) / (2 * np.pi))
-    return np.arange(_FEWEST, _MOST, _APART / turns)
 
 
 def _best(
@@ -132,15 +124,13 @@ def _best(
     return float(n[best]), float(pulls[best])
 
 
-def _about(
-    logs: Sequence[Trajectory], parts: Sequence[tuple[F64, F64]], joint: int, several: F64
-) -> F64:
-    """(n,) nearly the chi-squared that each of several ripples would take, evenly spaced.
+def _about(logs: Sequence[Trajectory], parts: Sequence[tuple[F64, F64]], joint: int) -> F64:
+    """(n,) nearly the chi-squared that every ripple that is looked for would take.
 
     Gradients are exact, by sums over samples of what residuals pull at; information is that of some
     ripples between which it changes little, the same on sines and cosines.
     """
-    gradient = np.zeros(len(several), dtype=np.complex128)
+    gradient = np.zeros(len(_RIPPLES), dtype=np.complex128)
     for log, (G, _) in zip(logs, parts, strict=True):
         pull = np.zeros((3, len(log.q)))
         pull[:, log.kept] = G
@@ -148,19 +138,19 @@ def _about(
         position = position - first_derivative(speed, log.rate)  # which is antisymmetric
         pull_of_wave = filtered(position + second_derivative(push, log.rate), log.taps)
         q = log.q[:, joint]
-        near = np.exp(1j * q[:, None] * (several[:_AT_ONCE] - several[0]))
-        for begin in range(0, len(several), _AT_ONCE):
-            far = pull_of_wave * np.exp(1j * q * several[begin])
+        near = np.exp(1j * q[:, None] * (_RIPPLES[:_AT_ONCE] - _RIPPLES[0]))
+        for begin in range(0, len(_RIPPLES), _AT_ONCE):
+            far = pull_of_wave * np.exp(1j * q * _RIPPLES[begin])
             some = gradient[begin : begin + _AT_ONCE]
             some += (far @ near)[: len(some)]
-    at = np.unique(np.append(several[::_BETWEEN], several[-1]))
+    at = np.unique(np.append(_RIPPLES[::_BETWEEN], _RIPPLES[-1]))
     information = np.concatenate(
         [
             np.trace(_sums(logs, parts, joint, n)[1], axis1=1, axis2=2)
             for n in np.array_split(at, -(-len(at) // _AT_ONCE))
         ]
     )
-    return np.asarray(2 * np.abs(gradient) ** 2 / np.interp(several, at, information))
+    return np.asarray(2 * np.abs(gradient) ** 2 / np.interp(_RIPPLES, at, information))
 
 
 def _pulls(logs: Sequence[Trajectory], parts: Sequence[tuple[F64, F64]], joint: int, n: F64) -> F64:

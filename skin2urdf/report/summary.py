@@ -25,7 +25,11 @@ from skin2urdf.structure.records import KinematicTree
 
 _MM = 1e3
 _ZEROS = {"creep": "creep along the log", "homed": "are others in the next log"}
-_GEARS = {"harmonics": "once and twice per turn", "ripples": "three times per turn or more"}
+_GEARS = {
+    "harmonics": "once and twice per turn",
+    "linearity": "by smooth functions of their joints' positions",
+    "ripples": "three times per turn or more",
+}
 """How errors of gears are told."""
 _SLOW_DROOP = 4e-6
 """Droop of a pole at 56 Hz [s^2], which changes a pattern of 4 Hz by a quarter of a per cent."""

@@ -31,7 +31,13 @@ from skin2urdf.estimation.trajectory.curved import (
 from skin2urdf.estimation.trajectory.elastic import UnderKnown
 from skin2urdf.estimation.trajectory.fit import Fitted, fit
 from skin2urdf.estimation.trajectory.gaps import fit_gaps
-from skin2urdf.estimation.trajectory.gears import find_ripples, harmonics, ratios, ripples
+from skin2urdf.estimation.trajectory.gears import (
+    find_linearity,
+    find_ripples,
+    harmonics,
+    ratios,
+    ripples,
+)
 from skin2urdf.estimation.trajectory.known_torque import with_known_torque, yields
 from skin2urdf.estimation.trajectory.measured_torque import with_measured_torque
 from skin2urdf.estimation.trajectory.misfit import (
@@ -85,6 +91,9 @@ TILTS = "tilts"
 """That of a base that is tilted otherwise from time to time."""
 RATIO = "ratio"
 """That of joints that move by a share of what their encoders say more or less."""
+HARMONICS, LINEARITY, RIPPLES = "harmonics", "linearity", "ripples"
+"""Those of gears and encoders that are uneven: once and twice per turn, by any smooth function of
+their joint's position, and some times per turn."""
 CREEP, HOMED = "creep", "homed"
 """Those of encoders whose zeros creep along a log, and are others in the next one."""
 _KNOTS = 15.0
@@ -310,11 +319,13 @@ class Attempt:
             kinds.append((PLAY, gaps_like(logs, self._bent_by_loads)))
         if RATIO not in self.causes:
             kinds.append((RATIO, ratios(logs)))
-        if "harmonics" not in self.causes:
-            kinds.append(("harmonics", harmonics(tree, logs)))
-        if "ripples" not in self.causes:
+        if LINEARITY not in self.causes:
+            kinds.append((LINEARITY, find_linearity(self.problem, self.fitted)))
+            if HARMONICS not in self.causes:
+                kinds.append((HARMONICS, harmonics(tree, logs)))
+        if RIPPLES not in self.causes:
             found = find_ripples(self.problem, self.fitted)
-            kinds.append(("ripples", ripples(logs, found)))
+            kinds.append((RIPPLES, ripples(logs, found)))
         if CREEP not in self.causes:
             kinds.append((CREEP, creeping(tree, logs)))
         if HOMED not in self.causes:

@@ -210,12 +210,13 @@ class Lacking:
     groups: tuple[Int, ...]
     curvature: Curvature | None = None
 
-    def size(self, group: int, shared: Shared | None = None) -> Size:
+    def size(self, group: int, shared: Shared | None = None, *, units: F64 | None = None) -> Size:
         """The size that the readings give to a group, by their likelihood.
 
         Args:
             group: whose size.
             shared: what SUs share beside; None where their noise is independent.
+            units: (S,) what each of its numbers is a share of the size of; one of it by default.
         """
         beside = [] if shared is None else shared.groups
         others = [at for i, at in enumerate(self.groups) if i not in (group, *beside)]
@@ -228,7 +229,7 @@ class Lacking:
             drawn, *loads = (np.searchsorted(kept, self.groups[each]) for each in beside)
             noise = _Noise(drawn, shared.times, loads[0] if loads else _NOTHING, shared.load)
         wide, none = np.full(len(at), _WIDE), np.zeros(len(at))
-        return _likeliest(self.minimised.of_joint(kept), free, at, wide, none, noise)
+        return _likeliest(self.minimised.of_joint(kept), free, at, wide, none, noise, units)
 
     def pull(self, group: int) -> tuple[F64, F64]:
         """What a group of that size does to the estimate.
@@ -339,6 +340,7 @@ def _likeliest(
     spread: F64,
     x: F64,
     noise: _Noise | None = None,
+    units: F64 | None = None,
 ) -> Size:
     """The size of some coordinates of the joint part that makes the readings most likely.
 
@@ -353,8 +355,9 @@ def _likeliest(
         x: (S,) where they are.
         noise: what SUs share, which makes pulls beside the independent noise of each; the likeliest
             of its variances counts, with and without the coordinates.
+        units: (S,) how many of the size the standard deviation of each is; 1 by default.
     """
-    noise = noise or _Noise()
+    noise, units = noise or _Noise(), np.ones(len(at)) if units is None else units
     free_joint, free_su = free
     system = eliminated(equations, free_joint, free_su)
     H, g = np.array(system.schur), np.array(system.gradient)
@@ -367,8 +370,8 @@ def _likeliest(
     others[np.concatenate([at, beside])] = False
     S = len(at)
     follow = joint_inverse(H, others) @ np.column_stack([H[:, at], g, H[:, beside]])
-    left = H[np.ix_(at, at)] - H[at] @ follow[:, :S]
-    pull = g[at] - H[at] @ follow[:, S]
+    left = (H[np.ix_(at, at)] - H[at] @ follow[:, :S]) * units[:, None] * units
+    pull = (g[at] - H[at] @ follow[:, S]) * units
     lam, V = np.linalg.eigh(0.5 * (left + left.T))
     lam, pull = np.maximum(lam, 0.0), V.T @ pull
     known = lam > 1e-9 * max(float(lam[-1]), 1e-300)
@@ -376,7 +379,8 @@ def _likeliest(
     lam, pull, V = lam[known], pull[known], V[:, known]
     # Pulls have variances c + v lam^2, where those of independent noise are c = lam.
     n = len(noise.drawn)
-    by_noise = (V.T @ (H[np.ix_(at, beside)] - H[at] @ follow[:, S + 1 :])) ** 2
+    drawn = (H[np.ix_(at, beside)] - H[at] @ follow[:, S + 1 :]) * units[:, None]
+    by_noise = (V.T @ drawn) ** 2
     shared = by_noise[:, :n].sum(axis=1) / max(1, n)
     c = lam + by_noise[:, n:].sum(axis=1) * noise.load**2 + noise.times[:, None] * shared
     without = -0.5 * (pull**2 / c + np.log(c)).sum(axis=1)
@@ -386,7 +390,7 @@ def _likeliest(
     gain = each.max(axis=0) - without.max()
     best = int(np.argmax(gain))
     less = lam / c[int(np.argmax(each[:, best]))]
-    numbers = V @ (less * pull / (less * lam + 1 / v[best]))
+    numbers = units * (V @ (less * pull / (less * lam + 1 / v[best])))
     return Size(float(_SIZES[best]), float(gain[best]), numbers, gain)
 
 

@@ -65,6 +65,11 @@ _PHYSICS = {
         "uneven gears",
         "log the positions of the links if the robot has encoders behind its gears",
     ),
+    "linearity": (
+        "encoders or gears whose error is a smooth function of position",
+        "log the positions of the links if the robot has encoders behind its gears, and see that "
+        "encoders are centred and their tables are loaded",
+    ),
     "ripples": (
         "ripples of gears",
         "log the positions of the links if the robot has encoders behind its gears",

@@ -26,8 +26,7 @@ from skin2urdf.structure.records import KinematicTree
 _MM = 1e3
 _ZEROS = {"creep": "creep along the log", "homed": "are others in the next log"}
 _GEARS = {
-    "harmonics": "once and twice per turn",
-    "linearity": "by smooth functions of their joints' positions",
+    "harmonics": "by smooth functions of their joints' positions",
     "ripples": "three times per turn or more",
 }
 """How errors of gears are told."""
@@ -340,8 +339,8 @@ def sensor_notes(along: MotionEstimate | None, of: Sequence[str] | None = None) 
         )
     if uneven := [_GEARS[cause] for cause in along.causes if cause in _GEARS]:
         notes.append(
-            f"gears are uneven ({', '.join(uneven)}): links are off what their encoders say, at "
-            f"most {largest}; it was followed"
+            f"gears or encoders are uneven ({', '.join(uneven)}): links are off what encoders say, "
+            f"at most {largest}; it was followed"
         )
     if moved := [_ZEROS[cause] for cause in along.causes if cause in _ZEROS]:
         off = along.deflections

@@ -32,9 +32,8 @@ from skin2urdf.estimation.trajectory.elastic import UnderKnown
 from skin2urdf.estimation.trajectory.fit import Fitted, fit
 from skin2urdf.estimation.trajectory.gaps import fit_gaps
 from skin2urdf.estimation.trajectory.gears import (
-    find_linearity,
+    find_harmonics,
     find_ripples,
-    harmonics,
     ratios,
     ripples,
 )
@@ -91,9 +90,9 @@ TILTS = "tilts"
 """That of a base that is tilted otherwise from time to time."""
 RATIO = "ratio"
 """That of joints that move by a share of what their encoders say more or less."""
-HARMONICS, LINEARITY, RIPPLES = "harmonics", "linearity", "ripples"
-"""Those of gears and encoders that are uneven: once and twice per turn, by any smooth function of
-their joint's position, and some times per turn."""
+HARMONICS, RIPPLES = "harmonics", "ripples"
+"""Those of gears and encoders that are uneven: by any smooth function of their joint's position,
+and so many times per turn."""
 CREEP, HOMED = "creep", "homed"
 """Those of encoders whose zeros creep along a log, and are others in the next one."""
 _KNOTS = 15.0
@@ -319,10 +318,8 @@ class Attempt:
             kinds.append((PLAY, gaps_like(logs, self._bent_by_loads)))
         if RATIO not in self.causes:
             kinds.append((RATIO, ratios(logs)))
-        if LINEARITY not in self.causes:
-            kinds.append((LINEARITY, find_linearity(self.problem, self.fitted)))
-            if HARMONICS not in self.causes:
-                kinds.append((HARMONICS, harmonics(tree, logs)))
+        if HARMONICS not in self.causes:
+            kinds.append((HARMONICS, find_harmonics(self.problem, self.fitted)))
         if RIPPLES not in self.causes:
             found = find_ripples(self.problem, self.fitted)
             kinds.append((RIPPLES, ripples(logs, found)))

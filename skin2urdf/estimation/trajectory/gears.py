@@ -1,15 +1,18 @@
 """Gears whose output is ahead and behind by turns, as functions of their joint's position.
 
-Wheels out of centre and out of round make errors once and twice per turn of the joint, the wave of
-a strain wave gear (and the magnet of a motor's encoder) one or two hundred times, and wheels in
-between, as planets and the cranks of cycloids are, as often as they turn, which need not be a whole
-number. An error ``a sin(n q) + b cos(n q)`` is linear in a and b; which n beyond the first two a
-gear has is looked for: what the residuals pull at every n is a sum over samples, as a periodogram
-is. Scales of encoders, their tables and potentiometers are off by any smooth function of their
-joint's position, which is a sum of many such errors whose sizes fall with n. How steeply they fall
-has to be asked: on joints of limited range errors once and twice per turn are little more than
-parabolas, of which large ones that all but cancel follow anything. A driver that takes a gear for
-one of another ratio has positions that are off by a share of themselves.
+Wheels and scales out of centre and out of round make errors once and twice per turn of the joint,
+tables of encoders and potentiometers any smooth function of its position, the wave of a strain wave
+gear (and the magnet of a motor's encoder) one or two hundred per turn, and wheels in between, as
+planets and the cranks of cycloids are, as many as they turn, which need not be a whole number.
+
+An error ``a sin(n q) + b cos(n q)`` is linear in a and b. What is smooth is a sum of many whose
+sizes fall with n, and how steeply is asked of the readings: were once and twice per turn all, a
+joint of limited range would have little more than parabolas of them, of which large ones that all
+but cancel follow anything. Which single n a gear has besides is looked for: what the residuals pull
+at every n is a sum over samples, as a periodogram is.
+
+A driver that takes a gear for one of another ratio has positions that are off by a share of
+themselves.
 """
 
 from __future__ import annotations
@@ -26,19 +29,19 @@ from skin2urdf.estimation.trajectory.slack import lacking
 from skin2urdf.estimation.trajectory.unseen import Unseen
 from skin2urdf.signals.filters import filtered, first_derivative, second_derivative
 from skin2urdf.signals.trajectory import Trajectory
-from skin2urdf.structure.records import KinematicTree
 
-_TURNS = (1, 2)
-"""Errors per turn that any gear has."""
+_LARGEST = 2
+"""Errors per turn up to which any may be as large as any other: wheels out of centre make the
+first, wheels out of round the second."""
 _SMOOTH = 20
-"""Errors per turn of which a smooth error of an encoder is made, at most: those of tables with
-straight lines between entries 0.5 rad apart gain 1 to 3 % of their likelihood's logarithm by 30."""
+"""Errors per turn that smooth ones are made of, at most: with 30, tables of straight lines between
+entries 0.5 rad apart gain 1 to 3 % of their likelihood's logarithm."""
 _NUMBERS = 300
-"""Numbers of all smooth errors at most, since time goes with their square, as slack has them."""
-_STEEPNESS = (1.0, 2.0, 3.0)
-"""Powers of the number per turn with which errors beyond twice per turn fall. Scratched scales and
-what has few orders fall with the first, straight lines between entries of tables with the second,
-what bends slowly with the third; powers between them gain 1 % of a likelihood's logarithm."""
+"""Numbers of all smooth errors at most, as of slack, since time goes with their square."""
+_STEEPNESS = (1.0, 2.0, 3.0, 4.0)
+"""Powers of the number per turn with which errors of more than two per turn fall: tables with
+straight lines between their entries fall with the second, and of the fourth little but errors once
+and twice per turn is left. Powers between them gain 1 % of a likelihood's logarithm."""
 _APART = 0.5
 """Errors per turn from one that is looked for to the next: over a whole turn, either takes four
 fifths of what one midway between two would. Over several turns, whole and half numbers alone are
@@ -59,34 +62,6 @@ _STANDS_OUT = 30.0
 Noise alone exceeds the median of chi-squared with two degrees of freedom by that much once in
 ``exp(30 * 0.69)``, coloured noise of encoders and sensors reached 21 times (panda, one recording),
 and ripples of 0.1 mrad have 35 to 300 where their joint carries much."""
-
-
-def harmonics(tree: KinematicTree, logs: Sequence[Trajectory]) -> Unseen | None:
-    """Errors once and twice per turn of all joints that turn; None without any."""
-    return ripples(logs, [(int(k), n) for k in np.flatnonzero(~tree.prismatic) for n in _TURNS])
-
-
-def find_linearity(problem: MotionProblem, fitted: Fitted) -> Unseen | None:
-    """Errors of encoders that are smooth functions of position, as steep as is likeliest.
-
-    Args:
-        problem: what was fitted.
-        fitted: the fit, of whose residuals such errors would explain a part.
-
-    Returns:
-        Errors of all joints that turn, of one size once and twice per turn; None without any joint.
-    """
-    turning = np.flatnonzero(~problem.tree.prismatic)
-    most = int(np.clip(_NUMBERS // (2 * max(1, len(turning))), max(_TURNS), _SMOOTH))
-    per_turn = np.arange(1, most + 1)
-    more = ripples(problem.logs, [(int(k), float(n)) for k in turning for n in per_turn])
-    if more is None:
-        return None
-    falls = np.tile(np.repeat(np.minimum(1.0, max(_TURNS) / per_turn), 2), len(turning))
-    shown = lacking(problem, fitted, [more])
-    units = [falls**steepness for steepness in _STEEPNESS]
-    gains = [shown.size(0, units=unit).gain for unit in units]
-    return replace(more, unit=units[int(np.argmax(gains))])
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,6 +97,29 @@ def _waves(log: Trajectory, joint: Int, n: F64) -> F64:
     phase = log.q[:, joint] * n
     waves = np.stack([np.sin(phase), np.cos(phase)], axis=2).reshape(len(phase), -1)
     return filtered(waves, log.taps)
+
+
+def find_harmonics(problem: MotionProblem, fitted: Fitted) -> Unseen | None:
+    """Errors of encoders that are smooth functions of position, as steep as is likeliest.
+
+    Args:
+        problem: what was fitted.
+        fitted: the fit, of whose residuals such errors would explain a part.
+
+    Returns:
+        Errors of all joints that turn, of one size once and twice per turn; None without any joint.
+    """
+    turning = np.flatnonzero(~problem.tree.prismatic)
+    most = int(np.clip(_NUMBERS // (2 * max(1, len(turning))), _LARGEST, _SMOOTH))
+    per_turn = np.arange(1, most + 1)
+    more = ripples(problem.logs, [(int(k), float(n)) for k in turning for n in per_turn])
+    if more is None:
+        return None
+    falls = np.tile(np.repeat(np.minimum(1.0, _LARGEST / per_turn), 2), len(turning))
+    shown = lacking(problem, fitted, [more])
+    units = [falls**steepness for steepness in _STEEPNESS]
+    gains = [shown.size(0, units=unit).gain for unit in units]
+    return replace(more, unit=units[int(np.argmax(gains))])
 
 
 def find_ripples(problem: MotionProblem, fitted: Fitted) -> list[tuple[int, float]]:

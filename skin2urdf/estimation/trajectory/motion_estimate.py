@@ -56,10 +56,10 @@ class MotionEstimate:
         causes: what was added to a rigid robot with steady sensors: ``elastic`` joints, a ``base``
             that gives way, ``tilts`` of one that moves by itself, ``play`` of joints, ``drift`` of
             biases and ``warming`` scales, ``nonlinearity`` of sensors, joints of another ``ratio``
-            than they are said to have, ``harmonics`` and ``ripples`` of gears, ``linearity`` errors
-            of encoders, zeros that ``creep`` and those ``homed`` in between, ``clock`` of joints
-            and SUs that wander, ``lags`` of joints that are read one after another, joints
-            ``smoothed`` by their driver, ``slack`` from place to place.
+            than they are said to have, ``harmonics`` and ``ripples`` of gears and encoders, zeros
+            that ``creep`` and those ``homed`` in between, ``clock`` of joints and SUs that wander,
+            ``lags`` of joints that are read one after another, joints ``smoothed`` by their driver,
+            ``slack`` from place to place.
         tried: misfit with each cause that was tried, chosen or not.
         under_known: what joints yield under torques that are known, the first of what encoders do
             not see; None where none do, or torques are not known.

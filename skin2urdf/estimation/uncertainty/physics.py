@@ -62,13 +62,9 @@ _PHYSICS = {
         "see that each driver has the right gear ratio and encoder scale",
     ),
     "harmonics": (
-        "uneven gears",
-        "log the positions of the links if the robot has encoders behind its gears",
-    ),
-    "linearity": (
-        "encoders or gears whose error is a smooth function of position",
-        "log the positions of the links if the robot has encoders behind its gears, and see that "
-        "encoders are centred and their tables are loaded",
+        "uneven gears or encoders",
+        "see that encoders are centred and their tables of corrections are loaded, and log the "
+        "positions of the links if the robot has encoders behind its gears",
     ),
     "ripples": (
         "ripples of gears",

@@ -15,7 +15,7 @@ from skin2urdf.estimation.problem.state import State
 from skin2urdf.estimation.trajectory.creeping import creeping, homed_anew
 from skin2urdf.estimation.trajectory.estimate import estimate_along
 from skin2urdf.estimation.trajectory.fit import fit
-from skin2urdf.estimation.trajectory.gears import find_ripples, harmonics, ripples
+from skin2urdf.estimation.trajectory.gears import find_harmonics, find_ripples, ripples
 from skin2urdf.estimation.trajectory.motion_estimate import MotionEstimate
 from skin2urdf.estimation.trajectory.priors import motion_priors
 from skin2urdf.estimation.trajectory.problem import MotionProblem
@@ -46,6 +46,12 @@ def _crept(theta: F64) -> F64:
     return np.column_stack([-9e-4 * way, 6e-3 * warm])
 
 
+def _tabled(theta: F64, off: F64) -> F64:
+    """(N, 2) what encoders miss whose tables (2, 9) have an entry at every 0.4 rad."""
+    at = np.linspace(-1.6, 1.6, 9)
+    return np.column_stack([np.interp(x, at, each) for x, each in zip(theta.T, off, strict=True)])
+
+
 def _moved(unseen: str) -> tuple[F64, F64]:
     """(N, 2) what encoders say, and by how much links are beyond it."""
     rng = np.random.default_rng(1)
@@ -53,6 +59,7 @@ def _moved(unseen: str) -> tuple[F64, F64]:
     beyond = {
         "nothing": 0 * theta,
         "harmonics": 1.5e-3 * np.sin(theta + 0.3) + 8e-4 * np.sin(2 * theta + 2.0),
+        "table": _tabled(theta, 1e-3 * np.random.default_rng(5).standard_normal((2, 9))),
         "ripples": 2e-4 * np.sin(100 * theta + 0.3),
         "planets": 1e-3 * np.sin(5.3 * theta + 0.3),
         "creep": _crept(theta),
@@ -112,7 +119,8 @@ def test_what_a_fit_lacks_is_seen_together_as_it_is_alone() -> None:
     problem = problem.again(logs=loose.problem.logs)
     predicted = (problem.predict(fitted.state, 0),)
     held_against = replace(fitted, problem=problem, predicted=predicted)
-    places, gears = slack(_TREE, problem.logs), harmonics(_TREE, problem.logs)
+    places = slack(_TREE, problem.logs)
+    gears = ripples(problem.logs, [(k, n) for k in range(2) for n in (1, 2)])
     assert places is not None
     assert gears is not None
     both = lacking(problem, held_against, [places, gears])
@@ -148,7 +156,7 @@ def test_what_a_fit_lacks_is_seen_together_as_it_is_alone() -> None:
 
 
 def test_motions_that_two_groups_of_numbers_share_are_kept_once() -> None:
-    gears = harmonics(_TREE, [_log("nothing")])
+    gears = ripples([_log("nothing")], [(0, 1), (1, 1)])
     assert gears is not None
     once, copied = together([gears, gears]), together([gears, replace(gears)])
     assert once.n_numbers == copied.n_numbers == 2 * gears.n_numbers
@@ -221,7 +229,12 @@ def test_what_is_no_larger_than_noise_of_its_own_kind_is_not_shown() -> None:
 
 @pytest.mark.parametrize(
     ("unseen", "cause"),
-    [("harmonics", "harmonics"), ("ripples", "ripples"), ("planets", "ripples")],
+    [
+        ("harmonics", "harmonics"),
+        ("table", "harmonics"),
+        ("ripples", "ripples"),
+        ("planets", "ripples"),
+    ],
 )
 def test_uneven_gears_are_found_and_followed(unseen: str, cause: str) -> None:
     uneven, log = _fit(unseen), _log(unseen)
@@ -250,7 +263,8 @@ def test_ripples_are_of_joints_that_turn() -> None:
     assert more is not None
     assert more.joint.tolist() == [1, 1]
     sliding = replace(_TREE, joint_types=("prismatic", "prismatic"))
-    assert harmonics(sliding, [wavy]) is None
+    of_sliding = MotionProblem(sliding, [wavy], _fit("nothing").problem.priors)
+    assert find_harmonics(of_sliding, _fit("nothing").fitted) is None
 
 
 def test_a_joint_that_moves_by_less_than_it_says_is_no_uneven_gear() -> None:

@@ -44,6 +44,7 @@ from skin2urdf.notes import of_kind
 from skin2urdf.recording.records import JointStream, Recording, SuStream
 from skin2urdf.recording.retiming import retimed
 from skin2urdf.recording.writing import write
+from skin2urdf.report.findings import findings
 from skin2urdf.simulation import Simulation
 
 MEMS: dict[str, Any] = {"n_poses": 4, "imu_rate": 250.0}
@@ -306,12 +307,29 @@ def test_positions_in_degrees_give_no_robot() -> None:
     assert caught.value.remedy
 
 
-def test_a_joint_that_is_not_linear_is_a_bad_fit() -> None:
-    log = simulation_of(small_arm(3), **MEMS).recording
-    name = log.joints[1].name
+def test_a_joint_that_is_not_linear_is_followed(tmp_path: Path) -> None:
+    made = simulation_of(small_arm(3), **MEMS)
+    name = made.recording.joints[1].name
 
     def bent(joint: JointStream) -> JointStream:
         position = joint.position + 0.2 * np.sin(3 * joint.position)
+        return replace(joint, position=position) if joint.name == name else joint
+
+    found = calibrate(changed_joints(made.recording, bent))
+    assert found.along is not None
+    assert found.along.causes == ("harmonics",)
+    assert found.along.deflections[1] == pytest.approx(0.2, abs=0.02)
+    assert found.quality == "fair"
+    stated = findings(found).su_position_sd[-1]
+    assert held_against(found, made.truth.urdf, tmp_path).position.rms < 2 * stated
+
+
+def test_a_joint_that_goes_with_another_is_a_bad_fit() -> None:
+    log = simulation_of(small_arm(3), **MEMS).recording
+    other, name = log.joints[0], log.joints[1].name
+
+    def bent(joint: JointStream) -> JointStream:
+        position = joint.position + 0.2 * np.sin(3 * other.position)
         return replace(joint, position=position) if joint.name == name else joint
 
     with pytest.raises(BadFitError) as caught:

@@ -363,7 +363,7 @@ class Attempt:
         """With tilts of the base of the size that is shown; None where none is for certain."""
         if (more := self._tilting) is None:
             return None
-        size = self.sized(more)[1]
+        size = self.beside_rounding(more) or self.sized(more)[1]
         return self.with_more(TILTS, more, size.size) if size.gain > CERTAIN else None
 
     @property
@@ -471,10 +471,17 @@ class Attempt:
     @cached_property
     def _size_beside_rounding(self) -> Size | None:
         """Slack beyond what encoders round off while joints move; None where they round nothing."""
+        return None if self.places is None else self.beside_rounding(self.places)
+
+    def beside_rounding(self, more: Unseen) -> Size | None:
+        """The size of unseen motion beyond what encoders round off while joints move.
+
+        None where they round nothing.
+        """
         again = self._rounded_again
-        if again is None or self.places is None:
+        if again is None:
             return None
-        return lacking(self.problem, self.fitted, [self.places, again]).size(0, Shared(draws=1))
+        return lacking(self.problem, self.fitted, [more, again]).size(0, Shared(draws=1))
 
     def slackened(self) -> Attempt:
         """With slack where the readings show any for certain, else as it is."""

@@ -7,7 +7,7 @@ them, by what each attempt still lacks.
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -154,7 +154,11 @@ def _of_any_cause(rigid: Attempt, without: Collection[str]) -> tuple[Attempt, li
     if best.lacks:
         other, more = _with_physics(rigid, without)
         attempts += more
-        if explains_most(other, rigid) and not explains_most(best, other):
+        if not explains_most(other, rigid):
+            # What bends said most to first order, and does not explain it when it is followed.
+            best = _with_few_sizes(best, 0.0, {*without, PLAY})
+            attempts.append(best)
+        elif not explains_most(best, other):
             best = other
     return best, attempts
 
@@ -256,20 +260,41 @@ def _with_few_sizes(rigid: Attempt, by_bends: float, without: Collection[str]) -
         # Links lie in gaps by the loads that bend springs.
         without = {*without, PLAY}
     while best.needs_a_cause and (slack_size := best.certain_slack) is not None:
-        proposed = {
-            name: best.sized(more)
+        least = max(slack_size.gain, by_bends)
+        sized = {
+            name: best.sized(more)[1]
             for name, more in best.of_few_sizes
             if more is not None and name not in without
         }
-        if not proposed:
+        likely = [name for name, size in sized.items() if size.gain > least]
+        linear = sorted({*likely} - {PLAY}, key=lambda name: -sized[name].gain)
+        further = _with_likeliest(best, linear)
+        if PLAY in likely:
+            # To first order gaps say less than they explain, or far more, as the loads that tell
+            # on which side links lie were fitted to what is lacking.
+            gaps = best.with_gaps()
+            if gaps is None or not explains_most(gaps, best):
+                without = {*without, PLAY}
+            elif not explains_most(further, gaps):
+                further = gaps  # which has the fewest numbers
+        if further is best:
             break
-        name = max(proposed, key=lambda each: proposed[each][1].gain)
-        more, size = proposed[name]
-        if size.gain <= max(slack_size.gain, by_bends):
-            break
-        further = best.with_gaps() if name == PLAY else best.with_more(name, more, size.size)
-        if further is None:
-            without = {*without, name}
-            continue
         best = further
     return best
+
+
+def _with_likeliest(before: Attempt, names: Sequence[str]) -> Attempt:
+    """An attempt with the first of some kinds that is not what encoders round off.
+
+    Args:
+        before: the attempt without.
+        names: of kinds of unseen motion, the likeliest first.
+    """
+    for name in names:
+        more = dict(before.of_few_sizes)[name]
+        if more is None:
+            continue
+        size = before.beside_rounding(more) or before.sized(more)[1]
+        if size.gain > CERTAIN:
+            return before.with_more(name, more, size.size)
+    return before

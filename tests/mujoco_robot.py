@@ -26,6 +26,8 @@ SLIDE = 0.15
 """How far a sliding joint moves where a revolute one moves by 1 rad [m]."""
 SLIDE_STIFFNESS = 30.0
 """Stiffness of sliding drives over that of turning ones [1 / m^2]."""
+_CROSSED = 0.3
+"""Force by which a drive crosses the gap of its gear [N m]."""
 
 Vector = tuple[float, float, float]
 
@@ -180,6 +182,7 @@ def record(
     bias: float = 5e-3 * G,
     bits: int = 17,
     lag: float = 0.01,
+    gaps: Sequence[float] | None = None,
 ) -> Recording:
     """Drive the arm along a path and record it.
 
@@ -193,6 +196,8 @@ def record(
         bias: biases are drawn within +- this [m/s^2].
         bits: resolution of the encoders [bits per revolution, or per metre].
         lag: clock lags of the SUs are drawn from 0 to this [s].
+        gaps: D gaps of the gears behind the encoders [rad]: a drive is ahead of its link by half of
+            one to the side that it pushes to, and crosses it while it pushes by little.
     """
     model = mujoco.MjModel.from_xml_string(_mjcf(arm))
     data = mujoco.MjData(model)
@@ -209,8 +214,10 @@ def record(
     joint_at = np.flatnonzero(settled)[::4]
     step = np.array([1.0 if joint.slides else 2 * np.pi for joint in arm.joints]) / 2**bits
     stamps = _stamps(time[joint_at], 0.0, rng)
+    ahead = arm.stiffness * (command[: len(q)] - q)
+    drive = q + 0.5 * np.array(gaps or [0.0] * arm.n_joints) * np.tanh(ahead / _CROSSED)
     joints = [
-        JointStream(name, stamps, np.round(q[joint_at, d] / step[d]) * step[d])
+        JointStream(name, stamps, np.round(drive[joint_at, d] / step[d]) * step[d])
         for d, name in enumerate(joint_names)
     ]
     sus = []

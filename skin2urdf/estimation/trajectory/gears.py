@@ -35,7 +35,7 @@ _LARGEST = 2
 first, wheels out of round the second."""
 _SMOOTH = 20
 """Errors per turn that smooth ones are made of, at most: with 30, tables of straight lines between
-entries 0.5 rad apart gain 1 to 3 % of their likelihood's logarithm."""
+entries 0.5 rad apart gain 1 to 2 % of their likelihood's logarithm."""
 _NUMBERS = 300
 """Numbers of all smooth errors at most, as of slack, since time goes with their square."""
 _STEEPNESS = (1.0, 2.0, 3.0, 4.0)

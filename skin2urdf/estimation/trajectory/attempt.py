@@ -281,7 +281,7 @@ class Attempt:
         found = self.certain_curvature
         if found is None:
             return self
-        others = [self.sized(more)[1].gain for _, more in self.of_few_sizes if more is not None]
+        others = [size.gain for _, size in self.few_sizes.values()]
         return self if found.gain <= max([*self.gains.values(), *others]) else self.curved()
 
     def curved(self) -> Attempt:
@@ -307,11 +307,17 @@ class Attempt:
         return replace(self, problem=problem, fitted=fit(problem, state, near=True), causes=causes)
 
     @cached_property
-    def of_few_sizes(self) -> list[tuple[str, Unseen | None]]:
-        """What has as many numbers as slack, or fewer, by name: what it has not yet.
+    def few_sizes(self) -> dict[str, tuple[Unseen, Size]]:
+        """What it has not yet and has as many numbers as slack, or fewer, by name, with its size.
 
-        Errors of gears, zeros of encoders that change, and tilts of a base that no load moves.
+        Play, errors of gears and encoders, zeros that change, and tilts of a base that no load
+        moves.
         """
+        kinds = [(name, more) for name, more in self._of_few_sizes() if more is not None]
+        return {name: (more, size_of(self.problem, self.fitted, more)) for name, more in kinds}
+
+    def _of_few_sizes(self) -> list[tuple[str, Unseen | None]]:
+        """What has as many numbers as slack, or fewer, by name: what it has not yet."""
         tree, logs = self.problem.tree, self.problem.logs
         kinds: list[tuple[str, Unseen | None]] = []
         if self.problem.unseen is None:
@@ -363,7 +369,7 @@ class Attempt:
         """With tilts of the base of the size that is shown; None where none is for certain."""
         if (more := self._tilting) is None:
             return None
-        size = self.beside_rounding(more) or self.sized(more)[1]
+        size = self.beside_rounding(more) or size_of(self.problem, self.fitted, more)
         return self.with_more(TILTS, more, size.size) if size.gain > CERTAIN else None
 
     @property
@@ -432,10 +438,6 @@ class Attempt:
         """Chi-squared of mean residuals over spans beyond what noise makes of it."""
         _, variances = span_means(self.problem, self.fitted.predicted, self.fitted.weights, SPAN)
         return (self.misfit - 1) * int(np.isfinite(variances).sum())
-
-    def sized(self, more: Unseen) -> tuple[Unseen, Size]:
-        """More unseen motion, and the size that the readings show."""
-        return more, size_of(self.problem, self.fitted, more)
 
     def with_more(self, name: str, more: Unseen, size: float) -> Attempt:
         """With more unseen motion of a common size."""

@@ -7,7 +7,7 @@ them, by what each attempt still lacks.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection
 from dataclasses import replace
 
 import numpy as np
@@ -79,7 +79,8 @@ def explained(
     # As few numbers of each SU as a bias has; what bends gravity looks alike.
     rigid = rigid.curved_where_likeliest()
     if not rigid.lacks:
-        return rigid.as_explained()
+        beaten = rigid if only_known else _with_what_beats_curvature(rigid, without)
+        return beaten.as_explained()
     rounded = rigid.with_rounding()
     bends = not set(BENDS) <= set(without) and rigid.certain_bends
     if rounded is not None and rounded.misfit <= EXPLAINED and not bends:
@@ -261,14 +262,9 @@ def _with_few_sizes(rigid: Attempt, by_bends: float, without: Collection[str]) -
         without = {*without, PLAY}
     while best.needs_a_cause and (slack_size := best.certain_slack) is not None:
         least = max(slack_size.gain, by_bends)
-        sized = {
-            name: best.sized(more)[1]
-            for name, more in best.of_few_sizes
-            if more is not None and name not in without
-        }
-        likely = [name for name, size in sized.items() if size.gain > least]
-        linear = sorted({*likely} - {PLAY}, key=lambda name: -sized[name].gain)
-        further = _with_likeliest(best, linear)
+        gains = {n: size.gain for n, (_, size) in best.few_sizes.items() if n not in without}
+        likely = [name for name, gain in gains.items() if gain > least]
+        further = _with_likeliest(best, {*likely} - {PLAY})
         if PLAY in likely:
             # To first order gaps say less than they explain, or far more, as the loads that tell
             # on which side links lie were fitted to what is lacking.
@@ -283,18 +279,34 @@ def _with_few_sizes(rigid: Attempt, by_bends: float, without: Collection[str]) -
     return best
 
 
-def _with_likeliest(before: Attempt, names: Sequence[str]) -> Attempt:
-    """An attempt with the first of some kinds that is not what encoders round off.
+def _with_likeliest(before: Attempt, names: Collection[str]) -> Attempt:
+    """An attempt with the likeliest of some kinds that is not what encoders round off.
 
     Args:
         before: the attempt without.
-        names: of kinds of unseen motion, the likeliest first.
+        names: of kinds of unseen motion that are linear in their numbers.
     """
-    for name in names:
-        more = dict(before.of_few_sizes)[name]
-        if more is None:
-            continue
-        size = before.beside_rounding(more) or before.sized(more)[1]
+    for name in sorted(names, key=lambda each: -before.few_sizes[each][1].gain):
+        more, size = before.few_sizes[name]
+        size = before.beside_rounding(more) or size
         if size.gain > CERTAIN:
             return before.with_more(name, more, size.size)
     return before
+
+
+def _with_what_beats_curvature(rigid: Attempt, without: Collection[str]) -> Attempt:
+    """An attempt with what says more than curved axes do, of which slack shows nothing.
+
+    So do ripples that are too fast for places: many samples tell them, and spans none.
+
+    Args:
+        rigid: the attempt without.
+        without: causes that need not be tried.
+    """
+    curvature = rigid.certain_curvature
+    if curvature is None:
+        return rigid
+    least = max([curvature.gain, *rigid.gains.values()])
+    gains = {name: size.gain for name, (_, size) in rigid.few_sizes.items()}
+    names = {name for name, gain in gains.items() if gain > least} - {PLAY, *without}
+    return _with_likeliest(rigid, names).curved_where_likeliest()

@@ -136,7 +136,7 @@ def _of_others(attempt: Attempt, cause: str) -> float:
     Slack from place to place stays where joints rest, and what is late or smoothed is there by
     then; of a clock that wanders slack is no rival: it follows whatever moves.
     """
-    few = [attempt.sized(more)[1].gain for _, more in attempt.of_few_sizes if more is not None]
+    few = [size.gain for _, size in attempt.few_sizes.values()]
     slack = attempt.slack_size if cause != CLOCK else None
     return max([*attempt.gains.values(), *few, slack.gain if slack is not None else 0.0])
 

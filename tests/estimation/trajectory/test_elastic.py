@@ -168,10 +168,8 @@ def test_gaps_are_followed_from_what_one_look_says_of_loads() -> None:
     assert gaps is not None
     assert gaps.causes == ("play",)
     assert gaps.misfit < 0.5 * rigid.misfit
-    proposed, further = (dict(each.of_few_sizes) for each in (rigid, gaps))
-    assert proposed["play"] is not None
-    assert rigid.sized(proposed["play"])[1].gain > CERTAIN
-    assert "play" not in further
+    assert rigid.few_sizes["play"][1].gain > CERTAIN
+    assert "play" not in gaps.few_sizes
 
 
 def test_what_yields_passes_the_low_pass_as_motion_does() -> None:

@@ -78,9 +78,10 @@ def explained(
         return rigid.as_explained()
     # As few numbers of each SU as a bias has; what bends gravity looks alike.
     rigid = rigid.curved_where_likeliest()
+    if not only_known:
+        rigid = _with_what_beats_curvature(rigid, without)
     if not rigid.lacks:
-        beaten = rigid if only_known else _with_what_beats_curvature(rigid, without)
-        return beaten.as_explained()
+        return rigid.as_explained()
     rounded = rigid.with_rounding()
     bends = not set(BENDS) <= set(without) and rigid.certain_bends
     if rounded is not None and rounded.misfit <= EXPLAINED and not bends:
@@ -295,9 +296,10 @@ def _with_likeliest(before: Attempt, names: Collection[str]) -> Attempt:
 
 
 def _with_what_beats_curvature(rigid: Attempt, without: Collection[str]) -> Attempt:
-    """An attempt with what says more than curved axes do, of which slack shows nothing.
+    """An attempt with what says more than curved axes and all that bends, which slack may not show.
 
-    So do ripples that are too fast for places: many samples tell them, and spans none.
+    So do ripples that are too fast for places: samples tell them, and places and spans do not. A
+    base that tilts follows what sensors do as well, and says nothing of their axes.
 
     Args:
         rigid: the attempt without.
@@ -308,5 +310,5 @@ def _with_what_beats_curvature(rigid: Attempt, without: Collection[str]) -> Atte
         return rigid
     least = max([curvature.gain, *rigid.gains.values()])
     gains = {name: size.gain for name, (_, size) in rigid.few_sizes.items()}
-    names = {name for name, gain in gains.items() if gain > least} - {PLAY, *without}
+    names = {name for name, gain in gains.items() if gain > least} - {PLAY, TILTS, *without}
     return _with_likeliest(rigid, names).curved_where_likeliest()

@@ -42,24 +42,29 @@ def _curvature(size: float) -> F64:
 
 
 @cache
-def _log(size: float) -> Trajectory:
-    """Rests in sixteen places, and moves between them that swing."""
+def _log(size: float, ripple: float = 0.0) -> Trajectory:
+    """Rests in sixteen places, and moves between them that swing.
+
+    Args:
+        size: curvature of axes [s^2/m].
+        ripple: by how much links are ahead and behind their encoders, 150 times per turn [rad].
+    """
     rng = np.random.default_rng(6)
     q = stays(rng.uniform(-1.6, 1.6, (16, 4)), 90, 160)
     t = np.arange(len(q))[:, None] / RATE
     q = q + 0.02 * np.sin(2 * np.pi * np.array([0.9, 1.1, 1.3, 1.7]) * t) * (t % 10 > 5)
-    straight = readings_along(_TREE, _truth(), q) - _truth().bias
+    straight = readings_along(_TREE, _truth(), q + ripple * np.sin(150 * q)) - _truth().bias
     read = straight + _curvature(size) * straight**2 + _truth().bias
     read = read + 5e-3 * rng.standard_normal(read.shape)
     return sampled_trajectory(q, read, still_below=1e-3)
 
 
 @cache
-def _found(size: float, *, look_further: bool = True) -> MotionEstimate:
+def _found(size: float, *, ripple: float = 0.0, look_further: bool = True) -> MotionEstimate:
     priors = motion_priors(Priors(), gravity=0.0, front=(np.zeros(2), np.zeros(2)))
     start = replace(_truth(), bias=np.zeros((4, 3)), shape=np.zeros((4, 6)))
     return estimate_along(
-        [_log(size)], _TREE, start, priors, np.zeros(4), look_further=look_further
+        [_log(size, ripple)], _TREE, start, priors, np.zeros(4), look_further=look_further
     )
 
 
@@ -75,6 +80,12 @@ def test_curved_axes_are_found_as_well_as_stated() -> None:
     off = (curvature - _curvature(_SIZE)) / deviation
     assert np.sqrt(np.mean(off[1:] ** 2)) < 1.5
     assert (deviation[1:] < _SIZE).all()
+
+
+@pytest.mark.parametrize("ripple", [3e-5, 1e-4])
+def test_ripples_that_say_more_are_found_before_curved_axes(ripple: float) -> None:
+    """They are too fast for slack of places, and less of them was told as elastic joints."""
+    assert _found(_SIZE, ripple=ripple).causes == ("ripples", "nonlinearity")
 
 
 def test_straight_axes_are_left_straight() -> None:

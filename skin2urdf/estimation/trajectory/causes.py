@@ -258,26 +258,36 @@ def _with_few_sizes(rigid: Attempt, by_bends: float, without: Collection[str]) -
         without: causes that need not be tried.
     """
     best = rigid
-    if BENDS[0] in without:
-        # Links lie in gaps by the loads that bend springs.
-        without = {*without, PLAY}
     while best.needs_a_cause and (slack_size := best.certain_slack) is not None:
-        least = max(slack_size.gain, by_bends)
-        gains = {n: size.gain for n, (_, size) in best.few_sizes.items() if n not in without}
-        likely = [name for name, gain in gains.items() if gain > least]
-        further = _with_likeliest(best, {*likely} - {PLAY})
-        if PLAY in likely:
-            # To first order gaps say less than they explain, or far more, as the loads that tell
-            # on which side links lie were fitted to what is lacking.
-            gaps = best.with_gaps()
-            if gaps is None or not explains_most(gaps, best):
-                without = {*without, PLAY}
-            elif not explains_most(further, gaps):
-                further = gaps  # which has the fewest numbers
+        further = _with_one_more(best, max(slack_size.gain, by_bends), without)
         if further is best:
             break
         best = further
     return best
+
+
+def _with_one_more(before: Attempt, least: float, without: Collection[str]) -> Attempt:
+    """An attempt with the likeliest of play, errors of gears and tilts, or as it is without any.
+
+    Args:
+        before: the attempt without.
+        least: logarithm of the likelihood from which any is likely.
+        without: causes that need not be tried.
+    """
+    if BENDS[0] in without:
+        # Links lie in gaps by the loads that bend springs.
+        without = {*without, PLAY}
+    gains = {name: size.gain for name, (_, size) in before.few_sizes.items()}
+    likely = {name for name, gain in gains.items() if gain > least} - {*without}
+    further = _with_likeliest(before, likely - {PLAY})
+    if PLAY not in likely:
+        return further
+    # To first order gaps say less than they explain, or far more, as the loads that tell on which
+    # side links lie were fitted to what is lacking. They have the fewest numbers.
+    gaps = before.with_gaps()
+    if gaps is None or not explains_most(gaps, before) or explains_most(further, gaps):
+        return further
+    return gaps
 
 
 def _with_likeliest(before: Attempt, names: Collection[str]) -> Attempt:
@@ -296,19 +306,19 @@ def _with_likeliest(before: Attempt, names: Collection[str]) -> Attempt:
 
 
 def _with_what_beats_curvature(rigid: Attempt, without: Collection[str]) -> Attempt:
-    """An attempt with what says more than curved axes and all that bends, which slack may not show.
+    """An attempt with what says more than curved axes and all that bends, and no slack shows.
 
     So do ripples that are too fast for places: samples tell them, and places and spans do not. A
-    base that tilts follows what sensors do as well, and says nothing of their axes.
+    base that tilts follows what sensors do as well, and play shows as slack.
 
     Args:
         rigid: the attempt without.
         without: causes that need not be tried.
     """
     curvature = rigid.certain_curvature
-    if curvature is None:
+    if curvature is None or rigid.certain_slack is not None:
         return rigid
     least = max([curvature.gain, *rigid.gains.values()])
     gains = {name: size.gain for name, (_, size) in rigid.few_sizes.items()}
-    names = {name for name, gain in gains.items() if gain > least} - {PLAY, TILTS, *without}
-    return _with_likeliest(rigid, names).curved_where_likeliest()
+    likely = {name for name, gain in gains.items() if gain > least} - {PLAY, TILTS, *without}
+    return _with_likeliest(rigid, likely).curved_where_likeliest()

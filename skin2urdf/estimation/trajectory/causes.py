@@ -19,6 +19,7 @@ from skin2urdf.estimation.trajectory.attempt import (
     DRIFT,
     EXPLAINED,
     PLAY,
+    RIPPLES,
     TILTS,
     WARMING,
     Attempt,
@@ -78,8 +79,8 @@ def explained(
         return rigid.as_explained()
     # As few numbers of each SU as a bias has; what bends gravity looks alike.
     rigid = rigid.curved_where_likeliest()
-    if not only_known:
-        rigid = _with_what_beats_curvature(rigid, without)
+    if not (only_known or RIPPLES in without):
+        rigid = _with_ripples_before_curvature(rigid)
     if not rigid.lacks:
         return rigid.as_explained()
     rounded = rigid.with_rounding()
@@ -156,12 +157,13 @@ def _of_any_cause(rigid: Attempt, without: Collection[str]) -> tuple[Attempt, li
     if best.lacks:
         other, more = _with_physics(rigid, without)
         attempts += more
-        if not explains_most(other, rigid):
+        if explains_most(other, rigid):
+            if not explains_most(best, other):
+                best = other
+        elif best is rigid:
             # What bends said most to first order, and does not explain it when it is followed.
-            best = _with_few_sizes(best, 0.0, {*without, PLAY})
+            best = _with_few_sizes(rigid, 0.0, {*without, PLAY})
             attempts.append(best)
-        elif not explains_most(best, other):
-            best = other
     return best, attempts
 
 
@@ -305,20 +307,16 @@ def _with_likeliest(before: Attempt, names: Collection[str]) -> Attempt:
     return before
 
 
-def _with_what_beats_curvature(rigid: Attempt, without: Collection[str]) -> Attempt:
-    """An attempt with what says more than curved axes and all that bends, and no slack shows.
+def _with_ripples_before_curvature(rigid: Attempt) -> Attempt:
+    """An attempt with ripples that say more than curved axes and all else, and no slack shows.
 
-    So do ripples that are too fast for places: samples tell them, and places and spans do not. A
-    base that tilts follows what sensors do as well, and play shows as slack.
-
-    Args:
-        rigid: the attempt without.
-        without: causes that need not be tried.
+    They are too fast for places and spans: samples tell them.
     """
     curvature = rigid.certain_curvature
     if curvature is None or rigid.certain_slack is not None:
         return rigid
-    least = max([curvature.gain, *rigid.gains.values()])
     gains = {name: size.gain for name, (_, size) in rigid.few_sizes.items()}
-    likely = {name for name, gain in gains.items() if gain > least} - {PLAY, TILTS, *without}
-    return _with_likeliest(rigid, likely).curved_where_likeliest()
+    others = [gain for name, gain in gains.items() if name != RIPPLES]
+    if gains.get(RIPPLES, 0.0) <= max([curvature.gain, *rigid.gains.values(), *others]):
+        return rigid
+    return _with_likeliest(rigid, [RIPPLES]).curved_where_likeliest()

@@ -213,8 +213,7 @@ class Calibration(Record):
             return "bad"
         if self.misfit > GOOD_FIT and self._placed and "determined" not in self._placed:
             return "bad"
-        known_by_few = self.mostly_open or not self._placed
-        if self.unexplained or (known_by_few and self.mostly_implausible):
+        if self.unexplained or (self.mostly_open and self.mostly_implausible):
             return "bad"
         goodness, seen = self.goodness, self.observability
         explained = max(self.misfit, goodness.prediction, seen.widening) <= GOOD_FIT

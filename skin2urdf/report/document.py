@@ -315,15 +315,17 @@ def _samples(calibration: Calibration) -> dict[str, Any] | None:
             name: {
                 "largest_deflection": e,
                 "ratio_error": ratio,
+                "unevenness": uneven,
                 "compliance": c,
                 "compliance_sd": sd,
                 "age": age,
                 "smoothing": smoothing,
             }
-            for name, (e, c, sd), ratio, age, smoothing in zip(
+            for name, (e, c, sd), ratio, uneven, age, smoothing in zip(
                 along.problem.tree.joint_names,
                 yields,
                 along.ratios,
+                along.unevenness,
                 along.ages,
                 along.smoothing,
                 strict=True,

@@ -339,8 +339,10 @@ def sensor_notes(along: MotionEstimate | None, of: Sequence[str] | None = None) 
         )
     if uneven := [_GEARS[cause] for cause in along.causes if cause in _GEARS]:
         notes.append(
-            f"gears or encoders are uneven ({', '.join(uneven)}): links are off what encoders say, "
-            f"at most {largest}; it was followed"
+            f"gears or encoders are uneven ({', '.join(uneven)}), which puts links off what "
+            f"encoders say, at most {_largest(along.problem.tree, along.unevenness)}; it was "
+            "followed: see that encoders are centred and their tables of corrections are loaded, "
+            "and log the positions of the links if the robot has encoders behind its gears"
         )
     if moved := [_ZEROS[cause] for cause in along.causes if cause in _ZEROS]:
         off = along.deflections

@@ -15,7 +15,7 @@ from skin2urdf.report.findings import findings
 
 
 def test_gaps_that_friction_crosses_are_not_told_by_loads(tmp_path: Path) -> None:
-    """Gaps by loads explain a third of it, and leave lengths at three times what they state."""
+    """Gaps by loads explain less than half, and leave SUs off by three times what they state."""
     arm, rng = random_arm(42, 4), np.random.default_rng(42)
     path = JointPath([0.0] * 4).rest(1.0)
     for goal in rng.uniform(-1.2, 1.2, (40, 4)):

@@ -11,7 +11,9 @@ from calibrated import calibration
 from skin2urdf.calibration.result import Calibration
 from skin2urdf.estimation.trajectory.curved import with_curves
 from skin2urdf.estimation.trajectory.elastic import UnderKnown
+from skin2urdf.estimation.trajectory.gears import Uneven
 from skin2urdf.estimation.trajectory.problem import MotionProblem
+from skin2urdf.estimation.trajectory.unseen import together
 from skin2urdf.geometry.units import GRAVITY
 from skin2urdf.model.records import OpenDirection
 from skin2urdf.notes import Note
@@ -157,18 +159,28 @@ def test_uneven_gears_and_slack_are_told_with_their_sizes() -> None:
     along = yielding({0: 2e-4, 1: 1e-4}).along
     assert along is not None
     first, second = calibration().model.tree.joint_names[:2]
-    uneven = replace(along, causes=("harmonics", "slack"))
-    priors = replace(uneven.problem.priors, unseen=np.array([1e-3, 7e-5]))
-    problem = MotionProblem(
-        uneven.problem.tree, uneven.problem.logs, priors, unseen=uneven.problem.unseen
-    )
-    found = replace(calibration(), along=replace(uneven, problem=problem))
+    elastic, logs = along.problem.unseen, along.problem.logs
+    assert elastic is not None
+    uneven = Uneven(np.array([0]), tuple(np.ones((len(log.q), 1)) for log in logs))
+    priors = replace(along.problem.priors, unseen=np.array([1e-3, 1e-3, 7e-5]))
+    problem = MotionProblem(along.problem.tree, logs, priors, unseen=together([elastic, uneven]))
+    state = along.fitted.state
+    state = replace(state, unseen=np.append(state.unseen, -3e-5))
+    along = replace(
+        along, problem=problem, fitted=replace(along.fitted, problem=problem, state=state),
+        causes=("elastic", "harmonics", "slack"),
+    )  # fmt: skip
+    found = replace(calibration(), along=along)
     text = as_text(found)
-    assert f"{first} by {number(0.2)} mrad, {second} by {number(0.1)} mrad" in text
+    # What yields is told of all together, what is uneven of that alone.
+    assert f"{first} by {number(0.17)} mrad, {second} by {number(0.1)} mrad" in text
+    assert f"{first} by {number(0.03)} mrad;" in text
     assert f"{number(0.07)} mrad" in text
     samples = as_document(found)["samples"]
     assert samples["slack"] == 7e-5
-    assert samples["causes"] == ["harmonics", "slack"]
+    assert samples["causes"] == ["elastic", "harmonics", "slack"]
+    told = [joint["unevenness"] for joint in samples["joints"].values()]
+    assert told == pytest.approx([3e-5, *np.zeros(len(told) - 1)])
     assert as_document(calibration())["samples"]["slack"] == 0.0
 
 

@@ -31,12 +31,7 @@ from skin2urdf.estimation.trajectory.curved import (
 from skin2urdf.estimation.trajectory.elastic import UnderKnown
 from skin2urdf.estimation.trajectory.fit import Fitted, fit
 from skin2urdf.estimation.trajectory.gaps import fit_gaps
-from skin2urdf.estimation.trajectory.gears import (
-    find_harmonics,
-    find_ripples,
-    ratios,
-    ripples,
-)
+from skin2urdf.estimation.trajectory.gears import find_harmonics, find_ripples, ratios, ripples
 from skin2urdf.estimation.trajectory.known_torque import with_known_torque, yields
 from skin2urdf.estimation.trajectory.measured_torque import with_measured_torque
 from skin2urdf.estimation.trajectory.misfit import (
@@ -313,27 +308,27 @@ class Attempt:
         Play, errors of gears and encoders, zeros that change, and tilts of a base that no load
         moves.
         """
-        kinds = [(name, more) for name, more in self._of_few_sizes() if more is not None]
-        return {name: (more, size_of(self.problem, self.fitted, more)) for name, more in kinds}
-
-    def _of_few_sizes(self) -> list[tuple[str, Unseen | None]]:
-        """What has as many numbers as slack, or fewer, by name: what it has not yet."""
         tree, logs = self.problem.tree, self.problem.logs
-        kinds: list[tuple[str, Unseen | None]] = []
+        kinds: dict[str, Unseen | None] = {TILTS: self._tilting}
         if self.problem.unseen is None:
-            kinds.append((PLAY, gaps_like(logs, self._bent_by_loads)))
+            kinds[PLAY] = gaps_like(logs, self._bent_by_loads)
         if RATIO not in self.causes:
-            kinds.append((RATIO, ratios(logs)))
-        if HARMONICS not in self.causes:
-            kinds.append((HARMONICS, find_harmonics(self.problem, self.fitted)))
+            kinds[RATIO] = ratios(logs)
         if RIPPLES not in self.causes:
-            found = find_ripples(self.problem, self.fitted)
-            kinds.append((RIPPLES, ripples(logs, found)))
+            kinds[RIPPLES] = ripples(logs, find_ripples(self.problem, self.fitted))
         if CREEP not in self.causes:
-            kinds.append((CREEP, creeping(tree, logs)))
+            kinds[CREEP] = creeping(tree, logs)
         if HOMED not in self.causes:
-            kinds.append((HOMED, homed_anew(tree, logs)))
-        return [*kinds, (TILTS, self._tilting)]
+            kinds[HOMED] = homed_anew(tree, logs)
+        found = {
+            name: (more, size_of(self.problem, self.fitted, more))
+            for name, more in kinds.items()
+            if more is not None
+        }
+        uneven = None
+        if HARMONICS not in self.causes:
+            uneven = find_harmonics(self.problem, self.fitted)
+        return found if uneven is None else {**found, HARMONICS: uneven}
 
     @cached_property
     def _bent_by_loads(self) -> list[F64]:

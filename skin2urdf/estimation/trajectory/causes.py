@@ -161,7 +161,8 @@ def _of_any_cause(rigid: Attempt, without: Collection[str]) -> tuple[Attempt, li
             if not explains_most(best, other):
                 best = other
         elif best is rigid:
-            # What bends said most to first order, and does not explain it when it is followed.
+            # What bends said most to first order, and does not explain it when it is followed; nor
+            # did it leave what play does.
             best = _with_few_sizes(rigid, 0.0, {*without, PLAY})
             attempts.append(best)
     return best, attempts
@@ -280,7 +281,7 @@ def _with_one_more(before: Attempt, least: float, without: Collection[str]) -> A
         # Links lie in gaps by the loads that bend springs.
         without = {*without, PLAY}
     gains = {name: size.gain for name, (_, size) in before.few_sizes.items()}
-    likely = {name for name, gain in gains.items() if gain > least} - {*without}
+    likely = {name for name, gain in gains.items() if gain > least and name not in without}
     further = _with_likeliest(before, likely - {PLAY})
     if PLAY not in likely:
         return further

@@ -14,24 +14,26 @@ import numpy as np
 
 from skin2urdf.arrays import F64
 from skin2urdf.estimation.trajectory.slack import LEVER
-from skin2urdf.estimation.trajectory.unseen import Unseen
+from skin2urdf.estimation.trajectory.unseen import MOST_NUMBERS, Unseen
 from skin2urdf.signals.filters import filtered
 from skin2urdf.signals.trajectory import Trajectory
 from skin2urdf.structure.records import KinematicTree
-
-_MOST = 300
-"""Numbers at most, since time goes with their square and memory with their number: as many as slack
-has. A robot of 7 joints may have 14 logs, one of 50 two."""
 
 
 def creeping(tree: KinematicTree, logs: Sequence[Trajectory]) -> Unseen | None:
     """Changes of every joint's zero since its log began; None of more than are looked for.
 
+    A robot of 7 joints may have 14 logs, one of 50 two.
+
     Args:
         tree: D joints.
         logs: trajectories.
     """
-    return _of_each_log(tree, logs, _time_and_way) if 3 * _n_zeros(tree, logs) <= _MOST else None
+    return (
+        _of_each_log(tree, logs, _time_and_way)
+        if 3 * _n_zeros(tree, logs) <= MOST_NUMBERS
+        else None
+    )
 
 
 def homed_anew(tree: KinematicTree, logs: Sequence[Trajectory]) -> Unseen | None:
@@ -41,7 +43,7 @@ def homed_anew(tree: KinematicTree, logs: Sequence[Trajectory]) -> Unseen | None
         tree: D joints.
         logs: trajectories.
     """
-    if len(logs) < 2 or _n_zeros(tree, logs[1:]) > _MOST:
+    if len(logs) < 2 or _n_zeros(tree, logs[1:]) > MOST_NUMBERS:
         return None
     first = logs[0]
     return _of_each_log(tree, logs, lambda log: np.ones((*log.q.shape, int(log is not first))))

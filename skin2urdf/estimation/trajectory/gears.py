@@ -1,4 +1,6 @@
-"""Gears whose output is ahead and behind by turns, as functions of their joint's position.
+"""Gears and encoders that are off by functions of their joint's position.
+
+The field calls them the kinematic error of a gear and the integral nonlinearity of an encoder.
 
 Wheels and scales out of centre and out of round make errors once and twice per turn of the joint,
 tables of encoders and potentiometers any smooth function of its position, the wave of a strain wave
@@ -25,8 +27,8 @@ import numpy as np
 from skin2urdf.arrays import F64, Int
 from skin2urdf.estimation.trajectory.fit import Fitted
 from skin2urdf.estimation.trajectory.problem import MotionProblem
-from skin2urdf.estimation.trajectory.slack import lacking
-from skin2urdf.estimation.trajectory.unseen import Unseen
+from skin2urdf.estimation.trajectory.slack import Size, lacking
+from skin2urdf.estimation.trajectory.unseen import MOST_NUMBERS, Unseen
 from skin2urdf.signals.filters import filtered, first_derivative, second_derivative
 from skin2urdf.signals.trajectory import Trajectory
 
@@ -36,19 +38,18 @@ first, wheels out of round the second."""
 _SMOOTH = 20
 """Errors per turn that smooth ones are made of, at most: with 30, tables of straight lines between
 entries 0.5 rad apart gain 1 to 2 % of their likelihood's logarithm."""
-_NUMBERS = 300
-"""Numbers of all smooth errors at most, as of slack, since time goes with their square."""
 _STEEPNESS = (1.0, 2.0, 3.0, 4.0)
 """Powers of the number per turn with which errors of more than two per turn fall: tables with
 straight lines between their entries fall with the second, and of the fourth little but errors once
-and twice per turn is left. Powers between them gain 1 % of a likelihood's logarithm."""
+and twice per turn is left. One between the first two gains at most 1 % of a likelihood's logarithm.
+"""
 _APART = 0.5
 """Errors per turn from one that is looked for to the next: over a whole turn, either takes four
 fifths of what one midway between two would. Over several turns, whole and half numbers alone are
 seen as well; more would take time with every turn that a wheel makes."""
 _RIPPLES = np.arange(3.0, 642.0, _APART)
-"""Errors per turn that are looked for: from what once and twice per turn do not follow to twice per
-turn of motors that are geared down by up to 320."""
+"""Errors per turn that are looked for one by one: from three, which no wheel out of centre or round
+makes by itself, to twice per turn of motors that are geared down by up to 320."""
 _FINER = 8
 """Parts of the way to the next one in which the likeliest is looked for: the right one is then at
 most a sixtieth of a period off by the ends of a whole turn."""
@@ -78,7 +79,12 @@ def ratios(logs: Sequence[Trajectory]) -> Ratios:
     return Ratios(np.arange(logs[0].q.shape[1]), tuple(log.q for log in logs))
 
 
-def ripples(logs: Sequence[Trajectory], which: Sequence[tuple[int, float]]) -> Unseen | None:
+@dataclass(frozen=True, eq=False)
+class Uneven(Unseen):
+    """Links that are off their encoders by functions of their joints' positions."""
+
+
+def ripples(logs: Sequence[Trajectory], which: Sequence[tuple[int, float]]) -> Uneven | None:
     """Errors of some joints, so many times per turn: a sine and a cosine each; None without any.
 
     Args:
@@ -89,7 +95,7 @@ def ripples(logs: Sequence[Trajectory], which: Sequence[tuple[int, float]]) -> U
         return None
     joint = np.array([k for k, _ in which])
     n = np.array([per_turn for _, per_turn in which], dtype=float)
-    return Unseen(np.repeat(joint, 2), tuple(_waves(log, joint, n) for log in logs))
+    return Uneven(np.repeat(joint, 2), tuple(_waves(log, joint, n) for log in logs))
 
 
 def _waves(log: Trajectory, joint: Int, n: F64) -> F64:
@@ -99,7 +105,7 @@ def _waves(log: Trajectory, joint: Int, n: F64) -> F64:
     return filtered(waves, log.taps)
 
 
-def find_harmonics(problem: MotionProblem, fitted: Fitted) -> Unseen | None:
+def find_harmonics(problem: MotionProblem, fitted: Fitted) -> tuple[Uneven, Size] | None:
     """Errors of encoders that are smooth functions of position, as steep as is likeliest.
 
     Args:
@@ -107,19 +113,20 @@ def find_harmonics(problem: MotionProblem, fitted: Fitted) -> Unseen | None:
         fitted: the fit, of whose residuals such errors would explain a part.
 
     Returns:
-        Errors of all joints that turn, of one size once and twice per turn; None without any joint.
+        Errors of all joints that turn, whose numbers are of one size [rad], and what the readings
+        say of it; None without any joint that turns.
     """
     turning = np.flatnonzero(~problem.tree.prismatic)
-    most = int(np.clip(_NUMBERS // (2 * max(1, len(turning))), _LARGEST, _SMOOTH))
+    most = int(np.clip(MOST_NUMBERS // (2 * max(1, len(turning))), _LARGEST, _SMOOTH))
     per_turn = np.arange(1, most + 1)
     more = ripples(problem.logs, [(int(k), float(n)) for k in turning for n in per_turn])
     if more is None:
         return None
     falls = np.tile(np.repeat(np.minimum(1.0, _LARGEST / per_turn), 2), len(turning))
     shown = lacking(problem, fitted, [more])
-    units = [falls**steepness for steepness in _STEEPNESS]
-    gains = [shown.size(0, units=unit).gain for unit in units]
-    return replace(more, unit=units[int(np.argmax(gains))])
+    sizes = [(falls**power, shown.size(0, units=falls**power)) for power in _STEEPNESS]
+    unit, size = max(sizes, key=lambda each: each[1].gain)
+    return replace(more, unit=unit), size
 
 
 def find_ripples(problem: MotionProblem, fitted: Fitted) -> list[tuple[int, float]]:

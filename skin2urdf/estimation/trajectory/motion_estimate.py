@@ -22,7 +22,7 @@ from skin2urdf.estimation.trajectory.encoder_noise import (
 from skin2urdf.estimation.trajectory.fit import Fitted
 from skin2urdf.estimation.trajectory.following import follow_motion
 from skin2urdf.estimation.trajectory.front_end import droop, droop_variance
-from skin2urdf.estimation.trajectory.gears import Ratios
+from skin2urdf.estimation.trajectory.gears import Ratios, Uneven
 from skin2urdf.estimation.trajectory.information import MotionInformation, motion_information
 from skin2urdf.estimation.trajectory.leaning import with_leaning_base
 from skin2urdf.estimation.trajectory.misfit import (
@@ -284,13 +284,30 @@ class MotionEstimate:
     @property
     def ratios(self) -> F64:
         """(D,) by how much further each joint moves than its encoder says, over that [1]."""
-        D, unseen = self.problem.tree.n_joints, self.problem.unseen
-        first = 0
-        for group in () if unseen is None else unseen.several or (unseen,):
-            if isinstance(group, Ratios):
-                return np.asarray(self.fitted.state.unseen[first : first + D])
-            first += group.n_numbers
-        return np.zeros(D)
+        own = [x for group, x in self._unseen if isinstance(group, Ratios)]
+        return own[0] if own else np.zeros(self.problem.tree.n_joints)
+
+    @cached_property
+    def unevenness(self) -> F64:
+        """(D,) by how much uneven gears and encoders alone put each link off at most [rad].
+
+        0 where none do, whatever else puts a link off.
+        """
+        D, logs = self.problem.tree.n_joints, self.problem.logs
+        off = [np.zeros((len(log.kept), D)) for log in logs]
+        for group, x in self._unseen:
+            if isinstance(group, Uneven):
+                for g, log in enumerate(logs):
+                    off[g] += (group.moved(log, g, x).q - log.q)[log.kept]
+        return np.asarray(np.abs(np.concatenate(off)).max(axis=0, initial=0.0))
+
+    @property
+    def _unseen(self) -> list[tuple[Unseen, F64]]:
+        """Groups of what encoders do not see, each with its numbers (S,)."""
+        unseen = self.problem.unseen
+        groups = () if unseen is None else unseen.several or (unseen,)
+        ends = np.cumsum([group.n_numbers for group in groups])[:-1].astype(np.int64)
+        return list(zip(groups, np.split(self.fitted.state.unseen, ends), strict=False))
 
     @property
     def slack(self) -> float:

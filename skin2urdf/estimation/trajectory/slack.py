@@ -32,7 +32,7 @@ from skin2urdf.estimation.trajectory.curved import (
 from skin2urdf.estimation.trajectory.fit import Fitted
 from skin2urdf.estimation.trajectory.problem import MotionProblem
 from skin2urdf.estimation.trajectory.records import Equations
-from skin2urdf.estimation.trajectory.unseen import Unseen, eased, together
+from skin2urdf.estimation.trajectory.unseen import MOST_NUMBERS, Unseen, eased, together
 from skin2urdf.signals.trajectory import Trajectory
 from skin2urdf.structure.records import KinematicTree
 
@@ -45,8 +45,6 @@ _REST = 0.25
 """Length of a rest at least [s], as poses have it; where a pattern turns round is none."""
 _OFTEN = 1.0
 """Time between moments that stand for places at least [s]: about that of a move."""
-_MOST = 300
-"""Numbers of slack at most, since time goes with their square; the places visited longest count."""
 _WIDE = 1e-2
 """Size that stands for any, where only information is wanted [rad]."""
 _SIZES = np.geomspace(1e-7, 3e-2, 111)
@@ -105,7 +103,8 @@ def slack(
         zeros_given: whether the zeros of the joints are known, so that what is the same in all
             places shows: as another zero, which is no slack.
     """
-    most = max(2, _MOST // max(1, tree.n_joints))
+    # The places visited longest count.
+    most = max(2, MOST_NUMBERS // max(1, tree.n_joints))
     stays = [_stays(log) for log in logs]
     stays = [
         s if len(s) > 1 else _moments(log, most // len(logs))
@@ -216,7 +215,7 @@ class Lacking:
         Args:
             group: whose size.
             shared: what SUs share beside; None where their noise is independent.
-            units: (S,) what each of its numbers is a share of the size of; one of it by default.
+            units: (S,) units of its motions that one of each number makes; by default 1.
         """
         beside = [] if shared is None else shared.groups
         others = [at for i, at in enumerate(self.groups) if i not in (group, *beside)]
@@ -355,7 +354,7 @@ def _likeliest(
         x: (S,) where they are.
         noise: what SUs share, which makes pulls beside the independent noise of each; the likeliest
             of its variances counts, with and without the coordinates.
-        units: (S,) how many of the size the standard deviation of each is; 1 by default.
+        units: (S,) units of each coordinate that one of its number makes; by default 1.
     """
     noise, units = noise or _Noise(), np.ones(len(at)) if units is None else units
     free_joint, free_su = free
@@ -390,7 +389,7 @@ def _likeliest(
     gain = each.max(axis=0) - without.max()
     best = int(np.argmax(gain))
     less = lam / c[int(np.argmax(each[:, best]))]
-    numbers = units * (V @ (less * pull / (less * lam + 1 / v[best])))
+    numbers = V @ (less * pull / (less * lam + 1 / v[best]))
     return Size(float(_SIZES[best]), float(gain[best]), numbers, gain)
 
 

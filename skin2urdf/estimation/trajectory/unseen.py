@@ -22,6 +22,10 @@ from skin2urdf.estimation.trajectory.skeleton import N_HINGES
 from skin2urdf.signals.filters import first_derivative, second_derivative
 from skin2urdf.signals.trajectory import Trajectory
 
+MOST_NUMBERS = 300
+"""Numbers of one kind of unseen motion at most, since time goes with their square and memory with
+their number."""
+
 
 @dataclass(frozen=True, eq=False)
 class Unseen(Record):

@@ -257,6 +257,22 @@ def test_ripples_are_found_by_their_number_per_turn(unseen: str, per_turn: float
     assert found[0] == pytest.approx(per_turn, abs=0.2)
 
 
+def test_smooth_errors_are_as_likely_as_their_motions_say() -> None:
+    wavy, sound = _log("table"), _fit("nothing")
+    problem = MotionProblem(_TREE, [wavy], sound.problem.priors)
+    fitted = replace(sound.fitted, predicted=(problem.predict(sound.fitted.state, 0),))
+    found = find_harmonics(problem, fitted)
+    assert found is not None
+    more, size = found
+    again = size_of(problem, fitted, more)
+    assert (again.size, again.gain) == pytest.approx((size.size, size.gain), rel=1e-6)
+    # Along what hardly shows numbers are rounding.
+    np.testing.assert_allclose(again.numbers, size.numbers, atol=1e-4 * np.abs(size.numbers).max())
+    # Beyond twice per turn they fall.
+    assert more.units[0] == more.units[3] == 1.0
+    assert (np.diff(more.units[3 : more.n_numbers // 2]) <= 0).all()
+
+
 def test_ripples_are_of_joints_that_turn() -> None:
     wavy = _log("ripples")
     more = ripples([wavy], [(1, 100)])

@@ -311,10 +311,11 @@ def sensor_notes(along: MotionEstimate | None, of: Sequence[str] | None = None) 
             "have the gears' play taken up"
         )
     if "base" in along.causes:
-        turned = number(along.base_motion[3:].max() * _MM)
+        shifted, turned = (number(each.max() * _MM) for each in np.split(along.base_motion, 2))
         notes.append(
-            f"the base gives way under the robot's load: it turns by up to {turned} mrad within a "
-            "log; it was followed: fix it more stiffly to know lengths along the first axis better"
+            f"the base gives way under the robot's load: it turns by up to {turned} mrad, and "
+            f"shifts by up to {shifted} mm, within a log; it was followed: fix it more stiffly to "
+            "know lengths along the first axis better"
         )
     if along.moving_base is not None:
         sus, felt = along.moving_base.names, float(along.moving_base.felt.max())

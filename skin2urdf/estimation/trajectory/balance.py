@@ -8,15 +8,16 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
 from skin2urdf.arrays import F64, Bool
 from skin2urdf.estimation.problem.state import State
-from skin2urdf.estimation.trajectory.bending import PAIRS, SPINDLE, UNLIKE, Bending
+from skin2urdf.estimation.trajectory.bending import SPINDLE, SWAY, UNLIKE, Bending
 from skin2urdf.estimation.trajectory.coarser import coarser, on_grid
 from skin2urdf.estimation.trajectory.loaded import Loaded
-from skin2urdf.estimation.trajectory.skeleton import N_HINGES, shift, turn
+from skin2urdf.estimation.trajectory.skeleton import N_HINGES
 from skin2urdf.estimation.trajectory.springs import Springs, roots
 from skin2urdf.estimation.trajectory.torques import inertial_sizes, regressors
 from skin2urdf.signals.filters import noise_bandwidth
@@ -49,6 +50,7 @@ def bending(
     *,
     joints: bool,
     base: bool,
+    shifts: bool = False,
 ) -> Bending:
     """The deflections that the motion of the logs can make, as encoders have that motion.
 
@@ -58,16 +60,17 @@ def bending(
         state: placements, and gravity's direction per log.
         gravity: its magnitude [m/s^2].
         joints: whether joints yield.
-        base: whether the base does.
+        base: whether the base turns under its load.
+        shifts: whether it shifts, too.
 
     Returns:
         Deflections of parts that all yield alike, by loads of none.
     """
     D = tree.n_joints
-    turns = [turn(tree, axis) for axis in range(3)]
-    parts = np.array([*(range(D) if joints else ()), *(turns if base else ())], dtype=np.int64)
+    hinges = range(D if shifts else D + 3, D + N_HINGES)
+    parts = np.array([*(range(D) if joints else ()), *(hinges if base else ())], dtype=np.int64)
     # What slides is as stiff as what turns, at the lever of a spindle.
-    lever = np.where(np.append(tree.prismatic, np.zeros(N_HINGES, dtype=bool)), SPINDLE, 1.0)[parts]
+    lever = np.append(np.where(tree.prismatic, SPINDLE, 1.0), np.repeat([SWAY, 1.0], 3))[parts]
     unit = lever**2
     size = inertial_sizes(state)
     square = np.zeros((len(parts), len(size), len(size)))
@@ -139,40 +142,38 @@ def balanced(
     Newton's method, with :class:`~skin2urdf.estimation.trajectory.springs.Springs` as its
     derivative.
     """
-    P, R = len(found.basis), len(found.parts)
     before = [_beyond(tree, log, found.moved(log, g, x)) for g, log in enumerate(logs)]
     about = replace(found, compliance=_compliance(found, x))
     x = np.array(x)
-    x[P : P + R + 3 * found.base] = 0.0
+    x[len(found.basis) : found.of_crosses.stop] = 0.0
     about = replace(about, origin=x)
     sizes, of_logs, bent, all_springs, every, holds = [], [], [], [], [], True
     for g, (log, beyond) in enumerate(zip(logs, before, strict=True)):
         step = step_of(log)
         within = slice(int(log.kept[0]) // step, int(log.kept[-1]) // step + 1)
         of_log = Loaded(tree, state, g, gravity, coarser(log, step), about, within)
-        beyond = beyond[::step]
-        springs = of_log.springs(beyond)
+        parts = about.in_parts(beyond[::step])
+        springs = of_log.springs(parts)
         last = np.inf
         for _ in range(_NEWTON):
-            nearer, change = of_log.nearer(beyond, springs)
+            nearer, change = of_log.nearer(parts, springs)
             if not change < last:
                 holds = holds and last < _BALANCE
                 break
-            beyond, last = nearer, change
+            parts, last = nearer, change
             if change < _EXACT:
                 break
         sizes.append(len(log.q))
         of_logs.append(of_log)
-        bent.append(beyond)
+        bent.append(parts)
         all_springs.append(springs)
         every.append(step)
-    moved = [*found.parts.tolist(), *((shift(tree, i) for i in range(3)) if found.base else ())]
     deflections = replace(
         about,
-        joint=np.array(moved),
-        motions=tuple(np.zeros((len(beyond), len(moved))) for beyond in bent),
-        number=np.zeros(len(moved), dtype=np.int64),
-        settled=tuple(map(on_grid, bent, every, sizes)),
+        joint=(moved := found.moved_parts),
+        motions=tuple(np.zeros((len(parts), len(moved))) for parts in bent),
+        number=np.zeros_like(moved),
+        settled=tuple(map(on_grid, [parts @ about.moves.T for parts in bent], every, sizes)),
         every=tuple(every),
         holds=holds,
     )
@@ -190,7 +191,7 @@ class Balance:
         deflections: about the numbers, of which none moves anything.
         x: (S,) the numbers.
         of_logs: per log, what loads do along it.
-        bent: per log (M, D + 6) deflections at each so many-th sample [rad or m].
+        bent: per log (M, R) deflections at each so many-th sample [rad or m].
         springs: per log, how these follow their loads.
     """
 
@@ -200,17 +201,21 @@ class Balance:
     bent: tuple[F64, ...]
     springs: tuple[Springs, ...]
 
+    @cached_property
+    def forces(self) -> tuple[F64, ...]:
+        """Per log (M, 3) forces of the loads along the base's axes, at each so many-th sample."""
+        logs = zip(self.of_logs, self.bent, strict=True)
+        return tuple(of_log.forces(parts) for of_log, parts in logs)
+
     def moved_by_numbers(self) -> Bending:
         """The deflections with what each number does to them."""
         still = self.deflections
         motions = [
-            of_log.motions(beyond, springs).reshape(len(beyond), -1)
-            for of_log, beyond, springs in zip(self.of_logs, self.bent, self.springs, strict=True)
+            of_log.motions(parts, springs).reshape(len(parts), -1)
+            for of_log, parts, springs in zip(self.of_logs, self.bent, self.springs, strict=True)
         ]
         numbers = np.arange(motions[0].shape[1] // len(still.joint))
-        most = int(
-            np.argmax(np.max([np.ptp(e[:, still.parts], axis=0) for e in still.settled], axis=0))
-        )
+        most = int(np.argmax(np.max([np.ptp(e, axis=0) for e in self.bent], axis=0) / still.arms))
         held = np.ones((len(still.joint), len(numbers)), dtype=bool)
         # What one part yields is the scale of all.
         held[:, numbers == len(still.basis) + most] = False
@@ -252,9 +257,8 @@ def _compliance(found: Bending, x: F64) -> F64:
     C = np.array(found.compliance)
     root = np.sqrt(np.diag(C))
     if found.base:
-        for n, (i, j) in enumerate(PAIRS):
-            a, b = R - 3 + i, R - 3 + j
-            C[a, b] += root[a] * root[b] * x[P + R + n]
+        for share, (a, b) in zip(x[found.of_crosses], found.crosses, strict=True):
+            C[a, b] += root[a] * root[b] * share
             C[b, a] = C[a, b]
     grown = np.exp(0.5 * np.clip(x[P : P + R], -UNLIKE, UNLIKE))
     root, _ = roots(C * grown[:, None] * grown)

@@ -10,7 +10,7 @@ import numpy as np
 
 from skin2urdf.arrays import F64
 from skin2urdf.estimation.problem.state import State
-from skin2urdf.estimation.trajectory.bending import PAIRS, TENSOR, Bending
+from skin2urdf.estimation.trajectory.bending import Bending
 from skin2urdf.estimation.trajectory.skeleton import N_HINGES, shift, turn
 from skin2urdf.estimation.trajectory.springs import Springs
 from skin2urdf.estimation.trajectory.torques import bodies, joint_inertias, loads_of, regressors
@@ -57,100 +57,97 @@ class Loaded:
     found: Bending
     within: slice
 
-    def nearer(self, beyond: F64, springs: Springs) -> tuple[F64, float]:
-        """(N, D + 6) deflections after a step of Newton's method, and the length of the step.
+    def nearer(self, bent: F64, springs: Springs) -> tuple[F64, float]:
+        """(N, R) deflections after a step of Newton's method, and the length of the step.
 
         Args:
-            beyond: (N, D + 6) where it begins [rad or m].
+            bent: (N, R) where it begins [rad or m].
             springs: how deflections follow their loads there.
         """
-        parts = self.found.parts
-        bent = self._bent(beyond, self._torques(beyond)) - self._absent
-        lacking = self.log.smooth(bent - beyond[:, parts])
+        lacking = self.log.smooth(self._bent(bent, self._torques(bent)) - self._absent - bent)
         # What springs ring with beyond the low-pass, none would take away again.
         step = self.log.smooth(springs.bent(lacking[..., None])[..., 0])
-        nearer = (beyond[:, parts] + step) @ self._moves.T
-        largest = float(np.abs(nearer[self.within, parts]).max(initial=1e-300))
+        nearer = bent + step
+        largest = float(np.abs(nearer[self.within]).max(initial=1e-300))
         return nearer, float(np.abs(step[self.within]).max(initial=0.0)) / largest
 
-    def motions(self, beyond: F64, springs: Springs) -> F64:
-        """(N, R or R + 3, S) what parts do, and the base's shifts, per unit of each number.
+    def motions(self, bent: F64, springs: Springs) -> F64:
+        """(N, M, S) what joints and hinges do, those that move, per unit of each number.
 
         Where nothing has a load yet, no number but the P loads moves anything, and S is P.
 
         Args:
-            beyond: (N, D + 6) deflections about which that is [rad or m].
+            bent: (N, R) deflections about which that is [rad or m].
             springs: how deflections follow their loads there.
         """
         found = self.found
-        out = self._loaded_by_loads(beyond) if self._at_rest else self._loaded(beyond)
+        out = self._loaded_by_loads(bent) if self._at_rest else self._loaded(bent)
         out *= self._there[:, None, None]
         for first in range(0, out.shape[2], _TOGETHER):
             some = slice(first, first + _TOGETHER)
             out[..., some] = self.log.smooth(springs.bent(out[..., some]))
         if not found.base:
             return out
-        shifts = np.einsum("ji,njs->nis", skew(found.lever), out[:, -3:])
+        out = found.moves[found.moved_parts] @ out
         if not self._at_rest:
             for i in range(3):
-                shifts[:, :, i - 3] += beyond[:, self._turns] @ skew(np.eye(3)[i])
-        return np.concatenate([out, shifts], axis=1)
+                out[:, -6:-3, i - 3] += bent[:, -3:] @ skew(np.eye(3)[i])
+        return out
 
     @property
     def _at_rest(self) -> bool:
         """Whether nothing has a load yet, so that nothing bends and no inertia is known."""
-        return not self.found.origin.any()
+        return not self.found.origin[: len(self.found.basis)].any()
 
-    def _loaded_by_loads(self, beyond: F64) -> F64:
+    def _loaded_by_loads(self, bent: F64) -> F64:
         """(N, R, P) what loads the springs, per unit of each load."""
-        tau, _ = self._under(beyond, self.found.basis)
+        tau, _ = self._under(bent, self.found.basis)
         return np.asarray(np.matmul(-self.found.compliance, tau))
 
-    def _loaded(self, beyond: F64) -> F64:
+    def _loaded(self, bent: F64) -> F64:
         """(N, R, S) what loads the springs, per unit of each number, where they are bent."""
         found, C = self.found, self.found.compliance
         P, R, S = len(found.basis), len(found.parts), found.n_numbers
-        tau, force = self._under(beyond, found.basis)
-        out = np.zeros((len(beyond), R, S))
+        tau, force = self._under(bent, found.basis)
+        out = np.zeros((len(bent), R, S))
         np.matmul(-C, tau, out=out[..., :P])
         robot, force = (each @ found.origin[:P] for each in (tau, force))
-        rates = first_derivative(beyond[:, found.parts], self.log.rate)
+        rates, a = (of(bent, self.log.rate) for of in (first_derivative, second_derivative))
         # The base's dampers and its own inertia load its springs as the robot does.
-        late, a = self._late, second_derivative(beyond[:, found.parts], self.log.rate)
+        late, base = self._late, found.of_base
         tau = robot + a @ self._own_inertia()
-        tau[:, self._of_base] += rates[:, self._of_base] * late[self._of_base]
-        bent = -tau @ C
+        tau[:, base] += rates[:, base] * late[base]
+        by_springs = -tau @ C
         r = np.arange(R)
-        out[:, r, P + r] = 0.5 * bent
+        out[:, r, P + r] = 0.5 * by_springs
         out[:, :, P : P + R] -= 0.5 * np.einsum("ri,ni->nri", C, tau)
-        first = self._of_damping.start
-        sooner = 1 - np.tanh(found.origin[self._of_damping] / _FAR) ** 2
-        out[:, :, first : first + R] = -np.einsum(
+        sooner = 1 - np.tanh(found.origin[found.of_dampers] / _FAR) ** 2
+        out[:, :, found.of_dampers] = -np.einsum(
             "ri,ni->nri", self._damped, rates * (late * sooner)
         )
         if found.base:
             self._write_base(out, tau, a)
             for i in range(3):
-                out[:, :, S - 3 + i] = -self._deeper(i, robot, force, beyond) @ C
+                out[:, :, S - 3 + i] = -self._deeper(i, robot, force, bent) @ C
         return out
 
-    def springs(self, beyond: F64) -> Springs:
+    def springs(self, bent: F64) -> Springs:
         """How deflections follow their loads along a motion.
 
         Args:
-            beyond: (N, D + 6) of the links beyond the encoders [rad or m].
+            bent: (N, R) of the links beyond the encoders [rad or m].
         """
-        found, size = self.found, len(beyond)
+        found, size = self.found, len(bent)
         damped = self._damped * self._late
         if self._at_rest:
-            none = np.zeros((1, *found.compliance.shape))
-            return Springs(found.compliance, none, damped, self.log.rate, size)
+            base_alone = self._own_inertia()[None]
+            return Springs(found.compliance, base_alone, damped, self.log.rate, size)
         thin = slice(None, None, _SLOWLY)
-        moved = self._moved(beyond)
+        moved = self._moved(bent @ found.moves.T)
         moved = replace(moved, q=moved.q[thin], qd=moved.qd[thin], qdd=moved.qdd[thin])
         q = moved.q
         of_all = joint_inertias(self.tree, self.state, moved, self._parameters, base=found.base)
-        moves = self._moves[: of_all.shape[1]]
+        moves = found.moves[: of_all.shape[1]]
         inertia = moves.T @ of_all @ moves + self._own_inertia()
         at = np.minimum(np.arange(size) / _SLOWLY, len(q) - 1)
         low = at.astype(np.int64)
@@ -171,57 +168,31 @@ class Loaded:
     @cached_property
     def _absent(self) -> F64:
         """(N, R) deflections by the share that is not."""
-        none = np.zeros((len(self.log.q), self.tree.n_joints + N_HINGES))
+        none = np.zeros((len(self.log.q), len(self.found.parts)))
         return np.asarray((1 - self._there)[:, None] * self._bent(none, self._torques(none)))
 
     @property
-    def _of_damping(self) -> slice:
-        """Numbers by which parts are late."""
-        P, R = len(self.found.basis), len(self.found.parts)
-        first = P + R + 3 * self.found.base
-        return slice(first, first + R)
-
-    @property
     def _late(self) -> F64:
-        """(R,) times by which dampers make parts late [s]."""
-        found = self.found.origin[self._of_damping] / _FAR
-        return np.asarray(_LATE * np.exp(_FAR * np.tanh(found)))
+        """(R,) times by which dampers make parts late [s]; of the base's, with unit compliances."""
+        found = self.found
+        times = _LATE * np.exp(_FAR * np.tanh(found.origin[found.of_dampers] / _FAR))
+        return np.asarray(times / found.arms**2)
 
     @property
     def _damped(self) -> F64:
         """(R, R) by how much each damper, of a spring of unit stiffness, makes all parts late."""
-        C, of_base = np.eye(len(self.found.parts)), self._of_base
-        C[of_base, of_base] = self.found.compliance[of_base, of_base]
+        found, base = self.found, self.found.of_base
+        C = np.eye(len(found.parts))
+        C[base, base] = found.compliance[base, base]
         return C
-
-    @property
-    def _of_base(self) -> slice:
-        """The parts that are the base's turns."""
-        R = len(self.found.parts)
-        return slice(R - 3 * self.found.base, R)
-
-    @property
-    def _moves(self) -> F64:
-        """(D + 6, R) what joints and hinges do per unit of each part: a turned base shifts, too."""
-        tree, parts = self.tree, self.found.parts
-        out = np.zeros((tree.n_joints + N_HINGES, len(parts)))
-        out[parts, np.arange(len(parts))] = 1.0
-        if self.found.base:
-            out[self._shifts, self._of_base] = skew(self.found.lever).T
-        return out
 
     @property
     def _shifts(self) -> slice:
         """Columns of the base's shifts."""
         return slice(shift(self.tree, 0), turn(self.tree, 0))
 
-    @property
-    def _turns(self) -> slice:
-        """Columns of the base's turns."""
-        return slice(turn(self.tree, 0), turn(self.tree, 0) + 3)
-
     def _moved(self, beyond: F64) -> Trajectory:
-        """The log with the motion of the links."""
+        """The log with the motion of the links, which are by (N, D + 6) beyond the encoders."""
         log, n = self.log, self.tree.n_joints + N_HINGES * self.found.base
         e = beyond[:, :n]
         still = np.zeros((len(e), n - log.q.shape[1]))
@@ -243,32 +214,47 @@ class Loaded:
         """(D,) what joints carry."""
         return bodies(self._parameters)
 
-    def _torques(self, beyond: F64) -> F64:
-        """(N, R) torques of parts by these."""
-        moved, base = self._moved(beyond), self.found.base
-        tau = loads_of(self.tree, self.state, self.g, self.gravity, moved, self._bodies, base=base)
-        return np.asarray(tau @ self._moves[: tau.shape[1]])
+    def forces(self, bent: F64) -> F64:
+        """(N, 3) forces of the loads on the base, along its axes.
 
-    def _under(self, beyond: F64, basis: F64) -> tuple[F64, F64]:
+        Args:
+            bent: (N, R) of the links beyond the encoders [rad or m].
+        """
+        return self._loads(self._moved(bent @ self.found.moves.T))[:, self._shifts]
+
+    def _torques(self, bent: F64, further: F64 | None = None) -> F64:
+        """(N, R) torques of parts by these, where the base's frame is (N, 3) further off [m]."""
+        beyond = bent @ self.found.moves.T
+        if further is not None:
+            beyond[:, self._shifts] += further
+        tau = self._loads(self._moved(beyond))
+        return np.asarray(tau @ self.found.moves[: tau.shape[1]])
+
+    def _loads(self, moved: Trajectory) -> F64:
+        """(N, D or D + 6) loads of joints, and of the base's hinges, by what the joints carry."""
+        base = self.found.base
+        return loads_of(self.tree, self.state, self.g, self.gravity, moved, self._bodies, base=base)
+
+    def _under(self, bent: F64, basis: F64) -> tuple[F64, F64]:
         """Torques of parts (N, R, P) and forces on the base (N, 3, P) per unit of each load."""
-        tree, found, moved = self.tree, self.found, self._moved(beyond)
+        tree, found = self.tree, self.found
+        moves, moved = found.moves, self._moved(bent @ found.moves.T)
         torques = np.empty((len(moved.q), len(found.parts), len(basis)))
         forces = np.zeros((len(moved.q), 3, len(basis)))
         for Y, at in regressors(tree, self.state, self.g, self.gravity, moved, base=found.base):
-            torques[at] = self._moves[: Y.shape[1]].T @ Y @ basis.T
+            torques[at] = moves[: Y.shape[1]].T @ Y @ basis.T
             if found.base:
                 forces[at] = Y[:, self._shifts] @ basis.T
         return torques, forces
 
-    def _bent(self, beyond: F64, tau: F64) -> F64:
+    def _bent(self, bent: F64, tau: F64) -> F64:
         """(N, R) deflections by loads, where they are late by others.
 
         Args:
-            beyond: (N, D + 6) deflections that the loads go with [rad or m].
+            bent: (N, R) deflections that the loads go with [rad or m].
             tau: (N, R) torques.
         """
-        parts, rate = self.found.parts, self.log.rate
-        rates, a = (of(beyond[:, parts], rate) for of in (first_derivative, second_derivative))
+        rates, a = (of(bent, self.log.rate) for of in (first_derivative, second_derivative))
         by_springs = (tau + a @ self._own_inertia()) @ self.found.compliance
         return np.asarray(-by_springs - rates * self._late @ self._damped)
 
@@ -277,10 +263,7 @@ class Loaded:
         found, R = self.found, len(self.found.parts)
         out = np.zeros((R, R))
         if found.base:
-            tensor = self._of_damping.stop + np.arange(len(TENSOR))
-            for n, (i, j) in zip(tensor, TENSOR, strict=True):
-                i, j = R - 3 + i, R - 3 + j
-                out[i, j] = out[j, i] = found.origin[n]
+            out[found.of_base, found.of_base] = found.own_inertia
         return out
 
     def _write_base(self, out: F64, tau: F64, a: F64) -> None:
@@ -291,18 +274,17 @@ class Loaded:
             tau: (N, R) what loads the springs.
             a: (N, R) the parts' accelerations.
         """
-        found, C = self.found, self.found.compliance
-        P, R = len(found.basis), len(found.parts)
-        root = np.sqrt(np.diag(C)[-3:])
-        for n, (i, j) in enumerate(PAIRS):
+        found, base = self.found, self.found.of_base
+        C, root = found.compliance[:, base], np.sqrt(np.diag(found.compliance))
+        for n, (i, j) in enumerate(found.crosses, found.of_crosses.start):
             for one, other in ((i, j), (j, i)):
-                out[:, R - 3 + one, P + R + n] = -root[one] * root[other] * tau[:, R - 3 + other]
-        first = self._of_damping.stop
-        for n, (i, j) in enumerate(TENSOR):
-            for one, other in {(i, j), (j, i)}:
-                out[:, :, first + n] -= a[:, R - 3 + other, None] * C[:, R - 3 + one]
+                out[:, one, n] = -root[one] * root[other] * tau[:, other]
+        by_inertia = np.einsum(
+            "nj,kji,ri->nrk", a[:, base], found.inertia_by_numbers, C, optimize=True
+        )
+        out[:, :, found.of_inertia] = -by_inertia
 
-    def _deeper(self, axis: int, robot: F64, force: F64, beyond: F64) -> F64:
+    def _deeper(self, axis: int, robot: F64, force: F64, bent: F64) -> F64:
         """(N, R) loads per metre that the base turns about a point further off along an axis.
 
         The lever of the forces is longer, and the frame shifts more, which moves all links.
@@ -311,11 +293,9 @@ class Loaded:
             axis: x, y or z.
             robot: (N, R) what the robot loads the springs with.
             force: (N, 3) what it pushes the frame with.
-            beyond: (N, D + 6) of the links beyond the encoders.
+            bent: (N, R) of the links beyond the encoders.
         """
         unit = skew(np.eye(3)[axis])
-        shifted = np.array(beyond)
-        shifted[:, self._shifts] += beyond[:, self._turns] @ unit
-        loads = self._torques(shifted) - robot
-        loads[:, self._of_base] += force @ unit.T
+        loads = self._torques(bent, bent[:, -3:] @ unit) - robot
+        loads[:, -3:] += force @ unit.T
         return np.asarray(loads)

@@ -24,7 +24,7 @@ from skin2urdf.estimation.trajectory.following import follow_motion
 from skin2urdf.estimation.trajectory.front_end import droop, droop_variance
 from skin2urdf.estimation.trajectory.gears import Ratios, Uneven
 from skin2urdf.estimation.trajectory.information import MotionInformation, motion_information
-from skin2urdf.estimation.trajectory.leaning import with_leaning_base
+from skin2urdf.estimation.trajectory.leaning import with_leaning_base, with_pulls_on_leaning
 from skin2urdf.estimation.trajectory.misfit import (
     SPAN,
     misfit_of_sus,
@@ -137,10 +137,8 @@ class MotionEstimate:
                 defects += zip(*seen.pulls(number["lost"]), strict=True)
         if self.moving_base is not None:
             defects += self.moving_base.unsure(problem, fitted)
-        end = self.problem.layout.unseen.stop
-        none = np.zeros(problem.layout.unseen.stop - end)
         lacks = [*self._unsure_of(again), *self.hidden, (self.ahead.joint, self.ahead.su)]
-        defects += [(np.insert(joint, end, none), own) for joint, own in lacks]
+        defects += with_pulls_on_leaning(self.problem, self.fitted, lacks)
         return motion_information(problem, fitted, defects, rounding, misfit=self.misfit)
 
     def _unsure_of(self, again: Unseen | None) -> list[tuple[F64, F64]]:

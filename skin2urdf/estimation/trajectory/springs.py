@@ -69,8 +69,14 @@ class Springs:
         """(N, R, S) deflections by loads (N, R, S), from rest in balance with the first.
 
         Steps are linear in what they begin from: all blocks of the time are gone through at once,
-        each from rest, and each then moves on from where the one before it ended.
+        each from rest, and each then moves on from where the one before it ended. Parts of numbers
+        that are no robot's may swing beyond all bounds: their deflections are no numbers.
         """
+        with np.errstate(over="ignore", invalid="ignore"):
+            return self._bent(loads)
+
+    def _bent(self, loads: F64) -> F64:
+        """The same, with what is beyond all bounds."""
         R = loads.shape[1]
         begin = np.zeros((3, *loads.shape[1:]))
         begin[0] = loads[0]

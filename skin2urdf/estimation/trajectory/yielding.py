@@ -23,6 +23,7 @@ from skin2urdf.estimation.trajectory.on_the_base import (
 from skin2urdf.estimation.trajectory.problem import MotionProblem
 from skin2urdf.estimation.trajectory.products import with_products
 from skin2urdf.estimation.trajectory.shaken import Shaken
+from skin2urdf.estimation.trajectory.shifting import with_shifts
 from skin2urdf.estimation.trajectory.slack import learnt_size
 from skin2urdf.estimation.trajectory.state import MotionState
 from skin2urdf.signals.filters import noise_bandwidth
@@ -102,20 +103,6 @@ def _fit_yielding(
     n_knots = problem.layout.n_knots
     promised = 1 + MOST_OF_IT * (misfit_of(problem, fitted, SPAN) - 1)
 
-    def follow(before: MotionProblem, at: MotionState) -> Led:
-        bends = cast(Bending, before.unseen)
-        there = balanced(bends, tree, before.logs, at.placements, at.gravity, at.unseen)
-
-        def about(bends: Bending) -> MotionProblem:
-            return MotionProblem(tree, before.logs, before.priors, n_knots, bends)
-
-        led = about(there.deflections), replace(at, unseen=there.x)
-        return Led(*led, lambda: about(there.moved_by_numbers()))
-
-    def follow_where_it_holds(before: MotionProblem, at: MotionState) -> Led | None:
-        led = follow(before, at)
-        return led if cast(Bending, led.problem.unseen).holds else None
-
     # How SUs on the base are turned is known when its motion is, which all limbs feel.
     moved = [replace(log, valid=log.valid & ((tree.su_joint >= 0) | (not base))) for log in logs]
     first = moved if base else [_slowed(log, _SLOWER[0]) for log in moved]
@@ -126,14 +113,14 @@ def _fit_yielding(
     if not base:
         # Far below resonances links deflect by the motion that encoders have, or nearly so.
         state = fit(yielding, state, tolerance=NEARLY, iterations=_PROMISING_STEPS).state
-        led = follow(yielding, state)
+        led = _follow(yielding, state)
         yielding, state = led.whole(), led.state
         ways = []
         for slower in (*_SLOWER[1:], 1):
             yielding, near = fit_following(
                 yielding,
                 state,
-                follow_where_it_holds,
+                _follow_where_it_holds,
                 iterations=_PROMISING_STEPS,
                 tolerance=_ROUGHLY,
             )
@@ -141,11 +128,11 @@ def _fit_yielding(
             if slower > 1:
                 faster = [_slowed(log, slower) for log in moved]
                 bends = unsettled(ways[-1][0], faster)
-                led = follow(MotionProblem(tree, faster, priors, n_knots, bends), near.state)
+                led = _follow(MotionProblem(tree, faster, priors, n_knots, bends), near.state)
                 yielding, state = led.whole(), led.state
         # Where swings are all of one frequency, one of the two bands holds nothing of them.
         leads = [
-            follow(MotionProblem(tree, moved, priors, n_knots, unsettled(bends, moved)), at)
+            _follow(MotionProblem(tree, moved, priors, n_knots, unsettled(bends, moved)), at)
             for bends, at in ways
         ]
         ends = [held(led.problem, led.state) for led in leads]
@@ -158,22 +145,45 @@ def _fit_yielding(
     )
     for steps, enough in stages:
         yielding, fitted = fit_following(
-            yielding, state, follow_where_it_holds, iterations=steps, tolerance=enough
+            yielding, state, _follow_where_it_holds, iterations=steps, tolerance=enough
         )
         keeps = misfit_of(yielding, fitted, SPAN) <= promised
         yielding = yielding.again(logs=logs)
         state = turned_as_the_base(yielding, fitted.state, SPAN)
         if not keeps:
-            return yielding, held(yielding, state)
+            return _shifting(yielding, held(yielding, state))
     loads = slice(0, len(bends.basis))
     spread = np.array(bends.spread)
     spread[loads] = learnt_size(yielding, fitted, loads).size
     # Products of motions were known of links that follow their encoders.
     yielding, _ = with_products(yielding, held(yielding, state))
     yielding = yielding.again(priors=replace(priors, unseen=spread))
-    return fit_following(
-        yielding, state, follow_where_it_holds, iterations=_STEPS, tolerance=NEARLY
+    return _shifting(
+        *fit_following(yielding, state, _follow_where_it_holds, iterations=_STEPS, tolerance=NEARLY)
     )
+
+
+def _shifting(problem: MotionProblem, fitted: Fitted) -> tuple[MotionProblem, Fitted]:
+    """The fit with a base that shifts as well, where the readings show it for certain."""
+    return with_shifts(problem, fitted, _follow_where_it_holds, steps=_STEPS, tolerance=NEARLY)
+
+
+def _follow(before: MotionProblem, at: MotionState) -> Led:
+    """Deflections in balance with their loads about a state."""
+    bends, tree = cast(Bending, before.unseen), before.tree
+    there = balanced(bends, tree, before.logs, at.placements, at.gravity, at.unseen)
+
+    def about(bends: Bending) -> MotionProblem:
+        return MotionProblem(tree, before.logs, before.priors, before.layout.n_knots, bends)
+
+    led = about(there.deflections), replace(at, unseen=there.x)
+    return Led(*led, lambda: about(there.moved_by_numbers()))
+
+
+def _follow_where_it_holds(before: MotionProblem, at: MotionState) -> Led | None:
+    """The same; None where there is no balance."""
+    led = _follow(before, at)
+    return led if cast(Bending, led.problem.unseen).holds else None
 
 
 def _at_rest_before(log: Trajectory) -> Trajectory:

@@ -81,7 +81,7 @@ def test_a_fit_whose_loads_are_out_of_balance_is_nobodys(monkeypatch: pytest.Mon
     assert "base" in found.causes
     assert yielding.is_in_balance(found.problem, found.fitted)
     # Masses of the other sign, and many times as heavy.
-    state = replace(found.fitted.state, unseen=-40.0 * found.fitted.state.unseen)
+    state = replace(found.fitted.state, unseen=-400.0 * found.fitted.state.unseen)
     nobodys = replace(found.fitted, state=state)
     assert not yielding.is_in_balance(found.problem, nobodys)
     assert shaken_loads(found.problem, nobodys) is None

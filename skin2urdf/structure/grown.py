@@ -140,6 +140,11 @@ class Grown:
         """(W, 3) upward gravity in the frame of a segment [m/s^2]."""
         return np.asarray((np.swapaxes(R, 1, 2) @ self._upward[..., None])[..., 0])
 
+    def is_steady(self, segment: Segment) -> bool:
+        """Whether gravity points one way in a segment, so that it hides upright joints beyond."""
+        felt = self.gravity(segment.R)
+        return bool(np.sqrt(((felt - felt.mean(axis=0)) ** 2).mean()) <= _STEADY)
+
     def misfit(self, chi2: F64, sus: Int | slice = slice(None)) -> F64:
         """Half the logarithm of chi-squared per measurement, summed over the measurements.
 

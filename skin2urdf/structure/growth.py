@@ -192,12 +192,13 @@ class _Search:
         """The extension that leaves least, of those that are worth their parameters."""
         found = self._with_axes_before(self._single())
         for length in _RANDOM_STARTS:
-            # What one joint leaves beyond noise may be an upright one before it: gravity alone does
-            # not show it, and it would find no place once axes are bent to do without it.
-            enough = self._explained if length > 2 else self._is_noise
+            enough = self._lacks_none if length > 2 else self._is_noise
             if found is not None and enough(found):
                 break
-            longer = self._with_axes_before(self._longer(length))
+            # What one joint leaves beyond noise may be an upright one before it: gravity alone does
+            # not show it, and it would find no place once axes are bent to do without it.
+            upright = found is not None and self._explained(found)
+            longer = self._with_axes_before(self._longer(length, upright=upright))
             price = 0.0 if longer is None else self._price(longer.su, length, 1)
             if longer and (found is None or longer.misfit + price < found.misfit):
                 found = longer
@@ -252,6 +253,12 @@ class _Search:
         noise = float(self.tree.noise()[option.su])
         now = float(self.tree.best()[1][option.su])
         return option.misfit <= max(noise, noise + _LEFT * (now - noise))
+
+    def _lacks_none(self, option: _Extension) -> bool:
+        """Whether an extension leaves too little for three joints to be looked for."""
+        noise = float(self.tree.noise()[option.su])
+        now = float(self.tree.best()[1][option.su])
+        return option.misfit <= noise + MISSING * max(0.0, now - noise)
 
     def _is_noise(self, option: _Extension) -> bool:
         """Whether an extension leaves no more than noise as stated."""
@@ -402,8 +409,13 @@ class _Search:
             np.array([moving.change[at, u].T for u, _, _ in problems]),
         )
 
-    def _longer(self, length: int) -> _Extension | None:
-        """The best extension by several joints, of SUs that are not explained yet."""
+    def _longer(self, length: int, *, upright: bool) -> _Extension | None:
+        """The best extension by several joints, of SUs that are not explained yet.
+
+        Args:
+            length: how many.
+            upright: whether only those are looked for of which the first may be upright.
+        """
         free = self._unplaced
         if len(free) < length:
             return None
@@ -411,7 +423,7 @@ class _Search:
         unexplained = np.flatnonzero(~self.tree.explained() & (self.tree.n > 0))
         best: _Extension | None = None
         for u in sorted(unexplained, key=lambda u: now[u] / self.tree.n[u])[:_TRIED]:
-            option = self._longer_chain(int(u), length, free, now[u])
+            option = self._longer_chain(int(u), length, free, now[u], upright=upright)
             if option and (best is None or self._left(option) < self._left(best)):
                 best = option
             if best is not None and self._explained(best):
@@ -419,13 +431,15 @@ class _Search:
         return best
 
     def _longer_chain(
-        self, su: int, length: int, free: Sequence[int], now: float
+        self, su: int, length: int, free: Sequence[int], now: float, *, upright: bool
     ) -> _Extension | None:
         """The best extension by several joints of one SU, of those that few windows rank first."""
+        steady = [not upright or self.tree.is_steady(s) for s in self.tree.segments]
         chains = [
             (s, dofs)
             for s, dofs in (self._pairs(su, free) if length == 2 else self._triples(su, free))
-            if self._may_carry(dofs[-1], su)
+            if steady[s]
+            and self._may_carry(dofs[-1], su)
             and all(self._may_follow(a, b) for a, b in pairwise((self.tree.segments[s].dof, *dofs)))
         ]
         if not chains:

@@ -241,7 +241,7 @@ class MotionProblem(Derivatives):
     def ideal(
         self, state: MotionState, g: int, predicted: Predicted, use: Callable[[int, F64], object]
     ) -> None:
-        """Use what perfect sensors in the SUs' places would read.
+        """Use what perfect sensors in the SUs' places would read, behind their front ends.
 
         Args:
             state: where.
@@ -250,15 +250,21 @@ class MotionProblem(Derivatives):
             use: is called with the number of each SU and what it would read, (3, K) [m/s^2]; for
                 several at a time where there are many.
         """
-        within, _, _ = compared(self.logs[g])
+        within, rate, margin = compared(self.logs[g])
         perfect = np.broadcast_to(np.eye(3), (self.tree.n_sus, 3, 3))
-        felt = predicted.felt[:, :3, within]
 
-        def read(some: SharedPoints) -> None:
-            for u, mine in zip(some.sus.tolist(), some.read(perfect[some.sus], felt), strict=True):
+        def read(part: tuple[SharedPoints, Spectrum]) -> None:
+            some, of_points = part
+            heard = of_points.mixed(some.sensed(perfect[some.sus]))
+            read = front_end(heard, state.front[some.sus])[..., within]
+            for u, mine in zip(some.sus.tolist(), read, strict=True):
                 use(u, mine)
 
-        parts = (some for link in self.points(state) for some in link.parts())
+        of_links = (
+            (link, Spectrum.of(link.series(predicted.felt[:, :3]), rate, margin))
+            for link in self.points(state)
+        )
+        parts = ((some, of_points) for link, of_points in of_links for some in link.parts())
         do_each(read, parts, self.tree.n_sus)
 
     def bent(self, state: MotionState) -> tuple[F64, ...]:

@@ -222,6 +222,28 @@ def test_a_part_of_the_samples_is_predicted_as_all_are() -> None:
         np.testing.assert_allclose(of_part, of_all[::3], atol=1e-12)
 
 
+def test_sensors_are_fitted_again_behind_their_front_ends() -> None:
+    """What is left of readings is changed in place, to what sensors that droop leave of it."""
+    log = _trajectory(np.random.default_rng(4), pole=0.02)
+    priors = motion_priors(Priors(), gravity=0.0, front=(np.zeros(2), np.full(2, 1e-3)))
+    problem = MotionProblem(_TREE, [log], priors)
+    state = MotionState(
+        placements=replace(_truth(), bias=np.zeros((3, 3)), shape=np.zeros((3, 6))),
+        gravity=9.81,
+        front=np.full((3, 2), [4e-4, 0.0]),
+        clock=np.full((1, 3, 2), [0.02, 0.0]),
+        knots=(np.zeros((0, 3, 3)),),
+        unseen=np.zeros(0),
+    )
+    left = problem.predict(state, 0)
+    weight = np.where(left.measured[..., None], 1e4, 0.0) * np.ones(3)
+    before = float((weight * left.residual**2).sum())
+    found = problem.refit_sensors(state, (left,), [weight], problem.free_su)
+    after = problem.predict(found, 0).residual
+    np.testing.assert_allclose(left.residual, after, atol=1e-9)
+    assert (weight * after**2).sum() < 0.05 * before
+
+
 def test_samples_are_left_out_only_where_they_are_very_many() -> None:
     log = replace(_trajectory(np.random.default_rng(1)), independence=0.6)
     assert independent([log]) == [log]

@@ -192,8 +192,9 @@ class _Search:
         """The extension that leaves least, of those that are worth their parameters."""
         found = self._with_axes_before(self._single())
         for length in _RANDOM_STARTS:
-            enough = self._lacks_none if length > 2 else self._is_noise
-            if found is not None and enough(found):
+            if found is not None and (
+                self._is_noise(found) if length == 2 else self._explained(found, MISSING)
+            ):
                 break
             # What one joint leaves beyond noise may be an upright one before it: gravity alone does
             # not show it, and it would find no place once axes are bent to do without it.
@@ -244,21 +245,15 @@ class _Search:
         ]
         return Grown(self.windows, self.tree.up, known)
 
-    def _explained(self, option: _Extension) -> bool:
+    def _explained(self, option: _Extension, share: float = _LEFT) -> bool:
         """Whether an extension leaves too little for more joints to be looked for at once.
 
-        That is the noise as stated, or what a sensor that is worse than that leaves once nine
-        tenths of its misfit are gone.
+        That is the noise as stated, or what a sensor that is worse than that leaves once all but a
+        share of its misfit is gone.
         """
         noise = float(self.tree.noise()[option.su])
         now = float(self.tree.best()[1][option.su])
-        return option.misfit <= max(noise, noise + _LEFT * (now - noise))
-
-    def _lacks_none(self, option: _Extension) -> bool:
-        """Whether an extension leaves too little for three joints to be looked for."""
-        noise = float(self.tree.noise()[option.su])
-        now = float(self.tree.best()[1][option.su])
-        return option.misfit <= noise + MISSING * max(0.0, now - noise)
+        return option.misfit <= noise + share * max(0.0, now - noise)
 
     def _is_noise(self, option: _Extension) -> bool:
         """Whether an extension leaves no more than noise as stated."""

@@ -14,7 +14,7 @@ import numpy as np
 
 from skin2urdf.arrays import F64, Bool
 from skin2urdf.estimation.problem.state import State
-from skin2urdf.estimation.trajectory.bending import SPINDLE, SWAY, UNLIKE, Bending
+from skin2urdf.estimation.trajectory.bending import SPINDLE, UNLIKE, Bending
 from skin2urdf.estimation.trajectory.coarser import coarser, on_grid
 from skin2urdf.estimation.trajectory.loaded import Loaded
 from skin2urdf.estimation.trajectory.skeleton import N_HINGES
@@ -50,7 +50,6 @@ def bending(
     *,
     joints: bool,
     base: bool,
-    shifts: bool = False,
 ) -> Bending:
     """The deflections that the motion of the logs can make, as encoders have that motion.
 
@@ -61,16 +60,15 @@ def bending(
         gravity: its magnitude [m/s^2].
         joints: whether joints yield.
         base: whether the base turns under its load.
-        shifts: whether it shifts, too.
 
     Returns:
         Deflections of parts that all yield alike, by loads of none.
     """
     D = tree.n_joints
-    hinges = range(D if shifts else D + 3, D + N_HINGES)
-    parts = np.array([*(range(D) if joints else ()), *(hinges if base else ())], dtype=np.int64)
+    turns = range(D + 3, D + N_HINGES)
+    parts = np.array([*(range(D) if joints else ()), *(turns if base else ())], dtype=np.int64)
     # What slides is as stiff as what turns, at the lever of a spindle.
-    lever = np.append(np.where(tree.prismatic, SPINDLE, 1.0), np.repeat([SWAY, 1.0], 3))[parts]
+    lever = np.append(np.where(tree.prismatic, SPINDLE, 1.0), np.ones(N_HINGES))[parts]
     unit = lever**2
     size = inertial_sizes(state)
     square = np.zeros((len(parts), len(size), len(size)))

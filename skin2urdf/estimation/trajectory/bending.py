@@ -50,8 +50,8 @@ _SWING = (2 * np.pi * 25.0) ** -2
 """Standard deviation of the base's own inertia over its stiffness [s^2]: that of a resonance at
 25 Hz without the robot."""
 _HEAVIER = 2.0
-"""Standard deviation of the logarithm of a base's mass over that which resonates as fast as it
-shifts: at 9 to 70 Hz."""
+"""Standard deviation of the logarithm of the mass of a base that shifts, over that which resonates
+at 25 Hz where it yields as feet do: at 9 to 70 Hz."""
 _OFF_CENTRE = 0.3
 """Standard deviation of the distance between its centre of mass and where it is held [m]."""
 _DEPTH = 0.5

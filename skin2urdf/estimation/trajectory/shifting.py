@@ -45,7 +45,7 @@ def with_shifts(
     found = _shifts(problem, fitted, there)
     if not found.gain > CERTAIN:
         return problem, fitted
-    shifting, x = _that_shifts(there, found.numbers / _changes(there))
+    shifting, x = that_shifts(there, found.numbers / _changes(there))
     spread = np.array(shifting.spread)
     P = len(bends.basis)
     spread[:P] = problem.priors.unseen[:P]
@@ -89,7 +89,7 @@ def _changes(there: Balance) -> float:
     return max(float(np.sqrt(np.mean(np.concatenate(about) ** 2))), 1e-300)
 
 
-def _that_shifts(there: Balance, compliance: F64) -> tuple[Bending, F64]:
+def that_shifts(there: Balance, compliance: F64) -> tuple[Bending, F64]:
     """The deflections of a base that shifts as well, and their numbers.
 
     Args:

@@ -14,11 +14,11 @@ import numpy as np
 
 from skin2urdf.arrays import F64, Bool
 from skin2urdf.estimation.problem.state import State
-from skin2urdf.estimation.trajectory.bending import SPINDLE, UNLIKE, Bending
+from skin2urdf.estimation.trajectory.bending import SPINDLE, Bending
 from skin2urdf.estimation.trajectory.coarser import coarser, on_grid
 from skin2urdf.estimation.trajectory.loaded import Loaded
 from skin2urdf.estimation.trajectory.skeleton import N_HINGES
-from skin2urdf.estimation.trajectory.springs import Springs, roots
+from skin2urdf.estimation.trajectory.springs import Springs
 from skin2urdf.estimation.trajectory.torques import inertial_sizes, regressors
 from skin2urdf.signals.filters import noise_bandwidth
 from skin2urdf.signals.trajectory import Trajectory
@@ -141,10 +141,7 @@ def balanced(
     derivative.
     """
     before = [_beyond(tree, log, found.moved(log, g, x)) for g, log in enumerate(logs)]
-    about = replace(found, compliance=_compliance(found, x))
-    x = np.array(x)
-    x[len(found.basis) : found.of_crosses.stop] = 0.0
-    about = replace(about, origin=x)
+    about = found.about(x)
     sizes, of_logs, bent, all_springs, every, holds = [], [], [], [], [], True
     for g, (log, beyond) in enumerate(zip(logs, before, strict=True)):
         step = step_of(log)
@@ -175,7 +172,7 @@ def balanced(
         every=tuple(every),
         holds=holds,
     )
-    return Balance(deflections, x, tuple(of_logs), tuple(bent), tuple(all_springs))
+    return Balance(deflections, about.origin, tuple(of_logs), tuple(bent), tuple(all_springs))
 
 
 @dataclass(frozen=True, eq=False)
@@ -247,17 +244,3 @@ def _beyond(tree: KinematicTree, log: Trajectory, moved: Trajectory) -> F64:
     beyond[:, : moved.q.shape[1]] = moved.q
     beyond[:, : tree.n_joints] -= log.q
     return beyond
-
-
-def _compliance(found: Bending, x: F64) -> F64:
-    """(R, R) what parts yield by the numbers that were found; none yields against its load."""
-    P, R = len(found.basis), len(found.parts)
-    C = np.array(found.compliance)
-    root = np.sqrt(np.diag(C))
-    if found.base:
-        for share, (a, b) in zip(x[found.of_crosses], found.crosses, strict=True):
-            C[a, b] += root[a] * root[b] * share
-            C[b, a] = C[a, b]
-    grown = np.exp(0.5 * np.clip(x[P : P + R], -UNLIKE, UNLIKE))
-    root, _ = roots(C * grown[:, None] * grown)
-    return np.asarray(root @ root)

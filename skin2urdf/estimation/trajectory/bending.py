@@ -19,13 +19,14 @@ its compliance, which may be 0 about some axis.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
 
 from skin2urdf.arrays import F64, Int
 from skin2urdf.estimation.trajectory.skeleton import N_HINGES
+from skin2urdf.estimation.trajectory.springs import roots
 from skin2urdf.estimation.trajectory.torques import N_INERTIAL
 from skin2urdf.estimation.trajectory.unseen import Unseen
 from skin2urdf.geometry.so3 import skew
@@ -57,6 +58,10 @@ _OFF_CENTRE = 0.3
 _DEPTH = 0.5
 """Standard deviation of the distance between the base's frame and the point about which the base
 turns [m]: that of a stand."""
+_LATE = 2e-3
+"""Time by which dampers make deflections late [s]: a twentieth of the critical damping at 8 Hz."""
+_FAR = 3.0
+"""Logarithm that it does not reach: nothing is late by more than a sixth of a swing at 4 Hz."""
 _PAIRS = ((0, 1), (0, 2), (1, 2))
 _TENSOR = ((0, 0), (1, 1), (2, 2), *_PAIRS)
 
@@ -131,6 +136,11 @@ class Bending(Unseen):
         return slice(first, first + 6 * self.base + 4 * self.shifts)
 
     @property
+    def of_springs(self) -> slice:
+        """All numbers but those of the base's place: loads, springs, dampers and own inertia."""
+        return slice(0, self.of_inertia.stop)
+
+    @property
     def of_base(self) -> slice:
         """The parts that are the base's shifts and turns."""
         R = len(self.parts)
@@ -183,6 +193,53 @@ class Bending(Unseen):
         return np.block([[mass * np.eye(3), skew(first).T], [skew(first), second]])
 
     @property
+    def inertia_of_parts(self) -> F64:
+        """(R, R) inertia of parts that no load is, which is the base's own."""
+        out = np.zeros((len(self.parts), len(self.parts)))
+        if self.base:
+            out[self.of_base, self.of_base] = self.own_inertia
+        return out
+
+    @property
+    def late(self) -> F64:
+        """(R,) times by which dampers make parts late [s]; of the base's, with unit compliances."""
+        return np.asarray(_LATE * np.exp(_FAR * np.tanh(self._dampers / _FAR)) / self.arms**2)
+
+    @property
+    def later(self) -> F64:
+        """(R,) by how much these grow with their numbers [s]."""
+        return np.asarray(self.late * (1 - np.tanh(self._dampers / _FAR) ** 2))
+
+    @property
+    def _dampers(self) -> F64:
+        """(R,) the numbers that make them."""
+        return np.array(self.origin[self.of_dampers])
+
+    @property
+    def damped(self) -> F64:
+        """(R, R) by how much each damper, of a spring of unit stiffness, makes all parts late."""
+        C, base = np.eye(len(self.parts)), self.of_base
+        C[base, base] = self.compliance[base, base]
+        return C
+
+    def about(self, x: F64) -> Bending:
+        """The same about numbers x (S,); none yields against its load.
+
+        What parts were found to yield is in ``compliance`` then.
+        """
+        P, R = len(self.basis), len(self.parts)
+        C = np.array(self.compliance)
+        root = np.sqrt(np.diag(C))
+        for share, (a, b) in zip(x[self.of_crosses], self.crosses, strict=True):
+            C[a, b] += root[a] * root[b] * share
+            C[b, a] = C[a, b]
+        grown = np.exp(0.5 * np.clip(x[P : P + R], -UNLIKE, UNLIKE))
+        root, _ = roots(C * grown[:, None] * grown)
+        origin = np.array(x)
+        origin[P : self.of_crosses.stop] = 0.0
+        return replace(self, compliance=root @ root, origin=origin)
+
+    @property
     def lever(self) -> F64:
         """(3,) how far the base's frame is from the point about which it turns [m]."""
         return np.array(self.origin[-3:]) if self.base else np.zeros(3)
@@ -232,5 +289,15 @@ class Bending(Unseen):
 
 def bends_of(unseen: Unseen | None) -> Bending | None:
     """The deflections under loads that nobody knows, which are the first of what is unseen."""
-    first = unseen.several[0] if unseen is not None and unseen.several else unseen
-    return first if isinstance(first, Bending) else None
+    bends, at = bends_among(unseen)
+    return bends if at.start == 0 else None
+
+
+def bends_among(unseen: Unseen | None) -> tuple[Bending | None, slice]:
+    """The deflections under loads that nobody knows, and which of all numbers make them."""
+    first = 0
+    for each in (unseen.several or (unseen,)) if unseen is not None else ():
+        if isinstance(each, Bending):
+            return each, slice(first, first + each.n_numbers)
+        first += each.n_numbers
+    return None, slice(0, 0)

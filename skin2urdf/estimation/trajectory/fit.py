@@ -86,7 +86,7 @@ class Fitted:
     @cached_property
     def shaken(self) -> Shaken:
         """What the noise of encoders makes of predictions at the state, with these weights."""
-        return Shaken.of(self.problem.tree, self.problem.logs, self.state, self.weights)
+        return shaken_by(self.problem, self.state, self.weights)
 
     def minimised(self, equations: Equations) -> Equations:
         """Normal equations at the state, without what is gained by cutting noise off.
@@ -101,6 +101,11 @@ class Fitted:
     def keep(self, equations: Equations) -> None:
         """Take normal equations at the state, which need not be worked out again."""
         vars(self)["equations"] = equations
+
+
+def shaken_by(problem: MotionProblem, state: MotionState, weights: Sequence[F64]) -> Shaken:
+    """What the noise of encoders makes of predictions at a state, with weights per log."""
+    return Shaken.of(problem.tree, problem.logs, state, weights, problem.unseen)
 
 
 def fit(
@@ -262,7 +267,7 @@ def _descend(
     state = start
     predicted = predicted or tuple(problem.predict(state, g) for g in range(len(problem.logs)))
     noise, weights = _noise(problem, state, predicted)
-    shaken = Shaken.of(problem.tree, problem.logs, state, weights)
+    shaken = shaken_by(problem, state, weights)
     cost = _cost(problem, state, predicted, weights, shaken)
     damping = _DAMPING
     longest, before = 0.0, np.inf
@@ -299,7 +304,7 @@ def _descend(
         if at_once:
             damping = max(damping / _FALL, 1e-12)
         noise, weights = _noise(problem, state, predicted)
-        shaken = Shaken.of(problem.tree, problem.logs, state, weights)
+        shaken = shaken_by(problem, state, weights)
         cost = _cost(problem, state, predicted, weights, shaken)
         shrinks = length / before if at_once and length < before < np.inf else 1.0
         longest, before = max(longest, length) if length < np.inf else longest, length
@@ -330,7 +335,7 @@ def held(problem: MotionProblem, state: MotionState) -> Fitted:
         give_back_freed_memory()
     predicted = tuple(problem.predict(state, g) for g in range(len(problem.logs)))
     noise, weights = _noise(problem, state, predicted)
-    shaken = Shaken.of(problem.tree, problem.logs, state, weights)
+    shaken = shaken_by(problem, state, weights)
     cost = _cost(problem, state, predicted, weights, shaken)
     return Fitted(problem, state, noise, weights, predicted, cost)
 

@@ -25,14 +25,10 @@ from skin2urdf.structure.records import KinematicTree
 if TYPE_CHECKING:
     import pinocchio as pin
 
-_LATE = 2e-3
-"""Time by which dampers make deflections late [s]: a twentieth of the critical damping at 8 Hz."""
 _SLOWLY = 2
 """Samples from one at which inertias are worked out to the next: some 30 ms."""
 _TOGETHER = 16
 """Numbers whose motions are worked out at once, so that what is copied for them stays small."""
-_FAR = 3.0
-"""Logarithm that it does not reach: nothing is late by more than a sixth of a swing at 4 Hz."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,17 +110,14 @@ class Loaded:
         robot, force = (each @ found.origin[:P] for each in (tau, force))
         rates, a = (of(bent, self.log.rate) for of in (first_derivative, second_derivative))
         # The base's dampers and its own inertia load its springs as the robot does.
-        late, base = self._late, found.of_base
-        tau = robot + a @ self._own_inertia()
+        late, base = found.late, found.of_base
+        tau = robot + a @ found.inertia_of_parts
         tau[:, base] += rates[:, base] * late[base]
         by_springs = -tau @ C
         r = np.arange(R)
         out[:, r, P + r] = 0.5 * by_springs
         out[:, :, P : P + R] -= 0.5 * np.einsum("ri,ni->nri", C, tau)
-        sooner = 1 - np.tanh(found.origin[found.of_dampers] / _FAR) ** 2
-        out[:, :, found.of_dampers] = -np.einsum(
-            "ri,ni->nri", self._damped, rates * (late * sooner)
-        )
+        out[:, :, found.of_dampers] = -np.einsum("ri,ni->nri", found.damped, rates * found.later)
         if found.base:
             self._write_base(out, tau, a)
             for i in range(3):
@@ -138,9 +131,9 @@ class Loaded:
             bent: (N, R) of the links beyond the encoders [rad or m].
         """
         found, size = self.found, len(bent)
-        damped = self._damped * self._late
+        damped = found.damped * found.late
         if self._at_rest:
-            base_alone = self._own_inertia()[None]
+            base_alone = found.inertia_of_parts[None]
             return Springs(found.compliance, base_alone, damped, self.log.rate, size)
         thin = slice(None, None, _SLOWLY)
         moved = self._moved(bent @ found.moves.T)
@@ -148,7 +141,7 @@ class Loaded:
         q = moved.q
         of_all = joint_inertias(self.tree, self.state, moved, self._parameters, base=found.base)
         moves = found.moves[: of_all.shape[1]]
-        inertia = moves.T @ of_all @ moves + self._own_inertia()
+        inertia = moves.T @ of_all @ moves + found.inertia_of_parts
         at = np.minimum(np.arange(size) / _SLOWLY, len(q) - 1)
         low = at.astype(np.int64)
         high, part = np.minimum(low + 1, len(q) - 1), (at - low)[:, None, None]
@@ -170,21 +163,6 @@ class Loaded:
         """(N, R) deflections by the share that is not."""
         none = np.zeros((len(self.log.q), len(self.found.parts)))
         return np.asarray((1 - self._there)[:, None] * self._bent(none, self._torques(none)))
-
-    @property
-    def _late(self) -> F64:
-        """(R,) times by which dampers make parts late [s]; of the base's, with unit compliances."""
-        found = self.found
-        times = _LATE * np.exp(_FAR * np.tanh(found.origin[found.of_dampers] / _FAR))
-        return np.asarray(times / found.arms**2)
-
-    @property
-    def _damped(self) -> F64:
-        """(R, R) by how much each damper, of a spring of unit stiffness, makes all parts late."""
-        found, base = self.found, self.found.of_base
-        C = np.eye(len(found.parts))
-        C[base, base] = found.compliance[base, base]
-        return C
 
     @property
     def _shifts(self) -> slice:
@@ -255,16 +233,9 @@ class Loaded:
             tau: (N, R) torques.
         """
         rates, a = (of(bent, self.log.rate) for of in (first_derivative, second_derivative))
-        by_springs = (tau + a @ self._own_inertia()) @ self.found.compliance
-        return np.asarray(-by_springs - rates * self._late @ self._damped)
-
-    def _own_inertia(self) -> F64:
-        """(R, R) inertia of the base itself, of which the numbers are over its stiffness."""
-        found, R = self.found, len(self.found.parts)
-        out = np.zeros((R, R))
-        if found.base:
-            out[found.of_base, found.of_base] = found.own_inertia
-        return out
+        found = self.found
+        by_springs = (tau + a @ found.inertia_of_parts) @ found.compliance
+        return np.asarray(-by_springs - rates * found.late @ found.damped)
 
     def _write_base(self, out: F64, tau: F64, a: F64) -> None:
         """Write what the base's cross compliances and its own inertia do into loads.

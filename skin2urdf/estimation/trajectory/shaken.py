@@ -13,22 +13,26 @@ minimised is what the front end makes of the motion (corrected scores: Stefanski
 
 Joints that a driver smooths are further by so much of their derivatives, in which the same noise
 is: of joint j its numbers leave ``|F G_j|^2 S_j``. Were the front end's share alone taken off, it
-would pay to let sensors rise and joints fall.
+would pay to let sensors rise and joints fall. What springs make of it under loads nobody knows is
+in :mod:`shaken_springs`: it is paid for neither.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
 from skin2urdf.arrays import F64, Complex, Int, Record
 from skin2urdf.estimation.problem.state import State
+from skin2urdf.estimation.trajectory.bending import Bending, bends_among
 from skin2urdf.estimation.trajectory.front_end import transfer
 from skin2urdf.estimation.trajectory.kinematics import felt_of_joints
 from skin2urdf.estimation.trajectory.problem import MotionProblem
 from skin2urdf.estimation.trajectory.records import Equations
+from skin2urdf.estimation.trajectory.shaken_springs import FREQUENCIES, ShakenSprings
 from skin2urdf.estimation.trajectory.state import MotionState
 from skin2urdf.estimation.trajectory.unseen import Unseen
 from skin2urdf.signals.trajectory import Trajectory
@@ -50,7 +54,11 @@ class Shaken:
 
     @staticmethod
     def of(
-        tree: KinematicTree, logs: Sequence[Trajectory], state: MotionState, weights: Sequence[F64]
+        tree: KinematicTree,
+        logs: Sequence[Trajectory],
+        state: MotionState,
+        weights: Sequence[F64],
+        unseen: Unseen | None = None,
     ) -> Shaken:
         """Of logs at a state.
 
@@ -59,10 +67,11 @@ class Shaken:
             logs: the trajectories.
             state: where.
             weights: per log (K, U, 3) information of each sample [s^4/m^2]; gyroscopes' behind it.
+            unseen: motion among which there may be springs.
         """
         return Shaken(
             tuple(
-                ShakenLog.of(tree, log, state, w)
+                ShakenLog.of(tree, log, state, w, unseen)
                 for log, w in zip(logs, weights, strict=True)
                 if log.noise is not None
             )
@@ -115,6 +124,7 @@ class ShakenLog(Record):
         times: (F, D) what positions are times, by what was added of their derivatives.
         counts: (U, D) by how much chi-squared grows with such a square.
         chi2: (F, U) by how much chi-squared is larger for the noise.
+        springs: what springs make of it; None where there are none.
     """
 
     w: F64
@@ -122,41 +132,122 @@ class ShakenLog(Record):
     times: Complex
     counts: F64
     chi2: F64
+    springs: ShakenSprings | None = None
 
     @staticmethod
-    def of(tree: KinematicTree, log: Trajectory, state: MotionState, weights: F64) -> ShakenLog:
+    def of(
+        tree: KinematicTree,
+        log: Trajectory,
+        state: MotionState,
+        weights: F64,
+        unseen: Unseen | None = None,
+    ) -> ShakenLog:
         """Of a log at a state, with weights (K, U, 3) of its samples."""
         w, power = log.noise_spectrum()
+        bends, _ = bends_among(unseen)
+        if bends is not None:
+            w, power = _in_bands(w, power, FREQUENCIES)
         felt, shaken = _felt_of_some(tree, log, state.placements), log.shaken[::EVERY]
         counts = EVERY * np.einsum(
             "ku,kd,udk->ud", weights[::EVERY, :, 0], shaken, felt, optimize=True
         )
-        return ShakenLog(w, power, log.times(w), counts, power @ counts.T)
+        springs = None
+        if bends is not None:
+            springs = ShakenSprings.of(bends, tree, log, state.placements, weights[..., 0], w)
+        return ShakenLog(w, power, log.times(w), counts, power @ counts.T, springs)
 
     def cut_off(self, state: MotionState, unseen: Unseen | None) -> float:
         """What is taken of chi-squared, as above."""
         H, _ = transfer(self.w, state.front)
-        filters = _Filters.of(unseen, self, state.unseen)
-        kept = np.abs(H) ** 2 * (1.0 if filters is None else self._kept_share(filters))
+        left = self._left(unseen, state.unseen)
+        kept = np.abs(H) ** 2 * (1.0 if left is None else left.share)
         return float((_kept_less(kept)[0] * self.chi2).sum())
 
     def pull(self, state: MotionState, unseen: Unseen | None) -> tuple[F64, F64]:
         """(S,) and (U, 2) parts of the gradient in numbers and front ends."""
         H, slopes = transfer(self.w, state.front)
         of_front, by_front = np.abs(H) ** 2, (H.conj() * slopes).real
-        filters = _Filters.of(unseen, self, state.unseen)
-        if filters is None:
+        left = self._left(unseen, state.unseen)
+        if left is None:
             less = _kept_less(of_front)[1] * self.chi2
             return np.zeros(len(state.unseen)), np.einsum("fu,nfu->un", less, by_front)
-        share = self._kept_share(filters)
-        _, less = _kept_less(of_front * share)
-        to_numbers = filters.pull(self.power * ((less * of_front) @ self.counts))
-        return to_numbers, np.einsum("fu,nfu->un", less * share * self.chi2, by_front)
+        _, less = _kept_less(of_front * left.share)
+        to_fronts = np.einsum("fu,nfu->un", less * left.share * self.chi2, by_front)
+        return left.pull(less * of_front), to_fronts
 
-    def _kept_share(self, filters: _Filters) -> F64:
-        """(F, U) share of the noise that filters of joints leave."""
-        kept = (self.power * np.abs(filters.gain) ** 2) @ self.counts.T
-        return np.asarray(kept / np.where(self.chi2 > 0, self.chi2, 1.0))
+    def _left(self, unseen: Unseen | None, x: F64) -> _Left | None:
+        """What numbers x (S,) leave of the noise; None where none of them does anything to it."""
+        filters = _Filters.of(unseen, self, x)
+        bends, at = bends_among(unseen)
+        if self.springs is None or bends is None:
+            return None if filters is None else _Left(self, filters, self.counts[None], len(x))
+        about = bends.about(x[at])
+        # Some samples stand for all.
+        of_rigid = self.springs.of_rigid
+        more = self.chi2 / np.maximum(self.power @ of_rigid.T, 1e-300)
+        counts = more[..., None] * self.springs.counts(about)
+        return _Left(self, filters, counts, len(x), _Bent(about, at, more))
+
+
+@dataclass(frozen=True, eq=False)
+class _Bent:
+    """Springs that swing along.
+
+    Attributes:
+        bends: the springs, about their numbers.
+        at: which of all numbers these are.
+        more: (F, U) by how much all samples count more than those at which springs are asked.
+    """
+
+    bends: Bending
+    at: slice
+    more: F64
+
+
+@dataclass(frozen=True, eq=False)
+class _Left:
+    """What numbers of unseen motion leave of encoders' noise.
+
+    Attributes:
+        of: the noise.
+        filters: what they make of that of each joint; None where nothing.
+        counts: (F or 1, U, D) by how much chi-squared grows with a mean square of that.
+        n_numbers: S.
+        bent: springs that swing along; None where there are none.
+    """
+
+    of: ShakenLog
+    filters: _Filters | None
+    counts: F64
+    n_numbers: int
+    bent: _Bent | None = None
+
+    @cached_property
+    def share(self) -> F64:
+        """(F, U) of the noise."""
+        left = np.einsum("fd,fud->fu", self._power, np.broadcast_to(self.counts, self._shape))
+        return np.asarray(left / np.where(self.of.chi2 > 0, self.of.chi2, 1.0))
+
+    def pull(self, share: F64) -> F64:
+        """(S,) half of by how much what is left grows with each number, where (F, U) counts."""
+        out = np.zeros(self.n_numbers)
+        if self.filters is not None:
+            counts = np.broadcast_to(self.counts, self._shape)
+            out += self.filters.pull(self.of.power * np.einsum("fu,fud->fd", share, counts))
+        if self.bent is not None and self.of.springs is not None:
+            bent = self.bent
+            out[bent.at] += self.of.springs.pull(bent.bends, self._power, share * bent.more)
+        return out
+
+    @property
+    def _power(self) -> F64:
+        """(F, D) of the noise, behind filters."""
+        gain = 1.0 if self.filters is None else np.abs(self.filters.gain) ** 2
+        return np.asarray(self.of.power * gain)
+
+    @property
+    def _shape(self) -> tuple[int, int, int]:
+        return (len(self.of.w), *self.of.counts.shape)
 
 
 @dataclass(frozen=True, eq=False)
@@ -196,6 +287,15 @@ class _Filters:
         out = np.zeros(self.n_numbers)
         np.add.at(out, self.number, each.sum(axis=0))
         return out
+
+
+def _in_bands(w: F64, power: F64, most: int) -> tuple[F64, F64]:
+    """Frequencies (F,) and what each has of a noise (F, D), of so many bands at most."""
+    first = np.unique(np.linspace(0, len(w), most + 1).astype(np.int64)[:-1])
+    summed = np.add.reduceat(power, first)
+    of_all = power.sum(axis=1)
+    mean = np.add.reduceat(w * of_all, first) / np.maximum(np.add.reduceat(of_all, first), 1e-300)
+    return mean, summed
 
 
 def _kept_less(kept: F64) -> tuple[F64, F64]:

@@ -142,4 +142,5 @@ class _Followed:
             for w, p in zip(self.fitted.weights, predicted, strict=True)
         ]
         ((joint, su),) = about.gradients(state, predicted, [pulls])
+        joint[about.layout.unseen][bends.of_springs] = 0.0
         return joint, su

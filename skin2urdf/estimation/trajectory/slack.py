@@ -23,15 +23,18 @@ from scipy.linalg import null_space
 
 from skin2urdf.arrays import F64, Bool, Int
 from skin2urdf.estimation.trajectory.arrow import eliminated, joint_inverse
+from skin2urdf.estimation.trajectory.bending import bends_among
 from skin2urdf.estimation.trajectory.curved import (
     Curvature,
     likeliest_curvature,
     with_curves,
     without_curves,
 )
-from skin2urdf.estimation.trajectory.fit import Fitted
+from skin2urdf.estimation.trajectory.fit import Fitted, shaken_by
 from skin2urdf.estimation.trajectory.problem import MotionProblem
 from skin2urdf.estimation.trajectory.records import Equations
+from skin2urdf.estimation.trajectory.shaken import Shaken
+from skin2urdf.estimation.trajectory.state import MotionState
 from skin2urdf.estimation.trajectory.unseen import MOST_NUMBERS, Unseen, eased, together
 from skin2urdf.signals.trajectory import Trajectory
 from skin2urdf.structure.records import KinematicTree
@@ -292,19 +295,27 @@ def lacking(
         places.append(np.arange(end - more.n_numbers, end))
     if not curves:
         equations = wider.equations(state, fitted.predicted, fitted.weights)
-        minimised = fitted.shaken.taken_off(equations, wider, state)
+        minimised = _shaken(wider, fitted, state).taken_off(equations, wider, state)
         found = Lacking(wider, equations, minimised, tuple(places))
         fitted.keep(found.without)
         return found
     curved, begin = with_curves(wider, replace(fitted, state=state))
     equations = curved.equations(begin.state, fitted.predicted, fitted.weights)
-    minimised = fitted.shaken.taken_off(equations, curved, begin.state)
+    shaken = _shaken(wider, fitted, state)
+    minimised = shaken.taken_off(equations, curved, begin.state)
     among = np.isin(np.arange(curved.layout.n_joint), np.concatenate(places))
     curvature = likeliest_curvature(curved, minimised, among)
     straight, least = (without_curves(curved, each) for each in (equations, minimised))
     found = Lacking(wider, straight, least, tuple(places), curvature)
     fitted.keep(found.without)
     return found
+
+
+def _shaken(wider: MotionProblem, fitted: Fitted, state: MotionState) -> Shaken:
+    """What encoders' noise makes of predictions of a fit, and of what would swing along with it."""
+    if bends_among(fitted.problem.unseen)[0] is bends_among(wider.unseen)[0]:
+        return fitted.shaken
+    return shaken_by(wider, state, fitted.weights)
 
 
 def size_of(problem: MotionProblem, fitted: Fitted, more: Unseen) -> Size:

@@ -22,7 +22,6 @@ from skin2urdf.estimation.trajectory.on_the_base import (
 )
 from skin2urdf.estimation.trajectory.problem import MotionProblem
 from skin2urdf.estimation.trajectory.products import with_products
-from skin2urdf.estimation.trajectory.shaken import Shaken
 from skin2urdf.estimation.trajectory.shifting import with_shifts
 from skin2urdf.estimation.trajectory.slack import learnt_size
 from skin2urdf.estimation.trajectory.state import MotionState
@@ -136,7 +135,7 @@ def _fit_yielding(
             for bends, at in ways
         ]
         ends = [held(led.problem, led.state) for led in leads]
-        shaken = Shaken.of(tree, moved, ends[0].state, ends[0].weights)
+        shaken = ends[0].shaken
         costs = [cost_with(ends[0].weights, shaken, end) for end in ends]
         led = leads[int(np.argmin(costs))]
         bends, yielding, state = cast(Bending, led.problem.unseen), led.whole(), led.state

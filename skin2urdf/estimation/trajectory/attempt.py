@@ -258,7 +258,7 @@ class Attempt:
     @cached_property
     def has_play(self) -> bool:
         """Whether it has joints that yield, of which what is lacking shows that they have play."""
-        yields = self.causes[-1:] == BENDS[:1] and self.lacks
+        yields = self.causes[-1:] == BENDS[:1] and self.needs_a_cause
         return yields and deflections_saturate(self.problem, self.fitted, CERTAIN)
 
     def as_explained(

@@ -289,15 +289,15 @@ class Bending(Unseen):
 
 def bends_of(unseen: Unseen | None) -> Bending | None:
     """The deflections under loads that nobody knows, which are the first of what is unseen."""
-    bends, at = bends_among(unseen)
-    return bends if at.start == 0 else None
+    first = unseen.several[0] if unseen is not None and unseen.several else unseen
+    return first if isinstance(first, Bending) else None
 
 
-def bends_among(unseen: Unseen | None) -> tuple[Bending | None, slice]:
-    """The deflections under loads that nobody knows, and which of all numbers make them."""
-    first = 0
+def bends_among(unseen: Unseen | None) -> tuple[tuple[Bending, slice], ...]:
+    """All deflections under loads that nobody knows, and which of all numbers make them."""
+    out, first = [], 0
     for each in (unseen.several or (unseen,)) if unseen is not None else ():
         if isinstance(each, Bending):
-            return each, slice(first, first + each.n_numbers)
+            out.append((each, slice(first, first + each.n_numbers)))
         first += each.n_numbers
-    return None, slice(0, 0)
+    return tuple(out)

@@ -144,15 +144,15 @@ class ShakenLog(Record):
     ) -> ShakenLog:
         """Of a log at a state, with weights (K, U, 3) of its samples."""
         w, power = log.noise_spectrum()
-        bends, _ = bends_among(unseen)
-        if bends is not None:
+        bends = [each for each, _ in bends_among(unseen)]
+        if bends:
             w, power = _in_bands(w, power, FREQUENCIES)
         felt, shaken = _felt_of_some(tree, log, state.placements), log.shaken[::EVERY]
         counts = EVERY * np.einsum(
             "ku,kd,udk->ud", weights[::EVERY, :, 0], shaken, felt, optimize=True
         )
         springs = None
-        if bends is not None:
+        if bends:
             springs = ShakenSprings.of(bends, tree, log, state.placements, weights[..., 0], w)
         return ShakenLog(w, power, log.times(w), counts, power @ counts.T, springs)
 
@@ -178,15 +178,16 @@ class ShakenLog(Record):
     def _left(self, unseen: Unseen | None, x: F64) -> _Left | None:
         """What numbers x (S,) leave of the noise; None where none of them does anything to it."""
         filters = _Filters.of(unseen, self, x)
-        bends, at = bends_among(unseen)
-        if self.springs is None or bends is None:
+        bends = bends_among(unseen)
+        if self.springs is None or not bends:
             return None if filters is None else _Left(self, filters, self.counts[None], len(x))
-        about = bends.about(x[at])
+        kinds, at = zip(*bends, strict=True)
+        numbers = tuple(x[each] for each in at)
         # Some samples stand for all.
         of_rigid = self.springs.of_rigid
         more = self.chi2 / np.maximum(self.power @ of_rigid.T, 1e-300)
-        counts = more[..., None] * self.springs.counts(about)
-        return _Left(self, filters, counts, len(x), _Bent(about, at, more))
+        counts = more[..., None] * self.springs.counts(kinds, numbers)
+        return _Left(self, filters, counts, len(x), _Bent(kinds, numbers, at, more))
 
 
 @dataclass(frozen=True, eq=False)
@@ -194,13 +195,15 @@ class _Bent:
     """Springs that swing along.
 
     Attributes:
-        bends: the springs, about their numbers.
+        kinds: the springs, by kind.
+        numbers: (S,) the numbers of each, and
         at: which of all numbers these are.
         more: (F, U) by how much all samples count more than those at which springs are asked.
     """
 
-    bends: Bending
-    at: slice
+    kinds: tuple[Bending, ...]
+    numbers: tuple[F64, ...]
+    at: tuple[slice, ...]
     more: F64
 
 
@@ -236,7 +239,9 @@ class _Left:
             out += self.filters.pull(self.of.power * np.einsum("fu,fud->fd", share, counts))
         if self.bent is not None and self.of.springs is not None:
             bent = self.bent
-            out[bent.at] += self.of.springs.pull(bent.bends, self._power, share * bent.more)
+            pulls = self.of.springs.pull(bent.kinds, bent.numbers, self._power, share * bent.more)
+            for at, pull in zip(bent.at, pulls, strict=True):
+                out[at] += pull
         return out
 
     @property

@@ -313,7 +313,7 @@ def lacking(
 
 def _shaken(wider: MotionProblem, fitted: Fitted, state: MotionState) -> Shaken:
     """What encoders' noise makes of predictions of a fit, and of what would swing along with it."""
-    if bends_among(fitted.problem.unseen)[0] is bends_among(wider.unseen)[0]:
+    if len(bends_among(fitted.problem.unseen)) == len(bends_among(wider.unseen)):
         return fitted.shaken
     return shaken_by(wider, state, fitted.weights)
 

@@ -136,11 +136,6 @@ class Bending(Unseen):
         return slice(first, first + 6 * self.base + 4 * self.shifts)
 
     @property
-    def of_springs(self) -> slice:
-        """All numbers but those of the base's place: loads, springs, dampers and own inertia."""
-        return slice(0, self.of_inertia.stop)
-
-    @property
     def of_base(self) -> slice:
         """The parts that are the base's shifts and turns."""
         R = len(self.parts)

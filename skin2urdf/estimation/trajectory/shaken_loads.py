@@ -43,18 +43,21 @@ class ShakenLoads(Record):
         joints: the joints whose encoders round.
         joint: (R, J) and
         su: (R, U, n) parts of the gradient.
+        counted: (J,) part that takes off what a fit has not been paid for: what springs make of
+            noise (:mod:`shaken_springs`).
         taken_off: whether their mean was taken off an estimate.
     """
 
     joints: Int
     joint: F64
     su: F64
+    counted: F64
     taken_off: bool = False
 
     @property
     def mean(self) -> tuple[F64, F64]:
         """Parts (J,) and (U, n) of the gradient that noise makes in the mean."""
-        return self.joint.mean(axis=0), self.su.mean(axis=0)
+        return self.joint.mean(axis=0) + self.counted, self.su.mean(axis=0)
 
     @property
     def off(self) -> list[tuple[F64, F64]]:
@@ -62,8 +65,9 @@ class ShakenLoads(Record):
 
         So few draws do not tell the mean exactly; where it was not taken off, it is an error.
         """
-        R, (joint, su) = len(self.joint), self.mean
-        unknown = list(zip((self.joint - joint) / R, (self.su - su) / R, strict=True))
+        R = len(self.joint)
+        apart = self.joint - self.joint.mean(axis=0), self.su - self.su.mean(axis=0)
+        unknown = [(joint / R, su / R) for joint, su in zip(*apart, strict=True)]
         return unknown if self.taken_off else [*unknown, self.mean]
 
 
@@ -97,7 +101,11 @@ def shaken_loads(problem: MotionProblem, fitted: Fitted) -> ShakenLoads | None:
     if not pulls:
         return None
     joint, su = (np.array(each) for each in zip(*pulls, strict=True))
-    return ShakenLoads(np.flatnonzero(rounds), joint, su)
+    counted = np.zeros(problem.layout.n_joint)
+    counted[problem.layout.unseen] = fitted.shaken.pull(problem, fitted.state)[0][
+        problem.layout.unseen
+    ]
+    return ShakenLoads(np.flatnonzero(rounds), joint, su, counted)
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,5 +150,4 @@ class _Followed:
             for w, p in zip(self.fitted.weights, predicted, strict=True)
         ]
         ((joint, su),) = about.gradients(state, predicted, [pulls])
-        joint[about.layout.unseen][bends.of_springs] = 0.0
         return joint, su

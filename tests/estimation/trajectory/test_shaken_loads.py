@@ -129,7 +129,8 @@ def test_a_step_that_would_leave_more_than_it_takes_is_not_taken() -> None:
 
 def test_what_is_not_taken_off_is_an_error() -> None:
     rng = np.random.default_rng(0)
-    loads = ShakenLoads(np.arange(2), 3 + rng.normal(size=(8, 5)), rng.normal(size=(8, 2, 4)))
+    joint, su = 3 + rng.normal(size=(8, 5)), rng.normal(size=(8, 2, 4))
+    loads = ShakenLoads(np.arange(2), joint, su, np.zeros(5))
     off = np.array([joint for joint, _ in loads.off])
     np.testing.assert_allclose(off[-1], loads.joint.mean(axis=0))
     # The variance of a mean of eight, and nothing else, is left where it is taken off.

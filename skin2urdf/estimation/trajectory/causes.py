@@ -205,12 +205,12 @@ def _with_physics(rigid: Attempt, without: Collection[str]) -> tuple[Attempt, li
 
     One that explains the readings may leave slack that another one would explain: to slack, its
     deflections are of another size in every place and of none on the way. Of play nothing else that
-    bends explains what it leaves.
+    bends explains what it leaves; springs whose base gives way as well seem to have it, too.
     """
     left = [cause for cause in (DRIFT, WARMING, *BENDS) if cause not in without]
     if not rigid.may_drift:
         left = [cause for cause in left if cause in BENDS]
-    best, tried = rigid, list[Attempt]()
+    best, tried, play = rigid, list[Attempt](), None
     while left and best.needs_a_cause:
         further: list[Attempt] = []
         # Scales drift with the temperature of sensors whose biases do.
@@ -220,7 +220,8 @@ def _with_physics(rigid: Attempt, without: Collection[str]) -> tuple[Attempt, li
             further.append(best.adding(cause))
             if further[-1].has_play:
                 play = _with_play(best, further[-1])
-                return play, [*tried, play]
+                if play.misfit <= EXPLAINED:
+                    return play, [*tried, play]
             tried.append(further[-1])
             if not further[-1].needs_a_cause and explains_most(further[-1], best):
                 return further[-1], tried
@@ -233,6 +234,8 @@ def _with_physics(rigid: Attempt, without: Collection[str]) -> tuple[Attempt, li
             break
         best = other
         left.remove(best.causes[-1])
+    if play is not None and not explains_most(best, play):
+        return play, [*tried, play]
     return best, tried
 
 

@@ -218,11 +218,11 @@ def _with_physics(rigid: Attempt, without: Collection[str]) -> tuple[Attempt, li
         drifts = [cause for cause in drifts if cause in left]
         for cause in (*drifts, *best.likely(left)):
             further.append(best.adding(cause))
-            if further[-1].has_play:
-                play = _with_play(best, further[-1])
-                if play.misfit <= EXPLAINED:
-                    return play, [*tried, play]
             tried.append(further[-1])
+            if further[-1].has_play:
+                play = tried[-1] = _with_play(best, further[-1])
+                if play.misfit <= EXPLAINED:
+                    return play, tried
             if not further[-1].needs_a_cause and explains_most(further[-1], best):
                 return further[-1], tried
             if cause in BENDS and any(explains_most(each, best) for each in further):
@@ -235,7 +235,7 @@ def _with_physics(rigid: Attempt, without: Collection[str]) -> tuple[Attempt, li
         best = other
         left.remove(best.causes[-1])
     if play is not None and not explains_most(best, play):
-        return play, [*tried, play]
+        return play, tried
     return best, tried
 
 

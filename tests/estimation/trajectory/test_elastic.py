@@ -25,7 +25,8 @@ from synthetic import (
 from skin2urdf.arrays import F64
 from skin2urdf.estimation.problem.cost import Priors
 from skin2urdf.estimation.problem.state import State
-from skin2urdf.estimation.trajectory.attempt import Attempt
+from skin2urdf.estimation.trajectory import attempt
+from skin2urdf.estimation.trajectory.attempt import EXPLAINED, Attempt
 from skin2urdf.estimation.trajectory.balance import bending, followed
 from skin2urdf.estimation.trajectory.bending import Bending
 from skin2urdf.estimation.trajectory.estimate import estimate_along
@@ -155,6 +156,19 @@ def test_play_is_told_from_springs() -> None:
     coarse = _fit(_from_place_to_place(0.0 * _SOFT, 3e-3, 1.5e-3))
     assert "play" in coarse.tried
     assert "elastic" not in coarse.tried
+
+
+def test_springs_that_leave_more_than_noise_are_not_taken_for_play(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """What they leave may look like gaps, and be what biases do that drift."""
+    monkeypatch.setattr(attempt, "deflections_saturate", lambda *_: True)
+    log = _from_place_to_place(_SOFT, 0.0)
+    drifts = np.linspace(-0.02, 0.02, len(log.readings))[:, None, None]
+    found = _fit(replace(log, readings=log.readings + drifts * np.array([1.0, -0.5, 0.7])))
+    assert found.tried["play"] > EXPLAINED
+    assert set(found.causes) == {"elastic", "drift"}
+    assert found.misfit < 1.5
 
 
 def test_gaps_are_followed_from_what_one_look_says_of_loads() -> None:

@@ -43,8 +43,8 @@ class ShakenLoads(Record):
         joints: the joints whose encoders round.
         joint: (R, J) and
         su: (R, U, n) parts of the gradient.
-        counted: (J,) part that takes off what a fit has not been paid for: what springs make of
-            noise (:mod:`shaken_springs`).
+        counted: (J,) part that a fit has had added, so that nothing is paid for what springs make
+            of noise (:mod:`shaken_springs`).
         taken_off: whether their mean was taken off an estimate.
     """
 
@@ -101,10 +101,9 @@ def shaken_loads(problem: MotionProblem, fitted: Fitted) -> ShakenLoads | None:
     if not pulls:
         return None
     joint, su = (np.array(each) for each in zip(*pulls, strict=True))
-    counted = np.zeros(problem.layout.n_joint)
-    counted[problem.layout.unseen] = fitted.shaken.pull(problem, fitted.state)[0][
-        problem.layout.unseen
-    ]
+    counted, first = np.zeros(problem.layout.n_joint), problem.layout.unseen.start
+    of_bends = slice(first, first + bends.n_numbers)
+    counted[of_bends] = fitted.shaken.pull(problem, fitted.state)[0][of_bends]
     return ShakenLoads(np.flatnonzero(rounds), joint, su, counted)
 
 

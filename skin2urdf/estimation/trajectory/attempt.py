@@ -396,7 +396,7 @@ class Attempt:
     @cached_property
     def _enough(self) -> float:
         """Logarithm of the likelihood that what bends has to gain to first order."""
-        enough = 0.0 if self.slack_size is None else MOST_OF_IT * self.slack_size.gain
+        enough = 0.0 if self.slack_size is None else self.slack_size.gain
         if self.misfit > EXPLAINED:
             enough = max(enough, 0.5 * (1 - MOST_OF_IT) * self._excess)
         return enough

@@ -312,10 +312,13 @@ def lacking(
 
 
 def _shaken(wider: MotionProblem, fitted: Fitted, state: MotionState) -> Shaken:
-    """What encoders' noise makes of predictions of a fit, and of what would swing along with it."""
-    if len(bends_among(fitted.problem.unseen)) == len(bends_among(wider.unseen)):
-        return fitted.shaken
-    return shaken_by(wider, state, fitted.weights)
+    """What encoders' noise makes of predictions of a fit, and of what would swing along with it.
+
+    A fit on springs has not been paid for cutting that noise off, and further ones are not either.
+    To one without any they may seem likelier than they are, which shows once they are followed.
+    """
+    before, there = len(bends_among(fitted.problem.unseen)), len(bends_among(wider.unseen))
+    return shaken_by(wider, state, fitted.weights) if 0 < before < there else fitted.shaken
 
 
 def size_of(problem: MotionProblem, fitted: Fitted, more: Unseen) -> Size:

@@ -11,6 +11,7 @@ import numpy as np
 from skin2urdf.arrays import F64, Bool, give_back_freed_memory
 from skin2urdf.estimation.problem.state import N_SU
 from skin2urdf.estimation.trajectory.arrow import eliminated, newton_step
+from skin2urdf.estimation.trajectory.bending import bends_among
 from skin2urdf.estimation.trajectory.gyro import rate_weights
 from skin2urdf.estimation.trajectory.kinematics import levers
 from skin2urdf.estimation.trajectory.problem import MotionProblem
@@ -87,6 +88,17 @@ class Fitted:
     def shaken(self) -> Shaken:
         """What the noise of encoders makes of predictions at the state, with these weights."""
         return shaken_by(self.problem, self.state, self.weights)
+
+    def shaken_with(self, wider: MotionProblem, state: MotionState) -> Shaken:
+        """The same of a problem with more unseen motion, at the state with its numbers.
+
+        A fit on springs has not been paid for cutting noise off, and further ones are not either.
+        Of a fit without any nothing is known of that: where rounding is far from white, what it is
+        taken to be would make springs certain. What noise makes of them shows where they are
+        followed.
+        """
+        before, there = (len(bends_among(each.unseen)) for each in (self.problem, wider))
+        return shaken_by(wider, state, self.weights) if 0 < before < there else self.shaken
 
     def minimised(self, equations: Equations) -> Equations:
         """Normal equations at the state, without what is gained by cutting noise off.

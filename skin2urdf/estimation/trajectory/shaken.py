@@ -187,7 +187,7 @@ class ShakenLog(Record):
         of_rigid = self.springs.of_rigid
         more = self.chi2 / np.maximum(self.power @ of_rigid.T, 1e-300)
         counts = more[..., None] * self.springs.counts(kinds, numbers)
-        return _Left(self, filters, counts, len(x), _Bent(kinds, numbers, at, more))
+        return _Left(self, filters, counts, len(x), _Bent(self.springs, kinds, numbers, at, more))
 
 
 @dataclass(frozen=True, eq=False)
@@ -195,12 +195,14 @@ class _Bent:
     """Springs that swing along.
 
     Attributes:
+        springs: what they make of noise.
         kinds: the springs, by kind.
         numbers: (S,) the numbers of each, and
         at: which of all numbers these are.
         more: (F, U) by how much all samples count more than those at which springs are asked.
     """
 
+    springs: ShakenSprings
     kinds: tuple[Bending, ...]
     numbers: tuple[F64, ...]
     at: tuple[slice, ...]
@@ -237,9 +239,8 @@ class _Left:
         if self.filters is not None:
             counts = np.broadcast_to(self.counts, self._shape)
             out += self.filters.pull(self.of.power * np.einsum("fu,fud->fd", share, counts))
-        if self.bent is not None and self.of.springs is not None:
-            bent = self.bent
-            pulls = self.of.springs.pull(bent.kinds, bent.numbers, self._power, share * bent.more)
+        if (bent := self.bent) is not None:
+            pulls = bent.springs.pull(bent.kinds, bent.numbers, self._power, share * bent.more)
             for at, pull in zip(bent.at, pulls, strict=True):
                 out[at] += pull
         return out

@@ -6,7 +6,9 @@ links of inertia M, and dampers make them late by L, noise n of joints' accelera
     e = (1 + i w L - w^2 C M)^-1 w^2 C M n
 
 besides: near a resonance more than the joints do, and the other way round by loads that weigh less
-than nothing. Least squares would ask for these, as for a low-pass of all readings.
+than nothing. Least squares would ask for these, as for a low-pass of all readings: what they cut
+off is taken off chi-squared (corrected scores, as in :mod:`shaken`). About which point a base turns
+is taken to be known for that.
 """
 
 from __future__ import annotations
@@ -43,11 +45,13 @@ class ShakenSprings(Record):
 
     Attributes:
         w: (F,) angular frequencies [rad/s].
-        felt: (k, U, H, H) products of what SUs feel of accelerations of D joints, and of the base's
-            hinges behind them, at some samples.
-        weights: (k, U) information of these, and
+        felt: (k, U, H, H) products of what SUs feel per unit of acceleration of D joints, and of
+            the base's hinges behind them, at some samples [m^2 where both turn, 1 where both
+            slide].
+        weights: (k, U) information of these [s^4/m^2], and
         shaken: (k, D) share of the noise that is in them.
-        inertia: by kind of springs, (k, P, H, H) of joints and hinges, per load.
+        inertia: by kind of springs, (k, P, H, H) of joints and hinges, per load: times compliances,
+            in [s^2].
     """
 
     w: F64
@@ -82,7 +86,7 @@ class ShakenSprings(Record):
         base = any(each.base for each in kinds)
         felt = _felt(tree, state, q, base=base)
         square = np.einsum("kuch,kuci->kuhi", felt, felt, optimize=True)
-        per_parameter = _torques(tree, log, state, q, base=base)
+        per_parameter = _per_parameter(tree, log, state, q, base=base)
         inertia = tuple(
             np.einsum("kiho,po->kphi", per_parameter, each.basis, optimize=True) for each in kinds
         )
@@ -248,7 +252,11 @@ class _Springs:
 
 
 def _felt(tree: KinematicTree, state: State, q: F64, *, base: bool) -> F64:
-    """(k, U, 3, H) what SUs feel of accelerations of joints, and hinges, at positions q (k, D)."""
+    """(k, U, 3, H) what SUs feel per unit of acceleration of joints and hinges, at q (k, D).
+
+    It is in the base's frame, from Pinocchio's frames of joints: with directions, which
+    :func:`~skin2urdf.estimation.trajectory.kinematics.felt_of_joints` leaves out.
+    """
     D = tree.n_joints
     skeleton = Skeleton(tree, D + np.arange(N_HINGES if base else 0))
     built = PinocchioTree(skeleton.tree)
@@ -268,8 +276,13 @@ def _felt(tree: KinematicTree, state: State, q: F64, *, base: bool) -> F64:
     return out
 
 
-def _torques(tree: KinematicTree, log: Trajectory, state: State, q: F64, *, base: bool) -> F64:
-    """(k, H, H, 10 D) torques by a unit of acceleration of each, at rest and without gravity."""
+def _per_parameter(
+    tree: KinematicTree, log: Trajectory, state: State, q: F64, *, base: bool
+) -> F64:
+    """(k, H, H, 10 D) torques by a unit of acceleration of each, at rest and without gravity.
+
+    Of each inertial parameter of the links, in the order of Pinocchio's regressors.
+    """
     k, H = len(q), tree.n_joints + N_HINGES * base
     at = np.repeat(np.hstack([q, np.zeros((k, H - q.shape[1]))]), H, axis=0)
     moved = replace(log, q=at, qd=np.zeros_like(at), qdd=np.tile(np.eye(H), (k, 1)))

@@ -23,18 +23,15 @@ from scipy.linalg import null_space
 
 from skin2urdf.arrays import F64, Bool, Int
 from skin2urdf.estimation.trajectory.arrow import eliminated, joint_inverse
-from skin2urdf.estimation.trajectory.bending import bends_among
 from skin2urdf.estimation.trajectory.curved import (
     Curvature,
     likeliest_curvature,
     with_curves,
     without_curves,
 )
-from skin2urdf.estimation.trajectory.fit import Fitted, shaken_by
+from skin2urdf.estimation.trajectory.fit import Fitted
 from skin2urdf.estimation.trajectory.problem import MotionProblem
 from skin2urdf.estimation.trajectory.records import Equations
-from skin2urdf.estimation.trajectory.shaken import Shaken
-from skin2urdf.estimation.trajectory.state import MotionState
 from skin2urdf.estimation.trajectory.unseen import MOST_NUMBERS, Unseen, eased, together
 from skin2urdf.signals.trajectory import Trajectory
 from skin2urdf.structure.records import KinematicTree
@@ -293,15 +290,15 @@ def lacking(
         state = replace(state, unseen=np.concatenate([state.unseen, np.zeros(more.n_numbers)]))
         end = wider.layout.unseen.stop
         places.append(np.arange(end - more.n_numbers, end))
+    shaken = fitted.shaken_with(wider, state)
     if not curves:
         equations = wider.equations(state, fitted.predicted, fitted.weights)
-        minimised = _shaken(wider, fitted, state).taken_off(equations, wider, state)
+        minimised = shaken.taken_off(equations, wider, state)
         found = Lacking(wider, equations, minimised, tuple(places))
         fitted.keep(found.without)
         return found
     curved, begin = with_curves(wider, replace(fitted, state=state))
     equations = curved.equations(begin.state, fitted.predicted, fitted.weights)
-    shaken = _shaken(wider, fitted, state)
     minimised = shaken.taken_off(equations, curved, begin.state)
     among = np.isin(np.arange(curved.layout.n_joint), np.concatenate(places))
     curvature = likeliest_curvature(curved, minimised, among)
@@ -309,16 +306,6 @@ def lacking(
     found = Lacking(wider, straight, least, tuple(places), curvature)
     fitted.keep(found.without)
     return found
-
-
-def _shaken(wider: MotionProblem, fitted: Fitted, state: MotionState) -> Shaken:
-    """What encoders' noise makes of predictions of a fit, and of what would swing along with it.
-
-    A fit on springs has not been paid for cutting that noise off, and further ones are not either.
-    To one without any they may seem likelier than they are, which shows once they are followed.
-    """
-    before, there = len(bends_among(fitted.problem.unseen)), len(bends_among(wider.unseen))
-    return shaken_by(wider, state, fitted.weights) if 0 < before < there else fitted.shaken
 
 
 def size_of(problem: MotionProblem, fitted: Fitted, more: Unseen) -> Size:

@@ -66,17 +66,17 @@ def test_slopes_are_those_of_differences(
     bends = _bends(problem, fitted, None, base=base)
     S = bends.n_numbers
     still = tuple(np.zeros((len(log.q), S)) for log in problem.logs)
-    first = 3
     bends = replace(bends, number=np.arange(S), joint=np.zeros(S, dtype=np.int64), motions=still)
     # One number stands for the scale of all, and is held.
-    held = replace(bends, number=np.delete(np.arange(S), first), joint=np.zeros(S - 1, dtype=int))
+    scale = 3
+    all_but = replace(bends, number=np.delete(np.arange(S), scale), joint=np.zeros(S - 1, int))
     x = bends.origin + 0.02 * bends.spread * np.random.default_rng(1).normal(size=S)
     state = replace(fitted.state, unseen=x, front=np.tile([2e-5, 1e-5], (len(ARM), 1)))
     about = with_unseen(problem, bends, 1.0)
     shaken = shaken_by(about, state, fitted.weights)
     slopes = shaken.pull(about, state)[0][about.layout.unseen]
-    of_held = with_unseen(problem, held, 1.0)
-    assert shaken.pull(of_held, state)[0][of_held.layout.unseen][first] == 0.0
+    without = with_unseen(problem, all_but, 1.0)
+    assert shaken.pull(without, state)[0][without.layout.unseen][scale] == 0.0
     last = bends.of_inertia.stop
     for n in range(S):
         h = 1e-5 * bends.spread[n] * (np.arange(S) == n)
